@@ -1,0 +1,163 @@
+"""The configuration of the MDP: every number and rule of it, validated, in one frozen object."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, TypedDict
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from mbn_marl.errors import ConfigError
+
+MAX_ROBOTS = 64
+MAX_ROIS = 24
+"""More ROIs than this would make the visit code inexact in float32."""
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+_STRICT = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+
+class RewardProfile(BaseModel):
+    """A named set of reward rules and weights (mdp.md, "Reward profiles").
+
+    Attributes:
+        name: how the profile is called.
+        rules: ``"released"`` (the authors' released code) or ``"formal"`` (the paper's section 3).
+        small: r_s, the charge of a step on new ground (reward units, >= 0).
+        medium: r_m, the charge of a step on known ground (>= 0).
+        large: r_l, for a visited ROI, and against leaving the field (>= 0).
+        infinite: r_inf, the finite stand-in for infinity: success and collision (>= 0).
+    """
+
+    model_config = _STRICT
+
+    name: str
+    rules: Literal["released", "formal"] = "released"
+    small: NonNegative = 10.0
+    medium: NonNegative = 100.0
+    large: NonNegative = 10_000.0
+    infinite: NonNegative = 100_000.0
+
+
+REWARD_PROFILES: Mapping[str, RewardProfile] = {
+    "released": RewardProfile(name="released"),
+    "formal": RewardProfile(name="formal", rules="formal"),
+}
+
+
+class NavigationConfig(BaseModel):
+    """Everything about the MDP that is not the field. Symbols are those of the paper.
+
+    Attributes:
+        n_robots: team size, 1 to 64; ``None`` takes as many as the field has starts.
+        reward: the name of a reward profile, or a :class:`RewardProfile`.
+        reward_sharing: ``"individual"`` (each robot its own share; the shares sum to the team's
+            reward) or ``"team"`` (every robot gets the team's reward).
+        observation: ``"relative"``, ``"state"`` or ``"local"``, see ``engine.observation``.
+        one_hot: append the robot's index as a one-hot vector to its observation.
+        sensing_radius: how far ``"local"`` sees, in units.
+        wind: ``(v_a, beta_a)``: speed in units/step per step, angle in degrees from +x.
+        max_steps: T_max; reaching it truncates the episode.
+        dtype: precision of the simulation, ``"float32"`` or ``"float64"``.
+        f_max: force of a full-scale action, mass x units/step^2.
+        v_clip: per-axis speed limit, units/step.
+        tau: time of one step.
+        mass: M_i, one number for all robots or one per robot.
+        safety_distance: C; two robots closer than this (strictly) have collided, in units.
+        roi_radius: rho; an ROI within this distance of a robot is visited, in units.
+        random_starts: start at random points of the field, at least C apart, instead of the
+            field's own starts.
+
+    Raises:
+        ConfigError: through :func:`make_config`, listing every problem.
+    """
+
+    model_config = _STRICT
+
+    n_robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] | None = None
+    reward: RewardProfile = REWARD_PROFILES["released"]
+    reward_sharing: Literal["individual", "team"] = "individual"
+    observation: Literal["relative", "state", "local"] = "relative"
+    one_hot: bool = False
+    sensing_radius: Positive = 100.0
+    wind: tuple[NonNegative, Finite] = (0.0, 0.0)
+    max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
+    dtype: Literal["float32", "float64"] = "float32"
+    f_max: Positive = 0.5
+    v_clip: Positive = 5.0
+    tau: Positive = 1.0
+    mass: Positive | tuple[Positive, ...] = 1.0
+    safety_distance: NonNegative = 10.0
+    roi_radius: NonNegative = 10.0
+    random_starts: bool = False
+
+    @field_validator("reward", mode="before")
+    @classmethod
+    def _profile_by_name(cls, value: object) -> object:
+        if isinstance(value, str):
+            if value not in REWARD_PROFILES:
+                known = ", ".join(map(repr, REWARD_PROFILES))
+                raise ValueError(f"unknown profile {value!r}; known: {known}, or a RewardProfile")
+            return REWARD_PROFILES[value]
+        return value
+
+    def wind_increment(self) -> tuple[float, float]:
+        """The velocity that the wind adds in one step, ``(x, y)`` in units/step."""
+        speed, angle = self.wind
+        return speed * math.cos(math.radians(angle)), speed * math.sin(math.radians(angle))
+
+
+class FixedSettings(TypedDict, total=False):
+    """The keyword arguments of :class:`NavigationConfig` but the team size, typed."""
+
+    reward: str | RewardProfile
+    reward_sharing: Literal["individual", "team"]
+    observation: Literal["relative", "state", "local"]
+    one_hot: bool
+    sensing_radius: float
+    wind: tuple[float, float]
+    max_steps: int
+    dtype: Literal["float32", "float64"]
+    f_max: float
+    v_clip: float
+    tau: float
+    mass: float | tuple[float, ...]
+    safety_distance: float
+    roi_radius: float
+    random_starts: bool
+
+
+class Settings(FixedSettings, total=False):
+    """All keyword arguments of :class:`NavigationConfig`, for typed signatures."""
+
+    n_robots: int | None
+
+
+def make_config(settings: Mapping[str, Any]) -> NavigationConfig:
+    """Validate ``settings`` into a configuration.
+
+    Raises:
+        ConfigError: naming every unknown or invalid setting and what is allowed.
+    """
+    try:
+        return NavigationConfig.model_validate(dict(settings))
+    except ValidationError as error:
+        raise ConfigError("configuration", describe(error, NavigationConfig)) from None
+
+
+def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
+    """One line for each problem that pydantic found: the place, what is wrong, what is allowed."""
+    lines = []
+    for problem in error.errors():
+        place = ".".join(map(str, problem["loc"])) or model.__name__
+        if problem["type"] == "extra_forbidden":
+            message = f"unknown name; known: {', '.join(model.model_fields)}"
+        else:
+            message = problem["msg"].removeprefix("Value error, ")
+            message += f" (got {problem['input']!r:.80})"
+        lines.append(f"{place}: {message}")
+    return lines
