@@ -1,0 +1,1 @@
+"""The catalogue of fields: data files, read by :mod:`mbn_marl.field`."""

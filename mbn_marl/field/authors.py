@@ -1,0 +1,73 @@
+"""The field sets of the paper's authors, as their released code stores them.
+
+A set is a mapping with ``field`` (the outline), ``init_positions`` (the starts),
+``infected_locations`` (the ROIs) and ``grid_size`` (the side of the square arena; 100 when
+absent), all in tens of units. A file holds one set, or a mapping of names to sets.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, TypeGuard
+
+from mbn_marl.errors import FieldError
+from mbn_marl.field.field import Field
+
+UNITS = 10.0
+"""Arena units per unit of these files."""
+
+DEFAULT_GRID = 100
+
+_KEYS = {"field": "vertices", "init_positions": "starts", "infected_locations": "rois"}
+_PLACES = {ours: theirs for theirs, ours in _KEYS.items()} | {"arena": "grid_size"}
+
+
+def is_set(document: object) -> TypeGuard[Mapping[str, Any]]:
+    """Whether ``document`` is one set: a mapping with any of the authors' own keys."""
+    return isinstance(document, Mapping) and not _KEYS.keys().isdisjoint(document)
+
+
+def is_collection(document: object) -> TypeGuard[Mapping[str, Any]]:
+    """Whether ``document`` is a mapping of names to sets."""
+    return (
+        isinstance(document, Mapping)
+        and len(document) > 0
+        and all(is_set(entry) for entry in document.values())
+    )
+
+
+def field_from_set(document: Mapping[str, Any], source: str, name: str) -> Field:
+    """The field of one set, in arena units.
+
+    Raises:
+        FieldError: listing every problem, its place in the set's own words (coordinates in units).
+    """
+    known = [*_KEYS, "grid_size"]
+    problems = [
+        f"{key}: unknown name; known: {', '.join(known)}" for key in document if key not in known
+    ]
+    grid = _scaled(document.get("grid_size", DEFAULT_GRID))
+    lists = {ours: _scaled(document.get(key, [])) for key, ours in _KEYS.items()}
+    try:
+        field = Field(**lists, arena=(grid, grid), name=name)
+    except FieldError as error:
+        problems += map(_in_their_words, error.problems)
+    if problems:
+        raise FieldError(source, dict.fromkeys(problems))
+    return field
+
+
+def _scaled(value: Any) -> Any:
+    """``value`` with the numbers in it turned into units; anything else stays for the checks."""
+    if isinstance(value, list):
+        return [_scaled(entry) for entry in value]
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return value * UNITS
+    return value
+
+
+def _in_their_words(problem: str) -> str:
+    """Rename the places of a problem: ``starts[1]: ...`` becomes ``init_positions[1]: ...``."""
+    problem = re.sub(r"^arena(\.[xy])?(?=:)", "grid_size", problem)
+    return re.sub(r"\b(vertices|starts|rois)(?=[\[:])", lambda match: _PLACES[match[1]], problem)

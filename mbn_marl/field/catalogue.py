@@ -1,0 +1,22 @@
+"""The catalogue: the field files that are installed with the package."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+_FOLDER = files("envs_catalog")
+
+
+def catalogue_names() -> list[str]:
+    """The names of the catalogue's fields, sorted: the stems of the files in ``envs_catalog``."""
+    suffix = ".yaml"
+    return sorted(
+        entry.name.removesuffix(suffix)
+        for entry in _FOLDER.iterdir()
+        if entry.name.endswith(suffix)
+    )
+
+
+def catalogue_file(name: str) -> bytes:
+    """The bytes of the file of a field whose name is in :func:`catalogue_names`."""
+    return (_FOLDER / f"{name}.yaml").read_bytes()

@@ -1,0 +1,181 @@
+"""The field: an immutable, validated value."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+import shapely
+
+from mbn_marl.errors import FieldError
+from mbn_marl.field.geometry import GeometryReader, Point
+from mbn_marl.field.limits import MAX_NAME, NAME_PATTERN
+from mbn_marl.field.validation import find_problems
+
+Points = Sequence[Sequence[float]] | npt.NDArray[Any]
+"""A list of ``(x, y)``, or an array of shape (k, 2)."""
+
+DEFAULT_ARENA: Point = (1000.0, 1000.0)
+
+
+class Field:
+    """A polygon with holes, its ROIs and the robots' starts, in arena units.
+
+    The field is a closed set: the boundaries of the outline and of the holes belong to it.
+    Fields compare and hash by value, and pickle.
+
+    Args:
+        vertices: corners of the outline in order, either direction, not repeated at the end;
+            at least 3, and 500 with those of the holes.
+        rois: the regions of interest, 1 to 24, inside the field.
+        starts: where robots start, 1 to 64, inside the field, at least 10 units apart. A field
+            with s starts holds up to s robots.
+        holes: obstacles, at most 64; each a list of corners, inside the outline, touching neither
+            it nor another hole.
+        arena: width and height of the arena ``[0, width] x [0, height]`` that holds everything.
+        name: 1 to 64 letters, digits, ``_``, ``.`` or ``-``.
+        optimal_makespan: the proved least number of steps in which robots on all the starts visit
+            every ROI, with the default dynamics and no wind; ``None`` when unknown.
+
+    Attributes:
+        vertices: float64 array of shape (k, 2), read-only, like all arrays here.
+        rois: float64 (m, 2).
+        starts: float64 (s, 2).
+        holes: tuple of float64 arrays (k, 2).
+        edges: float64 (E, 4), ``(ax, ay, bx, by)`` of each edge: the outline's, then each hole's.
+        arena: ``(width, height)``.
+        name: the field's name.
+        optimal_makespan: steps, or ``None``.
+        polygon: the field as a shapely polygon.
+
+    Raises:
+        FieldError: listing every problem with its place, e.g. ``starts[1]``.
+    """
+
+    __slots__ = (
+        "_key",
+        "arena",
+        "edges",
+        "holes",
+        "name",
+        "optimal_makespan",
+        "polygon",
+        "rois",
+        "starts",
+        "vertices",
+    )
+
+    vertices: npt.NDArray[np.float64]
+    rois: npt.NDArray[np.float64]
+    starts: npt.NDArray[np.float64]
+    holes: tuple[npt.NDArray[np.float64], ...]
+    edges: npt.NDArray[np.float64]
+    arena: Point
+    name: str
+    optimal_makespan: int | None
+    polygon: shapely.Polygon
+    _key: tuple[object, ...]
+
+    def __init__(
+        self,
+        vertices: Points,
+        rois: Points,
+        starts: Points,
+        holes: Sequence[Points] = (),
+        *,
+        arena: Sequence[float] = DEFAULT_ARENA,
+        name: str = "custom",
+        optimal_makespan: int | None = None,
+    ) -> None:
+        reader = GeometryReader()
+        geometry = reader.read(vertices, rois, starts, holes, arena)
+        problems = [
+            *_label_problems(name, optimal_makespan),
+            *reader.problems,
+            *find_problems(geometry),
+        ]
+        if problems:
+            raise FieldError("field", problems)
+        rings = [geometry.outline.points, *(hole.points for hole in geometry.holes)]
+        values: dict[str, object] = {
+            "vertices": _constant(rings[0]),
+            "rois": _constant(geometry.rois.points),
+            "starts": _constant(geometry.starts.points),
+            "holes": tuple(_constant(ring) for ring in rings[1:]),
+            "edges": _constant([edge for ring in rings for edge in _edges(ring)]),
+            "arena": geometry.arena,
+            "name": name,
+            "optimal_makespan": optimal_makespan,
+            "polygon": shapely.Polygon(rings[0], rings[1:]),
+            "_key": (
+                tuple(map(tuple, rings)),
+                tuple(geometry.rois.points),
+                tuple(geometry.starts.points),
+                geometry.arena,
+                name,
+                optimal_makespan,
+            ),
+        }
+        for attribute, value in values.items():
+            object.__setattr__(self, attribute, value)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The arguments that build this field again, as plain lists, numbers and strings."""
+        return {
+            "name": self.name,
+            "optimal_makespan": self.optimal_makespan,
+            "arena": list(self.arena),
+            "vertices": self.vertices.tolist(),
+            "holes": [hole.tolist() for hole in self.holes],
+            "rois": self.rois.tolist(),
+            "starts": self.starts.tolist(),
+        }
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(f"a Field is immutable; cannot set {name!r}")
+
+    def __delattr__(self, name: str) -> NoReturn:
+        raise AttributeError(f"a Field is immutable; cannot delete {name!r}")
+
+    def __eq__(self, other: object) -> bool:
+        return self._key == other._key if isinstance(other, Field) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __reduce__(self) -> tuple[partial[Field], tuple[()]]:
+        return partial(Field, **self.to_dict()), ()
+
+    def __repr__(self) -> str:
+        width, height = self.arena
+        return (
+            f"<Field {self.name!r}: {len(self.vertices)} vertices, {len(self.holes)} holes, "
+            f"{len(self.rois)} ROIs, {len(self.starts)} starts, arena {width:g} x {height:g}>"
+        )
+
+
+def _label_problems(name: object, optimal_makespan: object) -> list[str]:
+    problems = []
+    if not (isinstance(name, str) and len(name) <= MAX_NAME and re.fullmatch(NAME_PATTERN, name)):
+        allowed = f"1 to {MAX_NAME} letters, digits, '_', '.' or '-', the first a letter or digit"
+        problems.append(f"name: expected {allowed}")
+    if optimal_makespan is not None and not (
+        type(optimal_makespan) is int and 1 <= optimal_makespan <= 1_000_000
+    ):
+        problems.append("optimal_makespan: expected a whole number of steps, 1 to 1000000")
+    return problems
+
+
+def _constant(rows: Sequence[Sequence[float]]) -> npt.NDArray[np.float64]:
+    """An array over immutable bytes: nobody can make it writable again."""
+    array = np.array(rows, dtype=np.float64)
+    return np.frombuffer(array.tobytes(), dtype=np.float64).reshape(array.shape)
+
+
+def _edges(ring: Sequence[Point]) -> list[tuple[float, float, float, float]]:
+    following = [*ring[1:], ring[0]]
+    return [(*a, *b) for a, b in zip(ring, following, strict=True)]

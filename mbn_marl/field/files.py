@@ -1,0 +1,163 @@
+"""Fields from names and files, and back into files."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from difflib import get_close_matches
+from functools import cache
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import yaml
+from pydantic import ValidationError
+
+from mbn_marl.config import describe
+from mbn_marl.errors import FieldError
+from mbn_marl.field import authors
+from mbn_marl.field.catalogue import catalogue_file, catalogue_names
+from mbn_marl.field.field import DEFAULT_ARENA, Field
+from mbn_marl.field.limits import MAX_NAME
+from mbn_marl.field.safe_yaml import MAX_BYTES, parse
+from mbn_marl.field.schema import FORMAT, FieldFile
+
+_SUFFIXES = (".yaml", ".yml", ".json")
+
+
+def load_field(source: str | os.PathLike[str] | Field) -> Field:
+    """The field of a catalogue name or of a file; a :class:`Field` comes back as it is.
+
+    Args:
+        source: a name of :func:`catalogue_names`, or the path of a file in the format
+            ``mbn-field/1`` or in the authors' format. ``path#name`` picks one of several sets in
+            an authors' file.
+
+    Raises:
+        FieldError: for an unknown name, a file that cannot be read, and an invalid field; it lists
+            every problem. Nothing else is raised for bad input, and no tag in a file runs code.
+    """
+    if isinstance(source, Field):
+        return source
+    if isinstance(source, str) and source in catalogue_names():
+        return _catalogue_field(source)
+    try:
+        location = os.fspath(source)
+    except TypeError:
+        location = None
+    if not isinstance(location, str):
+        kind = type(source).__name__
+        raise FieldError("field", [f"source: expected a name, a path or a Field, got {kind}"])
+    return _field_of_file(location)
+
+
+def save_field(field: Field, path: str | os.PathLike[str]) -> None:
+    """Write ``field`` to ``path`` in the format ``mbn-field/1``, whole or not at all.
+
+    Raises:
+        OSError: when the file cannot be written; one that was there before stays as it was.
+    """
+    content = {key: value for key, value in field.to_dict().items() if value not in (None, [])}
+    text = yaml.safe_dump({"format": FORMAT, **content}, sort_keys=False, default_flow_style=None)
+    target = Path(path)
+    temporary = target.with_name(f".{uuid4().hex}.tmp")
+    try:
+        with temporary.open("x", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@cache
+def _catalogue_field(name: str) -> Field:
+    return _field_of_document(parse(catalogue_file(name), name), name, name)
+
+
+def _field_of_file(location: str) -> Field:
+    """The field in the file at ``location``, which may end in ``#name``."""
+    path, wanted = location, None
+    try:
+        if not Path(path).exists() and "#" in path:
+            path, wanted = path.rsplit("#", 1)
+        data = _read(Path(path))
+    except FieldError:
+        raise
+    except (OSError, ValueError) as error:
+        raise FieldError(location, [f"file: cannot be read: {error}"]) from None
+    document = parse(data, path)
+    name = _name_from(Path(path).stem)
+    if authors.is_collection(document):
+        document, name = _chosen(document, wanted, path)
+    elif wanted is not None:
+        raise FieldError(path, [f"file: holds one field, there is no {wanted!r} to pick"])
+    return _field_of_document(document, location, name)
+
+
+def _read(path: Path) -> bytes:
+    """The bytes of a regular file, at most one more than a field file may have."""
+    if not path.exists():
+        raise _not_found(str(path))
+    if not path.is_file():
+        raise FieldError(str(path), ["file: not a regular file"])
+    with path.open("rb") as stream:
+        return stream.read(MAX_BYTES + 1)
+
+
+def _not_found(text: str) -> FieldError:
+    if os.sep in text or text.endswith(_SUFFIXES):
+        return FieldError(text, ["file: does not exist"])
+    names = catalogue_names()
+    close = get_close_matches(text[:MAX_NAME], names, n=3, cutoff=0.7)
+    hint = f" (did you mean {' or '.join(close)}?)" if close else ""
+    return FieldError(text, [f"unknown field{hint}; known: {', '.join(names)}, or a file's path"])
+
+
+def _chosen(
+    collection: Mapping[str, Any], wanted: str | None, path: str
+) -> tuple[Mapping[str, Any], str]:
+    if wanted is None and len(collection) == 1:
+        (wanted,) = collection
+    if wanted is not None and wanted in collection:
+        return collection[wanted], _name_from(wanted)
+    names = ", ".join(collection)
+    problem = "holds several sets" if wanted is None else f"holds no set {wanted!r}"
+    raise FieldError(path, [f"file: {problem}; pick one as 'path#name', name one of: {names}"])
+
+
+def _field_of_document(document: object, source: str, name: str) -> Field:
+    """The field of a parsed document; ``name`` is for a document that has none."""
+    if authors.is_set(document):
+        return authors.field_from_set(document, source, name)
+    if not isinstance(document, Mapping) or "format" not in document:
+        raise FieldError(source, [f"format: missing; a field file starts with 'format: {FORMAT}'"])
+    problems = []
+    given = {key: value for key, value in document.items() if value is not None}
+    content = {"vertices": [], "rois": [], "starts": [], **given}
+    try:
+        FieldFile.model_validate(content)
+    except ValidationError as error:
+        problems += describe(error, FieldFile)
+    try:
+        field = Field(
+            content["vertices"],
+            content["rois"],
+            content["starts"],
+            content.get("holes", ()),
+            arena=content.get("arena", DEFAULT_ARENA),
+            name=content.get("name", name),
+            optimal_makespan=content.get("optimal_makespan"),
+        )
+    except FieldError as error:
+        problems += error.problems
+    if problems:
+        raise FieldError(source, problems)
+    return field
+
+
+def _name_from(text: str) -> str:
+    """A valid name of a field that is as close to ``text`` as can be."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", text).lstrip("_.-")[:MAX_NAME] or "custom"

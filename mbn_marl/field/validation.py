@@ -1,0 +1,125 @@
+"""What makes a field valid: each rule is a small generator of problems.
+
+The field is a closed set: its boundary, those of its holes included, belongs to it. Points are
+tested with shapely's exact predicates, so a start on a slanted edge counts as inside only where
+its floating-point coordinates lie on the edge exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import shapely
+
+from mbn_marl.field.geometry import Geometry, Point, PointList
+from mbn_marl.field.limits import SAFETY_DISTANCE
+
+
+@dataclass(frozen=True)
+class _Shapes:
+    """The rings that are simple polygons; ``None`` stands for one that is not."""
+
+    outline: shapely.Polygon | None
+    holes: list[shapely.Polygon | None]
+
+
+def find_problems(geometry: Geometry) -> list[str]:
+    """Every rule that the readable part of a field breaks, one line each, with its place."""
+    shapes = _Shapes(_simple(geometry.outline), [_simple(hole) for hole in geometry.holes])
+    rings = [geometry.outline, *geometry.holes]
+    problems: list[str] = []
+    for points in (*rings, geometry.rois, geometry.starts):
+        problems.extend(_duplicates(points))
+        problems.extend(_outside_arena(points, geometry.arena))
+    for ring, polygon in zip(rings, [shapes.outline, *shapes.holes], strict=True):
+        if polygon is None:
+            problems.extend(_crossings(ring))
+    problems.extend(_misplaced_holes(geometry, shapes))
+    for points in (geometry.rois, geometry.starts):
+        problems.extend(_outside_field(points, geometry, shapes))
+    problems.extend(_crowded_starts(geometry.starts))
+    return problems
+
+
+def _duplicates(points: PointList) -> Iterator[str]:
+    first: dict[Point, int] = {}
+    for k, point in enumerate(points.points):
+        if first.setdefault(point, k) != k:
+            yield f"{points.place(k)}: {point} is a duplicate of {points.place(first[point])}"
+
+
+def _outside_arena(points: PointList, arena: Point) -> Iterator[str]:
+    width, height = arena
+    for k, (x, y) in enumerate(points.points):
+        if not (0.0 <= x <= width and 0.0 <= y <= height):
+            bounds = f"[0, {width:g}] x [0, {height:g}]"
+            yield f"{points.place(k)}: ({x}, {y}) is outside the arena {bounds}"
+
+
+def _simple(ring: PointList) -> shapely.Polygon | None:
+    """The polygon of a ring whose points are all readable, if it does not meet itself."""
+    points = ring.distinct().points
+    if not ring.complete or len(points) < 3:
+        return None
+    polygon = shapely.Polygon(points)
+    return polygon if polygon.is_valid else None
+
+
+def _crossings(ring: PointList) -> Iterator[str]:
+    """Say which edges of a ring that is no simple polygon meet, one line for the ring."""
+    corners = ring.distinct()
+    count = len(corners.points)
+    if not ring.complete or count < 3:
+        return
+    ends = np.array(corners.points)
+    edges = shapely.linestrings(np.stack([ends, np.roll(ends, -1, axis=0)], axis=1))
+    first, second = shapely.STRtree(edges).query(edges, predicate="intersects")
+    gap = second - first
+    meeting = np.argwhere((gap > 1) & (gap < count - 1))[:, 0]
+    if len(meeting) == 0:
+        yield f"{ring.label}: has no area"
+        return
+
+    def edge(k: int) -> str:
+        return f"{corners.place(k)}-{corners.place((k + 1) % count)}"
+
+    pairs = sorted(zip(first[meeting].tolist(), second[meeting].tolist(), strict=True))
+    others = f", and {len(pairs) - 1} more such pairs" if len(pairs) > 1 else ""
+    a, b = pairs[0]
+    yield f"{ring.label}: crosses or touches itself: {edge(a)} meets {edge(b)}{others}"
+
+
+def _misplaced_holes(geometry: Geometry, shapes: _Shapes) -> Iterator[str]:
+    sound = [(ring, hole) for ring, hole in zip(geometry.holes, shapes.holes, strict=True) if hole]
+    if shapes.outline is not None:
+        for ring, hole in sound:
+            if not shapely.contains_properly(shapes.outline, hole):
+                yield f"{ring.label}: a hole must lie inside the field without touching its outline"
+    for (ring_a, hole_a), (ring_b, hole_b) in combinations(sound, 2):
+        if shapely.intersects(hole_a, hole_b):
+            yield f"{ring_b.label}: touches or overlaps {ring_a.label}"
+
+
+def _outside_field(points: PointList, geometry: Geometry, shapes: _Shapes) -> Iterator[str]:
+    for k, coordinates in enumerate(points.points):
+        point = shapely.Point(coordinates)
+        if shapes.outline is not None and not shapely.covers(shapes.outline, point):
+            yield f"{points.place(k)}: {coordinates} is outside the field"
+        for ring, hole in zip(geometry.holes, shapes.holes, strict=True):
+            if hole is not None and shapely.contains(hole, point):
+                yield f"{points.place(k)}: {coordinates} is inside {ring.label}"
+
+
+def _crowded_starts(starts: PointList) -> Iterator[str]:
+    distinct = starts.distinct()
+    for (j, a), (k, b) in combinations(enumerate(distinct.points), 2):
+        distance = math.dist(a, b)
+        if distance < SAFETY_DISTANCE:
+            yield (
+                f"{distinct.place(k)}: {distance:.6g} units from {distinct.place(j)}, "
+                f"less than the safety distance {SAFETY_DISTANCE:g}"
+            )

@@ -1,0 +1,53 @@
+"""Valid fields and files that the tests of fields start from."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mbn_marl.errors import FieldError
+from mbn_marl.field import FORMAT, Field, load_field
+
+SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
+HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
+
+VALID_FILE = f"""\
+format: {FORMAT}
+vertices: [[0, 0], [100, 0], [100, 100], [0, 100]]
+rois: [[90, 90]]
+starts: [[10, 10], [10, 90]]
+"""
+
+
+def square(**changes: Any) -> Field:
+    """A valid field of 100 x 100 with a hole, changed as a test needs it."""
+    values: dict[str, Any] = {
+        "vertices": SQUARE,
+        "rois": [(90.0, 90.0)],
+        "starts": [(10.0, 10.0), (10.0, 90.0)],
+        "holes": [HOLE],
+    }
+    return Field(**(values | changes))
+
+
+def circle(corners: int) -> list[tuple[float, float]]:
+    """A regular polygon around (50, 50) with radius 50."""
+    angles = [math.tau * k / corners for k in range(corners)]
+    return [(50 + 50 * math.cos(angle), 50 + 50 * math.sin(angle)) for angle in angles]
+
+
+def write(folder: Path, text: str, name: str = "user.yaml") -> Path:
+    """A file ``name`` in ``folder`` that holds ``text``."""
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def problems_of_file(folder: Path, text: str) -> list[str]:
+    """The problems of a file that holds ``text``."""
+    with pytest.raises(FieldError) as caught:
+        load_field(write(folder, text))
+    return caught.value.problems
