@@ -1,0 +1,89 @@
+"""What is checked before an engine is built, beyond what each setting shows by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from mbn_marl.config import NavigationConfig
+from mbn_marl.engine.constants import AUTORESET_MODES
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field
+
+Autoreset = bool | Literal["disabled", "same_step", "next_step"]
+
+
+def autoreset_mode(value: Autoreset) -> str:
+    """The name of an autoreset mode; ``True`` is same-step, ``False`` disabled.
+
+    Raises:
+        ConfigError: unknown mode.
+    """
+    mode = ("same_step" if value else "disabled") if isinstance(value, bool) else value
+    if mode not in AUTORESET_MODES:
+        allowed = ", ".join(map(repr, (True, False, *AUTORESET_MODES)))
+        raise ConfigError("configuration", [f"autoreset: {value!r}; allowed: {allowed}"])
+    return mode
+
+
+def check_setup(
+    fields: Sequence[Field],
+    config: NavigationConfig,
+    n: int,
+    num_worlds: int,
+    threads: int | None,
+    seed: int,
+) -> None:
+    """Check how fields, team and batch fit together.
+
+    Raises:
+        ConfigError: listing every problem.
+    """
+    problems = seed_problems(seed)
+    if not _positive(num_worlds):
+        problems.append(f"num_worlds: {num_worlds!r}; allowed: an integer of at least 1")
+    if threads is not None and not _positive(threads):
+        problems.append(f"threads: {threads!r}; allowed: None or an integer of at least 1")
+    if isinstance(config.mass, tuple) and len(config.mass) != n:
+        problems.append(f"mass: {len(config.mass)} values; allowed: one number, or {n} of them")
+    if not fields:
+        problems.append("field: an empty sequence; allowed: at least one field")
+    for field in fields:
+        problems += _field_problems(field, config, n, fields[0].arena)
+    if problems:
+        raise ConfigError("configuration", problems)
+
+
+def seed_problems(seed: object) -> list[str]:
+    """What is wrong with a seed, if anything."""
+    if isinstance(seed, int | np.integer) and 0 <= int(seed) < 2**63:
+        return []
+    return [f"seed: {seed!r}; allowed: an integer from 0 to 2**63 - 1"]
+
+
+def _positive(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
+
+
+def _field_problems(
+    field: Field, config: NavigationConfig, n: int, arena: tuple[float, float]
+) -> list[str]:
+    """What keeps this field from being played with this configuration."""
+    problems = []
+    if n > len(field.starts):
+        allowed = f"1 to {len(field.starts)}, the starts of {field.name}"
+        problems.append(f"n_robots: {n}; allowed: {allowed}")
+    if field.arena != arena:
+        problems.append(f"field: {field.name} has arena {field.arena}; allowed: {arena}")
+    starts = field.starts[:n]
+    for i in range(len(starts)):
+        for j in range(i):
+            apart = float(np.hypot(*(starts[i] - starts[j])))
+            if apart < config.safety_distance:
+                problems.append(
+                    f"safety_distance: {config.safety_distance}; allowed: at most {apart:g}, "
+                    f"the distance of starts {j} and {i} of {field.name}"
+                )
+    return problems

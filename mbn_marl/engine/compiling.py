@@ -1,0 +1,37 @@
+"""How the engine's functions are compiled, and when compiled code is reused."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+
+
+def _digest_of_sources() -> str:
+    """A hash of all source files of the engine."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+SOURCES = _digest_of_sources()
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile for the types of each call, without the GIL, and keep the machine code on disk.
+
+    Numba renews a cached function when its own file changes, but a rule is compiled into every
+    function that calls it, wherever that is. So the cache is stamped with all of the engine's
+    sources instead. Where nothing can be written, the code is compiled anew in each process.
+    """
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    try:
+        dispatcher = numba.njit(cache=True, **options)(function)
+        dispatcher._cache._cache_file._source_stamp = SOURCES
+    except RuntimeError:  # no folder for the cache
+        dispatcher = numba.njit(**options)(function)
+    return dispatcher

@@ -1,0 +1,135 @@
+"""The compiled entry points that ``BatchEngine`` calls; each takes whole arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbn_marl.engine import rewards
+from mbn_marl.engine.compiling import compiled
+from mbn_marl.engine.constants import unpack
+from mbn_marl.engine.observation import observe, put_state, visit_code
+from mbn_marl.engine.reset import clear_output, reset_world
+from mbn_marl.engine.rng import FOR_ACTIONS, stream_key, uniform
+from mbn_marl.engine.step import SAME_STEP, step_worlds
+
+__all__ = [
+    "INFO_COLUMNS",
+    "all_finite",
+    "draw_actions",
+    "reset_worlds",
+    "rest_worlds",
+    "step_worlds",
+    "write_infos",
+    "write_states",
+]
+
+
+INFO_COLUMNS = (
+    "success",
+    "rois_visited",
+    "collision",
+    "wall_hits",
+    "path_length",
+    "impulse",
+    *(f"reward/{term}" for term in rewards.REWARD_TERMS),
+)
+
+
+@compiled
+def all_finite(actions):
+    """Whether every number is finite: x * 0 is 0 for exactly those, and the sum keeps any NaN."""
+    zero = actions.dtype.type(0)
+    bad = False
+    for value in actions.flat:
+        bad |= value * zero != zero
+    return not bad
+
+
+@compiled
+def reset_worlds(store, mask):
+    """Begin a new episode in the masked worlds."""
+    p = unpack(store.constants)
+    g, mem, now, out = store.geometry, store.memory, store.now, store.output
+    tile = np.empty((out.observations.shape[2], 1), np.float32)
+    for w in range(mask.size):
+        if mask[w]:
+            mem.pending[w] = False
+            reset_world(p, g, mem, now, w)
+            clear_output(p, out, w)
+            lo, hi = np.uint64(w), np.uint64(w + 1)
+            observe(p, g, now, mem.field, lo, hi, tile, out.observations)
+
+
+@compiled
+def rest_worlds(store, mask):
+    """Make the outputs of the masked worlds those of a step in which nothing happened."""
+    p = unpack(store.constants)
+    g, mem, now, out = store.geometry, store.memory, store.now, store.output
+    tile = np.empty((out.observations.shape[2], 1), np.float32)
+    for w in range(mask.size):
+        if mask[w]:
+            mem.pending[w] = True
+            for i in range(now.x.shape[0]):
+                last = now.steps[w] * now.x.shape[0] + i
+                mem.trail[w, last, 0] = now.x[i, w]
+                mem.trail[w, last, 1] = now.y[i, w]
+            clear_output(p, out, w)
+            lo, hi = np.uint64(w), np.uint64(w + 1)
+            observe(p, g, now, mem.field, lo, hi, tile, out.observations)
+
+
+@compiled
+def put_infos(p, g, field, ep, out, w, rows):
+    """Write what is known of each robot of world w, in the order of ``INFO_COLUMNS``."""
+    outcome = out.outcomes[w]
+    rois_visited = rewards.count_bits(visit_code(g, ep.visited[w], field))
+    lost = rewards.is_set(outcome, rewards.COLLISION)
+    success = rewards.is_set(outcome, rewards.SUCCESS) and not lost
+    rested = rewards.is_set(outcome, rewards.RESTED)
+    for i in range(rows.shape[1]):
+        rows[w, i, 0] = success
+        rows[w, i, 1] = rois_visited
+        rows[w, i, 2] = lost
+        rows[w, i, 3] = ep.wall_hits[i, w]
+        rows[w, i, 4] = ep.path_length[i, w]
+        rows[w, i, 5] = np.hypot(ep.impulse_x[i, w], ep.impulse_y[i, w])
+        terms = rewards.robot_terms(p, out.events[i, w], outcome)
+        for k in range(len(terms)):
+            rows[w, i, 6 + k] = 0.0 if rested else terms[k]
+
+
+@compiled
+def write_infos(store, rows):
+    """Fill ``rows`` (W, n, 12) as of the last step, before any automatic reset."""
+    p = unpack(store.constants)
+    mem, out = store.memory, store.output
+    for w in range(rows.shape[0]):
+        ended = out.terminated[w] | out.truncated[w]
+        episode = store.final if ended & (p.autoreset == SAME_STEP) else store.now
+        put_infos(p, store.geometry, mem.field[w], episode, out, w, rows)
+
+
+@compiled
+def write_states(store, final, states):
+    """Write the paper's vector of every world, (W, 4n + 1)."""
+    episode = store.final if final else store.now
+    put_state(
+        store.geometry,
+        episode,
+        store.memory.field,
+        np.uint64(0),
+        np.uint64(states.shape[0]),
+        0,
+        states.T,
+    )
+
+
+@compiled
+def draw_actions(store, draw, actions):
+    """Fill ``actions`` (W, n, 2) with draw number ``draw`` of each world's stream of actions."""
+    two, one = np.float32(2.0), np.float32(1.0)
+    worlds, robots, axes = actions.shape
+    for w in range(worlds):
+        key = stream_key(store.constants[0].seed, w, draw, FOR_ACTIONS)
+        for k in range(robots * axes):
+            actions[w, k // axes, k % axes] = two * uniform(key, k) - one

@@ -1,0 +1,198 @@
+"""What a robot sees: one table of entries for each observation, and the function that writes them.
+
+Entries are float32 and bounded. ``relative`` and ``local`` are scaled to [-1, 1] by the arena and
+the speed limit; ``state`` is the paper's vector in raw units with the own robot first. The visit
+bits of the ROIs are shared by the team in all of them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mbn_marl.config import NavigationConfig
+from mbn_marl.engine.compiling import compiled
+from mbn_marl.engine.rules import within
+
+RELATIVE, STATE, LOCAL = 0, 1, 2
+FIRST = np.uint64(0)
+OBSERVATIONS = {"relative": RELATIVE, "state": STATE, "local": LOCAL}
+
+
+Row = tuple[str, float, float, str]
+
+
+class Entry(NamedTuple):
+    """One number of an observation: its name, place, bounds and unit."""
+
+    name: str
+    offset: int
+    low: float
+    high: float
+    unit: str
+
+
+def observation_table(
+    config: NavigationConfig, n: int, m: int, arena: tuple[float, float]
+) -> tuple[Entry, ...]:
+    """The entries of one robot's observation, in order, for a team of n robots and m ROIs."""
+    rows: list[Row]
+    if config.observation == "state":
+        rows = _state_rows(n, m, arena, config.v_clip)
+    else:
+        rows = _relative_rows(n, m, flags=config.observation == "local")
+    if config.one_hot:
+        rows += [(f"is_robot_{i}", 0.0, 1.0, "flag") for i in range(n)]
+    return tuple(Entry(row[0], k, *row[1:]) for k, row in enumerate(rows))
+
+
+def _relative_rows(n: int, m: int, *, flags: bool) -> list[Row]:
+    position, velocity = "half arenas from its centre", "speed limits"
+    rows = [(f"own_{a}", -1.0, 1.0, position) for a in "xy"]
+    rows += [(f"own_v{a}", -1.0, 1.0, velocity) for a in "xy"]
+    for k in range(1, n):
+        rows += [(f"other_{k}_present", 0.0, 1.0, "flag")] * flags
+        rows += [(f"other_{k}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
+        rows += [(f"other_{k}_dv{a}", -1.0, 1.0, "2 speed limits") for a in "xy"]
+    for j in range(m):
+        rows += [(f"roi_{j}_present", 0.0, 1.0, "flag")] * flags
+        rows += [(f"roi_{j}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
+        rows += [(f"roi_{j}_visited", 0.0, 1.0, "flag")]
+    return rows
+
+
+def _state_rows(n: int, m: int, arena: tuple[float, float], v_clip: float) -> list[Row]:
+    who = ["own", *(f"other_{k}" for k in range(1, n))]
+    rows = [(f"{r}_{a}", 0.0, arena[k], "units") for r in who for k, a in enumerate("xy")]
+    rows += [(f"{r}_v{a}", -v_clip, v_clip, "units/step") for r in who for a in "xy"]
+    return [*rows, ("visit_code", 0.0, float(2**m - 1), "code")]
+
+
+@compiled
+def visit_code(g, visited, field):
+    """The paper's visit code: the visit bits without those of padding ROIs."""
+    return visited & g.codes[field]
+
+
+@compiled
+def nth_robot(place, first):
+    """The robot at a place of the list that has ``first`` first and the others in index order."""
+    return first if place == 0 else (place - 1 if place <= first else place)
+
+
+@compiled
+def put_state(g, ep, fields, lo, hi, first, tile):
+    """The paper's vector (4n + 1) with robot ``first`` first; 0 is the paper's order."""
+    n = ep.x.shape[0]
+    for place in range(n):
+        i = nth_robot(place, first)
+        k = 2 * place
+        for w in range(lo, hi):
+            tile[k, w - lo] = ep.x[i, w]
+            tile[k + 1, w - lo] = ep.y[i, w]
+            tile[k + 2 * n, w - lo] = ep.vx[i, w]
+            tile[k + 2 * n + 1, w - lo] = ep.vy[i, w]
+    for w in range(lo, hi):
+        tile[4 * n, w - lo] = visit_code(g, ep.visited[w], fields[w])
+
+
+@compiled
+def put_own(p, ep, lo, hi, i, tile):
+    """Robot i's own position and velocity, the first four entries."""
+    for w in range(lo, hi):
+        tile[0, w - lo] = (ep.x[i, w] - p.half_arena_x) * p.per_half_arena_x
+        tile[1, w - lo] = (ep.y[i, w] - p.half_arena_y) * p.per_half_arena_y
+        tile[2, w - lo] = ep.vx[i, w] * p.per_speed
+        tile[3, w - lo] = ep.vy[i, w] * p.per_speed
+
+
+@compiled
+def put_other(p, ep, lo, hi, i, j, tile, k):
+    """Where robot j is and how it moves, as robot i sees it."""
+    for w in range(lo, hi):
+        tile[k, w - lo] = (ep.x[j, w] - ep.x[i, w]) * p.per_arena_x
+        tile[k + 1, w - lo] = (ep.y[j, w] - ep.y[i, w]) * p.per_arena_y
+        tile[k + 2, w - lo] = (ep.vx[j, w] - ep.vx[i, w]) * p.per_speed_range
+        tile[k + 3, w - lo] = (ep.vy[j, w] - ep.vy[i, w]) * p.per_speed_range
+
+
+@compiled
+def put_roi(p, g, ep, fields, lo, hi, i, j, tile, k):
+    """Where ROI j is, as robot i sees it, and whether the team has visited it."""
+    several = g.rois.shape[2] > 1
+    for w in range(lo, hi):
+        f = np.uint64(fields[w]) if several else FIRST
+        tile[k, w - lo] = (g.rois[0, j, f] - ep.x[i, w]) * p.per_arena_x
+        tile[k + 1, w - lo] = (g.rois[1, j, f] - ep.y[i, w]) * p.per_arena_y
+        tile[k + 2, w - lo] = p.one if (ep.visited[w] & g.roi_bits[j, f]) != 0 else p.zero
+
+
+@compiled
+def hide(p, near, column, tile, k, entries):
+    """``local``: flag presence in entry k, and blank the ``entries`` after it if not ``near``."""
+    seen = p.one if near else p.zero
+    tile[k, column] = seen
+    for entry in range(k + 1, k + 1 + entries):
+        tile[entry, column] *= seen
+
+
+@compiled
+def hide_other(p, ep, lo, hi, i, j, tile, k):
+    """``local``: hide robot j where it is beyond the sensing radius."""
+    for w in range(lo, hi):
+        dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
+        hide(p, within(dx, dy, p.sensing_squared), w - lo, tile, k, 4)
+
+
+@compiled
+def hide_roi(p, g, ep, fields, lo, hi, i, j, tile, k):
+    """``local``: hide where ROI j is beyond the sensing radius; its visit bit stays."""
+    for w in range(lo, hi):
+        f = fields[w]
+        dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
+        hide(p, within(dx, dy, p.sensing_squared), w - lo, tile, k, 2)
+
+
+@compiled
+def put_relative(p, g, ep, fields, lo, hi, i, tile):
+    """The entries of ``relative`` and ``local`` for robot i; how many there are."""
+    flag = 1 if p.observation == LOCAL else 0
+    put_own(p, ep, lo, hi, i, tile)
+    k = 4
+    for j in range(ep.x.shape[0]):
+        if j != i:
+            put_other(p, ep, lo, hi, i, j, tile, k + flag)
+            if flag:
+                hide_other(p, ep, lo, hi, i, j, tile, k)
+            k += flag + 4
+    for j in range(g.rois.shape[1]):
+        put_roi(p, g, ep, fields, lo, hi, i, j, tile, k + flag)
+        if flag:
+            hide_roi(p, g, ep, fields, lo, hi, i, j, tile, k)
+        k += flag + 3
+    return k
+
+
+@compiled
+def observe(p, g, ep, fields, lo, hi, tile, rows):
+    """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size).
+
+    They are made entry by entry in ``tile`` (size, at least hi - lo), where worlds lie side by
+    side, and then turned over: faster than writing each entry to its far-apart places at once.
+    """
+    n = ep.x.shape[0]
+    size = np.uint64(rows.shape[2])
+    for i in range(n):
+        if p.observation == STATE:
+            put_state(g, ep, fields, lo, hi, i, tile)
+            k = 4 * n + 1
+        else:
+            k = put_relative(p, g, ep, fields, lo, hi, i, tile)
+        if p.one_hot:
+            for j in range(n):
+                for w in range(lo, hi):
+                    tile[k + j, w - lo] = p.one if i == j else p.zero
+        for w in range(lo, hi):
+            for entry in range(size):
+                rows[w, i, entry] = tile[entry, w - lo]

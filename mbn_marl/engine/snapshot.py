@@ -1,0 +1,47 @@
+"""What there is to see of one world at one moment: the engine makes it, the renderers draw it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbn_marl.field import Field
+
+FloatArray = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One world with n robots and m ROIs, after ``step`` steps of its episode.
+
+    Attributes:
+        field: the field of this world.
+        positions: (n, 2), units, in the engine's dtype.
+        velocities: (n, 2), units/step.
+        visited: (m,) bool, whether each ROI has been visited in this episode.
+        trail: (step + 1, n, 2), units: the positions of every robot since the reset, the reset
+            first, the current ones last.
+        step: steps since the reset, 0 to T_max.
+        team_return: sum of the centralised rewards since the reset, in reward units.
+        wind: ``(v_x, v_y)``, the velocity that the wind adds in one step, units/step.
+        roi_radius: rho, units.
+        safety_distance: C, units, from centre to centre.
+        success: whether the episode ended with every ROI visited.
+        collision: whether the episode ended with two robots closer than C.
+    """
+
+    field: Field
+    positions: FloatArray
+    velocities: FloatArray
+    visited: NDArray[np.bool_]
+    trail: FloatArray
+    step: int
+    team_return: float
+    wind: tuple[float, float]
+    roi_radius: float
+    safety_distance: float
+    success: bool
+    collision: bool

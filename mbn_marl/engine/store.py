@@ -1,0 +1,41 @@
+"""All arrays of an engine behind one pointer, which makes calling a kernel cheap.
+
+Passing some fifty arrays to a compiled function takes Numba longer than one world takes to step.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba.core import types
+from numba.experimental import structref
+
+from mbn_marl.engine.compiling import compiled
+
+PARTS = ("constants", "geometry", "memory", "now", "final", "output")
+
+
+@structref.register
+class StoreType(types.StructRef):
+    """Numba's type of :class:`Store`."""
+
+    def preprocess_fields(self, fields: Any) -> Any:
+        """Fields keep their types, whatever literal they were made from."""
+        return tuple((name, types.unliteral(kind)) for name, kind in fields)
+
+
+class Store(structref.StructRefProxy):
+    """References to an engine's arrays, grouped as in ``state``; see ``PARTS``."""
+
+    def __new__(cls, *parts: Any) -> Store:
+        """Hold the named tuples and arrays, without copying them."""
+        return make_store(*parts)  # type: ignore[no-any-return]
+
+
+structref.define_proxy(Store, StoreType, PARTS)
+
+
+@compiled
+def make_store(constants, geometry, memory, now, final, output):
+    """Build a store; compiled by itself so that it is cached like every other function."""
+    return Store(constants, geometry, memory, now, final, output)
