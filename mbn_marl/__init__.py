@@ -1,0 +1,57 @@
+"""Multi-robot navigation as multi-agent reinforcement learning: fields, environments, engine.
+
+Importing this package registers ``mbn/<field>-v0`` for every catalogue field with Gymnasium and
+PettingZoo. The public names load their modules (and Numba with the engine) on first use.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from mbn_marl.registration import register_environments
+
+if TYPE_CHECKING:
+    from mbn_marl.adapters.gymnasium import centralized_env
+    from mbn_marl.engine import BatchEngine
+    from mbn_marl.field import Field, load_field
+    from mbn_marl.navigation_v0 import env, parallel_env, raw_env
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "BatchEngine",
+    "Field",
+    "centralized_env",
+    "env",
+    "load_field",
+    "parallel_env",
+    "raw_env",
+]
+
+_HOMES = {
+    "BatchEngine": "mbn_marl.engine",
+    "Field": "mbn_marl.field",
+    "centralized_env": "mbn_marl.adapters.gymnasium",
+    "env": "mbn_marl.navigation_v0",
+    "load_field": "mbn_marl.field",
+    "parallel_env": "mbn_marl.navigation_v0",
+    "raw_env": "mbn_marl.navigation_v0",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Load the module of a public name on first use (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """The names of the module, those not loaded yet included."""
+    return sorted({*globals(), *_HOMES})
+
+
+register_environments()

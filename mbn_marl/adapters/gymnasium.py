@@ -1,0 +1,300 @@
+"""The centralised form as Gymnasium environments: one world, and many worlds as a native vector."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, Unpack
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from mbn_marl.adapters.infos import INFO_KEYS, team_rows
+from mbn_marl.adapters.one_world import RENDER_MODES, OneWorld
+from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
+from mbn_marl.config import FixedSettings
+from mbn_marl.engine import BatchEngine, FieldLike
+from mbn_marl.errors import ActionError, ConfigError
+
+State = NDArray[Any]
+Actions = NDArray[np.float32]
+
+ENGINE_AUTORESET: Mapping[AutoresetMode, Literal["same_step", "next_step", "disabled"]] = {
+    AutoresetMode.SAME_STEP: "same_step",
+    AutoresetMode.NEXT_STEP: "next_step",
+    AutoresetMode.DISABLED: "disabled",
+}
+
+
+class CentralizedEnv(gymnasium.Env[State, Actions]):
+    """The single MDP of the paper. ``centralized_env`` is this class under its usual name.
+
+    ============  ==================================================================================
+    action        ``(n, 2)`` float32 in [-1, 1]: each robot's force along x and y, in parts of f_max
+    observation   ``(4n+1,)`` in the engine's dtype: positions, velocities, visit code, raw units
+    reward        the team's
+    info          flat and numeric, see :mod:`mbn_marl.adapters.infos`
+    ============  ==================================================================================
+
+    Args:
+        field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`.
+        n_robots: team size; the first starts of the field are used; ``None`` uses all of them.
+        render_mode: ``"human"`` shows every step, ``"rgb_array"`` draws on :meth:`render`.
+        **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
+
+    Raises:
+        FieldError, ConfigError: listing every problem with the field or the settings.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - the base class declares an instance attribute
+        "render_modes": list(RENDER_MODES),
+        "render_fps": RENDER_FPS,
+    }
+
+    def __init__(
+        self,
+        field: FieldLike = "field_03",
+        n_robots: int | None = None,
+        *,
+        render_mode: str | None = None,
+        **settings: Unpack[FixedSettings],
+    ) -> None:
+        self._world = OneWorld(field, render_mode, n_robots=n_robots, **settings)
+        self.render_mode = render_mode
+        self.observation_space = self._world.state_space()
+        self.action_space = spaces.Box(-1.0, 1.0, (self.engine.n_robots, 2), np.float32)
+
+    @property
+    def engine(self) -> BatchEngine:
+        """The engine with this environment's world; look at it, but do not step it."""
+        return self._world.engine
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[State, dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: starts the random numbers anew; ``None`` goes on to the next episode of the
+                current seed (0 before any was given).
+            options: not read, there are none.
+
+        Returns:
+            The state and the info.
+        """
+        super().reset(seed=seed)
+        self._world.reset(seed)
+        return self._world.state(), self._world.no_info()
+
+    def step(self, action: ArrayLike) -> tuple[State, float, bool, bool, dict[str, Any]]:
+        """Move all robots.
+
+        Args:
+            action: finite numbers, ``(n, 2)``; what lies outside [-1, 1] is clipped.
+
+        Returns:
+            State, reward, terminated (success or collision), truncated (``max_steps``), info.
+
+        Raises:
+            ActionError: wrong shape or not finite; nothing has moved.
+            StepError: before the first reset, or after the end of an episode.
+        """
+        actions = _as_actions(action, (self.engine.n_robots, 2))
+        _, _, terminated, truncated = self._world.step(actions)
+        info = dict(zip(INFO_KEYS, team_rows(self.engine)[0].tolist(), strict=True))
+        reward = float(self.engine.team_rewards[0])
+        return self._world.state(), reward, terminated, truncated, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The current frame, ``(height, width, 3)`` uint8; ``None`` in human mode."""
+        return self._world.viewer.draw(self.engine)
+
+    def close(self) -> None:
+        """Close the window, if there is one. The environment can be used again."""
+        self._world.viewer.close()
+
+
+class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
+    """Many worlds of the single MDP in one engine, which ``gymnasium.make_vec`` makes.
+
+    Spaces, rewards and infos are those of :class:`CentralizedEnv` with an axis of worlds in front.
+    One seed serves all worlds; the engine derives a stream of its own for each.
+
+    With ``SAME_STEP``, a world that ends starts its next episode in the same step. The state then
+    returned is the new episode's; ``infos["final_obs"][world]`` and ``infos["final_info"]`` hold
+    the last of the old one, and ``infos["_final_obs"]`` says in which worlds.
+
+    Args:
+        num_envs: number of worlds, W.
+        field: a catalogue name, a path or a :class:`~mbn_marl.Field`, or a sequence of these:
+            world w then uses the one at ``w % len(field)``.
+        n_robots: team size; ``None`` uses all the field's starts.
+        render_mode: ``"rgb_array"`` or ``None``.
+        autoreset_mode: Gymnasium's mode or its value, declared in ``metadata["autoreset_mode"]``.
+        threads: threads of the engine; ``None`` lets it choose.
+        **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
+
+    Raises:
+        FieldError, ConfigError: listing every problem with the fields or the settings.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        field: FieldLike | Sequence[FieldLike] = "field_03",
+        n_robots: int | None = None,
+        *,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        threads: int | None = None,
+        **settings: Unpack[FixedSettings],
+    ) -> None:
+        self._viewer = LazyViewer(render_mode, ("rgb_array",))
+        self.render_mode = render_mode
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self.metadata = {
+            "render_modes": ["rgb_array"],
+            "render_fps": RENDER_FPS,
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self.engine = engine = BatchEngine(
+            field,
+            num_envs,
+            autoreset=ENGINE_AUTORESET[self.autoreset_mode],
+            threads=threads,
+            n_robots=n_robots,
+            **settings,
+        )
+        self.num_envs = num_envs
+        self.single_observation_space = spaces.Box(
+            engine.state_low, engine.state_high, dtype=engine.dtype.type
+        )
+        self.single_action_space = spaces.Box(-1.0, 1.0, (engine.n_robots, 2), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[State, dict[str, Any]]:
+        """Start an episode in every world, or in some.
+
+        Args:
+            seed: one int for all worlds, starts the random numbers anew; ``None`` goes on to the
+                next episode of the current seed (0 before any was given).
+            options: ``"reset_mask"``, ``(W,)`` bool, resets only these worlds (without a seed).
+
+        Returns:
+            The states ``(W, 4n+1)``, fresh, and the infos.
+
+        Raises:
+            ConfigError: a mask of the wrong shape or type, or together with a seed.
+        """
+        super().reset(seed=seed)
+        mask = (options or {}).get("reset_mask")
+        if mask is None:
+            self.engine.reset(seed)
+            mask = np.ones(self.num_envs, np.bool_)
+        else:
+            self._reset_some(mask, seed)
+        nothing = np.zeros((self.num_envs, len(INFO_KEYS)))
+        return self.engine.state(), _by_key(nothing, mask)
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[State, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Move the robots of all worlds.
+
+        Args:
+            actions: finite numbers, ``(W, n, 2)``; what lies outside [-1, 1] is clipped.
+
+        Returns:
+            States ``(W, 4n+1)``, the teams' rewards ``(W,)``, terminated ``(W,)``, truncated
+            ``(W,)`` and infos; all arrays are fresh.
+
+        Raises:
+            ActionError: wrong shape or not finite; nothing has moved.
+            StepError: before the first reset, or (``DISABLED``) with an ended world.
+        """
+        engine = self.engine
+        allowed = (self.num_envs, engine.n_robots, 2)
+        _, _, terminated, truncated = engine.step(_as_actions(actions, allowed))
+        infos = self._infos(terminated | truncated)
+        return (
+            engine.state(),
+            engine.team_rewards.copy(),
+            terminated.copy(),
+            truncated.copy(),
+            infos,
+        )
+
+    def render(self) -> tuple[Any, ...] | None:
+        """A frame of every world, ``(height, width, 3)`` uint8; ``None`` without a render mode."""
+        frames = tuple(self._viewer.draw(self.engine, world) for world in range(self.num_envs))
+        return None if self.render_mode is None else frames
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Release the viewer."""
+        self._viewer.close()
+
+    def _reset_some(self, mask: Any, seed: int | None) -> None:
+        problems = []
+        if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_):
+            problems.append(f"reset_mask: {type(mask).__name__}, allowed: a bool array")
+        elif mask.shape != (self.num_envs,):
+            problems.append(f"reset_mask: shape {mask.shape}, allowed: ({self.num_envs},)")
+        if seed is not None:
+            problems.append("reset_mask: a seed restarts all worlds, give only one of the two")
+        if problems:
+            raise ConfigError("options", problems)
+        self.engine.reset_worlds(mask)
+
+    def _infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
+        """The infos of a step, in the layout of Gymnasium's own vector environments."""
+        everywhere = np.ones(self.num_envs, np.bool_)
+        rows = team_rows(self.engine)
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP or not ended.any():
+            return _by_key(rows, everywhere)
+        states = np.full(self.num_envs, None, object)
+        final_state = self.engine.final_state()
+        for world in np.flatnonzero(ended):
+            states[world] = final_state[world]
+        return {
+            **_by_key(np.where(ended[:, None], 0.0, rows), everywhere),
+            "final_obs": states,
+            "_final_obs": ended,
+            "final_info": _by_key(np.where(ended[:, None], rows, 0.0), ended),
+            "_final_info": ended,
+        }
+
+
+def _by_key(rows: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Rows of infos ``(W, 12)`` as a column for each key; ``_key`` says where it counts."""
+    infos = dict(zip(INFO_KEYS, rows.T.copy(), strict=True))
+    return {**infos, **{f"_{key}": mask for key in infos}}
+
+
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        known = ", ".join(repr(known.value) for known in AutoresetMode)
+        problem = f"autoreset_mode: unknown mode {mode!r}; known: {known}"
+        raise ConfigError("environment", [problem]) from None
+
+
+def _as_actions(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.floating[Any]]:
+    """The actions as a float array of this shape, or an ActionError."""
+    try:
+        array = np.asarray(actions)
+        floats = array if array.dtype.kind == "f" else array.astype(np.float64)
+    except (TypeError, ValueError):
+        raise ActionError(f"action: {actions!r:.80}; allowed: numbers of shape {shape}") from None
+    if floats.shape != shape:
+        raise ActionError(f"action: shape {floats.shape}; allowed: {shape}")
+    return floats
+
+
+centralized_env = CentralizedEnv

@@ -1,0 +1,9 @@
+"""Version 0 of the decentralised environment, as the PettingZoo ecosystem names it.
+
+``parallel_env``: all robots act at once. ``env``: one robot after the other (AEC), with
+PettingZoo's order checks. ``raw_env``: AEC without them.
+"""
+
+from mbn_marl.adapters.pettingzoo import env, parallel_env, raw_env
+
+__all__ = ["env", "parallel_env", "raw_env"]

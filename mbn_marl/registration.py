@@ -1,0 +1,41 @@
+"""The environments' ids in the registries of Gymnasium and PettingZoo.
+
+``mbn/field_03-v0`` and so on, one for each field of the catalogue. Entry points are strings, so
+that nothing of the environments is imported before one of them is made. Without an import of
+this package, Gymnasium finds the ids as ``gymnasium.make("mbn_marl:mbn/field_03-v0")``.
+"""
+
+from __future__ import annotations
+
+import gymnasium
+import pettingzoo
+
+from mbn_marl.field import catalogue_names
+
+
+def environment_id(field_name: str) -> str:
+    """The id of a catalogue field in both registries, for example ``mbn/field_03-v0``."""
+    return f"mbn/{field_name}-v0"
+
+
+def register_environments() -> None:
+    """Register every catalogue field, centralised in Gymnasium, decentralised in PettingZoo."""
+    for name in catalogue_names():
+        gymnasium.register(
+            environment_id(name),
+            entry_point="mbn_marl.adapters.gymnasium:CentralizedEnv",
+            vector_entry_point="mbn_marl.adapters.gymnasium:CentralizedVectorEnv",
+            kwargs={"field": name},
+        )
+        pettingzoo.register(
+            "parallel",
+            environment_id(name),
+            entry_point="mbn_marl.navigation_v0:parallel_env",
+            kwargs={"field": name},
+        )
+        pettingzoo.register(
+            "aec",
+            environment_id(name),
+            entry_point="mbn_marl.navigation_v0:env",
+            kwargs={"field": name},
+        )

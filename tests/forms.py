@@ -1,0 +1,187 @@
+"""The forms of the environment behind one face: reset and step one world, look at the outcome."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbn_marl import BatchEngine, Field, centralized_env, parallel_env
+from mbn_marl.engine import REWARD_TERMS
+
+
+@dataclass
+class Outcome:
+    """What a step told about one world.
+
+    ``state`` (4n+1,), the last of the episode if it ended; ``team_reward``; ``infos``: one per
+    robot, or a single one for the team; ``rewards`` (n,) and ``observations`` (n, size), empty
+    for the centralised form.
+    """
+
+    state: NDArray[Any]
+    team_reward: float
+    terminated: bool
+    truncated: bool
+    infos: list[dict[str, float]]
+    rewards: list[float] = field(default_factory=list)
+    observations: list[NDArray[np.float32]] = field(default_factory=list)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the episode is over."""
+        return self.terminated or self.truncated
+
+
+class Form(Protocol):
+    """One world of the environment. Each step checks that observations lie in their space."""
+
+    def reset(self) -> NDArray[Any]:
+        """Start an episode. Returns the state (4n+1,)."""
+
+    def step(self, actions: NDArray[np.float32]) -> Outcome:
+        """Move the robots by ``actions`` (n, 2)."""
+
+
+class ParallelForm:
+    """``parallel_env``. The team's reward is the sum of the robots' shares, exact to rounding."""
+
+    def __init__(self, field: Field | str, **settings: Any) -> None:
+        self.env = parallel_env(field, **settings)
+
+    def reset(self) -> NDArray[Any]:
+        observations, _ = self.env.reset()
+        self._check(observations)
+        return self.env.state()
+
+    def step(self, actions: NDArray[np.float32]) -> Outcome:
+        agents = self.env.possible_agents
+        observations, rewards, terminated, truncated, infos = self.env.step(
+            dict(zip(agents, actions, strict=True))
+        )
+        self._check(observations)
+        assert len(set(terminated.values())) == len(set(truncated.values())) == 1
+        shares = [rewards[agent] for agent in agents]
+        return Outcome(
+            state=self.env.state(),
+            team_reward=self.team_reward(shares),
+            terminated=terminated["robot_0"],
+            truncated=truncated["robot_0"],
+            infos=[infos[agent] for agent in agents],
+            rewards=shares,
+            observations=[observations[agent] for agent in agents],
+        )
+
+    @staticmethod
+    def team_reward(shares: list[float]) -> float:
+        return sum(shares)
+
+    def _check(self, observations: dict[str, NDArray[np.float32]]) -> None:
+        assert list(observations) == self.env.possible_agents
+        for agent, observation in observations.items():
+            assert self.env.observation_space(agent).contains(observation)
+
+
+class TeamSharingForm(ParallelForm):
+    """``parallel_env`` whose robots each get the team's reward."""
+
+    def __init__(self, field: Field | str, **settings: Any) -> None:
+        super().__init__(field, reward_sharing="team", **settings)
+
+    @staticmethod
+    def team_reward(shares: list[float]) -> float:
+        assert len(set(shares)) == 1
+        return shares[0]
+
+
+class CentralizedForm:
+    """``centralized_env``."""
+
+    def __init__(self, field: Field | str, **settings: Any) -> None:
+        self.env = centralized_env(field, **settings)
+
+    def reset(self) -> NDArray[Any]:
+        state, _ = self.env.reset()
+        assert self.env.observation_space.contains(state)
+        return state
+
+    def step(self, actions: NDArray[np.float32]) -> Outcome:
+        state, reward, terminated, truncated, info = self.env.step(actions)
+        assert self.env.observation_space.contains(state)
+        return Outcome(state, reward, terminated, truncated, [info])
+
+
+class BatchForm:
+    """World ``world`` of a ``BatchEngine`` that restarts ended worlds by itself.
+
+    The other worlds get actions of their own, unless ``same_actions``; then all worlds have to
+    agree bitwise in every step.
+    """
+
+    def __init__(
+        self,
+        field: Field | str | list[Field],
+        num_worlds: int,
+        world: int,
+        *,
+        same_actions: bool = False,
+        threads: int | None = None,
+        **settings: Any,
+    ) -> None:
+        self.engine = BatchEngine(field, num_worlds, threads=threads, **settings)
+        self.world, self.same_actions = world, same_actions
+        self._fresh = False
+
+    def reset(self) -> NDArray[Any]:
+        if not self._fresh:
+            self._check(self.engine.reset())
+        self._fresh = False
+        shot = self.engine.snapshot(self.world)
+        assert (shot.step, shot.success, shot.collision) == (0, False, False)
+        return self.engine.state()[self.world]
+
+    def step(self, actions: NDArray[np.float32]) -> Outcome:
+        engine, world = self.engine, self.world
+        batch = engine.sample_actions()
+        batch[... if self.same_actions else world] = actions
+        observations, rewards, terminated, truncated = engine.step(batch)
+        self._check(observations)
+        self._fresh = bool(terminated[world] | truncated[world])
+        states = engine.final_state() if self._fresh else engine.state()
+        if self.same_actions:
+            for array in (observations, rewards, terminated, truncated, states):
+                assert (array == array[:1]).all()
+        seen = engine.final_observations if self._fresh else observations
+        return Outcome(
+            state=states[world],
+            team_reward=float(engine.team_rewards[world]),
+            terminated=bool(terminated[world]),
+            truncated=bool(truncated[world]),
+            infos=self._infos(),
+            rewards=rewards[world].tolist(),
+            observations=list(seen[world].copy()),
+        )
+
+    def _infos(self) -> list[dict[str, float]]:
+        """The engine's metrics and terms, in the layout of the adapters' infos."""
+        metrics = self.engine.metrics()
+        terms = self.engine.reward_terms()[self.world]
+        infos = []
+        for robot in range(self.engine.n_robots):
+            info = {name: float(metrics[name][self.world]) for name in TEAM_METRICS}
+            info |= {name: float(metrics[name][self.world, robot]) for name in ROBOT_METRICS}
+            info |= {
+                f"reward/{k}": float(v) for k, v in zip(REWARD_TERMS, terms[robot], strict=True)
+            }
+            infos.append(info)
+        return infos
+
+    def _check(self, observations: NDArray[np.float32]) -> None:
+        low, high = self.engine.observation_low, self.engine.observation_high
+        assert ((observations >= low) & (observations <= high)).all()
+
+
+TEAM_METRICS = ("success", "collision", "rois_visited")
+ROBOT_METRICS = ("wall_hits", "path_length", "impulse")

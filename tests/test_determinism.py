@@ -1,0 +1,183 @@
+"""Bitwise determinism: over many steps and resets, and whatever else is going on.
+
+Instances are interleaved, so that any hidden shared state would show.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+from numpy.typing import NDArray
+
+from mbn_marl import BatchEngine, centralized_env, parallel_env
+
+STEPS = 2000
+SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 90, "wind": (0.05, 40.0)}
+N = 3
+
+
+class ParallelRunner:
+    """Steps a ``parallel_env``; every result as bytes."""
+
+    def __init__(self, dtype: str) -> None:
+        self.env = parallel_env("field_03", dtype=dtype, **SETTINGS)
+        self.resets = 0
+
+    def reset(self, seed: int | None = None) -> bytes:
+        self.resets += 1
+        observations, infos = self.env.reset(seed=seed)
+        return self._bytes(observations, infos)
+
+    def step(self, actions: NDArray[np.float32]) -> bytes:
+        agents = self.env.agents
+        result = self._bytes(*self.env.step(dict(zip(agents, actions, strict=True))))
+        return result if self.env.agents else result + self.reset()
+
+    def _bytes(self, observations: dict[str, NDArray[np.float32]], *others: Any) -> bytes:
+        seen = b"".join(observation.tobytes() for observation in observations.values())
+        return seen + self.env.state().tobytes() + repr(others).encode()
+
+
+class CentralizedRunner:
+    """Steps a ``centralized_env``; every result as bytes."""
+
+    def __init__(self, dtype: str) -> None:
+        self.env = centralized_env("field_03", dtype=dtype, **SETTINGS)
+        self.resets = 0
+
+    def reset(self, seed: int | None = None) -> bytes:
+        self.resets += 1
+        state, info = self.env.reset(seed=seed)
+        return state.tobytes() + repr(info).encode()
+
+    def step(self, actions: NDArray[np.float32]) -> bytes:
+        state, *others = self.env.step(actions)
+        result = state.tobytes() + repr(others).encode()
+        return result + self.reset() if others[1] or others[2] else result
+
+
+class BatchRunner:
+    """Steps a ``BatchEngine`` of five worlds that restart by themselves; every result as bytes."""
+
+    def __init__(self, dtype: str) -> None:
+        self.engine = BatchEngine("field_03", 5, dtype=dtype, **SETTINGS)
+        self.resets = 0
+
+    def reset(self, seed: int | None = None) -> bytes:
+        return self.engine.reset(seed).tobytes() + self.engine.state().tobytes()
+
+    def step(self, actions: NDArray[np.float32]) -> bytes:
+        arrays = self.engine.step(self.engine.sample_actions() + actions)
+        self.resets += int(np.count_nonzero(arrays[2] | arrays[3]))
+        metrics = self.engine.metrics().values()
+        return b"".join(array.tobytes() for array in (*arrays, self.engine.state(), *metrics))
+
+
+RUNNERS = [ParallelRunner, CentralizedRunner, BatchRunner]
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("make", RUNNERS)
+def test_interleaved_instances_agree_bitwise(make: Callable[[str], Any], dtype: str) -> None:
+    rng = np.random.default_rng(0)
+    first, second, stranger = make(dtype), make(dtype), make(dtype)
+    stranger.reset(seed=8)
+    second.reset(seed=5)  # a used instance is as good as a new one
+    second.step(np.zeros((N, 2), np.float32))
+    assert first.reset(seed=7) == second.reset(seed=7)
+    for t in range(STEPS):
+        actions = rng.uniform(-1.0, 1.0, (N, 2)).astype(np.float32)
+        result = first.step(actions)
+        stranger.step(actions[::-1])
+        assert second.step(actions) == result, f"step {t}"
+    assert first.resets >= STEPS // 90
+
+
+@pytest.mark.parametrize("make", RUNNERS)
+def test_seeds_and_episodes_differ(make: Callable[[str], Any]) -> None:
+    first, second = make("float32"), make("float32")
+    episodes = {first.reset(seed=1), first.reset(), second.reset(seed=2), second.reset()}
+    assert len(episodes) == 4
+    assert first.reset(seed=2) in episodes
+    assert first.reset() in episodes
+
+
+@pytest.mark.parametrize("make", RUNNERS)
+def test_a_copy_goes_on_as_the_original_would(make: Callable[[str], Any]) -> None:
+    original = make("float32")
+    original.reset(seed=3)
+    rng = np.random.default_rng(1)
+    actions = rng.uniform(-1.0, 1.0, (200, N, 2)).astype(np.float32)
+    for action in actions[:50]:
+        original.step(action)
+    twin = copy.deepcopy(original)
+    ahead = [original.step(action) for action in actions[50:]]
+    assert [twin.step(action) for action in actions[50:]] == ahead
+    assert original.resets >= 2
+
+
+def rollout(num_worlds: int, threads: int | None, steps: int, dtype: str) -> list[NDArray[Any]]:
+    """States, observations, rewards, flags of the first worlds of a batch that moves by itself."""
+    engine = BatchEngine("field_03", num_worlds, seed=11, threads=threads, dtype=dtype, **SETTINGS)
+    rows = [engine.reset()[:FEW].copy()]
+    for _ in range(steps):
+        rows += [array[:FEW].copy() for array in engine.step(engine.sample_actions())]
+        rows += [engine.team_rewards[:FEW].copy(), engine.state()[:FEW]]
+    return rows
+
+
+FEW = 3
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_world_depends_neither_on_the_batch_size_nor_on_the_threads(dtype: str) -> None:
+    expected = rollout(FEW, 1, 300, dtype)
+    assert sum(int(flags.sum()) for flags in expected if flags.dtype == np.bool_) >= 6
+    for num_worlds, threads in [(4, 4), (130, 1), (257, 3), (1100, None)]:
+        rows = rollout(num_worlds, threads, 300, dtype)
+        for row, (got, wanted) in enumerate(zip(rows, expected, strict=True)):
+            assert got.tobytes() == wanted.tobytes(), (num_worlds, threads, row)
+
+
+@pytest.mark.parametrize("num_worlds", [5, 700])
+def test_all_worlds_are_the_same_for_any_number_of_threads(num_worlds: int) -> None:
+    engines = [
+        BatchEngine("field_03", num_worlds, seed=4, threads=threads, **SETTINGS)
+        for threads in (1, 2, 5)
+    ]
+    first, *others = engines
+    for engine in engines:
+        engine.reset()
+    for _ in range(150):
+        actions = first.sample_actions()
+        expected = [array.tobytes() for array in (*first.step(actions), first.state())]
+        for engine in others:
+            got = [array.tobytes() for array in (*engine.step(actions), engine.state())]
+            assert got == expected
+
+
+def test_worlds_of_one_batch_differ() -> None:
+    engine = BatchEngine("field_03", 50, **SETTINGS)
+    engine.reset()
+    assert len({state.tobytes() for state in engine.state()}) == 50
+    assert len({actions.tobytes() for actions in engine.sample_actions()}) == 50
+
+
+def test_random_starts_are_in_the_field_and_apart() -> None:
+    engine = BatchEngine("field_05", 500, dtype="float64", **SETTINGS)
+    polygon = engine.field.polygon
+    engine.reset()
+    states = engine.state()
+    spots = states[:, : 2 * N].reshape(-1, N, 2)
+    assert polygon.covers(shapely.MultiPoint(spots.reshape(-1, 2)))
+    distances = np.linalg.norm(spots[:, :, None] - spots[:, None, :], axis=-1)
+    assert distances[:, *np.triu_indices(N, 1)].min() >= 10.0
+    assert (states[:, 2 * N :] == 0).all()
+    low_x, low_y, high_x, high_y = polygon.bounds
+    reach = np.ptp(spots.reshape(-1, 2), axis=0)
+    assert (reach > 0.9 * np.array([high_x - low_x, high_y - low_y])).all()

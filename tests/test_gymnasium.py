@@ -1,0 +1,341 @@
+"""The centralised form: Gymnasium's checks, numbers worked out by hand, and bad input.
+
+The native vector environment is held against Gymnasium's own ``SyncVectorEnv`` of single ones.
+"""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from mbn_marl import Field, centralized_env, parallel_env
+from mbn_marl.adapters.gymnasium import CentralizedVectorEnv
+from mbn_marl.adapters.infos import INFO_KEYS
+from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
+from mbn_marl.field import catalogue_names
+
+CONFIGURATIONS = {
+    "default": {},
+    "float64, wind": {"field": "field_09", "dtype": "float64", "wind": (0.05, 90.0)},
+    "one robot, short": {"field": "field_07", "n_robots": 1, "max_steps": 30},
+    "formal, random starts": {"field": "field_01", "reward": "formal", "random_starts": True},
+}
+every_configuration = pytest.mark.parametrize(
+    "settings", CONFIGURATIONS.values(), ids=list(CONFIGURATIONS)
+)
+no_warnings = pytest.mark.filterwarnings("error")
+MODES = list(AutoresetMode)
+
+
+def equal(first, second):
+    """Whether two results are the same to the bit."""
+    return data_equivalence(first, second, exact=True)
+
+
+@pytest.fixture
+def lane():
+    """One ROI 35 units from the only robot, in a square of 100 units."""
+    corners = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
+    return Field(vertices=corners, rois=[(55.0, 50.0)], starts=[(20.0, 50.0)])
+
+
+class TestOfficial:
+    @no_warnings
+    @every_configuration
+    def test_check_env(self, settings, monkeypatch):
+        monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+        field = settings.get("field", "field_03")
+        check_env(gymnasium.make(f"mbn/{field}-v0", **settings).unwrapped)
+
+    @pytest.mark.parametrize("name", catalogue_names())
+    def test_every_field_has_its_id(self, name):
+        env = gymnasium.make(f"mbn/{name}-v0", n_robots=2)
+        assert env.unwrapped.engine.field.name == name
+        assert env.action_space.shape == (2, 2)
+
+    def test_ids_are_the_catalogue(self):
+        ids = {env_id for env_id in gymnasium.registry if env_id.startswith("mbn/")}
+        assert ids == {f"mbn/{name}-v0" for name in catalogue_names()}
+
+    def test_an_id_can_name_the_package_instead_of_importing_it(self):
+        code = (
+            "import gymnasium; env = gymnasium.make('mbn_marl:mbn/field_04-v0'); "
+            "assert env.unwrapped.engine.field.name == 'field_04'"
+        )
+        subprocess.run([sys.executable, "-c", code], check=True)
+
+    @pytest.mark.parametrize("mode", ["rgb_array", "rgb_array_list"])
+    def test_frames(self, mode):
+        env = gymnasium.make("mbn/field_03-v0", render_mode=mode)
+        env.reset()
+        env.step(env.action_space.sample())
+        frames = env.render() if mode == "rgb_array_list" else [env.render()]
+        assert all(frame.ndim == 3 and frame.dtype == np.uint8 for frame in frames)
+        env.close()
+        env.close()
+
+    def test_without_a_render_mode_nothing_is_drawn(self):
+        with pytest.warns(UserWarning, match="render_mode"):
+            assert centralized_env().render() is None
+
+
+class TestNumbersByHand:
+    def test_to_the_roi_and_success(self, lane):
+        env = centralized_env(lane, f_max=10.0, v_clip=15.0, dtype="float64")
+        state, info = env.reset()
+        assert state.tolist() == [20.0, 50.0, 0.0, 0.0, 0.0]
+        assert info == dict.fromkeys(INFO_KEYS, 0.0)
+        forward = [[1.0, 0.0]]
+        state, reward, terminated, truncated, info = env.step(forward)
+        assert state.tolist() == [30.0, 50.0, 10.0, 0.0, 0.0]
+        assert (reward, terminated, truncated) == (-10.0, False, False)
+        state, reward, terminated, truncated, info = env.step(forward)  # speed clipped to 15
+        assert state.tolist() == [45.0, 50.0, 15.0, 0.0, 1.0]
+        assert (reward, terminated, truncated) == (109_990.0, True, False)
+        assert info["success"] == info["rois_visited"] == 1.0
+        assert info["path_length"] == 25.0
+        assert info["impulse"] == 20.0
+        assert info["reward/success"] == 100_000.0
+        assert info["reward/roi"] == 10_000.0
+        assert info["reward/step"] == -10.0
+
+    def test_infos_are_the_sums_over_robots(self):
+        team, robots = centralized_env(), parallel_env()
+        rng = np.random.default_rng(4)
+        team.reset(seed=1)
+        robots.reset(seed=1)
+        for _ in range(60):
+            actions = rng.uniform(-1, 1, (3, 2)).astype(np.float32)
+            state, reward, terminated, _, info = team.step(actions)
+            by_robot = dict(zip(robots.possible_agents, actions, strict=True))
+            _, rewards, _, _, infos = robots.step(by_robot)
+            assert np.array_equal(state, robots.state())
+            assert reward == pytest.approx(sum(rewards.values()), rel=1e-6)
+            for key in INFO_KEYS[:3]:
+                assert [one[key] for one in infos.values()] == [info[key]] * 3
+            for key in INFO_KEYS[3:]:
+                assert info[key] == pytest.approx(sum(one[key] for one in infos.values()))
+            if terminated:
+                break
+        assert info["path_length"] > 0
+
+    @every_configuration
+    def test_every_state_lies_in_its_space(self, settings):
+        env = centralized_env(**settings)
+        env.action_space.seed(3)
+        assert env.observation_space.contains(env.reset(seed=2)[0])
+        episodes = 0
+        for _ in range(1000):
+            state, reward, terminated, truncated, info = env.step(env.action_space.sample())
+            assert env.observation_space.contains(state)
+            assert tuple(info) == INFO_KEYS
+            assert {type(reward), *map(type, info.values())} == {float}
+            terms = [value for key, value in info.items() if "/" in key]
+            assert sum(terms) == pytest.approx(reward, rel=1e-6)
+            if terminated or truncated:
+                episodes += 1
+                env.reset()
+        assert episodes > 0
+
+    @pytest.mark.parametrize("copied", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
+    def test_copies_go_their_own_way(self, copied):
+        env = centralized_env(random_starts=True)
+        env.reset(seed=3)
+        env.step(np.full((3, 2), 0.7))
+        twin = copied(env)
+        actions = np.full((3, 2), -0.4)
+        assert equal(env.step(actions), twin.step(actions))
+        twin.step(actions)
+        assert not equal(env.step(-actions)[0], twin.step(actions)[0])
+
+
+class TestBadInput:
+    @pytest.mark.parametrize(
+        ("action", "named"),
+        [
+            (np.zeros((2, 2)), r"\(2, 2\); allowed: \(3, 2\)"),
+            (np.zeros(6), r"\(6,\); allowed: \(3, 2\)"),
+            ([[0.0, 0.0], [0.0, np.nan], [0.0, 0.0]], "robot_1.*allowed"),
+            ([[0.0, 0.0], [0.0, 0.0], [np.inf, 0.0]], "robot_2.*allowed"),
+            ("north", "north.*allowed"),
+            ([[0.0], [0.0, 1.0]], "allowed"),
+        ],
+    )
+    def test_actions(self, action, named):
+        env = centralized_env()
+        env.reset()
+        env.step(np.full((3, 2), 0.5))
+        before = env.engine.state()
+        with pytest.raises(ActionError, match=named):
+            env.step(action)
+        assert np.array_equal(env.engine.state(), before)
+        env.step(np.zeros((3, 2), int))
+
+    def test_order(self):
+        env = centralized_env(max_steps=1)
+        with pytest.raises(StepError, match="reset"):
+            env.step(np.zeros((3, 2)))
+        env.reset()
+        assert env.step(np.zeros((3, 2)))[2:4] == (False, True)
+        with pytest.raises(StepError, match="reset"):
+            env.step(np.zeros((3, 2)))
+        env.reset()
+        env.step(np.zeros((3, 2)))
+
+    def test_names(self):
+        with pytest.raises(FieldError, match="field_03"):
+            centralized_env("field_99")
+        with pytest.raises(ConfigError, match="'human', 'rgb_array'"):
+            centralized_env(render_mode="ascii")
+        with pytest.raises(ConfigError, match="'NextStep', 'SameStep', 'Disabled'"):
+            CentralizedVectorEnv(2, autoreset_mode="never")
+        with pytest.raises(gymnasium.error.NameNotFound, match="field_09"):
+            gymnasium.make("mbn/field_99-v0")
+
+
+class TestVector:
+    def test_make_vec_gives_one_engine(self):
+        envs = gymnasium.make_vec("mbn/field_06-v0", num_envs=5, dtype="float64")
+        assert isinstance(envs, CentralizedVectorEnv)
+        assert envs.engine.num_worlds == envs.num_envs == 5
+        assert envs.engine.field.name == "field_06"
+        assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+        assert envs.observation_space.shape == (5, 13)
+        assert envs.action_space.shape == (5, 3, 2)
+        states, _ = envs.reset(seed=1)
+        assert envs.observation_space.contains(states)
+
+    @pytest.mark.parametrize("mode", MODES)
+    @pytest.mark.parametrize("sharing", ["individual", "team"])
+    def test_it_does_what_gymnasiums_own_vector_does(self, mode, sharing):
+        """Through hundreds of ends: states, rewards, flags, infos, final states and final infos."""
+        settings = {"field": "field_03", "max_steps": 25, "wind": (0.08, 45.0), "f_max": 1.0}
+        settings |= {"reward_sharing": sharing}
+        native = CentralizedVectorEnv(6, autoreset_mode=mode, **settings)
+        single = SyncVectorEnv([lambda: centralized_env(**settings)] * 6, autoreset_mode=mode)
+        assert equal(native.reset(seed=3), single.reset(seed=3))
+        rng = np.random.default_rng(8)
+        terminations = truncations = 0
+        for _ in range(300):
+            actions = rng.uniform(-1, 1, (6, 3, 2)).astype(np.float32)
+            ours, theirs = native.step(actions), single.step(actions)
+            for name, one, other in zip(("states", "rewards"), ours, theirs, strict=False):
+                assert np.array_equal(one, other), name
+            assert equal(ours[2:4], theirs[2:4])
+            assert_same_infos(ours[4], theirs[4])
+            terminations += ours[2].sum()
+            truncations += ours[3].sum()
+            ended = ours[2] | ours[3]
+            if mode is AutoresetMode.DISABLED and ended.any():
+                mask = {"reset_mask": ended}
+                ours, theirs = native.reset(options=mask), single.reset(options=dict(mask))
+                assert np.array_equal(ours[0], theirs[0])
+                assert_same_infos(ours[1], theirs[1])
+        assert terminations > 10
+        assert truncations > 10
+
+    def test_same_step_final_state_by_hand(self, lane):
+        envs = CentralizedVectorEnv(2, lane, f_max=30.0, v_clip=30.0, dtype="float64")
+        envs.reset()
+        actions = np.zeros((2, 1, 2))
+        actions[1, 0, 0] = 1.0
+        states, rewards, terminated, truncated, infos = envs.step(actions)
+        assert states.tolist() == [[20.0, 50.0, 0.0, 0.0, 0.0]] * 2
+        assert rewards.tolist() == [-10.0, 109_990.0]
+        assert terminated.tolist() == infos["_final_obs"].tolist() == [False, True]
+        assert not truncated.any()
+        assert infos["final_obs"][0] is None
+        assert infos["final_obs"][1].tolist() == [50.0, 50.0, 30.0, 0.0, 1.0]
+        assert infos["final_info"]["success"].tolist() == [0.0, 1.0]
+        assert infos["final_info"]["_success"].tolist() == [False, True]
+        assert infos["success"].tolist() == [0.0, 0.0]
+        assert infos["reward/step"].tolist() == [-10.0, 0.0]
+
+    def test_what_was_returned_stays_as_it_was(self, lane):
+        envs = CentralizedVectorEnv(2, lane, f_max=30.0, v_clip=30.0, max_steps=2)
+        actions = np.array([[[0.0, 1.0]], [[1.0, 0.0]]])  # world 1 succeeds, world 0 runs out
+        kept = [envs.reset(seed=1), envs.step(actions), envs.step(actions)]
+        before = copy.deepcopy(kept)
+        assert kept[1][2].tolist() == [False, True]
+        assert kept[2][3].tolist() == [True, False]
+        envs.step(-actions)
+        envs.reset()
+        assert equal(kept, before)
+
+    def test_seeds(self):
+        envs = gymnasium.make_vec("mbn/field_03-v0", num_envs=3, random_starts=True)
+        first, _ = envs.reset(seed=5)
+        second, _ = envs.reset()
+        again, _ = envs.reset(seed=5)
+        other, _ = envs.reset(seed=6)
+        assert np.array_equal(first, again)
+        assert not np.array_equal(first, second)
+        assert not np.array_equal(first, other)
+        assert len(np.unique(first, axis=0)) == 3
+
+    def test_a_partial_reset_leaves_the_other_worlds(self):
+        envs = CentralizedVectorEnv(3)
+        envs.reset()
+        moved, *_ = envs.step(np.full((3, 3, 2), 0.8))
+        states, infos = envs.reset(options={"reset_mask": np.array([False, True, False])})
+        assert np.array_equal(states[[0, 2]], moved[[0, 2]])
+        assert states[1, :6].tolist() == [200.0, 250.0, 300.0, 300.0, 250.0, 300.0]
+        assert infos["_success"].tolist() == [False, True, False]
+
+    @pytest.mark.parametrize(
+        ("mask", "seed", "named"),
+        [
+            (np.array([True]), None, r"\(1,\), allowed: \(2,\)"),
+            ([True, False], None, "list, allowed: a bool array"),
+            (np.array([1, 0]), None, "allowed: a bool array"),
+            (np.array([True, False]), 3, "seed"),
+        ],
+    )
+    def test_a_wrong_mask(self, mask, seed, named):
+        envs = CentralizedVectorEnv(2)
+        before, _ = envs.reset()
+        with pytest.raises(ConfigError, match=named):
+            envs.reset(seed=seed, options={"reset_mask": mask})
+        assert np.array_equal(envs.engine.state(), before)
+
+    def test_wrong_actions_name_the_world(self):
+        envs = CentralizedVectorEnv(4)
+        with pytest.raises(StepError, match="reset"):
+            envs.step(np.zeros((4, 3, 2)))
+        envs.reset()
+        actions = np.zeros((4, 3, 2))
+        with pytest.raises(ActionError, match=r"\(3, 2\); allowed: \(4, 3, 2\)"):
+            envs.step(actions[0])
+        actions[2, 1, 0] = np.nan
+        with pytest.raises(ActionError, match=r"world 2.*robot_1"):
+            envs.step(actions)
+
+    def test_frames_of_all_worlds(self):
+        envs = gymnasium.make_vec("mbn/field_03-v0", num_envs=2, render_mode="rgb_array")
+        envs.reset()
+        frames = envs.render()
+        assert len(frames) == 2
+        assert frames[0].shape == frames[1].shape
+        envs.close()
+
+
+def assert_same_infos(ours, theirs):
+    """The same keys, masks and values; sums over robots may differ in the last bit."""
+    for key, value in theirs.items():
+        if isinstance(value, dict):
+            assert_same_infos(ours[key], value)
+        elif value.dtype == object:
+            for one, other in zip(ours[key], value, strict=True):
+                assert (one is None) == (other is None)
+                assert one is None or np.array_equal(one, other)
+        else:
+            np.testing.assert_allclose(ours[key], value, rtol=1e-12, err_msg=key)
+    assert ours.keys() == theirs.keys()

@@ -1,0 +1,106 @@
+"""Imports point one way, and what is heavy is loaded only by those who use it."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LAYERS = [
+    {"mbn_marl.errors"},
+    {"mbn_marl.config"},
+    {"mbn_marl.field"},
+    {"mbn_marl.engine"},
+    {"mbn_marl.render"},
+    {"mbn_marl.adapters", "mbn_marl.registration"},
+    {"mbn_marl.navigation_v0"},
+    {"mbn_marl"},
+    {"baselines"},
+    {"mbn_marl.cli"},
+    {"mbn_marl.__main__"},
+]
+"""From the left to the right; an import points to the left or stays within its package."""
+RANK = {package: rank for rank, packages in enumerate(LAYERS) for package in packages}
+MODULES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for folder in ("mbn_marl", "baselines")
+    for path in sorted((ROOT / folder).rglob("*.py"))
+}
+HEAVY = {"numba", "torch", "pygame", "matplotlib", "stable_baselines3", "torchrl", "imageio"}
+
+
+def package_of(module: str) -> str:
+    """The layer's package that ``module`` belongs to."""
+    top, *rest = module.split(".")
+    return f"{top}.{rest[0]}" if top == "mbn_marl" and rest else top
+
+
+def imports_of(module: str) -> Iterator[str]:
+    """The modules of this repository that ``module`` imports, inside functions too."""
+    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module} imports relatively"
+            modules = [f"{node.module}.{alias.name}" for alias in node.names]
+            names = [name if name in MODULES else str(node.module) for name in modules]
+        else:
+            continue
+        yield from (name for name in names if name in MODULES)
+
+
+def test_every_module_has_a_layer() -> None:
+    assert {package_of(module) for module in MODULES} == set(RANK)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_imports_point_to_the_left(module: str) -> None:
+    own = package_of(module)
+    for imported in imports_of(module):
+        other = package_of(imported)
+        assert other == own or RANK[other] < RANK[own], f"{module} imports {imported}"
+
+
+def test_no_circle_within_a_package() -> None:
+    graph = {
+        module: {
+            imported
+            for imported in imports_of(module)
+            if MODULES[imported].name != "__init__.py" and imported != module
+        }
+        for module in MODULES
+    }
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+
+
+def loaded_by(statement: str) -> set[str]:
+    """The top-level packages that a fresh process has loaded after ``statement``."""
+    code = f"import sys; {statement}; print(*{{name.split('.')[0] for name in sys.modules}})"
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return set(run.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("statement", "allowed"),
+    [
+        ("import mbn_marl", set()),
+        ("import mbn_marl.__main__", set()),
+        ("from mbn_marl import Field, load_field; load_field('field_03')", set()),
+        ("import gymnasium, mbn_marl; gymnasium.spec('mbn/field_03-v0')", set()),
+        ("from mbn_marl import parallel_env; parallel_env('field_03')", {"numba"}),
+        ("from mbn_marl import centralized_env; centralized_env('field_03')", {"numba"}),
+        ("from mbn_marl import BatchEngine; BatchEngine('field_03', 2)", {"numba"}),
+    ],
+)
+def test_what_is_loaded(statement: str, allowed: set[str]) -> None:
+    loaded = loaded_by(statement)
+    assert "mbn_marl" in loaded
+    assert loaded & HEAVY <= allowed

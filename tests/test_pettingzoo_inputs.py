@@ -1,0 +1,114 @@
+"""The decentralised form given bad input.
+
+Each is an error that names the offender and what is allowed; nothing moves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pettingzoo
+import pytest
+
+from mbn_marl import parallel_env
+from mbn_marl.config import RewardProfile
+from mbn_marl.errors import ActionError, ConfigError, FieldError, MbnError, StepError
+
+
+@pytest.fixture
+def env():
+    env = parallel_env()
+    env.reset(seed=0)
+    env.step({agent: [0.5, 0.5] for agent in env.agents})
+    return env
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"robot_1": [np.nan, 0.0]}, "robot_1"),
+        ({"robot_2": np.array([0.0, -np.inf], np.float32)}, "robot_2"),
+        ({"robot_0": [0.0]}, "robot_0"),
+        ({"robot_0": 0.5}, "robot_0"),
+        ({"robot_0": np.zeros((2, 1))}, "robot_0"),
+        ({"robot_1": [[0.0, 0.0]]}, "robot_1"),
+        ({"robot_1": "north"}, "robot_1"),
+        ({"robot_2": None}, "robot_2"),
+        ({"robot_9": [0.0, 0.0]}, "robot_9"),
+    ],
+)
+def test_wrong_actions(env, changes, named):
+    state = env.state()
+    actions = {agent: [0.0, 0.0] for agent in env.agents} | changes
+    with pytest.raises(ActionError, match=named) as caught:
+        env.step(actions)
+    assert "allowed" in str(caught.value)
+    innocent = set(env.possible_agents) - set(changes)
+    assert not any(f"{agent}:" in str(caught.value) for agent in innocent)
+    assert np.array_equal(env.state(), state)
+    assert env.agents == env.possible_agents
+    twin = parallel_env()
+    twin.reset(seed=0)
+    twin.step({agent: [0.5, 0.5] for agent in twin.agents})
+    good = {agent: [0.1, -0.2] for agent in env.agents}
+    assert env.step(good)[1:] == twin.step(good)[1:]
+
+
+def test_every_robot_has_the_same_wrong_shape(env):
+    with pytest.raises(ActionError, match=r"robot_0.*robot_1.*robot_2.*two numbers"):
+        env.step({agent: [0.0, 0.0, 0.0] for agent in env.agents})
+
+
+def test_missing_and_unknown_agents_are_all_named(env):
+    with pytest.raises(ActionError, match="'robot_7': unknown agent; robot_1: missing"):
+        env.step({"robot_0": [0, 0], "robot_2": [0, 0], "robot_7": [0, 0]})
+    with pytest.raises(ActionError, match="robot_0: missing"):
+        env.step({})
+    with pytest.raises(ActionError, match="allowed: a dict"):
+        env.step([[0, 0]] * 3)
+
+
+def test_order():
+    env = parallel_env(max_steps=1)
+    for actions in ({}, {"robot_0": [0, 0]}):
+        with pytest.raises(StepError, match="reset"):
+            env.step(actions)
+    with pytest.raises(StepError, match="reset"):
+        env.state()
+    env.reset()
+    actions = {agent: [0, 0] for agent in env.agents}
+    env.step(actions)
+    state = env.state()
+    with pytest.raises(StepError, match="reset"):
+        env.step(actions)
+    assert env.step({}) == ({}, {}, {}, {}, {})
+    assert np.array_equal(env.state(), state)
+    env.reset()
+    assert len(env.step(actions)[0]) == 3
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"render_mode": "ascii"}, "'human', 'rgb_array'"),
+        ({"reward": "sparse"}, "'released', 'formal'"),
+        ({"observation": "pixels"}, "'relative'"),
+        ({"colour": "red"}, "colour"),
+        ({"n_robots": 9}, "n_robots|robots"),
+        ({"max_cycles": 4, "max_steps": 4}, "max_cycles"),
+        ({"reward": RewardProfile(name="mine"), "max_cycles": 0}, "max_steps"),
+    ],
+)
+def test_settings(settings, named):
+    with pytest.raises(ConfigError, match=named):
+        parallel_env(**settings)
+
+
+def test_names():
+    with pytest.raises(FieldError, match="field_03"):
+        parallel_env("field_99")
+    env = parallel_env()
+    for space in (env.observation_space, env.action_space):
+        with pytest.raises(MbnError, match=r"robot_3.*robot_0, robot_1, robot_2"):
+            space("robot_3")
+    with pytest.raises(Exception, match="field_03"):
+        pettingzoo.make("parallel", "mbn/field_99-v0")

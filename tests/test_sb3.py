@@ -1,0 +1,258 @@
+"""The Stable-Baselines3 environments: equality with the engine, its conventions, and training."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from sb3_contrib import TQC, CrossQ
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
+from mbn_marl.engine import BatchEngine
+from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
+
+WORLDS, ROBOTS, STEPS = 5, 3, 60
+LIVELY = {"max_steps": 25, "safety_distance": 50.0, "random_starts": True}
+"""Settings under which random robots soon collide, or else run out of time."""
+
+BOTH = pytest.mark.parametrize("kind", [CentralizedVecEnv, SharedPolicyVecEnv])
+
+
+def forces(env: NavigationVecEnv, steps: int = STEPS) -> np.ndarray:
+    """Random actions, ``(steps, *batch of actions)``, the same on every call."""
+    shape = (steps, env.num_envs, *env.action_space.shape)
+    return np.random.default_rng(0).uniform(-1.2, 1.2, shape).astype(np.float32)
+
+
+def by_row(env: NavigationVecEnv, of_worlds: np.ndarray) -> np.ndarray:
+    return np.repeat(of_worlds, env.num_envs // WORLDS, axis=0)
+
+
+def observed(env: NavigationVecEnv, engine: BatchEngine, observations: np.ndarray) -> np.ndarray:
+    """What the rows of ``env`` should see, by an engine in the same state."""
+    if isinstance(env, CentralizedVecEnv):
+        return engine.state()
+    return observations.reshape(env.num_envs, -1)
+
+
+@BOTH
+def test_spaces(kind: type[NavigationVecEnv]) -> None:
+    env = kind("field_03", WORLDS)
+    central = kind is CentralizedVecEnv
+    assert env.num_envs == (WORLDS if central else WORLDS * ROBOTS)
+    assert env.action_space.shape == ((ROBOTS, 2) if central else (2,))
+    assert env.observation_space.shape == ((4 * ROBOTS + 1,) if central else (env.engine.obs_size,))
+    observations = env.reset()
+    assert all(env.observation_space.contains(row) for row in observations)
+    for actions in forces(env, 5):
+        observations, rewards, dones, _ = env.step(actions)
+        assert all(env.observation_space.contains(row) for row in observations)
+        assert (rewards.dtype, dones.dtype) == (np.float32, np.bool_)
+
+
+def test_centralized_observations_keep_the_engines_precision() -> None:
+    env = CentralizedVecEnv("field_03", 2, dtype="float64")
+    assert env.observation_space.dtype == env.reset().dtype == np.float64
+
+
+@BOTH
+def test_steps_are_the_engines(kind: type[NavigationVecEnv]) -> None:
+    """Also that nothing leaks across a reset, against an engine that is reset by hand."""
+    env = kind("field_03", WORLDS, seed=5, **LIVELY)
+    engine = BatchEngine("field_03", WORLDS, seed=5, autoreset="disabled", **LIVELY)
+    np.testing.assert_array_equal(env.reset(), observed(env, engine, engine.reset()))
+    seen = {"terminated": 0, "truncated": 0}
+    for actions in forces(env):
+        observations, rewards, dones, infos = env.step(actions)
+        last, own, terminated, truncated = engine.step(actions.reshape(WORLDS, ROBOTS, 2))
+        last = observed(env, engine, last).copy()
+        expected = engine.team_rewards if kind is CentralizedVecEnv else own.reshape(-1)
+        np.testing.assert_array_equal(rewards, expected)
+        np.testing.assert_array_equal(dones, by_row(env, terminated | truncated))
+        timeouts = by_row(env, truncated & ~terminated)
+        assert [info["TimeLimit.truncated"] for info in infos] == timeouts.tolist()
+        assert [len(info) > 1 for info in infos] == dones.tolist()
+        check_final_infos(env, infos, dones, engine.metrics())
+        for row in np.flatnonzero(dones):
+            np.testing.assert_array_equal(infos[row]["terminal_observation"], last[row])
+        seen["terminated"] += terminated.sum()
+        seen["truncated"] += truncated.sum()
+        following = engine.reset_worlds(terminated | truncated)
+        np.testing.assert_array_equal(observations, observed(env, engine, following))
+    assert min(seen.values()) > 0
+
+
+def check_final_infos(
+    env: NavigationVecEnv,
+    infos: list[dict[str, Any]],
+    dones: np.ndarray,
+    metrics: dict[str, np.ndarray],
+) -> None:
+    central = isinstance(env, CentralizedVecEnv)
+    for row in np.flatnonzero(dones):
+        info, (world, robot) = infos[row], (row, 0) if central else divmod(row, ROBOTS)
+        returns = metrics["episode_return"] if central else metrics["return_"].reshape(-1)
+        assert info["episode"]["r"] == returns[row]
+        assert info["episode"]["l"] == info["steps"] == metrics["steps"][world]
+        assert info["episode"]["t"] > 0
+        assert info["is_success"] == info["success"] == metrics["success"][world]
+        for name in ("collision", "rois_visited", "episode_return"):
+            assert info[name] == metrics[name][world]
+        for name in ("wall_hits", "path_length", "impulse"):
+            own = metrics[name][world]
+            assert info[name] == (own.sum() if central else own[robot])
+
+
+@BOTH
+def test_all_that_is_returned_is_the_callers(kind: type[NavigationVecEnv]) -> None:
+    """No later step changes a result, and changing every result changes no later step."""
+    env, spoiled = (kind("field_03", WORLDS, **LIVELY) for _ in range(2))
+    kept = [(env.reset(), spoiled.reset())]
+    for actions in forces(env):
+        *arrays, infos = env.step(actions)
+        *others, their_infos = spoiled.step(actions)
+        assert len({id(info) for info in infos}) == env.num_envs
+        for info, other in zip(infos, their_infos, strict=True):
+            assert info.keys() == other.keys()
+            if "terminal_observation" in info:
+                arrays.append(info["terminal_observation"])
+                others.append(other["terminal_observation"])
+            other["mark"] = "of the caller"
+        kept += [(array, other.copy()) for array, other in zip(arrays, others, strict=True)]
+        for other in others:
+            other[...] = 1
+    for array, other in kept:
+        np.testing.assert_array_equal(array, other)
+
+
+@BOTH
+def test_seed_takes_effect_at_the_next_reset(kind: type[NavigationVecEnv]) -> None:
+    env = kind("field_03", WORLDS, seed=1, random_starts=True)
+    expected = kind("field_03", WORLDS, seed=9, random_starts=True)
+    first, (second, third) = env.reset(), (expected.reset(), expected.reset())
+    assert (first != second).any() and (second != third).any()
+    env.seed(9)
+    np.testing.assert_array_equal(env.reset(), second)
+    np.testing.assert_array_equal(env.reset(), third)
+
+
+@BOTH
+def test_bad_calls_are_refused_before_anything_moves(kind: type[NavigationVecEnv]) -> None:
+    env = kind("field_03", WORLDS)
+    good = forces(env, 1)[0]
+    with pytest.raises(StepError, match="never reset"):
+        env.step(good)
+    env.reset()
+    before = env.engine.state()
+    with pytest.raises(StepError, match="no actions"):
+        env.step_wait()
+    with pytest.raises(ActionError, match=r"shape \(2,\), expected"):
+        env.step(np.zeros(2))
+    bad = good.copy()
+    bad.reshape(-1)[-1] = np.nan
+    with pytest.raises(ActionError, match=r"world 4.*robot_2"):
+        env.step(bad)
+    np.testing.assert_array_equal(env.engine.state(), before)
+    with pytest.raises(ConfigError, match="max_step: unknown name"):
+        kind("field_03", WORLDS, max_step=3)
+
+
+@BOTH
+def test_attributes_and_methods(kind: type[NavigationVecEnv]) -> None:
+    env = kind("field_03", WORLDS)
+    env.reset()
+    assert env.render_mode is None
+    assert env.get_attr("n_robots") == [ROBOTS] * env.num_envs
+    assert env.get_attr("num_envs", indices=[0, 2]) == [env.num_envs] * 2
+    assert not env.has_attr("missing")
+    env.set_attr("label", "mine")
+    assert env.get_attr("label", indices=1) == ["mine"]
+    with pytest.raises(MbnError, match="leave indices out"):
+        env.set_attr("label", "other", indices=[0])
+    shots = env.env_method("snapshot", indices=[env.num_envs - 1])
+    assert [shot.field.name for shot in shots] == ["field_03"]
+    with pytest.raises(AttributeError):
+        env.env_method("missing")
+    assert env.env_is_wrapped(Monitor, indices=[0]) == [True]
+    assert env.env_is_wrapped(VecMonitor, indices=[0, 1]) == [False, False]
+
+
+def test_snapshot_is_of_the_rows_world() -> None:
+    env = SharedPolicyVecEnv(["field_03", "field_07"], 4)
+    env.reset()
+    names = [shot.field.name for shot in env.env_method("snapshot")]
+    assert names == 2 * (3 * ["field_03"] + 3 * ["field_07"])
+
+
+@BOTH
+def test_episode_info_is_what_vec_monitor_writes(kind: type[NavigationVecEnv]) -> None:
+    env = kind("field_03", WORLDS, **LIVELY)
+    with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
+        monitor = VecMonitor(kind("field_03", WORLDS, **LIVELY))
+    env.reset(), monitor.reset()
+    episodes = 0
+    for actions in forces(env):
+        dones, own = env.step(actions)[2:]
+        theirs = monitor.step(actions)[3]
+        for row in np.flatnonzero(dones):
+            for key in "rl":
+                assert own[row]["episode"][key] == pytest.approx(theirs[row]["episode"][key])
+            episodes += 1
+    assert episodes > 0
+
+
+class Still:
+    """A model for ``evaluate_policy`` that applies no force."""
+
+    def __init__(self, env: NavigationVecEnv) -> None:
+        self.actions = np.zeros((env.num_envs, *env.action_space.shape), np.float32)
+
+    def predict(self, *_: Any, **__: Any) -> tuple[np.ndarray, None]:
+        return self.actions, None
+
+
+@BOTH
+def test_evaluation_reports_true_returns_under_scaling(kind: type[NavigationVecEnv]) -> None:
+    """Standing still for 7 steps costs r_s once and r_m six times, for each robot."""
+    env = kind("field_03", WORLDS, max_steps=7, roi_radius=0.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        returns, lengths = evaluate_policy(
+            Still(env), VecNormalize(env), n_eval_episodes=20, return_episode_rewards=True
+        )
+    robots = ROBOTS if kind is CentralizedVecEnv else 1
+    assert returns == [-610.0 * robots] * 20
+    assert lengths == [7] * 20
+
+
+def train(kind: type[NavigationVecEnv], seed: int) -> PPO:
+    torch.set_num_threads(1)
+    env = VecNormalize(kind("field_03", 4, **LIVELY))
+    options = {"n_steps": 32, "batch_size": 64, "n_epochs": 2, "device": "cpu"}
+    return PPO("MlpPolicy", env, seed=seed, **options).learn(32 * env.num_envs * 2)
+
+
+@BOTH
+def test_seeded_ppo_gives_bit_equal_weights(kind: type[NavigationVecEnv]) -> None:
+    first, again, other = (train(kind, seed) for seed in (0, 0, 1))
+    weights = [list(model.policy.parameters()) for model in (first, again, other)]
+    assert all(torch.equal(a, b) for a, b in zip(*weights[:2], strict=True))
+    assert not all(torch.equal(a, b) for a, b in zip(*weights[::2], strict=True))
+    assert len(first.ep_info_buffer) > 0 and len(first.ep_success_buffer) > 0
+
+
+@pytest.mark.parametrize("algorithm", [SAC, TQC, CrossQ])
+def test_off_policy_algorithms_take_the_joint_action(algorithm: type[SAC]) -> None:
+    env = CentralizedVecEnv("field_03", 2, max_steps=10)
+    model = algorithm("MlpPolicy", env, learning_starts=8, batch_size=8, seed=0, device="cpu")
+    model.learn(24)
+    action, _ = model.predict(env.reset())
+    assert action.shape == (2, ROBOTS, 2)
+    # Time limits must not stop the bootstrapping.
+    buffer = model.replay_buffer
+    assert buffer.timeouts[9].all() and buffer.dones[9].all() and buffer.dones.sum() == 2

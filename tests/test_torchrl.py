@@ -1,0 +1,305 @@
+"""The TorchRL environment: specs, equality with the engine, resets, and that losses train on it."""
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase, assert_close
+from tensordict.nn import TensorDictModule
+from tensordict.nn.distributions import NormalParamExtractor
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase, PettingZooWrapper, StepCounter, TransformedEnv
+from torchrl.envs.utils import check_env_specs
+from torchrl.modules import MultiAgentMLP, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.objectives import ClipPPOLoss, ValueEstimators
+
+from mbn_marl import parallel_env
+from mbn_marl.adapters.torchrl import GROUP, METRICS, NavigationEnv
+from mbn_marl.engine import BatchEngine
+from mbn_marl.errors import ActionError, ConfigError, StepError
+
+WORLDS, STEPS = 6, 60
+LIVELY = {"max_steps": 25, "safety_distance": 50.0, "random_starts": True}
+"""Settings under which random robots soon collide, or else run out of time."""
+
+ENTRIES = [(GROUP, "observation"), "state", "team_reward"]
+
+
+def push(seed: int = 0) -> TensorDictModule:
+    """A policy of random forces that a generator of its own draws: the same on every call here."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def force(observation: torch.Tensor) -> torch.Tensor:
+        return 2.0 * torch.rand((*observation.shape[:-1], 2), generator=generator) - 1.0
+
+    key = (GROUP, "observation")
+    return TensorDictModule(force, in_keys=[key], out_keys=[(GROUP, "action")])
+
+
+def play(env: EnvBase, steps: int = STEPS) -> TensorDictBase:
+    """A rollout through resets, ``(worlds, steps)``."""
+    return env.rollout(steps, push(), break_when_any_done=False)
+
+
+def test_entries_are_those_of_the_table() -> None:
+    env = NavigationEnv("field_03", WORLDS)
+    assert env.batch_size == (WORLDS,)
+    assert (env.action_key, env.reward_key) == ((GROUP, "action"), (GROUP, "reward"))
+    assert env.group_map == {GROUP: ["robot_0", "robot_1", "robot_2"]}
+    shapes = {key: tuple(item.shape) for key, item in env.rollout(1)[:, 0].items(True, True)}
+    size = env.engine.obs_size
+    world = {"state": (WORLDS, 13), **dict.fromkeys(("team_reward", "done"), (WORLDS, 1))}
+    world |= dict.fromkeys(("terminated", "truncated"), (WORLDS, 1))
+    world |= {("metrics", name): (WORLDS, 1) for name in METRICS}
+    world |= {(GROUP, "observation"): (WORLDS, 3, size)}
+    following = {("next", *(k if isinstance(k, tuple) else (k,))): v for k, v in world.items()}
+    robots = {(GROUP, "action"): (WORLDS, 3, 2), ("next", GROUP, "reward"): (WORLDS, 3, 1)}
+    assert shapes == world | following | robots
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"max_steps": 2},
+        {"n_robots": 1, "dtype": "float64"},
+        {"observation": "state", "reward_sharing": "team"},
+        {"observation": "local", "one_hot": True, "wind": (0.1, 45.0)},
+        {"reward": "formal", "random_starts": True},
+    ],
+    ids=str,
+)
+def test_specs(settings: dict[str, object]) -> None:
+    env = NavigationEnv("field_03", 3, **settings)
+    check_env_specs(env, break_when_any_done="both", seed=0)
+
+
+def test_specs_of_several_fields() -> None:
+    check_env_specs(NavigationEnv(["field_03", "field_07"], 4))
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("transformed", [False, True], ids=["plain", "transformed"])
+def test_rollout_is_the_engine_step_by_step(transformed: bool, dtype: str) -> None:
+    """Also that nothing leaks across a reset: ``next`` is the ended episode's, the root the new."""
+    settings = LIVELY | {"dtype": dtype}
+    env = NavigationEnv("field_03", WORLDS, seed=5, **settings)
+    data = play(TransformedEnv(env, StepCounter()) if transformed else env)
+    engine = BatchEngine("field_03", WORLDS, seed=5, autoreset="disabled", **settings)
+    observations = engine.reset()
+    steps = np.zeros(WORLDS, int)
+    for now in data.unbind(1):
+        np.testing.assert_array_equal(now[GROUP, "observation"], observations)
+        np.testing.assert_array_equal(now["state"], engine.state())
+        assert not now["done"].any()
+        observations, rewards, terminated, truncated = engine.step(now[GROUP, "action"].numpy())
+        after, metrics = now["next"], engine.metrics()
+        steps += 1
+        np.testing.assert_array_equal(after[GROUP, "observation"], observations)
+        np.testing.assert_array_equal(after["state"], engine.state())
+        np.testing.assert_array_equal(after[GROUP, "reward"][..., 0], rewards)
+        np.testing.assert_array_equal(after["team_reward"][:, 0], engine.team_rewards)
+        np.testing.assert_array_equal(after["terminated"][:, 0], terminated)
+        np.testing.assert_array_equal(after["truncated"][:, 0], truncated)
+        np.testing.assert_array_equal(after["truncated"][:, 0], (steps == 25) & ~terminated)
+        np.testing.assert_array_equal(after["done"][:, 0], terminated | truncated)
+        for name in METRICS:
+            expected = metrics[name].astype(np.float32)
+            np.testing.assert_array_equal(after["metrics", name][:, 0], expected)
+        ended = terminated | truncated
+        observations = engine.reset_worlds(ended)
+        steps[ended] = 0
+    assert data["next", "terminated"].any() and data["next", "truncated"].any()
+
+
+def test_own_maybe_reset_equals_torchrls() -> None:
+    own = NavigationEnv("field_03", WORLDS, seed=1, **LIVELY)
+    plain = TransformedEnv(NavigationEnv("field_03", WORLDS, seed=1, **LIVELY))
+    expected = play(plain)
+    assert expected["next", "done"][:, :-1].any()
+    assert_close(play(own), expected, rtol=0.0, atol=0.0)
+
+
+def test_root_tells_of_the_last_step_and_of_nothing_after_a_reset() -> None:
+    data = play(NavigationEnv("field_03", WORLDS, **LIVELY))
+    ended = data["next", "done"][:, :-1, 0]
+    for key in ("team_reward", ("metrics", "episode_return"), ("metrics", "steps")):
+        root, previous = data[key][:, 1:, 0], data["next", key][:, :-1, 0]
+        assert (root[ended] == 0).all() and (root[~ended] == previous[~ended]).all()
+        assert (previous[ended] != 0).all()
+
+
+def test_time_limit_truncates_and_never_terminates() -> None:
+    env = NavigationEnv("field_03", 2, max_steps=4)
+    rest = {"action": env.full_action_spec[GROUP, "action"].zero()}
+    data = env.reset()
+    for step in range(1, 5):
+        data[GROUP].update(rest)
+        data = env.step(data)["next"]
+        assert (data["truncated"] == (step == 4)).all() and not data["terminated"].any()
+        assert (data["done"] == data["truncated"]).all()
+
+
+def test_partial_reset_leaves_the_other_worlds_alone() -> None:
+    env = NavigationEnv("field_03", 4, **LIVELY)
+    data = env.rollout(3, push(), break_when_any_done=True)[:, -1]["next"]
+    assert not data["done"].any()
+    mask = torch.tensor([[True], [False], [False], [True]])
+    chosen = mask[:, 0]
+    back = env.reset(data.clone().set("_reset", mask))
+    for key in ENTRIES:
+        assert (back[key][~chosen] == data[key][~chosen]).all()
+    assert (back["state"][chosen] != data["state"][chosen]).any(1).all()
+    assert env.engine.metrics()["steps"].tolist() == [0, 3, 3, 0]
+
+
+def test_seed_decides_all_episodes() -> None:
+    env = NavigationEnv("field_03", WORLDS, seed=3, **LIVELY)
+    first = play(env)
+    env.set_seed(4)
+    other = play(env)
+    env.set_seed(3)
+    assert_close(play(env), first, rtol=0.0, atol=0.0)
+    assert (other["state"] != first["state"]).any()
+
+
+def test_seed_is_used_once() -> None:
+    env = NavigationEnv("field_03", WORLDS, seed=3, **LIVELY)
+    env.reset()
+    expected = env.reset()["state"]
+    env.set_seed(3)
+    first = env.reset()["state"]
+    assert (first != expected).any() and (env.reset()["state"] == expected).all()
+
+
+def test_ended_worlds_wait_for_the_others() -> None:
+    """The usual evaluation loop: until every world has ended once."""
+    env = NavigationEnv("field_03", WORLDS, seed=2, **LIVELY)
+    data = env.rollout(100, push(), break_when_any_done=False, break_when_all_done=True)
+    lengths = data["next", "metrics", "steps"][:, -1, 0]
+    assert len(set(lengths.tolist())) > 1 and lengths.max() == data.shape[1]
+    assert data["next", "done"][:, -1].all()
+    through = play(NavigationEnv("field_03", WORLDS, seed=2, **LIVELY), data.shape[1])
+    for world, length in enumerate(lengths.int().tolist()):
+        through_end, end = through[world, length - 1]["next"], data[world, -1]["next"]
+        assert through_end["done"] and (end["state"] == through_end["state"]).all()
+        assert end["metrics", "episode_return"] == through_end["metrics", "episode_return"]
+
+
+def test_bad_steps_are_refused_before_anything_moves() -> None:
+    env = NavigationEnv("field_03", 2, max_steps=1)
+    data = env.rand_action(env.reset())
+    before = env.engine.state()
+    bad = data.clone()
+    bad[GROUP, "action"][1, 2, 0] = torch.nan
+    with pytest.raises(ActionError, match=r"world 1.*robot_2"):
+        env.step(bad)
+    np.testing.assert_array_equal(env.engine.state(), before)
+    data = env.rand_action(env.step(data)["next"])
+    with pytest.raises(StepError, match="world 0 has ended"):
+        env.step(data)
+    with pytest.raises(ConfigError, match="max_step: unknown name"):
+        NavigationEnv("field_03", 2, max_step=3)  # type: ignore[call-arg]
+
+
+def test_collected_returns_are_the_sums_of_rewards() -> None:
+    env = NavigationEnv("field_03", WORLDS, **LIVELY)
+    frames = WORLDS * STEPS
+    collector = Collector(
+        env,
+        push(),
+        frames_per_batch=frames,
+        total_frames=frames,
+        auto_register_policy_transforms=False,
+    )
+    (data,) = collector
+    after = data["next"]
+    for world in range(WORLDS):
+        ends = after["done"][world, :, 0].nonzero()[:, 0].tolist()
+        assert ends
+        for first, last in zip([0, *(end + 1 for end in ends[:-1])], ends, strict=True):
+            total = after[GROUP, "reward"][world, first : last + 1].double().sum()
+            reported = after["metrics", "episode_return"][world, last, 0]
+            torch.testing.assert_close(reported.double(), total, rtol=1e-5, atol=0.1)
+            assert after["metrics", "steps"][world, last, 0] == last + 1 - first
+
+
+def actor_and_critic(env: EnvBase, team: bool) -> tuple[ProbabilisticActor, ValueOperator]:
+    """MAPPO's networks; the critic values the team (from the state) or each robot."""
+    size = env.observation_spec[GROUP, "observation"].shape[-1]
+    network = MultiAgentMLP(size, 4, 3, centralised=False, share_params=True, num_cells=[8])
+    parameters = TensorDictModule(
+        torch.nn.Sequential(network, NormalParamExtractor()),
+        in_keys=[(GROUP, "observation")],
+        out_keys=[(GROUP, "loc"), (GROUP, "scale")],
+    )
+    actor = ProbabilisticActor(
+        parameters,
+        spec=env.full_action_spec_unbatched,
+        in_keys=[(GROUP, "loc"), (GROUP, "scale")],
+        out_keys=[(GROUP, "action")],
+        distribution_class=TanhNormal,
+        return_log_prob=True,
+    )
+    if team:
+        return actor, ValueOperator(torch.nn.Linear(13, 1), in_keys=["state"])
+    values = MultiAgentMLP(size, 1, 3, centralised=True, share_params=True, num_cells=[8])
+    value_key = (GROUP, "state_value")
+    return actor, ValueOperator(values, in_keys=[(GROUP, "observation")], out_keys=[value_key])
+
+
+def expand_done(data: TensorDictBase) -> None:
+    """Give the group flags of its own, as a loss on the robots' rewards wants them."""
+    for name in ("done", "terminated"):
+        flag = data["next", name].unsqueeze(-2)
+        data["next", GROUP, name] = flag.expand(data["next", GROUP, "reward"].shape)
+
+
+def ppo_gradients(env: EnvBase, team: bool) -> list[torch.Tensor]:
+    """Collect, estimate advantages, differentiate TorchRL's PPO loss."""
+    actor, critic = actor_and_critic(env, team)
+    with torch.no_grad():
+        data = env.rollout(8, actor, break_when_any_done=False)
+    loss = ClipPPOLoss(actor, critic)
+    loss.set_keys(action=(GROUP, "action"), sample_log_prob=(GROUP, "action_log_prob"))
+    if team:
+        loss.set_keys(reward="team_reward")
+    else:
+        expand_done(data)
+        keys = {name: (GROUP, name) for name in ("reward", "done", "terminated")}
+        loss.set_keys(value=(GROUP, "state_value"), **keys)
+    loss.make_value_estimator(ValueEstimators.GAE, gamma=0.99, lmbda=0.95)
+    loss.value_estimator(data)
+    if team:
+        data["advantage"] = data["advantage"].unsqueeze(-2)
+        losses: TensorDict = loss(data)
+    else:
+        losses = loss(data)
+    sum(value for key, value in losses.items() if key.startswith("loss_")).backward()
+    return [weights.grad for weights in loss.parameters() if weights.requires_grad]
+
+
+@pytest.mark.parametrize("team", [False, True], ids=["robots' reward", "team's reward"])
+def test_ppo_loss_trains(team: bool) -> None:
+    torch.manual_seed(0)
+    gradients = ppo_gradients(NavigationEnv("field_03", 4, max_steps=5), team)
+    assert all(grad is not None and grad.isfinite().all() for grad in gradients)
+    assert all(grad.abs().sum() > 0 for grad in gradients)
+
+
+def wrapped_parallel_env() -> PettingZooWrapper:
+    env = parallel_env("field_03", max_steps=5)
+    return PettingZooWrapper(
+        env, group_map={GROUP: env.possible_agents}, return_state=True, done_on_any=True
+    )
+
+
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using")
+def test_pettingzoo_wrapper_works_and_trains() -> None:
+    torch.manual_seed(0)
+    env = wrapped_parallel_env()
+    check_env_specs(env)
+    data = env.rollout(12, break_when_any_done=False)
+    assert data["next", "truncated"][:, 0].tolist() == [t % 5 == 4 for t in range(12)]
+    assert not data["next", "terminated"].any()
+    gradients = ppo_gradients(env, team=False)
+    assert all(grad.isfinite().all() and grad.abs().sum() > 0 for grad in gradients)
