@@ -1,0 +1,10 @@
+"""Looks at the environment and never steps it: windows, arrays, GIFs and figures.
+
+Importing this package loads neither pygame nor matplotlib; :mod:`mbn_marl.render.figures` is
+imported by name, as it needs matplotlib.
+"""
+
+from mbn_marl.render.gif import write_gif
+from mbn_marl.render.viewer import RENDER_MODES, Viewer
+
+__all__ = ["RENDER_MODES", "Viewer", "write_gif"]

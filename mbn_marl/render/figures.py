@@ -1,0 +1,79 @@
+"""Figures for print and reports: fields, trajectories, learning curves.
+
+They are matplotlib figures without pyplot: no display, no global state, nothing to close.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from mbn_marl.errors import MbnError
+from mbn_marl.render import style
+from mbn_marl.render.curves import Curves, curves_figure
+from mbn_marl.render.files import replacing
+from mbn_marl.render.maps import draw_field, draw_trails, field_figure, trajectory_figure
+
+__all__ = [
+    "FORMATS",
+    "draw_field",
+    "draw_trails",
+    "field_figure",
+    "learning_curves",
+    "save",
+    "trajectory_figure",
+]
+
+FORMATS = (".png", ".pdf", ".svg")
+
+
+def learning_curves(
+    curves: Curves,
+    threshold: float | None = None,
+    optimum: float | None = None,
+    path: str | Path | None = None,
+) -> Figure:
+    """The mean return over seeds against env-steps, with its 95 % band, a line per algorithm.
+
+    The band is the percentile bootstrap over seeds; one seed has none. A line spans the steps
+    that all its seeds cover; between two evaluations of a seed its return is interpolated. The
+    axis is logarithmic below minus the highest return drawn, where returns of early training
+    lie, and linear above.
+
+    Args:
+        curves: for each algorithm a list with, per seed, ``(steps, returns)``: two finite arrays
+            (k,), the steps in env-steps and increasing.
+        threshold: a return to mark, or ``None``.
+        optimum: the best possible return, to mark, or ``None``.
+        path: where to :func:`save` it as well, or ``None``.
+
+    Raises:
+        MbnError: naming the algorithm and the seed whose arrays are not as above, or the path.
+        OSError: naming the path, if it cannot be written.
+    """
+    figure = curves_figure(curves, threshold, optimum)
+    if path is not None:
+        save(figure, path)
+    return figure
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write ``figure`` as PNG, PDF or SVG, as the end of ``path`` says.
+
+    Missing folders are made; a file is replaced only once the new one is complete.
+
+    Returns:
+        The path.
+
+    Raises:
+        MbnError: for another format, naming the path and the formats.
+        OSError: naming the path, if it cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
+    with replacing(path) as temporary, matplotlib.rc_context(style.MATPLOTLIB):
+        figure.savefig(temporary)
+    return path

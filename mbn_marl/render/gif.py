@@ -1,0 +1,76 @@
+"""Writes frames as a small animated GIF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbn_marl.errors import MbnError
+from mbn_marl.render.files import replacing
+
+SLOWEST, FASTEST = 0.01, 50.0
+"""Frames per second; a GIF counts hundredths of a second, and viewers slow a delay of one down."""
+_COLOURS = 256
+_SAMPLED = 8
+"""How many frames the one palette is made from; with one palette only what moves is stored."""
+
+
+def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.0) -> Path:
+    """Write ``frames`` to ``path``, played in an endless loop.
+
+    Args:
+        frames: uint8 arrays, all of one shape (height, width, 3).
+        path: a ``.gif`` file; missing folders are made, and a file is replaced only once the new
+            one is complete.
+        fps: frames per second, 0.01 to 50; the delay is rounded to 0.01 s.
+
+    Returns:
+        The path.
+
+    Raises:
+        MbnError: naming the path, the frame or the number that is wrong.
+        ImportError: if Pillow is not installed.
+        OSError: naming the path, if it cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".gif":
+        raise MbnError(f"{path}: the file name has to end in .gif")
+    if not SLOWEST <= fps <= FASTEST:
+        raise MbnError(f"{path}: fps has to be {SLOWEST:g} to {FASTEST:g}, not {fps}")
+    pictures = _checked(frames, path)
+    try:
+        from PIL import Image
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            'writing a GIF needs Pillow: pip install "mbn_marl[render]"', name="PIL"
+        ) from error
+    chosen = np.linspace(0, len(pictures) - 1, _SAMPLED).astype(int)
+    sample = Image.fromarray(np.concatenate([pictures[index] for index in chosen]))
+    palette = sample.quantize(_COLOURS, Image.Quantize.FASTOCTREE)
+    first, *others = (
+        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+        for picture in pictures
+    )
+    delay = 10 * round(100.0 / fps)
+    with replacing(path) as temporary:
+        first.save(temporary, save_all=True, append_images=others, duration=delay, loop=0)
+    return path
+
+
+def _checked(frames: Iterable[NDArray[Any]], path: Path) -> list[NDArray[np.uint8]]:
+    pictures: list[NDArray[np.uint8]] = []
+    for index, frame in enumerate(map(np.asarray, frames)):
+        shape = pictures[0].shape if pictures else frame.shape
+        if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
+            wrong = f"{frame.dtype} {frame.shape}"
+            raise MbnError(f"{path}: frame {index} is {wrong}, not uint8 (height, width, 3)")
+        if frame.shape != shape:
+            raise MbnError(f"{path}: frame {index} has shape {frame.shape}, the first has {shape}")
+        pictures.append(frame)
+    if not pictures:
+        raise MbnError(f"{path}: there are no frames to write")
+    return pictures

@@ -1,0 +1,158 @@
+"""Draws a snapshot on a pygame surface. Needs no display; the module for it is `viewer`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pygame
+
+from mbn_marl.field import Field
+from mbn_marl.render import sprites, style
+from mbn_marl.render.viewport import Viewport
+
+if TYPE_CHECKING:
+    from mbn_marl.engine.snapshot import Snapshot
+
+_MINUS = "\N{MINUS SIGN}"
+_NOMINAL = 400.0
+"""The picture's smaller side, in pixels, at which the sizes below hold; they grow with it."""
+_SMALLEST_SCALE = 0.7
+"""What they shrink to at most: smaller text cannot be read."""
+_MARGIN = 16.0
+_HEADER = 46.0
+_ROBOT = 8.0
+_ROI = 6.0
+_TRAIL = 2.0
+_COMPASS = 19.0
+_FONT = 18.0
+_WIND_SHOWN = 1e-9
+"""Wind weaker than this, in units/step per step, is none (cos 90 degrees is not quite 0)."""
+
+
+class Scene:
+    """Draws snapshots of any field at one size, keeping what does not change between frames.
+
+    Robots and ROIs are markers of a size that can be read; where there is room, the circles of
+    the safety distance and of the ROI radius stand round them to scale.
+
+    Args:
+        size: width and height of the picture, pixels.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        pygame.font.init()
+        self.size = size
+        self._ui = max(min(size) / _NOMINAL, _SMALLEST_SCALE)
+        self._font = pygame.font.Font(None, round(_FONT * self._ui))
+        self._frame = sprites.blank(size)
+        self._field: Field | None = None
+        self._look: tuple[object, ...] = ()
+
+    def draw(self, snapshot: Snapshot) -> pygame.Surface:
+        """The picture of ``snapshot``; the surface is drawn over by the next call."""
+        self._prepare(snapshot)
+        self._extend_trails(snapshot)
+        self._frame.blit(self._canvas, (0, 0))
+        for centre, visited in zip(self._roi_pixels, snapshot.visited, strict=True):
+            _stamp(self._frame, self._rois[bool(visited)], centre)
+        centres = self._view.to_pixels(snapshot.positions)
+        for sprite, centre in zip(self._robots, centres, strict=True):
+            _stamp(self._frame, sprite, centre)
+        self._write_header(snapshot)
+        return self._frame
+
+    def _prepare(self, snapshot: Snapshot) -> None:
+        """Redraw what stays from frame to frame, if any of it differs from the last frame's."""
+        look = (
+            snapshot.roi_radius,
+            snapshot.safety_distance,
+            len(snapshot.positions),
+            snapshot.wind,
+        )
+        if snapshot.field == self._field and look == self._look:
+            return
+        field = snapshot.field
+        width, height = self.size
+        margin, header = _MARGIN * self._ui, _HEADER * self._ui
+        area = (margin, header, width - 2 * margin, height - header - margin)
+        self._view = Viewport.fit(field.vertices, area)
+        self._background = sprites.terrain(field, self._view, self.size, 2.0 * self._ui)
+        if math.hypot(*snapshot.wind) > _WIND_SHOWN:
+            self._draw_wind(snapshot.wind)
+        self._canvas = self._background.copy()
+        self._drawn = np.empty((0, len(snapshot.positions), 2))
+        self._roi_pixels = self._view.to_pixels(field.rois)
+        reach = snapshot.roi_radius * self._view.scale
+        self._rois = [sprites.roi(visited, _ROI * self._ui, reach) for visited in (False, True)]
+        safety = snapshot.safety_distance / 2.0 * self._view.scale
+        self._robots = [
+            sprites.robot(index, _ROBOT * self._ui, safety)
+            for index in range(len(snapshot.positions))
+        ]
+        self._field, self._look = field, look
+
+    def _draw_wind(self, wind: tuple[float, float]) -> None:
+        """An arrow the way the wind blows, in a ring at the top right, and its speed."""
+        radius, gap = _COMPASS * self._ui, 4 * self._ui
+        centre = (self.size[0] - radius - gap, radius + gap)
+        _stamp(self._background, sprites.wind_arrow(wind, radius), centre)
+        label = self._font.render(f"wind {math.hypot(*wind):.3g}", True, style.rgb(style.WIND))
+        end = (round(centre[0] - radius - gap), round(centre[1]))
+        self._background.blit(label, label.get_rect(midright=end))
+
+    def _extend_trails(self, snapshot: Snapshot) -> None:
+        """Draw what is new of the trails, or all if this is not the last frame's episode."""
+        trail = np.array(snapshot.trail, np.float64)
+        known = len(self._drawn)
+        if not np.array_equal(trail[:known], self._drawn):
+            self._canvas.blit(self._background, (0, 0))
+            known = 0
+        pixels = self._view.to_pixels(trail[max(known - 1, 0) :])
+        width = max(round(_TRAIL * self._ui), 1)
+        colours = [style.rgb(style.robot_colour(index)) for index in range(trail.shape[1])]
+        if known == 0:
+            for colour, start in zip(colours, pixels[0].tolist(), strict=True):
+                pygame.draw.aacircle(self._canvas, colour, start, 2 * width)
+        for before, after in pairwise(pixels.tolist()):
+            for colour, start, end in zip(colours, before, after, strict=True):
+                pygame.draw.aaline(self._canvas, colour, start, end, width)
+        self._drawn = trail
+
+    def _write_header(self, snapshot: Snapshot) -> None:
+        """Step, return, visited ROIs, and how the episode ended if it has."""
+        left, column = round(_MARGIN * self._ui), round(96 * self._ui)
+        rows = (round(9 * self._ui), round(25 * self._ui))
+        reward = snapshot.team_return
+        shown = f"{reward:,.0f}" if abs(reward) >= 1000.0 else f"{reward:.4g}"
+        visited = int(np.count_nonzero(snapshot.visited))
+        self._write(f"step {snapshot.step}", style.INK, (left, rows[0]))
+        self._write(f"return {shown.replace('-', _MINUS)}", style.INK, (column, rows[0]))
+        self._write(f"ROIs {visited}/{len(snapshot.visited)}", style.INK, (left, rows[1]))
+        if snapshot.collision:
+            self._write("collision", style.WHITE, (column, rows[1]), style.COLLISION)
+        elif snapshot.success:
+            self._write("success", style.WHITE, (column, rows[1]), style.SUCCESS)
+
+    def _write(
+        self, text: str, colour: str, place: tuple[int, int], badge: str | None = None
+    ) -> None:
+        """Write ``text`` with its top left corner at ``place``, on a ``badge`` of that colour."""
+        picture = self._font.render(text, True, style.rgb(colour))
+        box = picture.get_rect(topleft=place)
+        if badge is not None:
+            pad = round(4 * self._ui)
+            around = box.inflate(2 * pad, pad)
+            pygame.draw.rect(self._frame, style.rgb(badge), around, border_radius=pad)
+        self._frame.blit(picture, box)
+
+
+def _stamp(target: pygame.Surface, sprite: pygame.Surface, centre: Sequence[float]) -> None:
+    corner = (
+        round(centre[0] - sprite.get_width() / 2),
+        round(centre[1] - sprite.get_height() / 2),
+    )
+    target.blit(sprite, corner, special_flags=pygame.BLEND_PREMULTIPLIED)

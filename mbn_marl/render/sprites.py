@@ -1,0 +1,158 @@
+"""The pieces of the picture as smooth pygame surfaces: terrain, ROIs, robots, the wind arrow.
+
+Each is drawn several times too large and scaled down, which smooths every edge. Sprites are
+premultiplied by their alpha, so that their edges stay clean: blit them with BLEND_PREMULTIPLIED.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pygame
+from numpy.typing import NDArray
+
+from mbn_marl.field import Field
+from mbn_marl.render import style
+from mbn_marl.render.viewport import Viewport
+
+_FINE = 4
+"""How many times larger than shown a piece is drawn."""
+
+_VISITED_TINT, _SAFETY_TINT = 70, 60
+"""Opacity, 0 to 255, of the circles drawn to scale."""
+
+_ROOM = 1.2
+"""A circle to scale is drawn where it is this many times larger than the marker inside it."""
+
+Painter = Callable[[pygame.Surface, float, float], None]
+"""Paints a square surface, given its centre coordinate and the size of a shown pixel."""
+
+
+def blank(size: tuple[int, int]) -> pygame.Surface:
+    """An opaque surface whose format does not depend on a display."""
+    return pygame.Surface(size, 0, 32)
+
+
+def terrain(
+    field: Field, view: Viewport, size: tuple[int, int], line_width: float
+) -> pygame.Surface:
+    """The ground of ``field`` with its holes, outlined, on the obstacle colour.
+
+    Args:
+        field: what to draw.
+        view: where it goes.
+        size: of the surface, pixels.
+        line_width: of the outlines, pixels.
+    """
+    fine = blank((size[0] * _FINE, size[1] * _FINE))
+    fine.fill(style.rgb(style.OBSTACLE))
+    width = max(round(line_width * _FINE), 1)
+    for ring, fill in [(field.vertices, style.GROUND)] + [
+        (hole, style.OBSTACLE) for hole in field.holes
+    ]:
+        _ring(fine, view.to_pixels(ring) * _FINE, fill, width)
+    return pygame.transform.smoothscale(fine, size)
+
+
+def _ring(surface: pygame.Surface, corners: NDArray[np.float64], fill: str, width: int) -> None:
+    points = [(float(x), float(y)) for x, y in corners]
+    pygame.draw.polygon(surface, style.rgb(fill), points)
+    outline = style.rgb(style.OUTLINE)
+    for start, end in zip(points, points[1:] + points[:1], strict=True):
+        pygame.draw.line(surface, outline, start, end, width)
+        pygame.draw.circle(surface, outline, start, width / 2)
+
+
+def roi(visited: bool, marker: float, reach: float) -> pygame.Surface:
+    """An ROI: a hollow marker until it is visited, then a filled one with a tick.
+
+    Args:
+        visited: whether a robot has been there.
+        marker: radius of the marker, pixels.
+        reach: distance within which a robot visits it, pixels; its circle is left out where the
+            marker would all but cover it.
+    """
+    colour = style.rgb(style.ROI_VISITED if visited else style.ROI_OPEN)
+    white = style.rgb(style.WHITE)
+
+    def paint(surface: pygame.Surface, centre: float, pixel: float) -> None:
+        middle, size = (centre, centre), marker * pixel
+        if reach > _ROOM * marker:
+            if visited:
+                pygame.draw.circle(surface, (*colour, _VISITED_TINT), middle, reach * pixel)
+            pygame.draw.circle(surface, colour, middle, reach * pixel, round(0.8 * pixel))
+        pygame.draw.circle(surface, colour if visited else white, middle, size)
+        if not visited:
+            pygame.draw.circle(surface, colour, middle, size, round(1.6 * pixel))
+            return
+        tick = [
+            (centre + size * x, centre + size * y)
+            for x, y in ((-0.45, 0.02), (-0.12, 0.36), (0.48, -0.34))
+        ]
+        width = max(round(0.22 * size), 1)
+        pygame.draw.lines(surface, white, False, tick, width)
+        for point in tick:
+            pygame.draw.circle(surface, white, point, width / 2)
+
+    return _sprite(max(marker, reach), paint)
+
+
+def robot(index: int, radius: float, safety: float) -> pygame.Surface:
+    """Robot ``index``: a disc with its number, and round it the circle of its safety distance.
+
+    Args:
+        index: 0, 1, ...; names the robot and chooses its colour.
+        radius: of the disc, pixels.
+        safety: half of the safety distance, pixels; its circle is left out where the disc would
+            all but cover it.
+    """
+    colour = style.robot_colour(index)
+
+    def paint(surface: pygame.Surface, centre: float, pixel: float) -> None:
+        middle = (centre, centre)
+        if safety > _ROOM * radius:
+            pygame.draw.circle(surface, (*style.rgb(colour), _SAFETY_TINT), middle, safety * pixel)
+            line = round(1.2 * pixel)
+            pygame.draw.circle(surface, style.rgb(colour), middle, safety * pixel, line)
+        pygame.draw.circle(surface, style.rgb(style.WHITE), middle, radius * pixel)
+        pygame.draw.circle(surface, style.rgb(colour), middle, (radius - 1) * pixel)
+        font = pygame.font.Font(None, round((1.75 if index < 10 else 1.4) * radius * pixel))
+        number = font.render(str(index), True, style.rgb(style.ink_on(colour)))
+        surface.blit(number, number.get_rect(center=(round(centre), round(centre + 0.4 * pixel))))
+
+    return _sprite(max(radius, safety), paint)
+
+
+def wind_arrow(wind: tuple[float, float], radius: float) -> pygame.Surface:
+    """An arrow in a ring of ``radius`` pixels that points the way the wind blows, y up.
+
+    Args:
+        wind: ``(v_x, v_y)``, not both 0; only the direction counts.
+        radius: of the ring, pixels.
+    """
+    angle = math.atan2(-wind[1], wind[0])
+    cos, sin = math.cos(angle), math.sin(angle)
+
+    def paint(surface: pygame.Surface, centre: float, pixel: float) -> None:
+        def place(along: float, across: float) -> tuple[float, float]:
+            x, y = along * radius * pixel, across * radius * pixel
+            return centre + cos * x - sin * y, centre + sin * x + cos * y
+
+        ink = style.rgb(style.WIND)
+        pygame.draw.circle(surface, style.rgb(style.WHITE), (centre, centre), radius * pixel)
+        pygame.draw.circle(surface, ink, (centre, centre), radius * pixel, round(pixel))
+        shaft = [place(-0.7, -0.08), place(0.2, -0.08), place(0.2, 0.08), place(-0.7, 0.08)]
+        pygame.draw.polygon(surface, ink, shaft)
+        pygame.draw.polygon(surface, ink, [place(0.8, 0), place(0.05, -0.38), place(0.05, 0.38)])
+
+    return _sprite(radius, paint)
+
+
+def _sprite(radius: float, paint: Painter) -> pygame.Surface:
+    """A smooth, premultiplied square surface that holds a disc of ``radius`` pixels."""
+    side = 2 * math.ceil(radius + 1)
+    fine = pygame.Surface((side * _FINE, side * _FINE), pygame.SRCALPHA, 32)
+    paint(fine, side * _FINE / 2, float(_FINE))
+    return pygame.transform.smoothscale(fine.premul_alpha(), (side, side))

@@ -1,0 +1,139 @@
+"""Shows snapshots as pygame pictures: in a window, or as arrays with no display at all."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbn_marl.errors import ConfigError
+
+if TYPE_CHECKING:
+    import pygame
+
+    from mbn_marl.engine.snapshot import Snapshot
+    from mbn_marl.render.scene import Scene
+
+RENDER_MODES = ("human", "rgb_array")
+SMALLEST_SIDE = 200
+
+
+class Viewer:
+    """Draws snapshots at one size. pygame is imported at the first drawing.
+
+    Args:
+        render_mode: ``"human"`` (a window) or ``"rgb_array"`` (arrays; opens no display).
+        size: width and height of the picture, pixels, each at least 200.
+        frame_rate: frames per second at most, in a window; above 0.
+
+    Attributes:
+        closed: whether the window was closed, by its button, by Escape or by :meth:`close`.
+
+    Raises:
+        ConfigError: for an argument that is not one of those.
+    """
+
+    def __init__(
+        self, render_mode: str, size: tuple[int, int] = (400, 400), frame_rate: float = 30.0
+    ) -> None:
+        problems = []
+        if render_mode not in RENDER_MODES:
+            known = " or ".join(map(repr, RENDER_MODES))
+            problems.append(f"render_mode: {known}, not {render_mode!r}")
+        fits = [isinstance(side, int) and side >= SMALLEST_SIDE for side in size]
+        if fits != [True, True]:
+            problems.append(
+                f"size: two whole numbers of pixels, each at least {SMALLEST_SIDE}, not {size}"
+            )
+        if not frame_rate > 0.0:
+            problems.append(f"frame_rate: above 0, not {frame_rate}")
+        if problems:
+            raise ConfigError("viewer", problems)
+        self.render_mode = render_mode
+        self.size = size
+        self.frame_rate = frame_rate
+        self.closed = False
+        self._scene: Scene | None = None
+        self._window: pygame.Surface | None = None
+
+    def draw(self, snapshot: Snapshot) -> NDArray[np.uint8] | None:
+        """Draw ``snapshot``.
+
+        Returns:
+            A new (height, width, 3) uint8 array in ``"rgb_array"`` mode; ``None`` in ``"human"``
+            mode, where a window that was closed stays closed.
+
+        Raises:
+            ImportError: if pygame is not installed.
+            RuntimeError: in ``"human"`` mode, if there is no display.
+        """
+        if self._scene is None:
+            self._scene = _load_scene(self.size)
+        if self.render_mode == "rgb_array":
+            return _to_array(self._scene.draw(snapshot))
+        if not self.closed:
+            self._show(self._scene.draw(snapshot))
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one. Doing it twice is fine."""
+        self.closed = True
+        if self._window is not None:
+            import pygame
+
+            self._window = None
+            pygame.display.quit()
+
+    def _show(self, frame: pygame.Surface) -> None:
+        """Bring ``frame`` to the window, answer its events and keep to the frame rate."""
+        import pygame
+
+        if self._window is None:
+            self._window = _open_window(self.size)
+            self._clock = pygame.time.Clock()
+        self._window.blit(frame, (0, 0))
+        pygame.display.flip()
+        for event in pygame.event.get():
+            escape = event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE
+            if escape or event.type == pygame.QUIT:
+                self.close()
+                return
+        self._clock.tick(self.frame_rate)
+
+
+def _load_scene(size: tuple[int, int]) -> Scene:
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    try:
+        from mbn_marl.render.scene import Scene
+    except ModuleNotFoundError as error:
+        if error.name != "pygame":
+            raise
+        raise ImportError(
+            'rendering needs pygame-ce: pip install "mbn_marl[render]"', name="pygame"
+        ) from error
+    return Scene(size)
+
+
+def _open_window(size: tuple[int, int]) -> pygame.Surface:
+    import pygame
+
+    try:
+        pygame.display.init()
+        window = pygame.display.set_mode(size)
+    except pygame.error as error:
+        raise RuntimeError(
+            f"render_mode='human' needs a display ({error}); "
+            "render_mode='rgb_array' draws without one"
+        ) from error
+    pygame.display.set_caption("mbn_marl")
+    return window
+
+
+def _to_array(frame: pygame.Surface) -> NDArray[np.uint8]:
+    import pygame
+
+    width, height = frame.get_size()
+    pixels = np.frombuffer(pygame.image.tobytes(frame, "RGB"), np.uint8)
+    return pixels.reshape(height, width, 3).copy()
