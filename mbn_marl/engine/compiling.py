@@ -28,7 +28,7 @@ def compiled(function: Callable[..., Any]) -> Any:
     function that calls it, wherever that is. So the cache is stamped with all of the engine's
     sources instead. Where nothing can be written, the code is compiled anew in each process.
     """
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": True}
     try:
         dispatcher = numba.njit(cache=True, **options)(function)
         dispatcher._cache._cache_file._source_stamp = SOURCES

@@ -15,7 +15,7 @@ from mbn_marl.engine.memory import (
     filter_word,
 )
 from mbn_marl.engine.observation import visit_code
-from mbn_marl.engine.rewards import RESTED
+from mbn_marl.engine.rewards import FORMAL, RELEASED, RESTED
 from mbn_marl.engine.rng import FOR_STARTS, GOLDEN, mix, stream_key, uniform
 
 DRAWS_PER_ROBOT = 1000
@@ -81,9 +81,11 @@ def reset_world(p, g, mem, now, w):
     now.team_return[w] = 0.0
     now.visited[w] = ((1 << g.rois.shape[1]) - 1) & ~g.codes[field]
     now.steps[w] = 0
-    mem.words[w] = np.uint64(LEAST_WORDS if p.rules == 0 else mem.filter.shape[1] - ODD_LINES)
+    mem.words[w] = np.uint64(
+        LEAST_WORDS if p.rules == RELEASED else mem.filter.shape[1] - ODD_LINES
+    )
     clear_filter(mem.filter, w, mem.words[w])
-    if p.rules == 1:
+    if p.rules == FORMAL:
         joint_state_known(mem, now, w, visit_code(g, now.visited[w], field))
 
 

@@ -9,9 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from mbn_marl.engine.compiling import compiled
+from mbn_marl.engine.rules import select
 
 REWARD_TERMS = ("step", "revisit", "wall", "roi", "success", "collision")
-RULES = {"released": 0, "formal": 1}
+RELEASED, FORMAL = 0, 1
+RULES = {"released": RELEASED, "formal": FORMAL}
 
 # A robot's event word: what it did in the step; the number of ROIs it visited sits above the flags.
 WALL = 1
@@ -93,7 +95,7 @@ def team_reward(p, outcome, own):
     """
     done = is_set(outcome, SUCCESS)
     lost = is_set(outcome, COLLISION)
-    if p.rules == 0:
+    if p.rules == RELEASED:
         return -p.infinite if lost else own + (p.infinite if done else p.zero)
     known = is_set(outcome, KNOWN_STATE)
     inside = p.zero if is_set(outcome, ANY_OUTSIDE) else -p.small
@@ -103,17 +105,20 @@ def team_reward(p, outcome, own):
 
 
 @compiled
-def own_terms(p, event, outcome):
+def own_terms(p, terms):
     """What one robot earned by itself: its terms less the shares of team-wide ones."""
-    terms = robot_terms(p, event, outcome)
-    own = terms[2] + terms[3]
-    return own if p.rules == 1 else own + terms[0] + terms[1]
+    ground = select(p.rules == RELEASED, terms[0] + terms[1], p.zero)
+    return ground + terms[2] + terms[3]
 
 
 @compiled
 def robot_terms(p, event, outcome):
     """The six terms of one robot under the configured rules."""
-    return released_terms(p, event, outcome) if p.rules == 0 else formal_terms(p, event, outcome)
+    return (
+        released_terms(p, event, outcome)
+        if p.rules == RELEASED
+        else formal_terms(p, event, outcome)
+    )
 
 
 @compiled

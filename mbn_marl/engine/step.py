@@ -3,7 +3,9 @@
 Each pass applies one scalar rule to every world of the block, so its loop is branch-free and LLVM
 turns it into vector instructions; a block is small enough to stay in the first-level cache from
 pass to pass. Nothing is shared between worlds: neither the block size nor the thread changes a
-result. World indices are unsigned, which spares the loop Python's negative indexing.
+result. World indices are unsigned, which spares the loop Python's negative indexing. Where a loop's
+rule branches, arrays are named before it: taken from their tuple inside it, they would be counted
+as references at each turn.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ from mbn_marl.engine.reset import clear_output, finish_world, joint_state_known,
 from mbn_marl.engine.rewards import (
     ANY_OUTSIDE,
     COLLISION,
+    FORMAL,
     KNOWN_STATE,
+    RELEASED,
     REVISIT,
     ROIS_SHIFT,
     STILL,
@@ -42,7 +46,7 @@ from mbn_marl.engine.rewards import (
     total,
 )
 
-BLOCK = 128
+BLOCK = 256
 """Worlds per block."""
 
 ZERO, ONE = np.uint64(0), np.uint64(1)
@@ -56,7 +60,7 @@ class Scratch(NamedTuple):
     y: Any
     vx: Any
     vy: Any
-    team: Any  # real: the robots' own rewards, summed
+    own: Any  # real: the robots' own rewards, summed
     share: Any  # real: a robot's reward
     seen: Any  # int32: see rules.cross_edge
     maybe: Any  # bool: the filter may know the position
@@ -233,7 +237,7 @@ def judge(p, g, mem, now, out, to, lo, hi):
         out.terminated[w] = ended
         out.truncated[w] = (now.steps[w] >= p.max_steps) & (not ended)
         out.outcomes[w] = outcome
-    if p.rules == 1:
+    if p.rules == FORMAL:
         for w in range(lo, hi):
             for i in range(now.x.shape[0]):
                 if (out.events[i, w] & WALL) != 0:
@@ -246,18 +250,19 @@ def judge(p, g, mem, now, out, to, lo, hi):
 def reward(p, now, out, to, lo, hi):
     """The team's reward and the agents' shares of it."""
     n = now.x.shape[0]
+    own, share = to.own, to.share
     for k in range(hi - lo):
-        to.team[k] = p.zero
+        own[k] = p.zero
     for i in range(n):
         for w in range(lo, hi):
-            event, outcome = out.events[i, w], out.outcomes[w]
-            to.team[w - lo] += own_terms(p, event, outcome)
-            to.share[w - lo] = total(robot_terms(p, event, outcome))
+            terms = robot_terms(p, out.events[i, w], out.outcomes[w])
+            own[w - lo] += own_terms(p, terms)
+            share[w - lo] = total(terms)
         for w in range(lo, hi):
-            out.rewards[w, i] = to.share[w - lo]
-            now.returns[i, w] += to.share[w - lo]
+            out.rewards[w, i] = share[w - lo]
+            now.returns[i, w] += share[w - lo]
     for w in range(lo, hi):
-        value = team_reward(p, out.outcomes[w], to.team[w - lo])
+        value = team_reward(p, out.outcomes[w], own[w - lo])
         out.team_rewards[w] = value
         now.team_return[w] += value
     if p.team_sharing:
@@ -306,14 +311,14 @@ def step_worlds(store, actions, lo, hi):
             contain(g, mem, to, lo, end)
             move(p, now, out, to, i, lo, end)
             visit(p, g, mem, now, out, i, lo, end)
-        if p.rules == 0:
+        if p.rules == RELEASED:
             record(mem, now, lo, end)
             for i in range(now.x.shape[0]):
                 remember(mem, now, out, to, i, lo, end)
         collide(p, now, to, lo, end)
         judge(p, g, mem, now, out, to, lo, end)
         reward(p, now, out, to, lo, end)
-        if p.rules == 0:
+        if p.rules == RELEASED:
             grow(mem, now, lo, end)
         ended += settle(p, g, mem, now, final, out, to, lo, end)
         lo = end
