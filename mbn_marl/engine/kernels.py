@@ -24,6 +24,8 @@ __all__ = [
 ]
 
 
+FIRST, NEXT = np.uint64(0), np.uint64(1)
+
 INFO_COLUMNS = (
     "success",
     "rois_visited",
@@ -51,13 +53,12 @@ def reset_worlds(store, mask):
     p = unpack(store.constants)
     g, mem, now, out = store.geometry, store.memory, store.now, store.output
     tile = np.empty((out.observations.shape[2], 1), np.float32)
-    for w in range(mask.size):
+    for w in range(FIRST, np.uint64(mask.size)):
         if mask[w]:
             mem.pending[w] = False
             reset_world(p, g, mem, now, w)
             clear_output(p, out, w)
-            lo, hi = np.uint64(w), np.uint64(w + 1)
-            observe(p, g, now, mem.field, lo, hi, tile, out.observations)
+            observe(p, g, now, mem.field, w, w + NEXT, tile, out.observations)
 
 
 @compiled
@@ -66,7 +67,7 @@ def rest_worlds(store, mask):
     p = unpack(store.constants)
     g, mem, now, out = store.geometry, store.memory, store.now, store.output
     tile = np.empty((out.observations.shape[2], 1), np.float32)
-    for w in range(mask.size):
+    for w in range(FIRST, np.uint64(mask.size)):
         if mask[w]:
             mem.pending[w] = True
             for i in range(now.x.shape[0]):
@@ -74,8 +75,7 @@ def rest_worlds(store, mask):
                 mem.trail[w, last, 0] = now.x[i, w]
                 mem.trail[w, last, 1] = now.y[i, w]
             clear_output(p, out, w)
-            lo, hi = np.uint64(w), np.uint64(w + 1)
-            observe(p, g, now, mem.field, lo, hi, tile, out.observations)
+            observe(p, g, now, mem.field, w, w + NEXT, tile, out.observations)
 
 
 @compiled
@@ -103,7 +103,7 @@ def write_infos(store, rows):
     """Fill ``rows`` (W, n, 12) as of the last step, before any automatic reset."""
     p = unpack(store.constants)
     mem, out = store.memory, store.output
-    for w in range(rows.shape[0]):
+    for w in range(FIRST, np.uint64(rows.shape[0])):
         ended = out.terminated[w] | out.truncated[w]
         episode = store.final if ended & (p.autoreset == SAME_STEP) else store.now
         put_infos(p, store.geometry, mem.field[w], episode, out, w, rows)
@@ -113,15 +113,8 @@ def write_infos(store, rows):
 def write_states(store, final, states):
     """Write the paper's vector of every world, (W, 4n + 1)."""
     episode = store.final if final else store.now
-    put_state(
-        store.geometry,
-        episode,
-        store.memory.field,
-        np.uint64(0),
-        np.uint64(states.shape[0]),
-        0,
-        states.T,
-    )
+    hi = np.uint64(states.shape[0])
+    put_state(store.geometry, episode, store.memory.field, FIRST, hi, 0, states.T)
 
 
 @compiled
