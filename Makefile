@@ -17,7 +17,8 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 	touch $@
 
 demo: .venv/installed
-	$(BIN)/mbn compare --demo
+	$(BIN)/mbn compare --algos ppo mappo ippo --fields field_03 --seeds 0 1 2 --steps 655360 \
+		--out runs/demo --force
 
 lint: .venv/installed
 	$(BIN)/ruff check .

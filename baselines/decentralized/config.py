@@ -1,0 +1,91 @@
+"""The hyperparameters of MAPPO and IPPO."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from baselines.hyperparameters import Hyperparameters, read_blocks, validate
+
+SOURCE = Path(__file__).with_name("hyperparameters.yaml")
+
+Count = Annotated[int, Field(ge=1)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class MultiAgentPPOConfig(Hyperparameters):
+    """Everything about the learner. A pair ``(a, b)`` is interpolated linearly over training.
+
+    Attributes:
+        critic: what the critic sees: ``"centralized"``, all robots' observations (MAPPO), or
+            ``"independent"``, the robot's own (IPPO).
+        num_worlds: worlds stepped side by side.
+        rollout_steps: steps of every world between two updates.
+        epochs: passes over a rollout.
+        minibatches: minibatches of a pass.
+        hidden: widths of the hidden layers of actor and critic (tanh).
+        share_parameters: one network for all robots, or one for each.
+        learning_rate: of Adam, from and to.
+        adam_epsilon: of Adam.
+        max_grad_norm: the gradient of actor and critic together is clipped to this norm.
+        clip: PPO's clip range of the probability ratio.
+        gamma: discount per step.
+        gae_lambda: lambda of generalised advantage estimation.
+        entropy: weight of the entropy bonus.
+        log_std_start: initial logarithm of the actions' standard deviation (state-independent,
+            one per axis; actions outside [-1, 1] are clipped by the engine).
+        log_std_cap: upper limit of it: the first value until ``log_std_cap_from`` of training,
+            then falling linearly to the second.
+        log_std_cap_from: when the cap begins to fall, as a share of training.
+        reward_scale: the learner sees the reward times this.
+    """
+
+    critic: Literal["centralized", "independent"]
+    num_worlds: Count
+    rollout_steps: Count
+    epochs: Count
+    minibatches: Count
+    hidden: tuple[Count, ...]
+    share_parameters: bool
+    learning_rate: tuple[Positive, Positive]
+    adam_epsilon: Positive
+    max_grad_norm: Positive
+    clip: Positive
+    gamma: Share
+    gae_lambda: Share
+    entropy: float
+    log_std_start: float
+    log_std_cap: tuple[float, float]
+    log_std_cap_from: Annotated[float, Field(ge=0.0, lt=1.0)]
+    reward_scale: Positive
+
+    @property
+    def batch(self) -> int:
+        """Env-steps of a rollout."""
+        return self.num_worlds * self.rollout_steps
+
+    def cap_at(self, progress: float) -> float:
+        """The upper limit of log-std at ``progress``, the share of training done, in [0, 1]."""
+        start, end = self.log_std_cap
+        falling = (progress - self.log_std_cap_from) / (1.0 - self.log_std_cap_from)
+        return start + (end - start) * max(0.0, falling)
+
+    def learning_rate_at(self, progress: float) -> float:
+        """The learning rate at ``progress``, in [0, 1]."""
+        start, end = self.learning_rate
+        return start + (end - start) * progress
+
+
+def load(algorithm: str, overrides: Mapping[str, Any]) -> MultiAgentPPOConfig:
+    """The recorded hyperparameters of ``"mappo"`` or ``"ippo"``, with ``overrides``.
+
+    Raises:
+        ConfigError: naming every unknown or invalid hyperparameter.
+    """
+    blocks = read_blocks(SOURCE)
+    values = {**blocks["shared"], **blocks[algorithm], **overrides}
+    return validate(MultiAgentPPOConfig, values, f"hyperparameters of {algorithm}")

@@ -1,0 +1,66 @@
+"""A trained decentralised policy: saved without pickle, loaded to act."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors import torch as safetensors_torch
+
+from baselines.decentralized.networks import GaussianPolicy, TeamShape
+from baselines.runs import RunFolder
+from baselines.storage import RunError, read_json, write_json
+from mbn_marl.render.files import replacing
+
+WEIGHTS = "policy.safetensors"
+SHAPE = "policy.json"
+
+
+class DecentralizedPolicy:
+    """Each robot acts on its own observation.
+
+    Args:
+        network: the policy's network.
+    """
+
+    observes: Literal["observations", "state"] = "observations"
+
+    def __init__(self, network: GaussianPolicy) -> None:
+        self.network = network
+
+    @torch.no_grad()
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        """Actions (worlds, n, 2) for observations (worlds, n, obs_size)."""
+        mean, std = self.network(torch.from_numpy(seen))
+        actions = mean if deterministic else torch.normal(mean, std)
+        return actions.numpy()
+
+    def save(self, folder: Path) -> None:
+        """Write the weights (safetensors) and the network's shape (JSON) into ``folder``."""
+        write_json(folder / SHAPE, asdict(self.network.shape))
+        with replacing(folder / WEIGHTS) as temporary:
+            safetensors_torch.save_file(self.network.state_dict(), temporary)
+
+
+def load_policy(folder: Path) -> DecentralizedPolicy:
+    """Load a policy that :meth:`DecentralizedPolicy.save` wrote.
+
+    Raises:
+        RunError: a file is missing or damaged.
+    """
+    shape = read_json(folder / SHAPE)
+    network = GaussianPolicy(TeamShape(**{**shape, "hidden": tuple(shape["hidden"])}))
+    try:
+        network.load_state_dict(safetensors_torch.load_file(folder / WEIGHTS))
+    except (OSError, SafetensorError, RuntimeError) as error:
+        raise RunError(f"{folder / WEIGHTS} cannot be read: {error}") from None
+    return DecentralizedPolicy(network)
+
+
+def load(run: RunFolder) -> DecentralizedPolicy:
+    """Load the latest policy of a run."""
+    return load_policy(run.policy)

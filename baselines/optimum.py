@@ -1,0 +1,29 @@
+"""The proved optimum of a field, as a return."""
+
+from __future__ import annotations
+
+from mbn_marl.config import NavigationConfig
+from mbn_marl.field import Field
+
+
+def optimal_return(field: Field, config: NavigationConfig | None = None) -> float | None:
+    """The best possible team return, ``m r_l + r_inf - n r_s T*``, or ``None`` if not proved.
+
+    It holds for the default dynamics, the released rewards and the field's own starts and team;
+    for any other configuration nothing is proved and the answer is ``None``.
+    """
+    config = config or NavigationConfig()
+    comparable = config.model_copy(
+        update={
+            name: NavigationConfig.model_fields[name].default
+            for name in ("reward_sharing", "observation", "one_hot", "sensing_radius", "dtype")
+        }
+    )
+    if field.optimal_makespan is None or comparable not in (
+        NavigationConfig(),
+        NavigationConfig(n_robots=len(field.starts)),
+    ):
+        return None
+    reward = config.reward
+    team_charge = len(field.starts) * reward.small * field.optimal_makespan
+    return len(field.rois) * reward.large + reward.infinite - team_charge

@@ -1,0 +1,147 @@
+"""What every trainer reports to: progress rows, fresh evaluations, policies, the progress bar."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from baselines.evaluate import EVALUATION_SEED, Evaluation, evaluate
+from baselines.policies import TrainedPolicy
+from baselines.progress import Listener, Report
+from baselines.runs import RunFolder, Task
+from baselines.storage import write_json
+
+
+class EpisodeWindow:
+    """Training episodes that ended since the last progress row.
+
+    Their mean is optimistic as a measure of a policy, since stuck worlds finish rarely; that is
+    why every result is taken from fresh evaluations instead.
+    """
+
+    def __init__(self) -> None:
+        self._returns: list[float] = []
+        self._successes: list[float] = []
+
+    def add(self, returns: Iterable[float], successes: Iterable[float]) -> None:
+        """Add ended episodes: true team returns, and 1 for success or 0."""
+        self._returns += map(float, returns)
+        self._successes += map(float, successes)
+
+    def pop(self) -> dict[str, float]:
+        """Count, mean, range and success rate since the last call; NaN without any episode."""
+        returns = np.asarray(self._returns or [np.nan])
+        row = {
+            "episodes": float(len(self._returns)),
+            "return_mean": float(returns.mean()),
+            "return_std": float(returns.std()),
+            "return_min": float(returns.min()),
+            "return_max": float(returns.max()),
+            "success_rate": float(np.mean(self._successes or [np.nan])),
+        }
+        self._returns.clear()
+        self._successes.clear()
+        return row
+
+
+class Recorder:
+    """Records one run in its folder.
+
+    The training clock runs between :meth:`start` and the end, and stands still during evaluations
+    and while files are written, so ``seconds`` are seconds of training alone.
+
+    Args:
+        folder: the run's folder.
+        task: what is trained; evaluations have its field and settings.
+        listener: is told where the run stands after every update.
+    """
+
+    def __init__(self, folder: RunFolder, task: Task, listener: Listener) -> None:
+        self.episodes = EpisodeWindow()
+        self._folder = folder
+        self._task = task
+        self._listener = listener
+        self._evaluations: list[dict[str, Any]] = []
+        self._seconds = 0.0
+        self._resumed_at = 0.0
+        self._next_evaluation = task.config.evaluate_every
+        write_json(folder.path / "evaluations.json", self._evaluations)
+
+    def start(self) -> None:
+        """Start the training clock: the libraries are imported, the engine is compiled."""
+        self._resumed_at = time.perf_counter()
+
+    def update(
+        self, env_steps: int, policy: TrainedPolicy, diagnostics: Mapping[str, float]
+    ) -> None:
+        """Report an update of the learner; takes a fresh evaluation when one is due.
+
+        Args:
+            env_steps: env-steps so far.
+            policy: the current policy.
+            diagnostics: numbers of the learner for ``progress.csv``, the same names every time.
+        """
+        self._seconds += time.perf_counter() - self._resumed_at
+        row = {"env_steps": float(env_steps), "seconds": self._seconds}
+        self._folder.append_progress({**row, **self.episodes.pop(), **diagnostics})
+        if self._next_evaluation <= env_steps < self._task.config.steps:
+            number = 1 + len(self._evaluations)
+            self._note(env_steps, self._fresh(policy, deterministic=False, number=number))
+            self._save(policy)
+        if env_steps < self._task.config.steps:
+            self._tell(env_steps)
+        self._resumed_at = time.perf_counter()
+
+    def finish(self, env_steps: int, policy: TrainedPolicy) -> None:
+        """Make the final evaluation of the last policy; its file marks the run as finished."""
+        self._seconds += time.perf_counter() - self._resumed_at
+        self._save(policy)
+        stochastic = self._fresh(policy, deterministic=False, number=0)
+        deterministic = self._fresh(policy, deterministic=True, number=0)
+        self._note(env_steps, stochastic)
+        result = {
+            "env_steps": env_steps,
+            "seconds": self._seconds,
+            "stochastic": stochastic.to_json(),
+            "deterministic": deterministic.to_json(),
+        }
+        write_json(self._folder.path / "evaluation.json", result)
+        self._tell(env_steps)
+
+    def _note(self, env_steps: int, evaluation: Evaluation) -> None:
+        """Append an evaluation to the history."""
+        entry = {"env_steps": env_steps, "seconds": self._seconds, **evaluation.summary()}
+        self._evaluations.append(entry)
+        write_json(self._folder.path / "evaluations.json", self._evaluations)
+        while self._next_evaluation <= env_steps:
+            self._next_evaluation += self._task.config.evaluate_every
+
+    def _fresh(self, policy: TrainedPolicy, *, deterministic: bool, number: int) -> Evaluation:
+        """Evaluate with the seed of the evaluation's ``number``; every run has the same seeds."""
+        return evaluate(
+            policy,
+            self._task.field,
+            self._task.settings,
+            episodes=self._task.config.episodes,
+            deterministic=deterministic,
+            seed=EVALUATION_SEED + number,
+        )
+
+    def _save(self, policy: TrainedPolicy) -> None:
+        self._folder.policy.mkdir(exist_ok=True)
+        policy.save(self._folder.policy)
+
+    def _tell(self, env_steps: int) -> None:
+        last = self._evaluations[-1] if self._evaluations else {}
+        self._listener(
+            Report(
+                run=self._task.config.name,
+                env_steps=env_steps,
+                steps_per_second=env_steps / self._seconds if self._seconds else 0.0,
+                return_mean=last.get("return_mean"),
+                success_rate=last.get("success_rate"),
+            )
+        )

@@ -1,0 +1,250 @@
+"""A training run: its configuration, and the folder that records everything about it.
+
+Files of a run folder:
+    config.json        the resolved configuration: what was asked, hyperparameters, environment
+    field.yaml         the field
+    command.txt        the exact command
+    versions.json      Python, packages, machine, git revision
+    progress.csv       one row per update of the learner
+    evaluations.json   the fresh evaluations during training, in order
+    policy/            the latest policy
+    evaluation.json    the final evaluation; its presence marks a finished run
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import importlib.metadata
+import os
+import platform
+import shlex
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from baselines.algorithms import find_algorithm
+from baselines.storage import RunError, claim_folder, read_json, write_json, write_text
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field, load_field, save_field
+
+PACKAGES = (
+    "mbn-marl",
+    "numpy",
+    "numba",
+    "gymnasium",
+    "pettingzoo",
+    "stable-baselines3",
+    "tensordict",
+    "torch",
+    "torchrl",
+)
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """What a training run is asked to do.
+
+    Attributes:
+        algorithm: a name of :data:`baselines.algorithms.ALGORITHMS`.
+        field: a catalogue name or the path of a field file.
+        seed: seeds the networks, the exploration and the worlds (>= 0).
+        steps: the budget in env-steps (> 0), rounded up to whole updates of the learner.
+        evaluate_every: env-steps between two fresh evaluations (> 0).
+        episodes: stochastic episodes of an evaluation (> 0).
+        environment: settings of the environment that differ from the algorithm's own.
+        hyperparameters: hyperparameters that differ from the algorithm's own.
+
+    Raises:
+        ConfigError: naming every number out of range.
+        MbnError: the algorithm or the field is not valid.
+    """
+
+    algorithm: str
+    field: str
+    seed: int = 0
+    steps: int = 655_360
+    evaluate_every: int = 32_768
+    episodes: int = 100
+    environment: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    hyperparameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the numbers and the names."""
+        problems = [
+            f"{name}: must be at least {least} (got {getattr(self, name)})"
+            for name, least in (("seed", 0), ("steps", 1), ("evaluate_every", 1), ("episodes", 1))
+            if getattr(self, name) < least
+        ]
+        if problems:
+            raise ConfigError("training", problems)
+        find_algorithm(self.algorithm)
+        load_field(self.field)
+
+    @property
+    def name(self) -> str:
+        """The run's name, unique within a comparison: algorithm, field and seed."""
+        return f"{self.algorithm}-{Path(self.field).stem}-seed{self.seed}"
+
+    @property
+    def command(self) -> str:
+        """The command line that repeats this run."""
+        options = {
+            "--seed": self.seed,
+            "--steps": self.steps,
+            "--evaluate-every": self.evaluate_every,
+            "--episodes": self.episodes,
+        }
+        words = [str(word) for option in options.items() for word in option]
+        return shlex.join(["mbn", "train", self.algorithm, self.field, *words])
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a trainer gets: the request with its field loaded and its settings resolved.
+
+    Attributes:
+        config: the request.
+        field: the field to train on.
+        settings: keyword arguments of the environment: the algorithm's own and the request's.
+    """
+
+    config: TrainConfig
+    field: Field
+    settings: Mapping[str, Any]
+
+
+class RunFolder:
+    """The folder of one run; see the module's docstring for its files."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def create(
+        cls,
+        path: Path,
+        resolved: Mapping[str, Any],
+        field: Field,
+        command: str,
+        *,
+        force: bool = False,
+    ) -> Self:
+        """Start a run folder.
+
+        Args:
+            path: the folder.
+            resolved: the resolved configuration (JSON values).
+            field: the field to train on.
+            command: the exact command of the run.
+            force: move a folder that is already there aside.
+
+        Raises:
+            RunError: the folder already holds something and ``force`` is not set.
+        """
+        folder = cls(claim_folder(path, force=force))
+        write_json(path / "config.json", resolved)
+        save_field(field, path / "field.yaml")
+        write_provenance(path, command)
+        return folder
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open the folder of an earlier run.
+
+        Raises:
+            RunError: there is no run at ``path``.
+        """
+        if not (path / "config.json").is_file():
+            raise RunError(f"{path} is not a run folder: it has no config.json")
+        return cls(path)
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The resolved configuration."""
+        config: dict[str, Any] = read_json(self.path / "config.json")
+        return config
+
+    @property
+    def field(self) -> Field:
+        """The field that the run was trained on, as it was then."""
+        return load_field(self.path / "field.yaml")
+
+    @property
+    def evaluations(self) -> list[dict[str, Any]]:
+        """The summaries of the fresh evaluations during training, in order."""
+        evaluations: list[dict[str, Any]] = read_json(self.path / "evaluations.json")
+        return evaluations
+
+    @property
+    def evaluation(self) -> dict[str, Any]:
+        """The final evaluation of a finished run."""
+        evaluation: dict[str, Any] = read_json(self.path / "evaluation.json")
+        return evaluation
+
+    @property
+    def policy(self) -> Path:
+        """The folder of the latest policy."""
+        return self.path / "policy"
+
+    def append_progress(self, row: Mapping[str, float]) -> None:
+        """Append a row to ``progress.csv``; the first row fixes the columns.
+
+        Raises:
+            ValueError: the columns differ from the first row's.
+        """
+        path = self.path / "progress.csv"
+        new = not path.exists()
+        if not new:
+            with path.open(newline="") as file:
+                columns = next(csv.reader(file))
+            if columns != list(row):
+                raise ValueError(f"progress columns {list(row)} differ from {columns}")
+        with path.open("a", newline="") as file:
+            writer = csv.writer(file)
+            if new:
+                writer.writerow(row)
+            writer.writerow([f"{value:.6g}" if value % 1 else int(value) for value in row.values()])
+
+
+def write_provenance(path: Path, command: str) -> None:
+    """Record in the folder ``path`` the exact command, and the versions it ran with."""
+    write_text(path / "command.txt", command + "\n")
+    write_json(path / "versions.json", versions())
+
+
+def versions() -> dict[str, Any]:
+    """Python, packages, machine and git revision (``None`` outside a clone)."""
+    packages: dict[str, str | None] = {}
+    for name in PACKAGES:
+        try:
+            packages[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            packages[name] = None
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processors": os.cpu_count(),
+        "git_revision": _git_revision(),
+        "packages": packages,
+    }
+
+
+def _git_revision() -> str | None:
+    """The revision of the clone that this file lies in, with ``-dirty`` if it was changed."""
+    root = Path(__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return None
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
+            cwd=root,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return described.stdout.strip()

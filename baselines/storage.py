@@ -1,0 +1,69 @@
+"""Folders and files of runs: claimed without overwriting, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from mbn_marl.errors import MbnError
+from mbn_marl.render.files import replacing
+
+
+class RunError(MbnError):
+    """A run folder is missing, incomplete, or would be overwritten."""
+
+
+def claim_folder(path: Path, *, force: bool = False) -> Path:
+    """Create the folder ``path`` for a new run or comparison.
+
+    Args:
+        path: the folder; parents are created.
+        force: a folder that is already there is moved aside to ``<path>.1``, ``<path>.2``, ...
+            (the first free name), so nothing is lost.
+
+    Raises:
+        RunError: ``path`` is a file, or a folder with something in it and ``force`` is not set.
+    """
+    if path.exists() and not path.is_dir():
+        raise RunError(f"{path} is a file; the output must be a folder")
+    if path.is_dir() and any(path.iterdir()):
+        if not force:
+            raise RunError(
+                f"{path} already exists; choose another --out, or pass --force to move it aside"
+            )
+        path.rename(_free_name(path))
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _free_name(path: Path) -> Path:
+    number = 1
+    while (candidate := path.with_name(f"{path.name}.{number}")).exists():
+        number += 1
+    return candidate
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write ``text`` atomically: a reader sees the old file or the new one, never a part."""
+    with replacing(path) as temporary:
+        temporary.write_text(text)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` as indented JSON, atomically. NaN and infinity are refused."""
+    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file of a run.
+
+    Raises:
+        RunError: the file is missing or is not JSON.
+    """
+    try:
+        return json.loads(path.read_text())
+    except FileNotFoundError:
+        raise RunError(f"{path} is missing: {path.parent} is not a finished run") from None
+    except json.JSONDecodeError as error:
+        raise RunError(f"{path} is not valid JSON: {error}") from None

@@ -1,0 +1,8 @@
+"""``python -m mbn_marl`` is the command line ``mbn``."""
+
+import sys
+
+from mbn_marl.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

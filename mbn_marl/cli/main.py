@@ -1,0 +1,72 @@
+"""Reads the command line, runs the command, and says clearly what was wrong."""
+
+from __future__ import annotations
+
+import shlex
+import signal
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+from tyro.conf import subcommand
+
+from mbn_marl.cli.compare import Compare
+from mbn_marl.cli.evaluate import Evaluate
+from mbn_marl.cli.fields import Fields
+from mbn_marl.cli.render import Render
+from mbn_marl.cli.train import Train
+from mbn_marl.errors import MbnError
+
+Command = (
+    Annotated[Fields, subcommand("fields")]
+    | Annotated[Train, subcommand("train")]
+    | Annotated[Evaluate, subcommand("evaluate")]
+    | Annotated[Compare, subcommand("compare")]
+    | Annotated[Render, subcommand("render")]
+)
+
+WRONG_INPUT = 2
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``mbn`` with ``arguments``, by default those of the process.
+
+    Returns:
+        The exit code: 0, 2 for wrong input (one message, no traceback), 130 after Ctrl-C.
+
+    Raises:
+        SystemExit: after ``--help``, and for a command line that cannot be parsed.
+    """
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    command: Command = tyro.cli(
+        Command,
+        args=arguments,
+        prog="mbn",
+        description="Multi-robot navigation: fields, training, evaluation, comparison, pictures.",
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    signal.signal(signal.SIGTERM, _leave)
+    try:
+        command.run(shlex.join(["mbn", *arguments]))
+    except (MbnError, OSError) as error:
+        return _fail(str(error))
+    except ImportError as error:
+        if error.name is None or error.name.split(".")[0] in ("mbn_marl", "baselines"):
+            raise
+        return _fail(f"{error}; the extras of this package bring it: pip install 'mbn-marl[all]'")
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return 0
+
+
+def _fail(message: str) -> int:
+    print(f"mbn: error: {message}", file=sys.stderr)
+    return WRONG_INPUT
+
+
+def _leave(number: int, frame: object) -> None:
+    """End as after Ctrl-C, so that the training processes are ended too."""
+    raise KeyboardInterrupt

@@ -1,0 +1,136 @@
+"""Run folders and the table made from them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from baselines.runs import RunFolder, TrainConfig
+from baselines.storage import RunError, claim_folder, read_json, write_json
+from baselines.table import summarise
+from mbn_marl.config import NavigationConfig
+from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.field import load_field
+
+# Storage
+
+
+def test_claim_folder_refuses_to_overwrite(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "result").write_text("dear")
+    with pytest.raises(RunError, match="--force"):
+        claim_folder(tmp_path / "run")
+    assert (tmp_path / "run" / "result").read_text() == "dear"
+
+
+def test_claim_folder_with_force_loses_nothing(tmp_path: Path) -> None:
+    for content in ("first", "second"):
+        folder = claim_folder(tmp_path / "run", force=True)
+        (folder / "result").write_text(content)
+    claim_folder(tmp_path / "run", force=True)
+    assert not list((tmp_path / "run").iterdir())
+    assert (tmp_path / "run.1" / "result").read_text() == "first"
+    assert (tmp_path / "run.2" / "result").read_text() == "second"
+
+
+def test_claim_folder_accepts_an_empty_one_and_refuses_a_file(tmp_path: Path) -> None:
+    assert claim_folder(tmp_path) == tmp_path
+    (tmp_path / "file").touch()
+    with pytest.raises(RunError, match="is a file"):
+        claim_folder(tmp_path / "file", force=True)
+
+
+def test_write_json_leaves_the_old_file_when_it_fails(tmp_path: Path) -> None:
+    path = tmp_path / "value.json"
+    write_json(path, {"a": 1})
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(path, {"a": float("nan")})
+    assert read_json(path) == {"a": 1}
+    assert [file.name for file in tmp_path.iterdir()] == ["value.json"]
+
+
+def test_read_json_names_the_file(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match=r"missing\.json is missing"):
+        read_json(tmp_path / "missing.json")
+    (tmp_path / "bad.json").write_text("{")
+    with pytest.raises(RunError, match=r"bad\.json is not valid JSON"):
+        read_json(tmp_path / "bad.json")
+
+
+# Runs
+
+
+def _run_folder(path: Path, seed: int, returns: float, steps: int | None) -> RunFolder:
+    """A finished run with made-up results."""
+    config = {"algorithm": "mappo", "environment": NavigationConfig().model_dump(mode="json")}
+    folder = RunFolder.create(path / str(seed), config, load_field("field_03"), "mbn train")
+    success = {"success_rate": 0.5 if steps is None else 1.0, "makespan": steps}
+    write_json(
+        folder.path / "evaluation.json",
+        {
+            "env_steps": 1000,
+            "seconds": 10.0 + seed,
+            "stochastic": {"return_mean": returns, **success},
+            "deterministic": {"return_mean": returns + 100.0},
+        },
+    )
+    history = [
+        {"env_steps": 100, "seconds": 2.0, "return_mean": 0.0},
+        {"env_steps": 200, "seconds": 4.0, "return_mean": returns},
+    ]
+    write_json(folder.path / "evaluations.json", history)
+    return folder
+
+
+def test_a_table_row_from_two_runs(tmp_path: Path) -> None:
+    runs = [_run_folder(tmp_path, 0, 159_490.0, 17), _run_folder(tmp_path, 1, 79_745.0, None)]
+    row = summarise(runs)
+    assert (row.algorithm, row.form, row.field) == ("mappo", "decentralized", "field_03")
+    assert (row.seeds, row.env_steps, row.seconds) == (2, 1000, 10.5)
+    assert (row.return_low, row.return_mean, row.return_high) == (79_745.0, 119_617.5, 159_490.0)
+    assert (row.success_rate, row.makespan) == (0.75, 17.0)
+    assert (row.optimum, row.optimum_share) == (159_490.0, 0.75)
+    assert row.deterministic_return == 119_717.5
+    assert (row.reached, row.env_steps_to_threshold, row.seconds_to_threshold) == (1, 200.0, 4.0)
+
+
+def test_a_table_needs_finished_runs(tmp_path: Path) -> None:
+    run = _run_folder(tmp_path, 0, 0.0, None)
+    (run.path / "evaluation.json").unlink()
+    with pytest.raises(RunError, match="not a finished run"):
+        summarise([run])
+
+
+def test_progress_has_the_columns_of_its_first_row(tmp_path: Path) -> None:
+    run = _run_folder(tmp_path, 0, 0.0, None)
+    run.append_progress({"env_steps": 8.0, "loss": 0.25})
+    run.append_progress({"env_steps": 16.0, "loss": float("nan")})
+    with pytest.raises(ValueError, match="differ"):
+        run.append_progress({"env_steps": 24.0})
+    assert (run.path / "progress.csv").read_text().split() == ["env_steps,loss", "8,0.25", "16,nan"]
+
+
+def test_a_run_records_field_command_and_versions(tmp_path: Path) -> None:
+    run = RunFolder.create(
+        tmp_path / "run", {"algorithm": "ppo"}, load_field("field_07"), "mbn train it"
+    )
+    assert run.field == load_field("field_07")
+    assert (run.path / "command.txt").read_text() == "mbn train it\n"
+    assert json.loads((run.path / "versions.json").read_text())["packages"]["torch"]
+    with pytest.raises(RunError, match="not a run folder"):
+        RunFolder.open(tmp_path)
+
+
+def test_train_config_lists_every_number_out_of_range() -> None:
+    with pytest.raises(ConfigError) as caught:
+        TrainConfig("ppo", "field_03", seed=-1, steps=0)
+    assert [line.split(":")[0] for line in caught.value.problems] == ["seed", "steps"]
+
+
+def test_train_config_names_unknown_algorithms_and_fields() -> None:
+    with pytest.raises(MbnError, match="unknown algorithm 'sac'; known: ppo, mappo, ippo"):
+        TrainConfig("sac", "field_03")
+    with pytest.raises(MbnError, match="field_99"):
+        TrainConfig("ppo", "field_99")
