@@ -182,7 +182,7 @@ class BatchEngine:
         if self._waiting or active is not None:
             parked = self._checked_waiting(active)
             kept = [array[..., parked] for array in self._now]
-        ended = self._threads.run(kernels.step_worlds, self._store, forces)
+        ended = self._threads.step(self._store, forces)
         if self.autoreset == "disabled":
             self._waiting = ended
         out = self._output

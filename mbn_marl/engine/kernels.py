@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import prange
 
 from mbn_marl.engine import rewards
-from mbn_marl.engine.compiling import compiled
+from mbn_marl.engine.compiling import compiled, entry_point, parallel_entry_point
 from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.observation import observe, put_state, visit_code
 from mbn_marl.engine.reset import clear_output, reset_world
@@ -18,6 +19,7 @@ __all__ = [
     "draw_actions",
     "reset_worlds",
     "rest_worlds",
+    "step_ranges",
     "step_worlds",
     "write_infos",
     "write_states",
@@ -37,7 +39,7 @@ INFO_COLUMNS = (
 )
 
 
-@compiled
+@entry_point
 def all_finite(actions):
     """Whether every number is finite: x * 0 is 0 for exactly those, and the sum keeps any NaN."""
     zero = actions.dtype.type(0)
@@ -47,7 +49,16 @@ def all_finite(actions):
     return not bad
 
 
-@compiled
+@parallel_entry_point
+def step_ranges(store, actions, cuts):
+    """Step worlds ``cuts[k]`` to ``cuts[k + 1] - 1`` for every k, in parallel; how many ended."""
+    ended = 0
+    for k in prange(cuts.size - 1):
+        ended += step_worlds(store, actions, cuts[k], cuts[k + 1])
+    return ended
+
+
+@entry_point
 def reset_worlds(store, mask):
     """Begin a new episode in the masked worlds."""
     p = unpack(store.constants)
@@ -61,7 +72,7 @@ def reset_worlds(store, mask):
             observe(p, g, now, mem.field, w, w + NEXT, tile, out.observations)
 
 
-@compiled
+@entry_point
 def rest_worlds(store, mask):
     """Make the outputs of the masked worlds those of a step in which nothing happened."""
     p = unpack(store.constants)
@@ -98,7 +109,7 @@ def put_infos(p, g, field, ep, out, w, rows):
             rows[w, i, 6 + k] = 0.0 if rested else terms[k]
 
 
-@compiled
+@entry_point
 def write_infos(store, rows):
     """Fill ``rows`` (W, n, 12) as of the last step, before any automatic reset."""
     p = unpack(store.constants)
@@ -109,7 +120,7 @@ def write_infos(store, rows):
         put_infos(p, store.geometry, mem.field[w], episode, out, w, rows)
 
 
-@compiled
+@entry_point
 def write_states(store, final, states):
     """Write the paper's vector of every world, (W, 4n + 1)."""
     episode = store.final if final else store.now
@@ -117,7 +128,7 @@ def write_states(store, final, states):
     put_state(store.geometry, episode, store.memory.field, FIRST, hi, 0, states.T)
 
 
-@compiled
+@entry_point
 def draw_actions(store, draw, actions):
     """Fill ``actions`` (W, n, 2) with draw number ``draw`` of each world's stream of actions."""
     two, one = np.float32(2.0), np.float32(1.0)

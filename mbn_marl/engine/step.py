@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbn_marl.engine import rules
-from mbn_marl.engine.compiling import compiled
+from mbn_marl.engine.compiling import compiled, entry_point
 from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.memory import (
     KEYS_PER_WORD,
@@ -297,7 +297,7 @@ def settle(p, g, mem, now, final, out, to, lo, hi):
     return ended
 
 
-@compiled
+@entry_point
 def step_worlds(store, actions, lo, hi):
     """Step worlds ``lo`` to ``hi - 1`` with ``actions`` (W, n, 2); how many ended."""
     p = unpack(store.constants)

@@ -10,7 +10,7 @@ from typing import Any
 from numba.core import types
 from numba.experimental import structref
 
-from mbn_marl.engine.compiling import compiled
+from mbn_marl.engine.compiling import entry_point
 
 PARTS = ("constants", "geometry", "memory", "now", "final", "output")
 
@@ -35,7 +35,7 @@ class Store(structref.StructRefProxy):
 structref.define_proxy(Store, StoreType, PARTS)
 
 
-@compiled
+@entry_point
 def make_store(constants, geometry, memory, now, final, output):
     """Build a store; compiled by itself so that it is cached like every other function."""
     return Store(constants, geometry, memory, now, final, output)

@@ -2,43 +2,45 @@
 
 from __future__ import annotations
 
-import itertools
 import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
+from mbn_marl.engine import kernels
+from mbn_marl.engine.store import Store
+
 WORLDS_PER_THREAD = 256
-"""With fewer worlds than this for each thread, handing them over would cost more than it saves."""
+"""With fewer worlds than this for each thread, one does it all."""
 
 
 class WorldThreads:
-    """Runs a compiled kernel over ranges of worlds, one range per thread, and adds up its results.
+    """Steps worlds in ranges, one range per thread.
 
-    The kernels release the GIL and no two worlds share memory that is written, so neither the
-    number of threads nor where the ranges are cut changes any result.
+    No two worlds share memory that is written, so neither the number of threads nor where the
+    ranges are cut changes any result. The threads are those of Numba's threading layer: OpenMP
+    where there is one, since it hands over work in microseconds. As always with OpenMP, a process
+    that has used it must not go on in a forked child; start such children by spawn.
 
     Args:
         worlds: how many worlds there are.
-        threads: how many threads; ``None`` takes one per core where the batch is worth it.
+        threads: how many ranges; ``None`` takes one per core where the batch is worth it.
     """
 
     def __init__(self, worlds: int, threads: int | None) -> None:
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         if threads is None:
-            threads = max(1, min(cores or 1, worlds // WORLDS_PER_THREAD))
-        cuts = [np.uint64(worlds * k // threads) for k in range(threads + 1)]
-        self.count = threads
-        self._first, *self._others = list(itertools.pairwise(cuts))
-        self._pool: ThreadPoolExecutor | None = None
+            threads = max(1, min(_cores(), worlds // WORLDS_PER_THREAD))
+        self._cuts = np.array([worlds * k // threads for k in range(threads + 1)], np.uint64)
 
-    def run(self, kernel: Callable[..., int], *arguments: Any) -> int:
-        """Call ``kernel(*arguments, lo, hi)`` for every range; the sum of what the calls return."""
-        if not self._others:
-            return int(kernel(*arguments, *self._first))
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(len(self._others), thread_name_prefix="mbn_marl")
-        rest = [self._pool.submit(kernel, *arguments, lo, hi) for lo, hi in self._others]
-        return int(kernel(*arguments, *self._first)) + sum(future.result() for future in rest)
+    def step(self, store: Store, actions: np.ndarray[Any, Any]) -> int:
+        """Step all worlds with ``actions`` (W, n, 2); how many episodes ended."""
+        if self._cuts.size == 2:
+            return int(kernels.step_worlds(store, actions, self._cuts[0], self._cuts[1]))
+        return int(kernels.step_ranges(store, actions, self._cuts))
+
+
+def _cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
