@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import subcommand
 
+from mbn_marl.cli.bench import Bench
 from mbn_marl.cli.compare import Compare
 from mbn_marl.cli.evaluate import Evaluate
 from mbn_marl.cli.fields import Fields
@@ -24,8 +25,10 @@ Command = (
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Compare, subcommand("compare")]
     | Annotated[Render, subcommand("render")]
+    | Annotated[Bench, subcommand("bench")]
 )
 
+OWN_PACKAGES = ("mbn_marl", "baselines", "benchmarks")
 WRONG_INPUT = 2
 INTERRUPTED = 130
 
@@ -53,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (MbnError, OSError) as error:
         return _fail(str(error))
     except ImportError as error:
-        if error.name is None or error.name.split(".")[0] in ("mbn_marl", "baselines"):
+        if error.name is None or error.name.split(".")[0] in OWN_PACKAGES:
             raise
         return _fail(f"{error}; the extras of this package bring it: pip install 'mbn-marl[all]'")
     except KeyboardInterrupt:

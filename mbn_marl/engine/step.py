@@ -27,6 +27,7 @@ from mbn_marl.engine.memory import (
     stood_on,
 )
 from mbn_marl.engine.observation import observe, visit_code
+from mbn_marl.engine.prefetch import prefetch
 from mbn_marl.engine.reset import clear_output, finish_world, joint_state_known, reset_world
 from mbn_marl.engine.rewards import (
     ANY_OUTSIDE,
@@ -65,17 +66,17 @@ class Scratch(NamedTuple):
     seen: Any  # int32: see rules.cross_edge
     maybe: Any  # bool: the filter may know the position
     collided: Any  # bool
-    place: Any  # uint64: the position's word and bits in the filter
-    mask: Any  # uint64
+    place: Any  # (n, block) uint64: the positions' words and bits in the filter
+    mask: Any  # (n, block) uint64
     tile: Any  # (observation size, block) float32
 
 
 @compiled
-def make_scratch(size, entries, real):
+def make_scratch(size, n, entries, real):
     """Scratch for a block of at most ``size`` worlds whose observations have ``entries``."""
     reals = np.empty((6, size), real)
     flags = np.empty((2, size), np.bool_)
-    keys = np.empty((2, size), np.uint64)
+    keys = np.empty((2, n, size), np.uint64)
     return Scratch(
         reals[0],
         reals[1],
@@ -181,22 +182,35 @@ def record(mem, now, lo, hi):
 
 
 @compiled
+def recall(mem, now, out, to, i, lo, hi):
+    """Step 4, first half: which bits of the filter stand for robot i's position; fetch them.
+
+    A robot that did not move is known without looking.
+    """
+    events, place, mask = out.events, to.place, to.mask
+    for w in range(lo, hi):
+        key = hash_position(mem.x_bits[i, w], mem.y_bits[i, w])
+        known = is_set(events[i, w], STILL) & (now.steps[w] > 0)
+        place[i, w - lo] = rules.select(known, ZERO, filter_word(key, mem.words[w]))
+        mask[i, w - lo] = rules.select(known, ZERO, filter_mask(key))
+        events[i, w] |= rules.select(known, REVISIT, 0)
+    for w in range(lo, hi):
+        prefetch(mem.filter, w, place[i, w - lo])
+
+
+@compiled
 def remember(mem, now, out, to, i, lo, hi):
     """Step 4: was any robot here before in this episode? From now on one was."""
     n = np.uint64(now.x.shape[0])
-    for w in range(lo, hi):
-        key = hash_position(mem.x_bits[i, w], mem.y_bits[i, w])
-        known = is_set(out.events[i, w], STILL) & (now.steps[w] > 0)
-        to.place[w - lo] = rules.select(known, ZERO, filter_word(key, mem.words[w]))
-        to.mask[w - lo] = rules.select(known, ZERO, filter_mask(key))
+    place, mask, maybe = to.place, to.mask, to.maybe
     for w in range(lo, hi):
         k = w - lo
-        to.maybe[k] = add_bits(mem.filter, w, to.place[k], to.mask[k])
+        bits = mask[i, k]
+        maybe[k] = add_bits(mem.filter, w, place[i, k], bits) & (bits != ZERO)
     for w in range(lo, hi):
-        if to.maybe[w - lo]:
+        if maybe[w - lo]:
             entry = np.uint64(now.steps[w] + 1) * n + np.uint64(i)
-            known = to.mask[w - lo] == ZERO
-            if known or stood_on(mem.trail, mem.trail_key, w, n, entry):
+            if stood_on(mem.trail, mem.trail_key, w, n, entry):
                 out.events[i, w] |= REVISIT
 
 
@@ -275,7 +289,6 @@ def reward(p, now, out, to, lo, hi):
 @compiled
 def settle(p, g, mem, now, final, out, to, lo, hi):
     """Observations, and the automatic reset of worlds whose episode has ended; how many have."""
-    observe(p, g, now, mem.field, lo, hi, to.tile, out.observations)
     ended = 0
     for w in range(lo, hi):
         restart = mem.pending[w] & (p.autoreset == NEXT_STEP)
@@ -302,7 +315,8 @@ def step_worlds(store, actions, lo, hi):
     """Step worlds ``lo`` to ``hi - 1`` with ``actions`` (W, n, 2); how many ended."""
     p = unpack(store.constants)
     g, mem, now, final, out = store.geometry, store.memory, store.now, store.final, store.output
-    to = make_scratch(min(hi - lo, np.uint64(BLOCK)), out.observations.shape[2], now.x.dtype)
+    block, entries = min(hi - lo, np.uint64(BLOCK)), out.observations.shape[2]
+    to = make_scratch(block, now.x.shape[0], entries, now.x.dtype)
     ended = 0
     while lo < hi:
         end = min(lo + np.uint64(BLOCK), hi)
@@ -313,6 +327,10 @@ def step_worlds(store, actions, lo, hi):
             visit(p, g, mem, now, out, i, lo, end)
         if p.rules == RELEASED:
             record(mem, now, lo, end)
+            for i in range(now.x.shape[0]):
+                recall(mem, now, out, to, i, lo, end)
+        observe(p, g, now, mem.field, lo, end, to.tile, out.observations)
+        if p.rules == RELEASED:
             for i in range(now.x.shape[0]):
                 remember(mem, now, out, to, i, lo, end)
         collide(p, now, to, lo, end)

@@ -25,18 +25,21 @@ class WorldThreads:
     Args:
         worlds: how many worlds there are.
         threads: how many ranges; ``None`` takes one per core where the batch is worth it.
+
+    Attributes:
+        cuts: the first world of each range, and the number of worlds, (threads + 1,) uint64.
     """
 
     def __init__(self, worlds: int, threads: int | None) -> None:
         if threads is None:
             threads = max(1, min(_cores(), worlds // WORLDS_PER_THREAD))
-        self._cuts = np.array([worlds * k // threads for k in range(threads + 1)], np.uint64)
+        self.cuts = np.array([worlds * k // threads for k in range(threads + 1)], np.uint64)
 
     def step(self, store: Store, actions: np.ndarray[Any, Any]) -> int:
         """Step all worlds with ``actions`` (W, n, 2); how many episodes ended."""
-        if self._cuts.size == 2:
-            return int(kernels.step_worlds(store, actions, self._cuts[0], self._cuts[1]))
-        return int(kernels.step_ranges(store, actions, self._cuts))
+        if self.cuts.size == 2:
+            return int(kernels.step_worlds(store, actions, self.cuts[0], self.cuts[1]))
+        return int(kernels.step_ranges(store, actions, self.cuts))
 
 
 def _cores() -> int:

@@ -1,0 +1,1 @@
+"""Measurements of the suite that ``mbn bench`` runs: speed."""

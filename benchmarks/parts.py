@@ -1,0 +1,129 @@
+"""A step of which only a part is done, to see where the time goes.
+
+The same compiled passes as in :mod:`mbn_marl.engine.step`, in the same order, behind a switch.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from benchmarks.stepping import RandomSteps
+from benchmarks.timing import Case
+from mbn_marl import BatchEngine
+from mbn_marl.engine.constants import unpack
+from mbn_marl.engine.observation import observe
+from mbn_marl.engine.reset import finish_world, reset_world
+from mbn_marl.engine.step import (
+    BLOCK,
+    accelerate,
+    collide,
+    contain,
+    grow,
+    judge,
+    make_scratch,
+    move,
+    recall,
+    record,
+    remember,
+    reward,
+    settle,
+    visit,
+)
+
+PHYSICS, REWARDS, MEMORY, OBSERVATIONS = range(4)
+PARTS = ("physics", "rewards and collisions", "revisit memory", "observations")
+"""Each part needs those before it. Worlds restart from ``REWARDS`` on."""
+
+
+compiled = numba.njit(nogil=True, error_model="numpy", forceinline=True)
+"""As the engine's functions are, but not kept on disk."""
+
+
+@compiled
+def restart(p, g, mem, now, final, out, lo, hi):  # type: ignore[no-untyped-def]
+    """The automatic reset of worlds whose episode has ended, without their observations."""
+    ended = 0
+    for w in range(lo, hi):
+        if out.terminated[w] | out.truncated[w]:
+            ended += 1
+            finish_world(now, final, w)
+            reset_world(p, g, mem, now, w)
+    return ended
+
+
+@compiled
+def step_parts(store, actions, last, lo, hi):  # type: ignore[no-untyped-def]  # noqa: C901 - switches
+    """``step_worlds`` under the released rules with automatic reset, up to part ``last``."""
+    p = unpack(store.constants)
+    g, mem, now, final, out = store.geometry, store.memory, store.now, store.final, store.output
+    block, entries = min(hi - lo, np.uint64(BLOCK)), out.observations.shape[2]
+    to = make_scratch(block, now.x.shape[0], entries, now.x.dtype)
+    ended = 0
+    while lo < hi:
+        end = min(lo + np.uint64(BLOCK), hi)
+        for i in range(now.x.shape[0]):
+            accelerate(p, g, now, to, actions, i, lo, end)
+            contain(g, mem, to, lo, end)
+            move(p, now, out, to, i, lo, end)
+            visit(p, g, mem, now, out, i, lo, end)
+        if last >= MEMORY:
+            record(mem, now, lo, end)
+            for i in range(now.x.shape[0]):
+                recall(mem, now, out, to, i, lo, end)
+        if last >= OBSERVATIONS:
+            observe(p, g, now, mem.field, lo, end, to.tile, out.observations)
+        if last >= MEMORY:
+            for i in range(now.x.shape[0]):
+                remember(mem, now, out, to, i, lo, end)
+        if last >= REWARDS:
+            collide(p, now, to, lo, end)
+            judge(p, g, mem, now, out, to, lo, end)
+            reward(p, now, out, to, lo, end)
+        if last >= MEMORY:
+            grow(mem, now, lo, end)
+        if last >= OBSERVATIONS:
+            ended += settle(p, g, mem, now, final, out, to, lo, end)
+        elif last >= REWARDS:
+            ended += restart(p, g, mem, now, final, out, lo, end)
+        lo = end
+    return ended
+
+
+@numba.njit(nogil=True, error_model="numpy", parallel=True)
+def step_parts_of_ranges(store, actions, last, cuts):  # type: ignore[no-untyped-def]
+    """``step_parts`` for every range of worlds between two cuts, in parallel."""
+    ended = 0
+    for k in numba.prange(cuts.size - 1):
+        ended += step_parts(store, actions, last, cuts[k], cuts[k + 1])
+    return ended
+
+
+class PartialSteps:
+    """Steps an engine's worlds up to a part.
+
+    Args:
+        engine: with released rules and same-step automatic reset; it is reset.
+        last: index of the last part of ``PARTS`` to do.
+    """
+
+    def __init__(self, engine: BatchEngine, last: int) -> None:
+        engine.reset()
+        self._engine, self._last = engine, last
+
+    def step(self, actions: Any) -> None:
+        """Step every world with ``actions`` (W, n, 2), unchecked."""
+        engine = self._engine
+        step_parts_of_ranges(engine._store, actions, self._last, engine._threads.cuts)
+
+
+def part_cases(worlds: int, warm_up: int) -> list[Case]:
+    """For each part a case of steps up to it on field_01, in seconds per world-step."""
+    cases = []
+    for last, name in enumerate(PARTS):
+        engine = BatchEngine("field_01", worlds)
+        steps = RandomSteps((worlds, engine.n_robots, 2), PartialSteps(engine, last).step)
+        cases.append(steps.case(f"up to {name}", worlds, warm_up))
+    return cases

@@ -1,0 +1,102 @@
+"""No data races: the result has the same bits for any block size and any number of threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from types import FunctionType
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from mbn_marl import BatchEngine
+from mbn_marl.engine import kernels, step
+from mbn_marl.engine.threads import WorldThreads
+
+WORLDS, STEPS = 600, 120
+CASES: dict[str, dict[str, Any]] = {
+    "released": {"field": "field_01"},
+    "formal": {"field": "field_07", "reward": "formal", "max_steps": 40},
+    "several fields": {"field": ["field_03", "field_05", "field_10"], "autoreset": "next_step"},
+    "float64": {"field": "field_01", "dtype": "float64", "reward_sharing": "team"},
+}
+LIVELY = {"max_steps": 50, "safety_distance": 20.0, "random_starts": True, "wind": (0.05, 40.0)}
+
+
+def make_engine(case: str, threads: int = 1) -> BatchEngine:
+    return BatchEngine(num_worlds=WORLDS, seed=3, threads=threads, **(LIVELY | CASES[case]))
+
+
+def in_ranges_of(size: int) -> Callable[..., int]:
+    """``step_worlds`` called on ``size`` worlds at a time: a call's block is no larger."""
+
+    def step_worlds(store: Any, actions: Any, lo: np.uint64, hi: np.uint64) -> int:
+        cuts = [*np.arange(lo, hi, size, dtype=np.uint64), hi]
+        return sum(step.step_worlds(store, actions, a, b) for a, b in pairwise(cuts))
+
+    return step_worlds
+
+
+def with_block(size: int) -> Any:
+    """``step_worlds`` compiled afresh with another ``BLOCK``, a constant to the compiler."""
+    function = step.step_worlds.py_func
+    own_globals = {**function.__globals__, "BLOCK": size}
+    copy = FunctionType(function.__code__, own_globals, function.__name__)
+    return numba.njit(nogil=True, error_model="numpy")(copy)
+
+
+def trajectory(engine: BatchEngine) -> list[bytes]:
+    """Everything that an engine which moves at random hands out, step by step."""
+    rows = [engine.reset().tobytes()]
+    ends = 0
+    for _ in range(STEPS):
+        results = engine.step(engine.sample_actions())
+        ends += int(np.count_nonzero(results[2] | results[3]))
+        arrays = (*results, engine.team_rewards, engine.state(), engine.infos())
+        rows.append(b"".join(array.tobytes() for array in arrays))
+    assert ends > WORLDS / 2
+    return rows
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_any_block_up_to_the_usual(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = trajectory(make_engine(case))
+    for size in (1, 7, 64, step.BLOCK - 1):
+        monkeypatch.setattr(kernels, "step_worlds", in_ranges_of(size))
+        assert trajectory(make_engine(case)) == expected, size
+
+
+@pytest.mark.parametrize("size", [110, 2 * step.BLOCK - 5])
+def test_other_blocks(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert size < WORLDS and WORLDS % size != 0
+    expected = trajectory(make_engine("released"))
+    monkeypatch.setattr(kernels, "step_worlds", with_block(size))
+    assert trajectory(make_engine("released")) == expected
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_two_threads_at_the_same_time(case: str) -> None:
+    expected = trajectory(make_engine(case, threads=1))
+    for _ in range(3):
+        assert trajectory(make_engine(case, threads=2)) == expected
+
+
+@pytest.mark.parametrize(("worlds", "threads"), [(1, 1), (5, 2), (7, 7), (3, 5), (600, 2)])
+def test_ranges_of_threads_cover_every_world_once(
+    worlds: int, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = np.zeros(worlds, int)
+
+    def mark(store: Any, actions: Any, lo: np.uint64, hi: np.uint64) -> int:
+        seen[int(lo) : int(hi)] += 1
+        return int(hi - lo)
+
+    def mark_ranges(store: Any, actions: Any, cuts: Any) -> int:
+        return sum(mark(store, actions, lo, hi) for lo, hi in pairwise(cuts))
+
+    monkeypatch.setattr(kernels, "step_worlds", mark)
+    monkeypatch.setattr(kernels, "step_ranges", mark_ranges)
+    assert WorldThreads(worlds, threads).step(None, seen) == worlds  # type: ignore[arg-type]
+    assert (seen == 1).all()

@@ -1,0 +1,18 @@
+"""Speed, as ratios within one run: machines differ and are noisy, ratios much less."""
+
+from __future__ import annotations
+
+from benchmarks.plain import plain_cases
+from benchmarks.stepping import engine_case
+from benchmarks.timing import Budget, interleaved
+from mbn_marl import BatchEngine
+
+WORLDS = 1024
+
+
+def test_engine_is_far_faster_than_the_plain_loop() -> None:
+    """By a hundred times an env-step, on one thread; ``mbn bench`` measures by how much."""
+    engine = engine_case("engine", BatchEngine("field_01", WORLDS, threads=1), warm_up=50)
+    (loop,) = plain_cases()
+    timings = interleaved([engine, loop], Budget(rounds=7, seconds=0.02))
+    assert timings["engine"].times_faster_than(timings[loop.name]) > 100
