@@ -8,10 +8,12 @@ import pytest
 import torch
 from sb3_contrib import TQC, CrossQ
 from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
+from mbn_marl import centralized_env
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
@@ -38,6 +40,22 @@ def observed(env: NavigationVecEnv, engine: BatchEngine, observations: np.ndarra
     if isinstance(env, CentralizedVecEnv):
         return engine.state()
     return observations.reshape(env.num_envs, -1)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"field": "field_10", "n_robots": 2, "reward": "formal"},
+        {"n_robots": 1, "dtype": "float64", "wind": (0.2, 30.0)},
+        {"random_starts": True, "max_steps": 20},
+    ],
+    ids=lambda settings: "-".join(settings) or "default",
+)
+def test_sb3_check_env(settings: dict[str, Any]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(centralized_env(**settings))
 
 
 @BOTH
