@@ -14,5 +14,7 @@ def test_engine_is_far_faster_than_the_plain_loop() -> None:
     """By a hundred times an env-step, on one thread; ``mbn bench`` measures by how much."""
     engine = engine_case("engine", BatchEngine("field_01", WORLDS, threads=1), warm_up=50)
     (loop,) = plain_cases()
-    timings = interleaved([engine, loop], Budget(rounds=7, seconds=0.02))
-    assert timings["engine"].times_faster_than(timings[loop.name]) > 100
+    timings = interleaved([engine, loop], Budget(rounds=15, seconds=0.02))
+    # The best round of each: other work on the machine only ever makes a round slower.
+    best = {name: timing.seconds.min() for name, timing in timings.items()}
+    assert best[loop.name] / best["engine"] > 100
