@@ -9,6 +9,7 @@ from rich.table import Table
 
 from baselines.storage import write_json
 from benchmarks.figure import write_figure
+from benchmarks.load import ALLOWED
 from benchmarks.machine import machine_line
 from benchmarks.results import Curve, Part, Result, Row
 from mbn_marl.render.files import replacing
@@ -25,6 +26,12 @@ def print_result(result: Result, console: Console) -> None:
     for curve in result.curves:
         console.print(f"{curve.quantity}: {curve.growth}", highlight=False)
     console.print(f"{result.seconds:.0f} s in all", highlight=False)
+    if result.other_cores is not None and result.other_cores > ALLOWED:
+        console.print(
+            f"[bold red]not valid[/]: other processes used {result.other_cores:.2f} cores "
+            "meanwhile, which bends ratios too; run it again on an idle machine",
+            highlight=False,
+        )
 
 
 def write_result(result: Result, folder: Path) -> None:

@@ -72,6 +72,7 @@ class Result:
         command: the exact command.
         machine: processor, memory and versions, see :mod:`benchmarks.machine`.
         seconds: how long the run took.
+        other_cores: cores that other processes used meanwhile, on average; ``None`` if unknown.
         rows: the table.
         parts: where the time of a step goes.
         curves: cost against sizes.
@@ -80,6 +81,7 @@ class Result:
     command: str
     machine: Mapping[str, Any]
     seconds: float
+    other_cores: float | None = None
     rows: list[Row] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
     curves: list[Curve] = field(default_factory=list)

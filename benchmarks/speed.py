@@ -7,6 +7,7 @@ from time import perf_counter
 
 from benchmarks.adapters import measure_pettingzoo, measure_sb3, measure_torchrl
 from benchmarks.engine import measure_engine
+from benchmarks.load import OtherLoad
 from benchmarks.machine import describe_machine
 from benchmarks.results import Result, Row
 from benchmarks.sizes import SIZES, measure_sizes
@@ -25,7 +26,7 @@ def measure_speed(command: str, budget: Budget, report: Callable[[], object]) ->
         budget: how much to measure.
         report: called after each of ``STAGES`` stages.
     """
-    start = perf_counter()
+    start, others = perf_counter(), OtherLoad()
     rows: list[Row] = []
     startup = measure_startup() if budget.startup else []
     report()
@@ -40,6 +41,7 @@ def measure_speed(command: str, budget: Budget, report: Callable[[], object]) ->
         command=command,
         machine=describe_machine(),
         seconds=perf_counter() - start,
+        other_cores=others.cores(),
         rows=rows + startup,
         parts=parts,
         curves=curves,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -13,6 +14,7 @@ from matplotlib.image import imread
 from rich.console import Console
 
 from benchmarks import plain, speed
+from benchmarks.load import OtherLoad
 from benchmarks.parts import OBSERVATIONS, PARTS, REWARDS, PartialSteps
 from benchmarks.plain import plain_cases
 from benchmarks.report import print_result, write_result
@@ -204,6 +206,31 @@ def test_it_is_written_and_printed(result: Result, tmp_path: Path) -> None:
     for row in result.rows:
         assert row.name in text
     assert stored["machine"]["processor"] in text
+
+
+@pytest.mark.parametrize(("cores", "doubtful"), [(None, False), (0.05, False), (1.25, True)])
+def test_a_run_beside_others_is_said_to_be_invalid(
+    result: Result, cores: float | None, doubtful: bool
+) -> None:
+    console = Console(record=True, width=200)
+    print_result(dataclasses.replace(result, other_cores=cores), console)
+    assert ("not valid" in console.export_text()) == doubtful
+
+
+def test_load_of_others_leaves_out_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By hand: 100 ticks a second; 6 s of work in 4 s, of which 1 s was ours."""
+    stat, clock, own = tmp_path / "stat", {"now": 10.0}, [3.0, 0.5, 0.0, 0.0, 0.0]
+    monkeypatch.setattr("benchmarks.load.STAT", stat)
+    monkeypatch.setattr("benchmarks.load.perf_counter", lambda: clock["now"])
+    monkeypatch.setattr("os.sysconf", lambda name: 100)
+    monkeypatch.setattr("os.times", lambda: tuple(own))
+    stat.write_text("cpu  500 20 80 9000 50 0 0 0 0 0\n")
+    others = OtherLoad()
+    stat.write_text("cpu  900 40 180 9900 90 10 20 50 0 0\n")
+    clock["now"], own[0], own[2] = 14.0, 3.5, 0.5
+    assert others.cores() == pytest.approx((6.0 - 1.0) / 4.0)
+    stat.unlink()
+    assert others.cores() is None
 
 
 def test_the_command_writes_a_folder_once(
