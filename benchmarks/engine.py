@@ -8,7 +8,7 @@ from benchmarks.parts import PARTS, REWARDS, part_cases
 from benchmarks.peers import vmas_cases
 from benchmarks.plain import plain_cases
 from benchmarks.results import Part, Row
-from benchmarks.stepping import RandomSteps, engine_case
+from benchmarks.stepping import RandomSteps, cpu_backend, engine_case
 from benchmarks.timing import Budget, Case, Timing, interleaved
 from mbn_marl import BatchEngine
 from mbn_marl.field import catalogue_names
@@ -56,8 +56,9 @@ def _engine_cases(budget: Budget) -> list[Case]:
 def _check_case(worlds: int) -> Case:
     """What ``step`` does to refuse bad actions (shape, type, NaN), in seconds per env-step."""
     engine = BatchEngine(FIELD, worlds)
+    backend = cpu_backend(engine)
     shape = (worlds, engine.n_robots, 2)
-    return RandomSteps(shape, engine._checked_actions).case(CHECK, worlds)
+    return RandomSteps(shape, backend.checked_actions).case(CHECK, worlds)
 
 
 def _rate_rows(timings: dict[str, Timing], budget: Budget) -> list[Row]:

@@ -10,7 +10,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from benchmarks.stepping import RandomSteps
+from benchmarks.stepping import RandomSteps, cpu_backend
 from benchmarks.timing import Case
 from mbn_marl import BatchEngine
 from mbn_marl.engine.constants import unpack
@@ -111,12 +111,12 @@ class PartialSteps:
 
     def __init__(self, engine: BatchEngine, last: int) -> None:
         engine.reset()
-        self._engine, self._last = engine, last
+        self._backend, self._last = cpu_backend(engine), last
 
     def step(self, actions: Any) -> None:
         """Step every world with ``actions`` (W, n, 2), unchecked."""
-        engine = self._engine
-        step_parts_of_ranges(engine._store, actions, self._last, engine._threads.cuts)
+        backend = self._backend
+        step_parts_of_ranges(backend.store, actions, self._last, backend.threads.cuts)
 
 
 def part_cases(worlds: int, warm_up: int) -> list[Case]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.timing import Case
 from mbn_marl import BatchEngine
+from mbn_marl.engine.cpu import CpuBackend
 
 SETS = 64
 """Steps for which actions are drawn at a time; longer turns use them again."""
@@ -47,6 +48,13 @@ class RandomSteps:
             self.draw(calls)
             self.run(calls)
         return Case(name, self.run, units, self.draw)
+
+
+def cpu_backend(engine: BatchEngine) -> CpuBackend:
+    """The arrays, threads and checks behind an engine on the CPU."""
+    backend = engine._backend
+    assert isinstance(backend, CpuBackend)
+    return backend
 
 
 def engine_case(name: str, engine: BatchEngine, warm_up: int) -> Case:

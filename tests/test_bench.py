@@ -114,7 +114,7 @@ def test_the_last_part_is_the_whole_step() -> None:
         actions = whole.sample_actions()
         expected = (*whole.step(actions), whole.team_rewards, whole.state())
         steps.step(actions)
-        output = parts._output
+        output = parts._backend.output
         arrays = (output.observations, output.rewards, output.terminated, output.truncated)
         for got, wanted in zip((*arrays, parts.team_rewards, parts.state()), expected, strict=True):
             assert got.tobytes() == wanted.tobytes()
@@ -132,7 +132,7 @@ def test_rewards_without_memory_differ_in_revisits_only() -> None:
         _, rewards, *_ = whole.step(actions)
         steps.step(actions)
         assert parts.state().tobytes() == whole.state().tobytes()
-        difference = parts._output.rewards - rewards
+        difference = parts._backend.output.rewards - rewards
         revisits += np.count_nonzero(difference)
         assert np.isin(difference, [0.0, medium - small]).all()
     assert revisits > 0

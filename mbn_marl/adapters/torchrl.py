@@ -19,6 +19,9 @@ GROUP = "robots"
 METRICS = ("success", "collision", "rois_visited", "steps", "episode_return")
 """The metrics of an episode so far that every step reports under ``"metrics"``."""
 
+Rows = NDArray[Any] | torch.Tensor
+"""An array of the engine, which is a tensor on CUDA."""
+
 
 class NavigationEnv(EnvBase):
     """The decentralised form, ``num_worlds`` at once, for TorchRL's collectors and losses.
@@ -52,8 +55,9 @@ class NavigationEnv(EnvBase):
             ``w`` modulo their count).
         num_worlds: ``W``.
         seed: of all worlds, until ``set_seed()`` gives another; each has a stream of its own.
-        device: where the tensors live; the engine computes on the CPU.
-        threads: of the engine; ``None`` takes as many as there are cores.
+        device: where the tensors live. On torch's current CUDA device the engine computes too (see
+            ``BatchEngine``); for any other device it computes on the CPU.
+        threads: of the engine on the CPU; ``None`` takes as many as there are cores.
         **settings: the fields of ``NavigationConfig``.
 
     Attributes:
@@ -78,12 +82,19 @@ class NavigationEnv(EnvBase):
     ) -> None:
         super().__init__(device=device, batch_size=[num_worlds])
         self.engine = BatchEngine(
-            field, num_worlds, seed=seed, autoreset="disabled", threads=threads, **settings
+            field,
+            num_worlds,
+            seed=seed,
+            autoreset="disabled",
+            device="cuda" if self.device.type == "cuda" else "cpu",
+            threads=threads,
+            **settings,
         )
+        self._give = _to_numpy if self.engine.device == "cpu" else _as_it_is
         self.n_agents = self.engine.n_robots
         self.group_map = {GROUP: [f"robot_{i}" for i in range(self.n_agents)]}
         self._next_seed: int | None = None
-        self._running = np.zeros(num_worlds, np.bool_)
+        self._running = (torch.zeros(num_worlds, dtype=torch.bool, device=self.device),) * 2
         self._make_specs()
 
     def _make_specs(self) -> None:
@@ -150,8 +161,8 @@ class NavigationEnv(EnvBase):
             observations = self.engine.reset(seed=self._next_seed)
             self._next_seed = None
         else:
-            observations = self.engine.reset_worlds(_to_numpy(mask.reshape(-1)))
-        return self._entries(observations, {}, self._running, self._running)
+            observations = self.engine.reset_worlds(self._give(mask.reshape(-1)))
+        return self._entries(observations, {}, *self._running)
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Reset the worlds that are done, in place; ``step_and_maybe_reset`` calls it.
@@ -163,7 +174,7 @@ class NavigationEnv(EnvBase):
             ended = tensordict.pop("_reset")
             past = tensordict.select("team_reward", "metrics", *self.done_keys)
             tensordict.update(past.apply(lambda entry: entry.masked_fill(ended, 0)))
-            observations = self.engine.reset_worlds(_to_numpy(ended.reshape(-1)))
+            observations = self.engine.reset_worlds(self._give(ended.reshape(-1)))
             tensordict[GROUP, "observation"] = self._tensor(observations)
             tensordict["state"] = self._tensor(self.engine.state())
         return tensordict
@@ -171,18 +182,18 @@ class NavigationEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         """Step all worlds, or those that ``"_step"`` marks."""
         mask = tensordict.get("_step", None)
-        active = None if mask is None else _to_numpy(mask.reshape(-1))
-        actions = _to_numpy(tensordict.get((GROUP, "action")))
+        active = None if mask is None else self._give(mask.reshape(-1))
+        actions = self._give(tensordict.get((GROUP, "action")))
         observations, rewards, terminated, truncated = self.engine.step(actions, active)
         robots = {"reward": self._tensor(rewards).unsqueeze(-1)}
         return self._entries(observations, robots, terminated, truncated)
 
     def _entries(
         self,
-        observations: NDArray[np.float32],
+        observations: Rows,
         robots: dict[str, torch.Tensor],
-        terminated: NDArray[np.bool_],
-        truncated: NDArray[np.bool_],
+        terminated: Rows,
+        truncated: Rows,
     ) -> TensorDict:
         """The tensordict of a step or a reset, with ``robots`` added to the group's entries."""
         engine, worlds = self.engine, self.batch_size
@@ -193,7 +204,7 @@ class NavigationEnv(EnvBase):
             "state": self._tensor(engine.state()),
             "team_reward": self._column(engine.team_rewards),
             "metrics": TensorDict(
-                {name: self._column(metrics[name].astype(np.float32)) for name in METRICS},
+                {name: self._column(metrics[name]).to(torch.float32) for name in METRICS},
                 worlds,
                 device=self.device,
             ),
@@ -203,11 +214,11 @@ class NavigationEnv(EnvBase):
         }
         return TensorDict(entries, worlds, device=self.device)
 
-    def _tensor(self, array: NDArray[Any]) -> torch.Tensor:
+    def _tensor(self, array: Rows) -> torch.Tensor:
         """A copy of an engine's array, which the engine will overwrite, as a tensor."""
-        return torch.from_numpy(array.copy()).to(self.device)
+        return torch.as_tensor(array).clone().to(self.device)
 
-    def _column(self, array: NDArray[Any]) -> torch.Tensor:
+    def _column(self, array: Rows) -> torch.Tensor:
         """A copy of an array ``(W,)`` as a tensor ``(W, 1)``."""
         return self._tensor(array).unsqueeze(-1)
 
@@ -216,3 +227,8 @@ def _to_numpy(tensor: torch.Tensor) -> NDArray[Any]:
     """The numbers of a tensor of any device, not to be written to."""
     array: NDArray[Any] = tensor.numpy(force=True)
     return array
+
+
+def _as_it_is(tensor: torch.Tensor) -> torch.Tensor:
+    """The tensor, which lies where the engine wants it."""
+    return tensor

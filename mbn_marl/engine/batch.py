@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any, TypeGuard, Unpack
+from typing import TypeGuard, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.config import Settings, make_config
-from mbn_marl.engine import kernels
-from mbn_marl.engine.checks import Autoreset, autoreset_mode, check_setup, seed_problems
+from mbn_marl.engine.backend import CUDA_NEEDS, Backend, Plan
+from mbn_marl.engine.checks import Autoreset, Device, autoreset_mode, check_setup, seed_problems
 from mbn_marl.engine.constants import make_record
+from mbn_marl.engine.cpu import CpuBackend
 from mbn_marl.engine.kernels import INFO_COLUMNS
 from mbn_marl.engine.observation import observation_table
 from mbn_marl.engine.rewards import COLLISION, REWARD_TERMS, SUCCESS
 from mbn_marl.engine.snapshot import Snapshot
-from mbn_marl.engine.state import (
-    Array,
-    make_episode,
-    make_geometry,
-    make_memory,
-    make_output,
-)
-from mbn_marl.engine.store import Store
-from mbn_marl.engine.threads import WorldThreads
-from mbn_marl.errors import ActionError, ConfigError, StepError
+from mbn_marl.engine.state import Array, make_geometry
+from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field
 
 FieldLike = Field | str | os.PathLike[str]
@@ -51,13 +44,25 @@ class BatchEngine:
             restarts within that step, and its last observation is in :attr:`final_observations`;
             ``"next_step"``: the next step restarts it, whatever its action, with reward 0;
             ``False`` or ``"disabled"``: it waits for :meth:`reset_worlds`.
-        threads: how many threads share the worlds; ``None`` takes one per core, but one for small
-            batches. The result does not depend on it.
+        device: ``"cpu"``, or ``"cuda"``, torch's current CUDA device: a thread per world, on
+            torch's current stream. What this class says to be an array is then a torch tensor
+            there, actions and masks are too, and :meth:`step` never waits for the device, so that
+            it can be captured in a CUDA graph (after a first step outside). See *Faults*.
+        threads: how many threads share the worlds on the CPU; ``None`` takes one per core, but one
+            for small batches. The result does not depend on it.
         **settings: see :class:`mbn_marl.config.NavigationConfig`.
+
+    Faults:
+        On the CPU, an action that is not finite and a step of a world that has ended are errors
+        before any world moves. On CUDA they are found on the device: the world concerned rests in
+        that step (reward 0, no flag set), the others move, and the next :meth:`reset`,
+        :meth:`reset_worlds` or :meth:`snapshot` outside a graph's capture raises the error, once,
+        for the first such world. Shapes and types are checked at once on both.
 
     Raises:
         FieldError: a field is invalid or unknown.
-        ConfigError: a setting is invalid; all problems are listed.
+        ConfigError: a setting is invalid; all problems are listed. Or CUDA is not to be had: what
+            is missing is said.
     """
 
     def __init__(
@@ -67,6 +72,7 @@ class BatchEngine:
         *,
         seed: int = 0,
         autoreset: Autoreset = True,
+        device: Device = "cpu",
         threads: int | None = None,
         **settings: Unpack[Settings],
     ) -> None:
@@ -76,25 +82,28 @@ class BatchEngine:
         n = config.n_robots or min((len(one.starts) for one in self.fields), default=1)
         self.config = config.model_copy(update={"n_robots": n})
         self.autoreset = autoreset_mode(autoreset)
-        check_setup(self.fields, self.config, n, num_worlds, threads, seed)
-        self.num_worlds, self.n_robots, self.thread_count = num_worlds, n, threads
+        check_setup(self.fields, self.config, n, num_worlds, threads, seed, device)
+        self.num_worlds, self.n_robots, self.device = num_worlds, n, device
         self.n_rois = max(len(one.rois) for one in self.fields)
         self.dtype = np.dtype(config.dtype)
-        self._geometry = make_geometry(self.fields, self.config, n)
-        self._constants = make_record(self.config, n, self.field.arena, self.autoreset, seed)
         table = observation_table(self.config, n, self.n_rois, self.field.arena)
         self.observation_table = table
         self.observation_low = np.array([entry.low for entry in table], np.float32)
         self.observation_high = np.array([entry.high for entry in table], np.float32)
         self.obs_size = len(table)
-        self._now = make_episode(num_worlds, n, self.dtype)
-        self._final = make_episode(num_worlds, n, self.dtype)
-        self._memory = make_memory(num_worlds, n, self.config, self._now, len(self.fields))
-        self._output = make_output(num_worlds, n, self.obs_size, self.dtype)
-        self._actions = np.zeros((num_worlds, n, 2), self.dtype)
-        self._waiting = num_worlds
-        self._draws = 0
-        self._connect()
+        self._backend = _make_backend(
+            device,
+            Plan(
+                config=self.config,
+                num_worlds=num_worlds,
+                fields=len(self.fields),
+                obs_size=self.obs_size,
+                autoreset=self.autoreset,
+                threads=threads,
+                geometry=make_geometry(self.fields, self.config, n),
+                constants=make_record(self.config, n, self.field.arena, self.autoreset, seed),
+            ),
+        )
 
     # -- what the engine is ------------------------------------------------------------------------
 
@@ -134,10 +143,9 @@ class BatchEngine:
         if seed is not None:
             if problems := seed_problems(seed):
                 raise ConfigError("reset", problems)
-            self._constants["seed"] = seed
-            self._memory.episode[:] = -1
-            self._draws = 0
-        return self.reset_worlds(np.ones(self.num_worlds, np.bool_))
+            self._backend.reseed(seed)
+        self._backend.reset(None)
+        return self._backend.output.observations
 
     def reset_worlds(self, mask: ArrayLike) -> Floats:
         """Begin a new episode in the worlds where ``mask`` (W,) bool is set.
@@ -148,15 +156,8 @@ class BatchEngine:
         Raises:
             ActionError: the mask has another shape or type.
         """
-        chosen = np.asarray(mask)
-        if chosen.shape != (self.num_worlds,) or chosen.dtype != np.bool_:
-            raise ActionError(
-                f"mask: shape {chosen.shape} of {chosen.dtype}; "
-                f"allowed: ({self.num_worlds},) of bool"
-            )
-        kernels.reset_worlds(self._store, chosen)
-        self._waiting = int(np.count_nonzero(self._waits()))
-        return self._output.observations
+        self._backend.reset(mask)
+        return self._backend.output.observations
 
     def step(
         self, actions: ArrayLike, active: ArrayLike | None = None
@@ -177,82 +178,16 @@ class BatchEngine:
             StepError: before the first reset, or, with autoreset disabled, after the end of a
                 world.
         """
-        forces = self._checked_actions(actions)
-        parked = None
-        if self._waiting or active is not None:
-            parked = self._checked_waiting(active)
-            kept = [array[..., parked] for array in self._now]
-        ended = self._threads.step(self._store, forces)
-        if self.autoreset == "disabled":
-            self._waiting = ended
-        out = self._output
-        if parked is not None:
-            self._restore(parked, kept)
+        self._backend.step(actions, active)
+        out = self._backend.output
         return out.observations, out.rewards, out.terminated, out.truncated
-
-    def _checked_actions(self, actions: ArrayLike) -> Array:
-        """The actions in the engine's precision, or an error that names the first offender."""
-        try:
-            given = np.asarray(actions)
-        except ValueError as error:
-            raise ActionError(f"actions: {error}; allowed: {self._actions.shape}") from None
-        if given.shape != self._actions.shape:
-            raise ActionError(
-                f"actions: shape {given.shape}; "
-                f"allowed: {self._actions.shape} (worlds, robots, axes)"
-            )
-        if given.dtype.kind not in "fiu":
-            raise ActionError(f"actions: dtype {given.dtype}; allowed: a real number type")
-        if given.dtype.kind == "f" and not self._all_finite(given):
-            world, robot = np.argwhere(~np.isfinite(given).all(axis=2))[0]
-            raise ActionError(
-                f"actions[{world}, {robot}] (world {world}, robot_{robot}): "
-                f"{given[world, robot].tolist()}; allowed: finite numbers, clipped to [-1, 1]"
-            )
-        if given.dtype == self.dtype and given.flags.c_contiguous:
-            return given
-        return np.clip(given, -1, 1, out=self._actions, casting="unsafe")
-
-    def _all_finite(self, actions: Array) -> bool:
-        if actions.dtype.itemsize < 4 or not actions.flags.c_contiguous:
-            return bool(np.isfinite(actions).all())
-        return bool(kernels.all_finite(actions))
-
-    def _checked_waiting(self, active: ArrayLike | None) -> NDArray[np.intp]:
-        """The ended worlds that this step leaves out, or an error naming the first offender."""
-        waiting = self._waits()
-        moving = np.ones(self.num_worlds, np.bool_) if active is None else np.asarray(active)
-        if moving.shape != waiting.shape or moving.dtype != np.bool_:
-            raise ActionError(
-                f"active: shape {moving.shape} of {moving.dtype}; "
-                f"allowed: ({self.num_worlds},) of bool"
-            )
-        for world in np.flatnonzero(moving & waiting):
-            why = "has ended" if self._memory.episode[world] >= 0 else "was never reset"
-            raise StepError(f"world {world} {why}; allowed: reset() or reset_worlds() first")
-        for world in np.flatnonzero(~moving & ~waiting):
-            raise StepError(f"world {world} is left out of the step; allowed: only ended worlds")
-        return np.flatnonzero(~moving)
-
-    def _restore(self, parked: NDArray[np.intp], kept: list[Array]) -> None:
-        """Undo the step for worlds that were left out of it."""
-        for array, columns in zip(self._now, kept, strict=True):
-            array[..., parked] = columns
-        mask = np.zeros(self.num_worlds, np.bool_)
-        mask[parked] = True
-        kernels.rest_worlds(self._store, mask)
-        self._waiting = int(np.count_nonzero(self._waits()))
-
-    def _waits(self) -> Flags:
-        """Which worlds cannot be stepped before a reset."""
-        return self._memory.pending if self.autoreset == "disabled" else self._memory.episode < 0
 
     # -- what happened -----------------------------------------------------------------------------
 
     @property
     def team_rewards(self) -> Array:
         """The centralised reward of the last step, (W,) real: computed as the team's value."""
-        return self._output.team_rewards
+        return self._backend.output.team_rewards
 
     @property
     def final_observations(self) -> Floats:
@@ -260,7 +195,7 @@ class BatchEngine:
 
         Rows of worlds whose episode goes on hold nothing of use.
         """
-        return self._output.final_observations
+        return self._backend.output.final_observations
 
     def infos(self) -> NDArray[np.float64]:
         """What is known of each agent as of the last step, before any automatic reset.
@@ -271,8 +206,7 @@ class BatchEngine:
             ``path_length`` (units) and ``impulse`` (``|sum over steps of u tau|``, mass x
             units/step) of this episode; and the six terms of its own reward in the last step.
         """
-        rows = np.empty((self.num_worlds, self.n_robots, len(INFO_COLUMNS)))
-        kernels.write_infos(self._store, rows)
+        rows: NDArray[np.float64] = self._backend.infos()
         return rows
 
     def reward_terms(self) -> Array:
@@ -280,7 +214,10 @@ class BatchEngine:
 
         The last axis is ordered as ``REWARD_TERMS`` and sums to the individual reward.
         """
-        return self.infos()[..., -len(REWARD_TERMS) :].astype(self.dtype)
+        xp = self._backend.xp
+        terms = self.infos()[..., -len(REWARD_TERMS) :]
+        rows: Array = xp.asarray(terms, dtype=getattr(xp, self.config.dtype))
+        return rows
 
     def state(self) -> Array:
         """The paper's state of every world now, (W, 4n + 1) real, a fresh array.
@@ -288,15 +225,12 @@ class BatchEngine:
         All positions ``x1, y1, x2, y2, ...``, then all velocities, then the visit code, whose most
         significant bit is the first ROI.
         """
-        return self._states(final=False)
+        states: Array = self._backend.states(final=False)
+        return states
 
     def final_state(self) -> Array:
         """:meth:`state` at the end of the last finished episodes (autoreset same-step only)."""
-        return self._states(final=True)
-
-    def _states(self, *, final: bool) -> Array:
-        states = np.empty((self.num_worlds, 4 * self.n_robots + 1), self.dtype)
-        kernels.write_states(self._store, final, states)
+        states: Array = self._backend.states(final=True)
         return states
 
     def metrics(self) -> dict[str, Array]:
@@ -308,27 +242,26 @@ class BatchEngine:
             ``path_length`` (W, n) real, units; ``impulse`` (W, n) real: ``|sum over steps of u
             tau|``, mass x units/step; ``return_`` (W, n) float64: what each agent was given.
         """
-        infos, now, final = self.infos(), self._now, self._final
+        backend = self._backend
+        infos, now, final, xp = self.infos(), backend.now, backend.final, backend.xp
         columns = {name: infos[..., k] for k, name in enumerate(INFO_COLUMNS[:6])}
-        ended = self._output.terminated | self._output.truncated
+        ended = backend.output.terminated | backend.output.truncated
         ended &= self.autoreset == "same_step"
         return {
             "success": columns["success"][:, 0] > 0,
             "collision": columns["collision"][:, 0] > 0,
-            "rois_visited": columns["rois_visited"][:, 0].astype(np.int32),
-            "steps": np.where(ended, final.steps, now.steps),
-            "episode_return": np.where(ended, final.team_return, now.team_return),
-            "wall_hits": columns["wall_hits"].astype(np.int32),
+            "rois_visited": xp.asarray(columns["rois_visited"][:, 0], dtype=xp.int32),
+            "steps": xp.where(ended, final.steps, now.steps),
+            "episode_return": xp.where(ended, final.team_return, now.team_return),
+            "wall_hits": xp.asarray(columns["wall_hits"], dtype=xp.int32),
             "path_length": columns["path_length"],
             "impulse": columns["impulse"],
-            "return_": np.where(ended, final.returns, now.returns).T,
+            "return_": xp.where(ended, final.returns, now.returns).T,
         }
 
     def sample_actions(self) -> Floats:
         """Uniform random actions, (W, n, 2) float32 in [-1, 1): the seed's next ones."""
-        actions = np.empty((self.num_worlds, self.n_robots, 2), np.float32)
-        kernels.draw_actions(self._store, self._draws, actions)
-        self._draws += 1
+        actions: Floats = self._backend.draw_actions()
         return actions
 
     def snapshot(self, world: int = 0) -> Snapshot:
@@ -339,19 +272,24 @@ class BatchEngine:
         """
         if not 0 <= world < self.num_worlds:
             raise IndexError(f"world {world}; allowed: 0 to {self.num_worlds - 1}")
-        now, memory = self._now, self._memory
-        outcome = int(self._output.outcomes[world]) if now.steps[world] else 0
-        entries = slice(0, (int(now.steps[world]) + 1) * self.n_robots)
-        trail = memory.trail[world, entries].copy()
-        field = self.fields[int(memory.field[world])]
-        bits = self._geometry.roi_bits[: len(field.rois), memory.field[world]]
+        backend = self._backend
+        backend.raise_fault()
+        host = backend.host
+        now, memory = backend.now, backend.memory
+        steps, visited = int(now.steps[world]), int(now.visited[world])
+        outcome = int(backend.output.outcomes[world]) if steps else 0
+        which = int(memory.field[world])
+        field = self.fields[which]
+        bits = backend.plan.geometry.roi_bits[: len(field.rois), which]
         return Snapshot(
             field=field,
-            positions=np.stack([now.x[:, world], now.y[:, world]], axis=-1),
-            velocities=np.stack([now.vx[:, world], now.vy[:, world]], axis=-1),
-            visited=(now.visited[world] & bits) != 0,
-            trail=trail.reshape(-1, self.n_robots, 2),
-            step=int(now.steps[world]),
+            positions=np.stack([host(now.x[:, world]), host(now.y[:, world])], axis=-1),
+            velocities=np.stack([host(now.vx[:, world]), host(now.vy[:, world])], axis=-1),
+            visited=(visited & bits) != 0,
+            trail=host(memory.trail[world, : (steps + 1) * self.n_robots]).reshape(
+                -1, self.n_robots, 2
+            ),
+            step=steps,
             team_return=float(now.team_return[world]),
             wind=self.config.wind_increment(),
             roi_radius=self.config.roi_radius,
@@ -360,31 +298,17 @@ class BatchEngine:
             collision=bool(outcome & COLLISION),
         )
 
-    # -- copies ------------------------------------------------------------------------------------
-
-    def __getstate__(self) -> dict[str, Any]:
-        """All but what :meth:`_connect` makes."""
-        return {name: vars(self)[name] for name in vars(self) if name not in ("_store", "_threads")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Make a copy that goes on exactly as the original would."""
-        vars(self).update(state)
-        self._connect()
-
-    def _connect(self) -> None:
-        """Hand the arrays to the kernels and make the threads."""
-        bits = self._memory.x_bits.dtype
-        self._memory = self._memory._replace(
-            x_bits=self._now.x.view(bits),
-            y_bits=self._now.y.view(bits),
-            trail_bits=self._memory.trail.view(bits),
-            trail_key=self._memory.trail.view(np.uint64)[..., 0],
-        )
-        self._threads = WorldThreads(self.num_worlds, self.thread_count)
-        self._store = Store(
-            self._constants, self._geometry, self._memory, self._now, self._final, self._output
-        )
-
 
 def _is_several(field: FieldLike | Sequence[FieldLike]) -> TypeGuard[Sequence[FieldLike]]:
     return isinstance(field, Sequence) and not isinstance(field, str)
+
+
+def _make_backend(device: Device, plan: Plan) -> Backend:
+    """Where the worlds live: only CUDA needs torch, and so loads it."""
+    if device == "cpu":
+        return CpuBackend(plan)
+    try:
+        from mbn_marl.engine.cuda import CudaBackend
+    except ImportError as error:
+        raise ConfigError("configuration", [f"{CUDA_NEEDS}; {error}"]) from None
+    return CudaBackend(plan)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
 Autoreset = bool | Literal["disabled", "same_step", "next_step"]
+Device = Literal["cpu", "cuda"]
 
 
 def autoreset_mode(value: Autoreset) -> str:
@@ -35,6 +36,7 @@ def check_setup(
     num_worlds: int,
     threads: int | None,
     seed: int,
+    device: str,
 ) -> None:
     """Check how fields, team and batch fit together.
 
@@ -42,6 +44,8 @@ def check_setup(
         ConfigError: listing every problem.
     """
     problems = seed_problems(seed)
+    if device not in get_args(Device):
+        problems.append(f"device: {device!r}; allowed: {', '.join(map(repr, get_args(Device)))}")
     if not _positive(num_worlds):
         problems.append(f"num_worlds: {num_worlds!r}; allowed: an integer of at least 1")
     if threads is not None and not _positive(threads):

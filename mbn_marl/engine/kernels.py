@@ -128,12 +128,18 @@ def write_states(store, final, states):
     put_state(store.geometry, episode, store.memory.field, FIRST, hi, 0, states.T)
 
 
+@compiled
+def draw_world(seed, draw, w, actions):
+    """Fill world w of ``actions`` (W, n, 2) with draw number ``draw`` of its stream of actions."""
+    two, one = np.float32(2.0), np.float32(1.0)
+    _, robots, axes = actions.shape
+    key = stream_key(seed, w, draw, FOR_ACTIONS)
+    for k in range(robots * axes):
+        actions[w, k // axes, k % axes] = two * uniform(key, k) - one
+
+
 @entry_point
 def draw_actions(store, draw, actions):
     """Fill ``actions`` (W, n, 2) with draw number ``draw`` of each world's stream of actions."""
-    two, one = np.float32(2.0), np.float32(1.0)
-    worlds, robots, axes = actions.shape
-    for w in range(worlds):
-        key = stream_key(store.constants[0].seed, w, draw, FOR_ACTIONS)
-        for k in range(robots * axes):
-            actions[w, k // axes, k % axes] = two * uniform(key, k) - one
+    for w in range(actions.shape[0]):
+        draw_world(store.constants[0].seed, draw, w, actions)

@@ -175,24 +175,30 @@ def put_relative(p, g, ep, fields, lo, hi, i, tile):
 
 
 @compiled
+def describe(p, g, ep, fields, lo, hi, i, tile):
+    """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side."""
+    n = ep.x.shape[0]
+    if p.observation == STATE:
+        put_state(g, ep, fields, lo, hi, i, tile)
+        k = 4 * n + 1
+    else:
+        k = put_relative(p, g, ep, fields, lo, hi, i, tile)
+    if p.one_hot:
+        for j in range(n):
+            for w in range(lo, hi):
+                tile[k + j, w - lo] = p.one if i == j else p.zero
+
+
+@compiled
 def observe(p, g, ep, fields, lo, hi, tile, rows):
     """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size).
 
     They are made entry by entry in ``tile`` (size, at least hi - lo), where worlds lie side by
     side, and then turned over: faster than writing each entry to its far-apart places at once.
     """
-    n = ep.x.shape[0]
     size = np.uint64(rows.shape[2])
-    for i in range(n):
-        if p.observation == STATE:
-            put_state(g, ep, fields, lo, hi, i, tile)
-            k = 4 * n + 1
-        else:
-            k = put_relative(p, g, ep, fields, lo, hi, i, tile)
-        if p.one_hot:
-            for j in range(n):
-                for w in range(lo, hi):
-                    tile[k + j, w - lo] = p.one if i == j else p.zero
+    for i in range(ep.x.shape[0]):
+        describe(p, g, ep, fields, lo, hi, i, tile)
         for w in range(lo, hi):
             for entry in range(size):
                 rows[w, i, entry] = tile[entry, w - lo]

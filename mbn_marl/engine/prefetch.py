@@ -6,6 +6,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
+from numba.core.cpu import CPUContext
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
@@ -13,9 +14,11 @@ FOR_WRITING, KEEP, DATA = 1, 3, 1
 
 
 def _prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:
-    """Begin to fetch ``array[row, column]``, which is going to be changed."""
+    """Begin to fetch ``array[row, column]``, which is going to be changed; on CUDA, do nothing."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        if not isinstance(context, CPUContext):
+            return context.get_dummy_value()
         kind = signature.args[0]
         view = arrayobj.make_array(kind)(context, builder, arguments[0])
         element = cgutils.get_item_pointer(context, builder, kind, view, arguments[1:])

@@ -8,6 +8,7 @@ structure-of-arrays, ``[robot, world]``, so that a loop over worlds reads and wr
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -106,53 +107,75 @@ def make_geometry(fields: Sequence[Field], config: NavigationConfig, n: int) -> 
     return Geometry(edges, rois, starts, roi_bits, codes, boxes, masses)
 
 
-def make_episode(worlds: int, n: int, real: np.dtype[Any]) -> Episode:
-    """Zeroed episode arrays."""
+def make_episode(worlds: int, n: int, real: np.dtype[Any], xp: ModuleType = np) -> Episode:
+    """Zeroed episode arrays; ``xp`` is numpy or torch, which put them on its default device."""
     robots = (n, worlds)
-    reals = {name: np.zeros(robots, real) for name in Episode._fields[:7]}
+    reals = {name: xp.zeros(robots, dtype=getattr(xp, real.name)) for name in Episode._fields[:7]}
     return Episode(
         **reals,
-        wall_hits=np.zeros(robots, np.int32),
-        returns=np.zeros(robots, np.float64),
-        team_return=np.zeros(worlds, np.float64),
-        visited=np.zeros(worlds, np.int32),
-        steps=np.zeros(worlds, np.int32),
+        wall_hits=xp.zeros(robots, dtype=xp.int32),
+        returns=xp.zeros(robots, dtype=xp.float64),
+        team_return=xp.zeros(worlds, dtype=xp.float64),
+        visited=xp.zeros(worlds, dtype=xp.int32),
+        steps=xp.zeros(worlds, dtype=xp.int32),
     )
 
 
-def make_memory(worlds: int, n: int, config: NavigationConfig, now: Episode, fields: int) -> Memory:
-    """Zeroed memory; trails are only touched, and so only cost memory, as far as episodes get."""
-    real = np.dtype(config.dtype)
-    bits = np.uint32 if real.itemsize == 4 else np.uint64
+def make_memory(
+    worlds: int,
+    n: int,
+    config: NavigationConfig,
+    now: Episode,
+    fields: int,
+    xp: ModuleType = np,
+) -> Memory:
+    """Zeroed memory; NumPy's trails only cost memory as far as episodes get."""
+    real = getattr(xp, config.dtype)
     length = config.max_steps + 1
     formal = config.reward.rules == "formal"
     words = filter_size(config.max_steps * (1 if formal else n)) + ODD_LINES
-    trail = np.empty((worlds, length * n, 2), real)
-    return Memory(
+    trail = xp.zeros((worlds, length * n, 2), dtype=real)
+    memory = Memory(
+        x_bits=now.x,
+        y_bits=now.y,
+        trail=trail,
+        trail_bits=trail,
+        trail_key=trail,
+        trail_velocity=xp.zeros((worlds, length * n * formal, 2), dtype=real),
+        trail_code=xp.zeros((worlds, length * formal), dtype=xp.int32),
+        words=xp.zeros(worlds, dtype=xp.uint64),
+        filter=xp.zeros((worlds, words), dtype=xp.uint64),
+        field=xp.zeros(worlds, dtype=xp.int32),
+        pending=xp.ones(worlds, dtype=xp.bool),
+        episode=xp.zeros(worlds, dtype=xp.int64),
+    )
+    for f in range(fields):
+        memory.field[f::fields] = f
+    memory.episode[:] = -1
+    return share_bits(memory, now, xp)
+
+
+def share_bits(memory: Memory, now: Episode, xp: ModuleType = np) -> Memory:
+    """The memory with those of its arrays that are another array's memory made anew."""
+    bits = xp.uint32 if now.x.dtype == xp.float32 else xp.uint64
+    return memory._replace(
         x_bits=now.x.view(bits),
         y_bits=now.y.view(bits),
-        trail=trail,
-        trail_bits=trail.view(bits),
-        trail_key=trail.view(np.uint64)[..., 0],
-        trail_velocity=np.empty((worlds, length * n * formal, 2), real),
-        trail_code=np.empty((worlds, length * formal), np.int32),
-        words=np.zeros(worlds, np.uint64),
-        filter=np.zeros((worlds, words), np.uint64),
-        field=np.arange(worlds, dtype=np.int32) % np.int32(fields),
-        pending=np.ones(worlds, np.bool_),
-        episode=np.full(worlds, -1, np.int64),
+        trail_bits=memory.trail.view(bits),
+        trail_key=memory.trail.view(xp.uint64)[..., 0],
     )
 
 
-def make_output(worlds: int, n: int, size: int, real: np.dtype[Any]) -> Output:
+def make_output(worlds: int, n: int, size: int, real: np.dtype[Any], xp: ModuleType = np) -> Output:
     """Zeroed output arrays."""
+    rows, own = (worlds, n, size), getattr(xp, real.name)
     return Output(
-        observations=np.zeros((worlds, n, size), np.float32),
-        rewards=np.zeros((worlds, n), real),
-        team_rewards=np.zeros(worlds, real),
-        terminated=np.zeros(worlds, np.bool_),
-        truncated=np.zeros(worlds, np.bool_),
-        events=np.zeros((n, worlds), np.int32),
-        outcomes=np.zeros(worlds, np.int32),
-        final_observations=np.zeros((worlds, n, size), np.float32),
+        observations=xp.zeros(rows, dtype=xp.float32),
+        rewards=xp.zeros((worlds, n), dtype=own),
+        team_rewards=xp.zeros(worlds, dtype=own),
+        terminated=xp.zeros(worlds, dtype=xp.bool),
+        truncated=xp.zeros(worlds, dtype=xp.bool),
+        events=xp.zeros((n, worlds), dtype=xp.int32),
+        outcomes=xp.zeros(worlds, dtype=xp.int32),
+        final_observations=xp.zeros(rows, dtype=xp.float32),
     )

@@ -10,6 +10,7 @@ as references at each turn.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,6 +53,7 @@ BLOCK = 256
 
 ZERO, ONE = np.uint64(0), np.uint64(1)
 SAME_STEP, NEXT_STEP = 1, 2
+ENDED, RESTARTS = 1, 2
 
 
 class Scratch(NamedTuple):
@@ -150,7 +152,7 @@ def move(p, now, out, to, i, lo, hi):
         out.events[i, w] = 0 if inside else WALL
     for w in range(lo, hi):
         k = w - lo
-        now.path_length[i, w] += np.sqrt(to.x[k] * to.x[k] + to.y[k] * to.y[k])
+        now.path_length[i, w] += math.sqrt(to.x[k] * to.x[k] + to.y[k] * to.y[k])
         still = (to.x[k] == 0) & (to.y[k] == 0)
         out.events[i, w] |= STILL if still else 0
 
@@ -287,27 +289,62 @@ def reward(p, now, out, to, lo, hi):
 
 
 @compiled
+def conclude(p, mem, out, w):
+    """What becomes of world w after a step: any of the bits ``ENDED`` and ``RESTARTS``."""
+    if mem.pending[w] & (p.autoreset == NEXT_STEP):
+        mem.pending[w] = False
+        clear_output(p, out, w)
+        return RESTARTS
+    if out.terminated[w] | out.truncated[w]:
+        if p.autoreset == SAME_STEP:
+            return ENDED | RESTARTS
+        mem.pending[w] = True
+        return ENDED
+    return 0
+
+
+@compiled
 def settle(p, g, mem, now, final, out, to, lo, hi):
     """Observations, and the automatic reset of worlds whose episode has ended; how many have."""
     ended = 0
     for w in range(lo, hi):
-        restart = mem.pending[w] & (p.autoreset == NEXT_STEP)
-        if restart:
-            mem.pending[w] = False
-            clear_output(p, out, w)
-        elif out.terminated[w] | out.truncated[w]:
-            ended += 1
-            if p.autoreset == SAME_STEP:
-                restart = True
-                for i in range(now.x.shape[0]):
-                    out.final_observations[w, i] = out.observations[w, i]
-                finish_world(now, final, w)
-            else:
-                mem.pending[w] = True
-        if restart:
+        fate = conclude(p, mem, out, w)
+        ended += fate & ENDED
+        if fate == ENDED | RESTARTS:
+            for i in range(now.x.shape[0]):
+                out.final_observations[w, i] = out.observations[w, i]
+            finish_world(now, final, w)
+        if fate & RESTARTS:
             reset_world(p, g, mem, now, w)
             observe(p, g, now, mem.field, w, w + ONE, to.tile, out.observations)
     return ended
+
+
+@compiled
+def act(p, g, mem, now, out, to, actions, lo, hi):
+    """What every robot does: where it goes, what it visits; its memory is fetched ahead."""
+    for i in range(now.x.shape[0]):
+        accelerate(p, g, now, to, actions, i, lo, hi)
+        contain(g, mem, to, lo, hi)
+        move(p, now, out, to, i, lo, hi)
+        visit(p, g, mem, now, out, i, lo, hi)
+    if p.rules == RELEASED:
+        record(mem, now, lo, hi)
+        for i in range(now.x.shape[0]):
+            recall(mem, now, out, to, i, lo, hi)
+
+
+@compiled
+def assess(p, g, mem, now, out, to, lo, hi):
+    """What it all means: revisits, collisions, how the step ended, rewards."""
+    if p.rules == RELEASED:
+        for i in range(now.x.shape[0]):
+            remember(mem, now, out, to, i, lo, hi)
+    collide(p, now, to, lo, hi)
+    judge(p, g, mem, now, out, to, lo, hi)
+    reward(p, now, out, to, lo, hi)
+    if p.rules == RELEASED:
+        grow(mem, now, lo, hi)
 
 
 @entry_point
@@ -320,24 +357,9 @@ def step_worlds(store, actions, lo, hi):
     ended = 0
     while lo < hi:
         end = min(lo + np.uint64(BLOCK), hi)
-        for i in range(now.x.shape[0]):
-            accelerate(p, g, now, to, actions, i, lo, end)
-            contain(g, mem, to, lo, end)
-            move(p, now, out, to, i, lo, end)
-            visit(p, g, mem, now, out, i, lo, end)
-        if p.rules == RELEASED:
-            record(mem, now, lo, end)
-            for i in range(now.x.shape[0]):
-                recall(mem, now, out, to, i, lo, end)
+        act(p, g, mem, now, out, to, actions, lo, end)
         observe(p, g, now, mem.field, lo, end, to.tile, out.observations)
-        if p.rules == RELEASED:
-            for i in range(now.x.shape[0]):
-                remember(mem, now, out, to, i, lo, end)
-        collide(p, now, to, lo, end)
-        judge(p, g, mem, now, out, to, lo, end)
-        reward(p, now, out, to, lo, end)
-        if p.rules == RELEASED:
-            grow(mem, now, lo, end)
+        assess(p, g, mem, now, out, to, lo, end)
         ended += settle(p, g, mem, now, final, out, to, lo, end)
         lo = end
     return ended

@@ -1,0 +1,238 @@
+"""How fast ``BatchEngine(device="cuda")`` steps: ``python benchmarks/gpu.py``.
+
+First the engine is checked against the CPU's, bit for bit. Then, at 2^12 to 2^20 worlds, random
+actions are stepped with every feature on (revisit memory, observations, infos' sums, automatic
+reset), once launch by launch and once as a CUDA graph, timed by device events. The table counts the
+bytes that a step cannot avoid to read or write, and sets their rate against that of a copy on the
+same device in the same run. Prints the table and what limits the largest batch, and writes JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+
+from mbn_marl import BatchEngine
+from mbn_marl.errors import ConfigError
+
+COPY_BYTES = 2**30
+TARGET_RATE, TARGET_RATIO = 2e9, 0.5
+GRAPH_STEPS = 16
+"""Steps in the graph; each has random actions of its own."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to measure.
+
+    Attributes:
+        field: the catalogue's field.
+        least: log2 of the smallest batch.
+        most: log2 of the largest batch; 20 needs about 40 GB on the device.
+        steps: how many steps are timed, after as many to bring the worlds out of step.
+        check_steps: how many steps are compared with the CPU's.
+        out: the file to write.
+    """
+
+    field: str = "field_01"
+    least: int = 12
+    most: int = 20
+    steps: int = 512
+    check_steps: int = 300
+    out: Path = Path("runs/bench/gpu.json")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One batch size: rates in env-steps/s (an env-step moves all robots of a world once)."""
+
+    worlds: int
+    eager_rate: float
+    graph_rate: float
+    gigabytes_per_second: float
+    ratio_to_copy: float
+
+
+def seconds(work: Callable[[], object], times: int) -> float:
+    """Seconds on the device of ``times`` calls, the best of three rounds, after a first call."""
+    work()
+    best = float("inf")
+    for _ in range(3):
+        start, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+        start.record()  # type: ignore[no-untyped-call]
+        for _ in range(times):
+            work()
+        end.record()  # type: ignore[no-untyped-call]
+        end.synchronize()  # type: ignore[no-untyped-call]
+        best = min(best, start.elapsed_time(end) / 1e3)  # type: ignore[no-untyped-call]
+    return best
+
+
+def copy_rate() -> float:
+    """Bytes per second, read and written, of a copy on the device."""
+    source = torch.zeros(COPY_BYTES, dtype=torch.uint8, device="cuda")
+    target = torch.empty_like(source)
+    return 2 * COPY_BYTES * 20 / seconds(lambda: target.copy_(source), 20)
+
+
+def necessary_bytes(engine: BatchEngine) -> int:
+    """Bytes that a step has to read and write for one world, by the size of its entries.
+
+    The state is read and written; the filter's words, one for each robot, too. Actions are read;
+    observations, rewards, flags, events and the trail's new entries are written.
+    """
+    backend, worlds, n = engine._backend, engine.num_worlds, engine.n_robots
+    out = backend.output
+    changed = sum(array.nbytes for array in backend.now)
+    handed_out = sum(array.nbytes for array in out) - out.final_observations.nbytes
+    real = engine.dtype.itemsize
+    actions, trail, filters, words, pending = 2 * n * real, 2 * n * real, 2 * 8 * n, 8, 1
+    return int((2 * changed + handed_out) / worlds) + actions + trail + filters + words + pending
+
+
+def check_against_the_cpu(options: Options) -> None:
+    """Step both engines alike; every output has to be the same, bit for bit."""
+    settings: dict[str, Any] = {"num_worlds": 2**options.least, "seed": 3, "random_starts": True}
+    cpu = BatchEngine(options.field, **settings)
+    gpu = BatchEngine(options.field, device="cuda", **settings)
+    pairs = [("observations", cpu.reset(), gpu.reset())]
+    names = ("observations", "rewards", "terminated", "truncated")
+    for t in range(options.check_steps):
+        actions = cpu.sample_actions()
+        results = gpu.step(torch.from_numpy(actions).cuda())
+        pairs += zip(names, cpu.step(actions), results, strict=True)
+        pairs += [("team rewards", cpu.team_rewards, gpu.team_rewards)]
+        pairs += [("state", cpu.state(), gpu.state())]
+        for name, expected, tensor in pairs:
+            if not np.array_equal(torch.as_tensor(tensor).cpu().numpy(), expected):
+                sys.exit(f"step {t}: {name} differ from the CPU's: nothing was measured")
+        pairs = []
+
+
+def measure(options: Options, worlds: int, copy: float) -> Row:
+    """Step one batch size, launch by launch and as a graph."""
+    engine = BatchEngine(options.field, worlds, device="cuda")
+    engine.reset()
+    actions = [engine.sample_actions() for _ in range(GRAPH_STEPS)]
+
+    def some_steps() -> None:
+        for one in actions:
+            engine.step(one)
+
+    rounds = -(-options.steps // GRAPH_STEPS)
+    for _ in range(rounds):
+        some_steps()
+    eager = seconds(some_steps, rounds)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        some_steps()
+    replayed = seconds(graph.replay, rounds)  # type: ignore[no-untyped-call]
+    steps = worlds * rounds * GRAPH_STEPS
+    rate = steps / replayed
+    moved = rate * necessary_bytes(engine)
+    return Row(worlds, steps / eager, rate, moved / 1e9, moved / copy)
+
+
+def kernel_facts(options: Options) -> dict[str, int]:
+    """What the compiler made of the step: registers, local and shared memory."""
+    from mbn_marl.engine import cuda_kernels as kernels
+
+    engine = BatchEngine(options.field, 2, device="cuda")
+    dispatcher = kernels.step_kernel(engine.n_robots, engine.obs_size, engine.config.dtype)
+    kernel = next(iter(dispatcher.overloads.values()))
+    threads = kernels.threads_per_block(engine.obs_size)
+    device = torch.cuda.get_device_properties(0)
+    by_registers = device.regs_per_multiprocessor // (kernel.regs_per_thread * threads)
+    by_shared = device.shared_memory_per_multiprocessor // (kernel.shared_mem_per_block + 1024)
+    resident = threads * min(by_registers, by_shared)
+    return {
+        "registers_per_thread": kernel.regs_per_thread,
+        "local_bytes_per_thread": kernel.local_mem_per_thread,
+        "shared_bytes_per_block": kernel.shared_mem_per_block,
+        "threads_per_block": threads,
+        "resident_threads": min(resident, device.max_threads_per_multi_processor),
+        "most_resident_threads": device.max_threads_per_multi_processor,
+        "bytes_per_env_step": necessary_bytes(engine),
+    }
+
+
+def limits(rows: list[Row], facts: dict[str, int]) -> list[str]:
+    """What the figures say about what limits the step."""
+    first, last = rows[0], rows[-1]
+    lines = []
+    if first.graph_rate > 1.5 * first.eager_rate:
+        lines.append(
+            f"{first.worlds} worlds launch by launch: the host, which prepares a launch's arguments"
+            f" slower than the device steps (a graph is {first.graph_rate / first.eager_rate:.1f}"
+            " times as fast)"
+        )
+    resident = facts["resident_threads"] / facts["most_resident_threads"]
+    if last.ratio_to_copy >= TARGET_RATIO:
+        why = "memory: the bytes of a step, most of them observations, near a copy's rate"
+    else:
+        why = (
+            "not the counted bytes alone: 32-byte sectors fetched for single filter words and trail"
+            f" entries, and latency that {resident:.0%} resident threads"
+            f" ({facts['registers_per_thread']} registers each) do not hide; profile with"
+            " ncu --set full to tell them apart"
+        )
+    lines.append(f"{last.worlds} worlds: {why}")
+    return lines
+
+
+def main(options: Options) -> None:
+    """Check, measure, print, write."""
+    try:
+        check_against_the_cpu(options)
+    except ConfigError as error:
+        sys.exit(f"Nothing to measure here.\n{error}")
+    print(f"equal to the CPU over {options.check_steps} steps of {2**options.least} worlds")
+    copy, facts = copy_rate(), kernel_facts(options)
+    rows = []
+    print(f"{torch.cuda.get_device_name()}; copy: {copy / 1e9:.0f} GB/s (read and written)")
+    print(f"{'worlds':>9} {'eager, M/s':>11} {'graph, M/s':>11} {'GB/s':>7} {'of a copy':>9}")
+    for power in range(options.least, options.most + 1):
+        try:
+            row = measure(options, 2**power, copy)
+        except torch.cuda.OutOfMemoryError:
+            print(f"{2**power:>9} does not fit into the device's memory")
+            break
+        rows.append(row)
+        print(
+            f"{row.worlds:>9} {row.eager_rate / 1e6:>11.1f} {row.graph_rate / 1e6:>11.1f}"
+            f" {row.gigabytes_per_second:>7.0f} {row.ratio_to_copy:>9.2f}",
+            flush=True,
+        )
+        torch.cuda.empty_cache()
+    best = max(row.graph_rate for row in rows)
+    ratio = max(row.ratio_to_copy for row in rows)
+    print(f"target {TARGET_RATE / 1e9:.0f} G env-steps/s: {'met' if best >= TARGET_RATE else 'no'}")
+    print(f"target {TARGET_RATIO} of a copy: {'met' if ratio >= TARGET_RATIO else 'no'}")
+    says = limits(rows, facts)
+    print(*(f"limited by, {line}" for line in says), sep="\n")
+    result = {
+        "device": torch.cuda.get_device_name(),
+        "host": platform.platform(),
+        "torch": torch.__version__,
+        "options": asdict(options) | {"out": str(options.out)},
+        "copy_gigabytes_per_second": copy / 1e9,
+        "kernel": facts,
+        "rows": [asdict(row) for row in rows],
+        "limits": says,
+    }
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    print(f"written: {options.out}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
