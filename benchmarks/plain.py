@@ -1,4 +1,4 @@
-"""The plain per-robot loop: the tests' oracle, which steps one world in ordinary Python."""
+"""The plain per-robot loop: the tests' oracle, which steps one world in Python and NumPy."""
 
 from __future__ import annotations
 
@@ -16,16 +16,28 @@ ORACLE = Path(__file__).parents[1] / "tests" / "oracle.py"
 
 
 class PlainLoop:
-    """One world of the oracle, that starts anew whenever its episode ends."""
+    """One world of the oracle, that starts anew whenever its episode ends.
+
+    It does what the engine does in a step: revisit memory, rewards and their terms, metrics, and
+    an observation for each robot.
+
+    Attributes:
+        observations: (n,) arrays, the robots' current ones.
+        metrics: of the last episode that ended.
+    """
 
     def __init__(self, oracle: Any) -> None:
         self._oracle = oracle
+        self.observations: list[Any] = []
+        self.metrics: dict[str, Any] = {}
 
     def step(self, actions: Any) -> None:
         """Step with ``actions`` (n, 2)."""
         outcome = self._oracle.step(actions.tolist())
         if outcome.terminated or outcome.truncated:
+            self.metrics = self._oracle.metrics()
             self._oracle.reset()
+        self.observations = [self._oracle.observe(robot) for robot in range(self._oracle.n)]
 
 
 def plain_cases() -> list[Case]:

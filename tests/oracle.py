@@ -1,4 +1,4 @@
-"""The MDP a second time: slow, one world at a time, in plain Python numbers.
+"""The MDP a second time: slow, one world at a time, robot by robot.
 
 It shares nothing with the package, so that a mistake would have to be made twice to go unseen.
 Geometry is asked of shapely (the engine has its own), distances of ``math.hypot`` (the engine
@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 TERMS = ("step", "revisit", "wall", "roi", "success", "collision")
 REALS: Mapping[str, Any] = {"float64": float, "float32": np.float32}
@@ -54,6 +55,16 @@ class Robot:
     path_length: float = 0.0
     wall_hits: int = 0
     return_: float = 0.0
+
+    @property
+    def position(self) -> NDArray[Any]:
+        """(2,), units."""
+        return np.array([self.x, self.y])
+
+    @property
+    def velocity(self) -> NDArray[Any]:
+        """(2,), units/step."""
+        return np.array([self.vx, self.vy])
 
     @property
     def impulse(self) -> float:
@@ -112,6 +123,9 @@ class Oracle:
         mass: float | Sequence[float] = 1.0,
         safety_distance: float = 10.0,
         roi_radius: float = 10.0,
+        observation: str = "relative",
+        one_hot: bool = False,
+        sensing_radius: float = 100.0,
     ) -> None:
         real = self.real = REALS[dtype]
         self.n = len(field.starts) if n_robots is None else n_robots
@@ -132,6 +146,8 @@ class Oracle:
         self.f_max, self.v_clip, self.tau = real(f_max), real(v_clip), real(tau)
         self.safety_distance, self.roi_radius = safety_distance, roi_radius
         self.max_steps = max_steps
+        self.observation, self.one_hot = observation, one_hot
+        self.sensing_radius = sensing_radius
         self.reset()
 
     def reset(self, positions: Sequence[Sequence[float]] | None = None) -> None:
@@ -175,6 +191,34 @@ class Oracle:
         self._end(step)
         self._reward(step)
         return step
+
+    def observe(self, i: int) -> NDArray[np.float32]:
+        """What robot i sees, (size,)."""
+        me = self.robots[i]
+        others = [other for other in self.robots if other is not me]
+        if self.observation == "state":
+            seen = [body.position for body in (me, *others)]
+            seen += [body.velocity for body in (me, *others)]
+            seen.append(np.array([self.visit_code]))
+        else:
+            half = np.array([self.width, self.height]) / 2
+            seen = [me.position / half - 1, me.velocity / self.v_clip]
+            for other in others:
+                turn = (other.velocity - me.velocity) / (2 * self.v_clip)
+                seen += self._sight(other.position - me.position, turn)
+            for roi, visited in zip(self.rois, self.visited, strict=True):
+                seen += [*self._sight(np.array(roi) - me.position), [visited]]
+        if self.one_hot:
+            seen.append(np.eye(self.n)[i])
+        return np.concatenate(seen).astype(np.float32)
+
+    def _sight(self, offset: NDArray[Any], *more: NDArray[Any]) -> list[NDArray[Any]]:
+        """Something at an offset, in arenas; ``local`` flags it, or blanks what is too far."""
+        entries = [offset / np.array([self.width, self.height]), *more]
+        if self.observation == "relative":
+            return entries
+        near = math.hypot(*offset) <= self.sensing_radius
+        return [np.array([near]), *(near * entry for entry in entries)]
 
     def metrics(self) -> dict[str, Any]:
         """Sums over the episode so far, under the engine's names."""

@@ -307,7 +307,10 @@ def conclude(p, mem, out, w):
 def settle(p, g, mem, now, final, out, to, lo, hi):
     """Observations, and the automatic reset of worlds whose episode has ended; how many have."""
     ended = 0
+    pending, terminated, truncated = mem.pending, out.terminated, out.truncated
     for w in range(lo, hi):
+        if not (pending[w] | terminated[w] | truncated[w]):
+            continue
         fate = conclude(p, mem, out, w)
         ended += fate & ENDED
         if fate == ENDED | RESTARTS:
