@@ -66,15 +66,15 @@ def step_parts(store, actions, last, lo, hi):  # type: ignore[no-untyped-def]  #
         end = min(lo + np.uint64(BLOCK), hi)
         for i in range(now.x.shape[0]):
             accelerate(p, g, now, to, actions, i, lo, end)
-            contain(g, mem, to, lo, end)
+            contain(g, to, lo, end)
             move(p, now, out, to, i, lo, end)
-            visit(p, g, mem, now, out, i, lo, end)
+            visit(p, g, now, out, i, lo, end)
         if last >= MEMORY:
             record(mem, now, lo, end)
             for i in range(now.x.shape[0]):
                 recall(mem, now, out, to, i, lo, end)
         if last >= OBSERVATIONS:
-            observe(p, g, now, mem.field, lo, end, to.tile, out.observations)
+            observe(p, g, now, lo, end, to.tile, out.observations)
         if last >= MEMORY:
             for i in range(now.x.shape[0]):
                 remember(mem, now, out, to, i, lo, end)

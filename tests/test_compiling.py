@@ -18,8 +18,8 @@ from mbn_marl.engine.state import make_geometry
 from mbn_marl.field import Field
 
 field = Field([(0, 0), (100, 0), (100, 100), (0, 100)], rois=[(20, 20)], starts=[(50, 50)])
-inside = in_field(make_geometry([field], make_config({}), 1), 0, np.float32(50), np.float32(50))
-print(inside, sum(in_field.stats.cache_hits.values()))
+inside = in_field(make_geometry([field], make_config({}), 1, 1), 0, np.float32(50), np.float32(50))
+print(inside, sum(in_field.alone.stats.cache_hits.values()))
 """
 
 

@@ -70,9 +70,9 @@ def compiled_kernels(dtype: Any, rules: Any) -> dict[str, str]:
     values = (v if isinstance(v, int) else real.type(v) for v in record[0].item())
     size = len(observation_table(config, 3, len(field.rois), field.arena))
     worlds = 2
-    p, g = Constants(*values), make_geometry([field], config, 3)
+    p, g = Constants(*values), make_geometry([field], config, 3, worlds)
     now = make_episode(worlds, 3, real)
-    mem, out = make_memory(worlds, 3, config, now, 1), make_output(worlds, 3, size, real)
+    mem, out = make_memory(worlds, 3, config, now), make_output(worlds, 3, size, real)
     word = np.zeros(1, np.int64)
     control = kernels.Control(word, word, word)
     call = kernels.Call(np.zeros((worlds, 3, 2), real), np.zeros(worlds, np.bool_))

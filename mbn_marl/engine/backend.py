@@ -24,17 +24,15 @@ class Plan:
     Attributes:
         config: with the team size filled in.
         num_worlds: W.
-        fields: how many fields there are; world w has field ``w % fields``.
         obs_size: entries of a robot's observation.
         autoreset: the mode's name.
         threads: of the CPU.
-        geometry: NumPy tables of the fields.
+        geometry: NumPy tables of the field, or of each world's.
         constants: the MDP's, (1,) record.
     """
 
     config: NavigationConfig
     num_worlds: int
-    fields: int
     obs_size: int
     autoreset: str
     threads: int | None

@@ -96,11 +96,10 @@ class BatchEngine:
             Plan(
                 config=self.config,
                 num_worlds=num_worlds,
-                fields=len(self.fields),
                 obs_size=self.obs_size,
                 autoreset=self.autoreset,
                 threads=threads,
-                geometry=make_geometry(self.fields, self.config, n),
+                geometry=make_geometry(self.fields, self.config, n, num_worlds),
                 constants=make_record(self.config, n, self.field.arena, self.autoreset, seed),
             ),
         )
@@ -278,9 +277,9 @@ class BatchEngine:
         now, memory = backend.now, backend.memory
         steps, visited = int(now.steps[world]), int(now.visited[world])
         outcome = int(backend.output.outcomes[world]) if steps else 0
-        which = int(memory.field[world])
-        field = self.fields[which]
-        bits = backend.plan.geometry.roi_bits[: len(field.rois), which]
+        field = self.fields[world % len(self.fields)]
+        roi_bits = backend.plan.geometry.roi_bits
+        bits = roi_bits[: len(field.rois), world % roi_bits.shape[1]]
         return Snapshot(
             field=field,
             positions=np.stack([host(now.x[:, world]), host(now.y[:, world])], axis=-1),

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.registry import CPUDispatcher
+
+COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+"""Compiled code runs without the GIL, and divides as NumPy does."""
 
 
 def _digest_of_sources() -> str:
@@ -21,32 +26,50 @@ def _digest_of_sources() -> str:
 SOURCES = _digest_of_sources()
 
 
+class Rule(CPUDispatcher):
+    """A compiled function that is made to become part of the compiled functions that call it.
+
+    It has no machine code and no wrappers of its own, which take Numba longer than all the rest.
+    A call from Python, by a test or a curious reader, compiles the function by itself.
+    """
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function by itself."""
+        return self.alone(*arguments)
+
+    @cached_property
+    def alone(self) -> Any:
+        """The function with machine code of its own."""
+        return entry_point(self.py_func)
+
+
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a rule or a pass, to become part of what calls it."""
-    return _compile(function, forceinline=True)
+    inlined = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return Rule(function, targetoptions={"nopython": True, **COMMON, **inlined})
 
 
 def entry_point(function: Callable[..., Any]) -> Any:
     """Compile what Python calls."""
-    return _compile(function)
+    return _cached(function)
 
 
 def parallel_entry_point(function: Callable[..., Any]) -> Any:
     """Compile what Python calls and what shares its ``prange`` loops among Numba's threads."""
-    return _compile(function, parallel=True)
+    return _cached(function, parallel=True)
 
 
-def _compile(function: Callable[..., Any], **options: bool) -> Any:
-    """Compile for the types of each call, without the GIL, and keep the machine code on disk.
+def _cached(function: Callable[..., Any], **options: Any) -> Any:
+    """Compile for the types of each call, and keep the machine code on disk.
 
     Numba renews a cached function when its own file changes, but a rule is compiled into every
     function that calls it, wherever that is. So the cache is stamped with all of the engine's
     sources instead. Where nothing can be written, the code is compiled anew in each process.
     """
-    common: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
+    options = {**COMMON, **options}
     try:
-        dispatcher = numba.njit(cache=True, **common)(function)
+        dispatcher = numba.njit(cache=True, **options)(function)
         dispatcher._cache._cache_file._source_stamp = SOURCES
     except RuntimeError:  # no folder for the cache
-        dispatcher = numba.njit(**common)(function)
+        dispatcher = numba.njit(**options)(function)
     return dispatcher

@@ -38,7 +38,7 @@ class CpuBackend:
         self.dtype = np.dtype(plan.config.dtype)
         self.now = make_episode(worlds, n, self.dtype)
         self.final = make_episode(worlds, n, self.dtype)
-        self.memory = make_memory(worlds, n, plan.config, self.now, plan.fields)
+        self.memory = make_memory(worlds, n, plan.config, self.now)
         self.output = make_output(worlds, n, plan.obs_size, self.dtype)
         self._actions = np.zeros(plan.actions_shape, self.dtype)
         self._waiting = worlds

@@ -83,7 +83,7 @@ class CudaBackend:
         with self._device.torch:
             self.now = make_episode(worlds, n, real, torch)
             self.final = make_episode(worlds, n, real, torch)
-            self.memory = make_memory(worlds, n, plan.config, self.now, plan.fields, torch)
+            self.memory = make_memory(worlds, n, plan.config, self.now, torch)
             self.output = make_output(worlds, n, plan.obs_size, real, torch)
             self._control = kernels.Control(
                 seed=torch.tensor([int(plan.constants["seed"][0])]),

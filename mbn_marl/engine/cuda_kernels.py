@@ -24,9 +24,9 @@ from numba.core.compiler_lock import global_compiler_lock
 from mbn_marl.engine.compiling import compiled
 from mbn_marl.engine.constants import AUTORESET_MODES, Constants
 from mbn_marl.engine.kernels import draw_world, put_infos
-from mbn_marl.engine.observation import describe, put_state
+from mbn_marl.engine.observation import column, describe, put_state
 from mbn_marl.engine.reset import clear_output, finish_world, reset_world
-from mbn_marl.engine.state import Episode, Memory, Output
+from mbn_marl.engine.state import Episode, Geometry, Memory, Output
 from mbn_marl.engine.step import ENDED, RESTARTS, SAME_STEP, Scratch, act, assess, conclude
 
 DISABLED = AUTORESET_MODES.index("disabled")
@@ -102,9 +102,24 @@ def memory_of(mem, x_bits, y_bits, w):
         mem.trail_code[w:end],
         mem.words[w:end],
         mem.filter[w:end],
-        mem.field[w:end],
         mem.pending[w:end],
         mem.episode[w:end],
+    )
+
+
+@compiled
+def geometry_of(g, w):
+    """The tables of world w, as those of a batch of one."""
+    f = column(g, w)
+    end = f + ONE
+    return Geometry(
+        g.edges[:, :, f:end],
+        g.rois[:, :, f:end],
+        g.starts[:, :, f:end],
+        g.roi_bits[:, f:end],
+        g.codes[f:end],
+        g.boxes[:, f:end],
+        g.masses,
     )
 
 
@@ -145,7 +160,7 @@ def save_output(one, out, w):
 
 
 @cuda.jit(device=True)
-def hand_out(p, g, ep, fields, w, is_world, tile, rows):
+def hand_out(p, g, ep, w, is_world, tile, rows):
     """Write the observations of the block's worlds to ``rows``; this thread's is ``w`` of ``ep``.
 
     A robot's observation is made in this thread's column of ``tile`` (size, threads + 1), in shared
@@ -157,7 +172,7 @@ def hand_out(p, g, ep, fields, w, is_world, tile, rows):
     count = min(threads, rows.shape[0] - first)
     for i in range(rows.shape[1]):
         if is_world:
-            describe(p, g, ep, fields, w, w + ONE, i, tile[:, thread : thread + 1])
+            describe(p, g, ep, w, w + ONE, i, tile[:, thread : thread + 1])
         cuda.syncthreads()
         world, entry = thread // size, thread % size
         while world < count:
@@ -179,11 +194,10 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
     columns = threads + 1  # an odd number, so that neither way of reading meets a bank twice
 
     def step(p, g, mem, now, final, out, call, control):
-        thread = cuda.threadIdx.x
         w = np.uint64(cuda.grid(1))
         is_world = w < now.steps.shape[0]
         tile = cuda.shared.array((obs_size, columns), np.float32)
-        mine = tile[:, thread : thread + 1]
+        mine = tile[:, cuda.threadIdx.x : cuda.threadIdx.x + 1]
         x = cuda.local.array((n, 1), real)
         y = cuda.local.array((n, 1), real)
         vx = cuda.local.array((n, 1), real)
@@ -212,6 +226,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
             visited,
             steps,
         )
+        own = geometry_of(g, w)
         memory = memory_of(mem, x.view(bits), y.view(bits), w)
         given = Output(
             out.observations[w:end],
@@ -246,12 +261,12 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
             if (fault != 0) | (not call.active[w]):
                 clear_output(p, given, ZERO)
             else:
-                act(p, g, memory, one, given, to, call.actions[w:end], ZERO, ONE)
-                assess(p, g, memory, one, given, to, ZERO, ONE)
+                act(p, own, memory, one, given, to, call.actions[w:end], ZERO, ONE)
+                assess(p, own, memory, one, given, to, ZERO, ONE)
                 fate = conclude(p, memory, given, ZERO)
             if fate == ENDED | RESTARTS:
                 for i in range(n):
-                    describe(p, g, one, memory.field, ZERO, ONE, i, mine)
+                    describe(p, own, one, ZERO, ONE, i, mine)
                     for entry in range(obs_size):
                         given.final_observations[0, i, entry] = mine[entry, 0]
             save_episode(one, now, w)
@@ -261,7 +276,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
             if fate & RESTARTS:
                 reset_world(with_seed(p, control), g, mem, now, w)
                 load_episode(now, one, w)
-        hand_out(p, g, one, memory.field, ZERO, is_world, tile, out.observations)
+        hand_out(p, own, one, ZERO, is_world, tile, out.observations)
 
     return step
 
@@ -278,7 +293,7 @@ def make_reset(obs_size: int) -> Callable[..., None]:
             mem.pending[w] = False
             reset_world(with_seed(p, control), g, mem, now, w)
             clear_output(p, out, w)
-        hand_out(p, g, now, mem.field, w, is_world, tile, out.observations)
+        hand_out(p, g, now, w, is_world, tile, out.observations)
 
     return reset
 
@@ -289,16 +304,16 @@ def infos(p, g, mem, now, final, out, rows):
     if w < now.steps.shape[0]:
         ended = out.terminated[w] | out.truncated[w]
         if ended & (p.autoreset == SAME_STEP):
-            put_infos(p, g, mem.field[w], final, out, w, rows[0])
+            put_infos(p, g, final, out, w, rows[0])
         else:
-            put_infos(p, g, mem.field[w], now, out, w, rows[0])
+            put_infos(p, g, now, out, w, rows[0])
 
 
 def states(g, mem, episode, rows):
     """As ``kernels.write_states``, of one of the episodes, with ``rows`` in a tuple of one."""
     w = np.uint64(cuda.grid(1))
     if w < episode.steps.shape[0]:
-        put_state(g, episode, mem.field, w, w + ONE, 0, rows[0][w : w + ONE].T)
+        put_state(g, episode, w, w + ONE, 0, rows[0][w : w + ONE].T)
 
 
 def draw(control, rows):

@@ -69,7 +69,7 @@ def reset_worlds(store, mask):
             mem.pending[w] = False
             reset_world(p, g, mem, now, w)
             clear_output(p, out, w)
-            observe(p, g, now, mem.field, w, w + NEXT, tile, out.observations)
+            observe(p, g, now, w, w + NEXT, tile, out.observations)
 
 
 @entry_point
@@ -86,14 +86,14 @@ def rest_worlds(store, mask):
                 mem.trail[w, last, 0] = now.x[i, w]
                 mem.trail[w, last, 1] = now.y[i, w]
             clear_output(p, out, w)
-            observe(p, g, now, mem.field, w, w + NEXT, tile, out.observations)
+            observe(p, g, now, w, w + NEXT, tile, out.observations)
 
 
 @compiled
-def put_infos(p, g, field, ep, out, w, rows):
+def put_infos(p, g, ep, out, w, rows):
     """Write what is known of each robot of world w, in the order of ``INFO_COLUMNS``."""
     outcome = out.outcomes[w]
-    rois_visited = rewards.count_bits(visit_code(g, ep.visited[w], field))
+    rois_visited = rewards.count_bits(visit_code(g, ep.visited[w], w))
     lost = rewards.is_set(outcome, rewards.COLLISION)
     success = rewards.is_set(outcome, rewards.SUCCESS) and not lost
     rested = rewards.is_set(outcome, rewards.RESTED)
@@ -113,11 +113,11 @@ def put_infos(p, g, field, ep, out, w, rows):
 def write_infos(store, rows):
     """Fill ``rows`` (W, n, 12) as of the last step, before any automatic reset."""
     p = unpack(store.constants)
-    mem, out = store.memory, store.output
+    out = store.output
     for w in range(FIRST, np.uint64(rows.shape[0])):
         ended = out.terminated[w] | out.truncated[w]
         episode = store.final if ended & (p.autoreset == SAME_STEP) else store.now
-        put_infos(p, store.geometry, mem.field[w], episode, out, w, rows)
+        put_infos(p, store.geometry, episode, out, w, rows)
 
 
 @entry_point
@@ -125,7 +125,7 @@ def write_states(store, final, states):
     """Write the paper's vector of every world, (W, 4n + 1)."""
     episode = store.final if final else store.now
     hi = np.uint64(states.shape[0])
-    put_state(store.geometry, episode, store.memory.field, FIRST, hi, 0, states.T)
+    put_state(store.geometry, episode, FIRST, hi, 0, states.T)
 
 
 @compiled

@@ -30,8 +30,7 @@ CHUNK = np.uint64(64)
 EMPTY = np.uint64(0)
 
 
-@compiled
-def filter_size(keys):
+def filter_size(keys: int) -> int:
     """How many 64-bit words, a power of two, filter ``keys`` keys."""
     words = LEAST_WORDS
     while words * 64 < keys * BITS_PER_KEY:

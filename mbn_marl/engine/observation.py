@@ -70,9 +70,15 @@ def _state_rows(n: int, m: int, arena: tuple[float, float], v_clip: float) -> li
 
 
 @compiled
-def visit_code(g, visited, field):
-    """The paper's visit code: the visit bits without those of padding ROIs."""
-    return visited & g.codes[field]
+def column(g, w):
+    """Where world w is in the tables of ``g``: they have one column for all worlds, or one each."""
+    return np.uint64(w) if g.codes.shape[0] > 1 else FIRST
+
+
+@compiled
+def visit_code(g, visited, w):
+    """World w's ``visited`` as the paper's visit code: without the bits of padding ROIs."""
+    return visited & g.codes[column(g, w)]
 
 
 @compiled
@@ -82,7 +88,7 @@ def nth_robot(place, first):
 
 
 @compiled
-def put_state(g, ep, fields, lo, hi, first, tile):
+def put_state(g, ep, lo, hi, first, tile):
     """The paper's vector (4n + 1) with robot ``first`` first; 0 is the paper's order."""
     n = ep.x.shape[0]
     for place in range(n):
@@ -94,7 +100,7 @@ def put_state(g, ep, fields, lo, hi, first, tile):
             tile[k + 2 * n, w - lo] = ep.vx[i, w]
             tile[k + 2 * n + 1, w - lo] = ep.vy[i, w]
     for w in range(lo, hi):
-        tile[4 * n, w - lo] = visit_code(g, ep.visited[w], fields[w])
+        tile[4 * n, w - lo] = visit_code(g, ep.visited[w], w)
 
 
 @compiled
@@ -118,11 +124,10 @@ def put_other(p, ep, lo, hi, i, j, tile, k):
 
 
 @compiled
-def put_roi(p, g, ep, fields, lo, hi, i, j, tile, k):
+def put_roi(p, g, ep, lo, hi, i, j, tile, k):
     """Where ROI j is, as robot i sees it, and whether the team has visited it."""
-    several = g.rois.shape[2] > 1
     for w in range(lo, hi):
-        f = np.uint64(fields[w]) if several else FIRST
+        f = column(g, w)
         tile[k, w - lo] = (g.rois[0, j, f] - ep.x[i, w]) * p.per_arena_x
         tile[k + 1, w - lo] = (g.rois[1, j, f] - ep.y[i, w]) * p.per_arena_y
         tile[k + 2, w - lo] = p.one if (ep.visited[w] & g.roi_bits[j, f]) != 0 else p.zero
@@ -146,16 +151,16 @@ def hide_other(p, ep, lo, hi, i, j, tile, k):
 
 
 @compiled
-def hide_roi(p, g, ep, fields, lo, hi, i, j, tile, k):
+def hide_roi(p, g, ep, lo, hi, i, j, tile, k):
     """``local``: hide where ROI j is beyond the sensing radius; its visit bit stays."""
     for w in range(lo, hi):
-        f = fields[w]
+        f = column(g, w)
         dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
         hide(p, within(dx, dy, p.sensing_squared), w - lo, tile, k, 2)
 
 
 @compiled
-def put_relative(p, g, ep, fields, lo, hi, i, tile):
+def put_relative(p, g, ep, lo, hi, i, tile):
     """The entries of ``relative`` and ``local`` for robot i; how many there are."""
     flag = 1 if p.observation == LOCAL else 0
     put_own(p, ep, lo, hi, i, tile)
@@ -167,22 +172,22 @@ def put_relative(p, g, ep, fields, lo, hi, i, tile):
                 hide_other(p, ep, lo, hi, i, j, tile, k)
             k += flag + 4
     for j in range(g.rois.shape[1]):
-        put_roi(p, g, ep, fields, lo, hi, i, j, tile, k + flag)
+        put_roi(p, g, ep, lo, hi, i, j, tile, k + flag)
         if flag:
-            hide_roi(p, g, ep, fields, lo, hi, i, j, tile, k)
+            hide_roi(p, g, ep, lo, hi, i, j, tile, k)
         k += flag + 3
     return k
 
 
 @compiled
-def describe(p, g, ep, fields, lo, hi, i, tile):
+def describe(p, g, ep, lo, hi, i, tile):
     """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side."""
     n = ep.x.shape[0]
     if p.observation == STATE:
-        put_state(g, ep, fields, lo, hi, i, tile)
+        put_state(g, ep, lo, hi, i, tile)
         k = 4 * n + 1
     else:
-        k = put_relative(p, g, ep, fields, lo, hi, i, tile)
+        k = put_relative(p, g, ep, lo, hi, i, tile)
     if p.one_hot:
         for j in range(n):
             for w in range(lo, hi):
@@ -190,7 +195,7 @@ def describe(p, g, ep, fields, lo, hi, i, tile):
 
 
 @compiled
-def observe(p, g, ep, fields, lo, hi, tile, rows):
+def observe(p, g, ep, lo, hi, tile, rows):
     """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size).
 
     They are made entry by entry in ``tile`` (size, at least hi - lo), where worlds lie side by
@@ -198,7 +203,7 @@ def observe(p, g, ep, fields, lo, hi, tile, rows):
     """
     size = np.uint64(rows.shape[2])
     for i in range(ep.x.shape[0]):
-        describe(p, g, ep, fields, lo, hi, i, tile)
+        describe(p, g, ep, lo, hi, i, tile)
         for w in range(lo, hi):
             for entry in range(size):
                 rows[w, i, entry] = tile[entry, w - lo]

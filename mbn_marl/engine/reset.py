@@ -14,7 +14,7 @@ from mbn_marl.engine.memory import (
     filter_mask,
     filter_word,
 )
-from mbn_marl.engine.observation import visit_code
+from mbn_marl.engine.observation import column, visit_code
 from mbn_marl.engine.rewards import FORMAL, RELEASED, RESTED
 from mbn_marl.engine.rng import FOR_STARTS, GOLDEN, mix, stream_key, uniform
 
@@ -23,29 +23,31 @@ DRAWS_PER_ROBOT = 1000
 
 
 @compiled
-def in_field(g, field, x, y):
-    """Whether a point is in the closed field."""
+def in_field(g, w, x, y):
+    """Whether a point is in the closed field of world w."""
+    f = column(g, w)
     seen = 0
     for e in range(g.edges.shape[1]):
-        ax, ay = g.edges[0, e, field], g.edges[1, e, field]
-        bx, by = g.edges[2, e, field], g.edges[3, e, field]
+        ax, ay = g.edges[0, e, f], g.edges[1, e, f]
+        bx, by = g.edges[2, e, f], g.edges[3, e, f]
         seen = rules.cross_edge(seen, x, y, ax, ay, bx, by)
     return seen != 0
 
 
 @compiled
-def place_at_random(p, g, mem, now, field, w):
+def place_at_random(p, g, mem, now, w):
     """Put the robots at random points of the field, none closer than C; False if that failed."""
+    f = column(g, w)
     key = stream_key(p.seed, w, mem.episode[w], FOR_STARTS)
     counter = 0
     for i in range(now.x.shape[0]):
         placed = False
         for _ in range(DRAWS_PER_ROBOT):
             if not placed:
-                x = g.boxes[0, field] + g.boxes[2, field] * uniform(key, counter)
-                y = g.boxes[1, field] + g.boxes[3, field] * uniform(key, counter + 1)
+                x = g.boxes[0, f] + g.boxes[2, f] * uniform(key, counter)
+                y = g.boxes[1, f] + g.boxes[3, f] * uniform(key, counter + 1)
                 counter += 2
-                placed = in_field(g, field, x, y)
+                placed = in_field(g, w, x, y)
                 for j in range(i):
                     near = rules.too_close(now.x[j, w] - x, now.y[j, w] - y, p.safety_squared)
                     placed = placed and not near
@@ -59,16 +61,16 @@ def place_at_random(p, g, mem, now, field, w):
 @compiled
 def reset_world(p, g, mem, now, w):
     """Begin the next episode of world w: robots at rest at the starts, nothing visited."""
-    field = mem.field[w]
+    f = column(g, w)
     n = now.x.shape[0]
     mem.episode[w] += 1
     at_random = False
     if p.random_starts:
-        at_random = place_at_random(p, g, mem, now, field, w)
+        at_random = place_at_random(p, g, mem, now, w)
     for i in range(n):
         if not at_random:
-            now.x[i, w] = g.starts[0, i, field]
-            now.y[i, w] = g.starts[1, i, field]
+            now.x[i, w] = g.starts[0, i, f]
+            now.y[i, w] = g.starts[1, i, f]
         now.vx[i, w] = p.zero
         now.vy[i, w] = p.zero
         now.impulse_x[i, w] = p.zero
@@ -79,14 +81,14 @@ def reset_world(p, g, mem, now, w):
         mem.trail[w, i, 0] = now.x[i, w]
         mem.trail[w, i, 1] = now.y[i, w]
     now.team_return[w] = 0.0
-    now.visited[w] = ((1 << g.rois.shape[1]) - 1) & ~g.codes[field]
+    now.visited[w] = ((1 << g.rois.shape[1]) - 1) & ~g.codes[f]
     now.steps[w] = 0
     mem.words[w] = np.uint64(
         LEAST_WORDS if p.rules == RELEASED else mem.filter.shape[1] - ODD_LINES
     )
     clear_filter(mem.filter, w, mem.words[w])
     if p.rules == FORMAL:
-        joint_state_known(mem, now, w, visit_code(g, now.visited[w], field))
+        joint_state_known(mem, now, w, visit_code(g, now.visited[w], w))
 
 
 @compiled

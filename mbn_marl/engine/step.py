@@ -27,7 +27,7 @@ from mbn_marl.engine.memory import (
     refill_filter,
     stood_on,
 )
-from mbn_marl.engine.observation import observe, visit_code
+from mbn_marl.engine.observation import column, observe, visit_code
 from mbn_marl.engine.prefetch import prefetch
 from mbn_marl.engine.reset import clear_output, finish_world, joint_state_known, reset_world
 from mbn_marl.engine.rewards import (
@@ -113,7 +113,7 @@ def accelerate(p, g, now, to, actions, i, lo, hi):
 
 
 @compiled
-def contain(g, mem, to, lo, hi):
+def contain(g, to, lo, hi):
     """Whether the candidates are in the field: ``seen`` is not zero there."""
     edges = g.edges
     for k in range(hi - lo):
@@ -125,7 +125,7 @@ def contain(g, mem, to, lo, hi):
                 to.seen[k] = rules.cross_edge(to.seen[k], to.x[k], to.y[k], ax, ay, bx, by)
         else:
             for k in range(hi - lo):
-                f = np.uint64(mem.field[lo + k])
+                f = lo + k
                 ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
                 to.seen[k] = rules.cross_edge(to.seen[k], to.x[k], to.y[k], ax, ay, bx, by)
 
@@ -158,11 +158,11 @@ def move(p, now, out, to, i, lo, hi):
 
 
 @compiled
-def visit(p, g, mem, now, out, i, lo, hi):
+def visit(p, g, now, out, i, lo, hi):
     """Step 5: every unvisited ROI within reach becomes visited, to robot i's credit."""
     for j in range(g.rois.shape[1]):
         for w in range(lo, hi):
-            f = np.uint64(mem.field[w]) if g.rois.shape[2] > 1 else ZERO
+            f = column(g, w)
             bit = g.roi_bits[j, f]
             dx, dy = now.x[i, w] - g.rois[0, j, f], now.y[i, w] - g.rois[1, j, f]
             near = rules.within(dx, dy, p.roi_squared)
@@ -258,7 +258,7 @@ def judge(p, g, mem, now, out, to, lo, hi):
             for i in range(now.x.shape[0]):
                 if (out.events[i, w] & WALL) != 0:
                     out.outcomes[w] |= ANY_OUTSIDE
-            if joint_state_known(mem, now, w, visit_code(g, now.visited[w], mem.field[w])):
+            if joint_state_known(mem, now, w, visit_code(g, now.visited[w], w)):
                 out.outcomes[w] |= KNOWN_STATE
 
 
@@ -319,7 +319,7 @@ def settle(p, g, mem, now, final, out, to, lo, hi):
             finish_world(now, final, w)
         if fate & RESTARTS:
             reset_world(p, g, mem, now, w)
-            observe(p, g, now, mem.field, w, w + ONE, to.tile, out.observations)
+            observe(p, g, now, w, w + ONE, to.tile, out.observations)
     return ended
 
 
@@ -328,9 +328,9 @@ def act(p, g, mem, now, out, to, actions, lo, hi):
     """What every robot does: where it goes, what it visits; its memory is fetched ahead."""
     for i in range(now.x.shape[0]):
         accelerate(p, g, now, to, actions, i, lo, hi)
-        contain(g, mem, to, lo, hi)
+        contain(g, to, lo, hi)
         move(p, now, out, to, i, lo, hi)
-        visit(p, g, mem, now, out, i, lo, hi)
+        visit(p, g, now, out, i, lo, hi)
     if p.rules == RELEASED:
         record(mem, now, lo, hi)
         for i in range(now.x.shape[0]):
@@ -361,7 +361,7 @@ def step_worlds(store, actions, lo, hi):
     while lo < hi:
         end = min(lo + np.uint64(BLOCK), hi)
         act(p, g, mem, now, out, to, actions, lo, end)
-        observe(p, g, now, mem.field, lo, end, to.tile, out.observations)
+        observe(p, g, now, lo, end, to.tile, out.observations)
         assess(p, g, mem, now, out, to, lo, end)
         ended += settle(p, g, mem, now, final, out, to, lo, end)
         lo = end
