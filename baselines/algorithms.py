@@ -5,12 +5,37 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
 from mbn_marl.errors import MbnError
 
 Form = Literal["centralized", "decentralized"]
+Setting = Literal["A", "B", "C", "N"]
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """What a run under a setting is, unless it is told otherwise.
+
+    Attributes:
+        summary: the setting in a few words.
+        seed: of networks, exploration and worlds.
+        steps: the budget in env-steps.
+    """
+
+    summary: str
+    seed: int
+    steps: int
+
+
+SETTINGS: Mapping[Setting, Protocol] = {
+    "A": Protocol("the paper's: library defaults, raw observation and reward", 33, 5_000_000),
+    "B": Protocol("the paper's: as A, with its Optuna values", 33, 5_000_000),
+    "C": Protocol("the paper's: as A, from a policy trained on another field", 33, 5_000_000),
+    "N": Protocol("normalised observation, scaled reward", 0, 655_360),
+}
 
 
 @dataclass(frozen=True)
@@ -26,16 +51,35 @@ class Algorithm:
     name: str
     form: Form
 
+    @property
+    def settings(self) -> tuple[Setting, ...]:
+        """The settings it can be trained under."""
+        return tuple(SETTINGS) if self.form == "centralized" else ("N",)
+
     def _module(self, name: str) -> ModuleType:
         return import_module(f"baselines.{self.form}.{name}")
 
-    def resolve(self, overrides: Mapping[str, Any]) -> Any:
-        """The hyperparameters: the recorded ones with ``overrides``.
+    def resolve(
+        self,
+        overrides: Mapping[str, Any],
+        *,
+        setting: Setting = "N",
+        num_envs: int | None = None,
+        file: Path | None = None,
+    ) -> Any:
+        """The hyperparameters of a setting: the recorded ones with ``overrides``.
+
+        Args:
+            overrides: values by name, instead of the recorded ones.
+            setting: one of :attr:`settings`.
+            num_envs: worlds side by side, instead of the recorded number.
+            file: a YAML file whose block of the setting takes the place of the recorded one.
 
         Raises:
             ConfigError: naming every unknown or invalid hyperparameter.
         """
-        return self._module("config").load(self.name, overrides)
+        load = self._module("config").load
+        return load(self.name, setting, overrides, num_envs=num_envs, file=file)
 
     @property
     def train(self) -> Callable[..., None]:
@@ -53,7 +97,12 @@ class Algorithm:
 ALGORITHMS: Mapping[str, Algorithm] = {
     algorithm.name: algorithm
     for algorithm in (
+        Algorithm("a2c", "centralized"),
         Algorithm("ppo", "centralized"),
+        Algorithm("trpo", "centralized"),
+        Algorithm("ars", "centralized"),
+        Algorithm("crossq", "centralized"),
+        Algorithm("tqc", "centralized"),
         Algorithm("mappo", "decentralized"),
         Algorithm("ippo", "decentralized"),
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError
@@ -17,21 +17,48 @@ class Hyperparameters(BaseModel):
     """What every algorithm's hyperparameters have.
 
     Attributes:
+        source: where the numbers come from.
         environment: the algorithm's own settings of the environment.
+        skipped: values of the source that the algorithm has no place for; they have no effect.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    environment: dict[str, Any]
+    source: str = ""
+    environment: dict[str, Any] = Field(default_factory=dict)
+    skipped: dict[str, Any] = Field(default_factory=dict)
 
 
 Model = TypeVar("Model", bound=Hyperparameters)
 
 
 def read_blocks(path: Path) -> dict[str, Any]:
-    """Read a YAML file of named blocks."""
-    blocks: dict[str, Any] = yaml.safe_load(path.read_text())
+    """Read a YAML file of named blocks.
+
+    Raises:
+        ConfigError: the file is missing, is no YAML, or is not a mapping of mappings.
+    """
+    try:
+        blocks = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
+    if not isinstance(blocks, dict) or not all(isinstance(one, dict) for one in blocks.values()):
+        raise ConfigError(str(path), ["must be a mapping from names of blocks to mappings"])
     return blocks
+
+
+def read_block(path: Path, name: str) -> dict[str, Any]:
+    """Read one block of a YAML file.
+
+    Raises:
+        ConfigError: as :func:`read_blocks`, or there is no such block.
+    """
+    blocks = read_blocks(path)
+    if name not in blocks:
+        there = ", ".join(map(str, blocks)) or "none"
+        raise ConfigError(str(path), [f"{name}: no such block; there: {there}"])
+    block: dict[str, Any] = blocks[name]
+    return block
 
 
 def validate(model: type[Model], values: Mapping[str, Any], source: str) -> Model:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from torch.utils.tensorboard import SummaryWriter
 
 from baselines.evaluate import EVALUATION_SEED, Evaluation, evaluate
 from baselines.policies import TrainedPolicy
@@ -47,6 +48,11 @@ class EpisodeWindow:
         return row
 
 
+ROW_STEPS = 2048
+"""A progress row spans at least so many env-steps, except the last one and one before a fresh
+evaluation: a learner that updates every few steps would otherwise write more than it learns."""
+
+
 class Recorder:
     """Records one run in its folder.
 
@@ -66,13 +72,16 @@ class Recorder:
         self._listener = listener
         self._evaluations: list[dict[str, Any]] = []
         self._seconds = 0.0
-        self._resumed_at = 0.0
+        self._started_at = 0.0
+        self._last_row = 0
+        self._diagnostics: Mapping[str, float] = {}
         self._next_evaluation = task.config.evaluate_every
+        self._board = SummaryWriter(folder.path / "tensorboard")
         write_json(folder.path / "evaluations.json", self._evaluations)
 
     def start(self) -> None:
         """Start the training clock: the libraries are imported, the engine is compiled."""
-        self._resumed_at = time.perf_counter()
+        self._started_at = time.perf_counter()
 
     def update(
         self, env_steps: int, policy: TrainedPolicy, diagnostics: Mapping[str, float]
@@ -84,24 +93,28 @@ class Recorder:
             policy: the current policy.
             diagnostics: numbers of the learner for ``progress.csv``, the same names every time.
         """
-        self._seconds += time.perf_counter() - self._resumed_at
-        row = {"env_steps": float(env_steps), "seconds": self._seconds}
-        self._folder.append_progress({**row, **self.episodes.pop(), **diagnostics})
-        if self._next_evaluation <= env_steps < self._task.config.steps:
+        self._diagnostics = diagnostics
+        evaluation_due = self._next_evaluation <= env_steps < self._task.config.steps
+        if env_steps - self._last_row < ROW_STEPS and not evaluation_due:
+            return
+        self._write_row(env_steps)
+        if evaluation_due:
             number = 1 + len(self._evaluations)
             self._note(env_steps, self._fresh(policy, deterministic=False, number=number))
             self._save(policy)
         if env_steps < self._task.config.steps:
             self._tell(env_steps)
-        self._resumed_at = time.perf_counter()
+        self._started_at = time.perf_counter()
 
     def finish(self, env_steps: int, policy: TrainedPolicy) -> None:
         """Make the final evaluation of the last policy; its file marks the run as finished."""
-        self._seconds += time.perf_counter() - self._resumed_at
+        if env_steps > self._last_row:
+            self._write_row(env_steps)
         self._save(policy)
         stochastic = self._fresh(policy, deterministic=False, number=0)
         deterministic = self._fresh(policy, deterministic=True, number=0)
         self._note(env_steps, stochastic)
+        self._board.close()
         result = {
             "env_steps": env_steps,
             "seconds": self._seconds,
@@ -111,10 +124,27 @@ class Recorder:
         write_json(self._folder.path / "evaluation.json", result)
         self._tell(env_steps)
 
+    def scalars(self, env_steps: int, values: Mapping[str, float]) -> None:
+        """Write numbers to TensorBoard alone."""
+        for name, value in values.items():
+            self._board.add_scalar(name, value, env_steps)
+
+    def _write_row(self, env_steps: int) -> None:
+        """Stop the clock, and write the row of the window since the last one."""
+        now = time.perf_counter()
+        self._seconds += now - self._started_at
+        row = {"seconds": self._seconds, **self.episodes.pop(), **self._diagnostics}
+        self._folder.append_progress({"env_steps": float(env_steps), **row})
+        known = {f"training/{name}": value for name, value in row.items() if value == value}
+        self.scalars(env_steps, known)
+        self._last_row = env_steps
+
     def _note(self, env_steps: int, evaluation: Evaluation) -> None:
         """Append an evaluation to the history."""
         entry = {"env_steps": env_steps, "seconds": self._seconds, **evaluation.summary()}
         self._evaluations.append(entry)
+        names = ("return_mean", "success_rate", "collision_rate", "rois_visited")
+        self.scalars(env_steps, {f"evaluation/{name}": entry[name] for name in names})
         write_json(self._folder.path / "evaluations.json", self._evaluations)
         while self._next_evaluation <= env_steps:
             self._next_evaluation += self._task.config.evaluate_every

@@ -5,7 +5,8 @@ Files of a run folder:
     field.yaml         the field
     command.txt        the exact command
     versions.json      Python, packages, machine, git revision
-    progress.csv       one row per update of the learner
+    progress.csv       one row per window of training, see baselines.recorder
+    tensorboard/       the same numbers and the library's own, as TensorBoard events
     evaluations.json   the fresh evaluations during training, in order
     policy/            the latest policy
     evaluation.json    the final evaluation; its presence marks a finished run
@@ -25,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from baselines.algorithms import find_algorithm
+from baselines.algorithms import Setting, find_algorithm
 from baselines.storage import RunError, claim_folder, read_json, write_json, write_text
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
@@ -36,6 +37,7 @@ PACKAGES = (
     "numba",
     "gymnasium",
     "pettingzoo",
+    "sb3-contrib",
     "stable-baselines3",
     "tensordict",
     "torch",
@@ -50,54 +52,70 @@ class TrainConfig:
     Attributes:
         algorithm: a name of :data:`baselines.algorithms.ALGORITHMS`.
         field: a catalogue name or the path of a field file.
+        setting: a name of :data:`baselines.algorithms.SETTINGS` that the algorithm has.
         seed: seeds the networks, the exploration and the worlds (>= 0).
         steps: the budget in env-steps (> 0), rounded up to whole updates of the learner.
         evaluate_every: env-steps between two fresh evaluations (> 0).
         episodes: stochastic episodes of an evaluation (> 0).
+        num_envs: worlds side by side; ``None`` for the setting's own number.
+        hyperparams: a YAML file whose block of the setting takes the place of the recorded one.
         environment: settings of the environment that differ from the algorithm's own.
         hyperparameters: hyperparameters that differ from the algorithm's own.
 
     Raises:
-        ConfigError: naming every number out of range.
+        ConfigError: naming every number out of range, or a setting the algorithm does not have.
         MbnError: the algorithm or the field is not valid.
     """
 
     algorithm: str
     field: str
+    setting: Setting = "N"
     seed: int = 0
     steps: int = 655_360
     evaluate_every: int = 32_768
     episodes: int = 100
+    num_envs: int | None = None
+    hyperparams: Path | None = None
     environment: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     hyperparameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the numbers and the names."""
+        counts = {"steps": 1, "evaluate_every": 1, "episodes": 1, "num_envs": 1}
         problems = [
-            f"{name}: must be at least {least} (got {getattr(self, name)})"
-            for name, least in (("seed", 0), ("steps", 1), ("evaluate_every", 1), ("episodes", 1))
-            if getattr(self, name) < least
+            f"{name}: must be at least {least} (got {value})"
+            for name, least in {"seed": 0, **counts}.items()
+            if (value := getattr(self, name)) is not None and value < least
         ]
         if problems:
             raise ConfigError("training", problems)
-        find_algorithm(self.algorithm)
+        settings = find_algorithm(self.algorithm).settings
+        if self.setting not in settings:
+            problem = f"setting: {self.algorithm} has {', '.join(settings)}, not {self.setting}"
+            raise ConfigError("training", [problem])
         load_field(self.field)
 
     @property
     def name(self) -> str:
-        """The run's name, unique within a comparison: algorithm, field and seed."""
-        return f"{self.algorithm}-{Path(self.field).stem}-seed{self.seed}"
+        """The run's name, unique within a comparison: algorithm, setting, field and seed."""
+        form = find_algorithm(self.algorithm).form
+        learner = f"{self.algorithm}-{self.setting}" if form == "centralized" else self.algorithm
+        return f"{learner}-{Path(self.field).stem}-seed{self.seed}"
 
     @property
     def command(self) -> str:
         """The command line that repeats this run."""
         options = {
+            "--setting": self.setting,
             "--seed": self.seed,
             "--steps": self.steps,
             "--evaluate-every": self.evaluate_every,
             "--episodes": self.episodes,
+            "--num-envs": self.num_envs,
+            "--hyperparams": self.hyperparams,
         }
-        words = [str(word) for option in options.items() for word in option]
+        given = {name: value for name, value in options.items() if value is not None}
+        words = [str(word) for option in given.items() for word in option]
         return shlex.join(["mbn", "train", self.algorithm, self.field, *words])
 
 

@@ -44,7 +44,7 @@ def train(
 
     torch.set_num_threads(1)
     algorithm = find_algorithm(config.algorithm)
-    hyperparameters = algorithm.resolve(config.hyperparameters)
+    hyperparameters = resolve_hyperparameters(config)
     settings = {**hyperparameters.environment, **config.environment}
     task = Task(config, load_field(config.field), settings)
     folder = RunFolder.create(
@@ -58,11 +58,28 @@ def train(
     return folder
 
 
+def resolve_hyperparameters(config: TrainConfig) -> Hyperparameters:
+    """The hyperparameters of a run: the recorded ones, with what the request says instead.
+
+    Raises:
+        ConfigError: naming every unknown or invalid hyperparameter.
+    """
+    hyperparameters: Hyperparameters = find_algorithm(config.algorithm).resolve(
+        config.hyperparameters,
+        setting=config.setting,
+        num_envs=config.num_envs,
+        file=config.hyperparams,
+    )
+    return hyperparameters
+
+
 def resolve(task: Task, hyperparameters: Hyperparameters) -> Mapping[str, Any]:
     """The resolved configuration of a run, with every default written out, as JSON values."""
     field = task.config.field
+    file = task.config.hyperparams
     return {
         **asdict(task.config),
+        "hyperparams": None if file is None else str(file.resolve()),
         "field": field if field in catalogue_names() else str(Path(field).resolve()),
         "environment": make_config(task.settings).model_dump(mode="json"),
         "hyperparameters": hyperparameters.model_dump(mode="json"),

@@ -119,27 +119,33 @@ def test_centralized_hyperparameters_are_files_on_disk() -> None:
 
 
 def test_centralized_model_arguments_are_those_of_the_library() -> None:
-    changed = centralized_config.load("ppo", {"model": {"gamma": 0.5}})
-    assert changed.model == {**centralized_config.load("ppo", {}).model, "gamma": 0.5}
+    changed = centralized_config.load("ppo", "N", {"model": {"gamma": 0.5}})
+    assert changed.model == {**centralized_config.load("ppo", "N", {}).model, "gamma": 0.5}
     with pytest.raises(ConfigError, match=r"model\.tau: unknown name; known: .*gamma"):
-        centralized_config.load("ppo", {"model": {"tau": 0.1}})
+        centralized_config.load("ppo", "N", {"model": {"tau": 0.1}})
 
 
 def test_centralized_schedules_fall_linearly() -> None:
-    config = centralized_config.load("ppo", {"model": {"learning_rate": {"from": 3.0, "to": 1.0}}})
+    config = centralized_config.load(
+        "ppo", "N", {"model": {"learning_rate": {"from": 3.0, "to": 1.0}}}
+    )
     rate = centralized_config.model_arguments(config)["learning_rate"]
     assert [rate(remaining) for remaining in (1.0, 0.5, 0.0)] == [3.0, 2.0, 1.0]
 
 
 def test_mappo_and_ippo_differ_by_the_critic_alone() -> None:
-    mappo, ippo = (decentralized_config.load(name, {}).model_dump() for name in ("mappo", "ippo"))
+    mappo, ippo = (
+        decentralized_config.load(name, "N", {}).model_dump() for name in ("mappo", "ippo")
+    )
     assert (mappo.pop("critic"), ippo.pop("critic")) == ("centralized", "independent")
     assert mappo == ippo
 
 
 def test_the_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
     config = decentralized_config.load(
-        "mappo", {"log_std_cap": [0.5, -1.5], "log_std_cap_from": 0.5, "learning_rate": [3.0, 1.0]}
+        "mappo",
+        "N",
+        {"log_std_cap": [0.5, -1.5], "log_std_cap_from": 0.5, "learning_rate": [3.0, 1.0]},
     )
     assert [config.cap_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == [0.5, 0.5, -0.5, -1.5]
     assert [config.learning_rate_at(progress) for progress in (0.0, 0.25, 1.0)] == [3.0, 2.5, 1.0]
@@ -217,7 +223,7 @@ def test_a_damaged_policy_is_named(tmp_path: Path) -> None:
 
 
 def test_normalization_is_that_of_vec_normalize() -> None:
-    norm = Normalization(np.array([1.0, 0.0]), np.array([4.0, 1.0]), epsilon=0.0, clip=10.0)
+    norm = Normalization(np.array([1.0, 0.0]), np.array([4.0, 1.0]), 5.0, epsilon=0.0, clip=10.0)
     assert norm(np.array([[5.0, -20.0]])).tolist() == [[2.0, -10.0]]
     copy = Normalization.from_json(json.loads(json.dumps(norm.to_json())))
     assert copy(np.array([[5.0, -20.0]])).tolist() == [[2.0, -10.0]]

@@ -87,7 +87,7 @@ def test_compare_writes_table_and_figures(
     rows = json.loads((out / "table.json").read_text())
     assert [(row["algorithm"], row["seeds"]) for row in rows] == [("ppo", 2), ("mappo", 2)]
     finals = [
-        json.loads((out / f"ppo-field_03-seed{seed}" / "evaluation.json").read_text())
+        json.loads((out / f"ppo-N-field_03-seed{seed}" / "evaluation.json").read_text())
         for seed in (0, 1)
     ]
     mean = sum(final["stochastic"]["return_mean"] for final in finals) / 2
@@ -109,7 +109,10 @@ def test_compare_writes_table_and_figures(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["train", "sac", "field_03"], "unknown algorithm 'sac'; known: ppo, mappo, ippo"),
+        (
+            ["train", "sac", "field_03"],
+            "unknown algorithm 'sac'; known: a2c, ppo, trpo, ars, crossq, tqc, mappo, ippo",
+        ),
         (["train", "ppo", "field_00"], "known: field_01"),
         (["train", "ppo", "field_03", "--steps", "0"], "steps: must be at least 1"),
         (["compare", "--algos", "ppo", "ppo"], "algorithms: ppo is given twice"),
@@ -172,7 +175,7 @@ def test_a_stopped_comparison_leaves_no_process_behind(tmp_path: Path) -> None:
         text=True,
     )
     try:
-        progress = out / "ppo-field_03-seed0" / "progress.csv"
+        progress = out / "ppo-N-field_03-seed0" / "progress.csv"
         assert _wait_for(progress.exists)
         process.send_signal(signal.SIGTERM)
         _, error = process.communicate(timeout=60)

@@ -10,31 +10,54 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from baselines.hyperparameters import Hyperparameters, read_blocks, validate
+from baselines.hyperparameters import Hyperparameters, read_block, validate
 from mbn_marl.errors import ConfigError
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 FOLDER = Path(__file__).with_name("hyperparams")
-CLASSES = {"ppo": "stable_baselines3:PPO"}
-SETTING = "N"
-"""The setting that is trained: normalised observation, scaled reward."""
+CLASSES = {
+    "a2c": "stable_baselines3:A2C",
+    "ppo": "stable_baselines3:PPO",
+    "trpo": "sb3_contrib:TRPO",
+    "ars": "baselines.centralized.ars:PopulationSearch",
+    "crossq": "sb3_contrib:CrossQ",
+    "tqc": "sb3_contrib:TQC",
+}
+RESERVED = ("policy", "env", "seed", "verbose", "tensorboard_log", "_init_setup_model")
+"""Arguments that the trainer gives itself."""
+TUNED_IN_PAPER = (
+    "learning_rate",
+    "gamma",
+    "gae_lambda",
+    "vf_coef",
+    "ent_coef",
+    "max_grad_norm",
+    "buffer_size",
+)
+"""What the paper tuned. It lists some for algorithms that have no such argument: these are skipped,
+and the run says so. Any other name that the library's class does not take is an error."""
 
 
 class CentralizedConfig(Hyperparameters):
-    """A setting of one algorithm.
+    """A setting of one algorithm. The defaults are setting A: the library's, on raw numbers.
 
     Attributes:
         num_envs: worlds stepped side by side.
+        normalize_observation: the learner sees the state normalised by its running mean and
+            variance, or raw.
         reward_scale: the learner sees the reward times this.
+        policy: the library's name of the policy.
         model: arguments of the library's class; ``{from: a, to: b}`` for a number falls linearly
             over training.
     """
 
-    num_envs: Annotated[int, Field(ge=1)]
-    reward_scale: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-    model: dict[str, Any]
+    num_envs: Annotated[int, Field(ge=1)] = 1
+    normalize_observation: bool = False
+    reward_scale: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] = 1.0
+    policy: str = "MlpPolicy"
+    model: dict[str, Any] = Field(default_factory=dict)
 
 
 class LinearSchedule(BaseModel):
@@ -57,24 +80,52 @@ def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
     return found
 
 
-def load(algorithm: str, overrides: Mapping[str, Any]) -> CentralizedConfig:
-    """The recorded hyperparameters of an algorithm, with ``overrides``.
+def load(
+    algorithm: str,
+    setting: str,
+    overrides: Mapping[str, Any],
+    *,
+    num_envs: int | None = None,
+    file: Path | None = None,
+) -> CentralizedConfig:
+    """The hyperparameters of an algorithm under a setting, with ``overrides``.
 
-    An override of ``model`` changes the arguments it names and leaves the others.
+    Setting C fine-tunes with the values of A. An override of ``model`` changes the arguments it
+    names and leaves the others.
+
+    Args:
+        algorithm: its name.
+        setting: ``"A"``, ``"B"``, ``"C"`` or ``"N"``.
+        overrides: values by name, instead of the recorded ones.
+        num_envs: worlds side by side, instead of the recorded number.
+        file: a YAML file whose block of the setting takes the place of the recorded one.
 
     Raises:
         ConfigError: naming every unknown or invalid hyperparameter.
     """
-    block = read_blocks(FOLDER / f"{algorithm}.yaml")[SETTING]
-    merged = {**block, **overrides, "model": {**block["model"], **overrides.get("model", {})}}
-    config = validate(CentralizedConfig, merged, f"hyperparameters of {algorithm}")
-    accepted = set(inspect.signature(algorithm_class(algorithm)).parameters) - {"policy", "env"}
-    unknown = sorted(set(config.model) - accepted)
+    source = file or FOLDER / f"{algorithm}.yaml"
+    block = read_block(source, "A" if setting == "C" and file is None else setting)
+    given = {"num_envs": num_envs} if num_envs is not None else {}
+    model = {**(block.get("model") or {}), **overrides.get("model", {})}
+    values = {**block, **overrides, **given, "model": model}
+    place = f"hyperparameters of {algorithm}"
+    config = validate(CentralizedConfig, values, place if file is None else str(file))
+    accepted = accepted_arguments(algorithm)
+    foreign = {name: value for name, value in config.model.items() if name not in accepted}
+    unknown = sorted(set(foreign) - set(TUNED_IN_PAPER))
     if unknown:
         known = ", ".join(sorted(accepted))
-        problems = [f"model.{name}: unknown name; known: {known}" for name in unknown]
-        raise ConfigError(f"hyperparameters of {algorithm}", problems)
-    return config
+        raise ConfigError(
+            place, [f"model.{name}: unknown name; known: {known}" for name in unknown]
+        )
+    kept = {name: value for name, value in config.model.items() if name in accepted}
+    skipped = {**config.skipped, **foreign}
+    return config.model_copy(update={"model": kept, "skipped": skipped})
+
+
+def accepted_arguments(algorithm: str) -> set[str]:
+    """The names that ``model`` may have."""
+    return set(inspect.signature(algorithm_class(algorithm)).parameters) - set(RESERVED)
 
 
 def model_arguments(config: CentralizedConfig) -> dict[str, Any]:

@@ -26,26 +26,35 @@ class Normalization:
     Attributes:
         mean: (4n+1,) running mean of the state.
         variance: (4n+1,) running variance.
+        count: how many observations they are of.
         epsilon: keeps the division finite.
         clip: bound of the result.
     """
 
     mean: np.ndarray
     variance: np.ndarray
+    count: float
     epsilon: float
     clip: float
 
     @classmethod
     def of(cls, env: VecNormalize) -> Normalization:
         """The normalisation of ``env`` as it is now."""
-        statistics: Any = env.obs_rms
-        return cls(statistics.mean.copy(), statistics.var.copy(), env.epsilon, env.clip_obs)
+        running: Any = env.obs_rms
+        return cls(
+            running.mean.copy(), running.var.copy(), running.count, env.epsilon, env.clip_obs
+        )
+
+    def put_into(self, env: VecNormalize) -> None:
+        """Make ``env`` normalise, and go on counting, as this does."""
+        running: Any = env.obs_rms
+        running.mean, running.var, running.count = self.mean, self.variance, self.count
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> Normalization:
         """The inverse of :meth:`to_json`."""
-        arrays = (np.asarray(values["mean"]), np.asarray(values["variance"]))
-        return cls(*arrays, values["epsilon"], values["clip"])
+        arrays = {name: np.asarray(values[name]) for name in ("mean", "variance")}
+        return cls(**{**values, **arrays})
 
     def __call__(self, states: np.ndarray) -> np.ndarray:
         """Normalise ``states`` (worlds, 4n+1)."""
@@ -55,8 +64,7 @@ class Normalization:
 
     def to_json(self) -> dict[str, Any]:
         """As JSON values."""
-        lists = {"mean": self.mean.tolist(), "variance": self.variance.tolist()}
-        return {**lists, "epsilon": self.epsilon, "clip": self.clip}
+        return {**vars(self), "mean": self.mean.tolist(), "variance": self.variance.tolist()}
 
 
 class CentralizedPolicy:
@@ -64,23 +72,25 @@ class CentralizedPolicy:
 
     Args:
         model: the trained algorithm.
-        normalization: of the states.
+        normalization: of the states; ``None`` if it sees them raw.
     """
 
     observes: Literal["observations", "state"] = "state"
 
-    def __init__(self, model: BaseAlgorithm, normalization: Normalization) -> None:
+    def __init__(self, model: BaseAlgorithm, normalization: Normalization | None) -> None:
         self.model = model
         self.normalization = normalization
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         """Actions (worlds, n, 2) for states (worlds, 4n+1)."""
-        actions, _ = self.model.predict(self.normalization(seen), deterministic=deterministic)
+        states = seen if self.normalization is None else self.normalization(seen)
+        actions, _ = self.model.predict(states, deterministic=deterministic)
         return actions
 
     def save(self, folder: Path) -> None:
-        """Write the model and the normalisation into ``folder``."""
-        write_json(folder / NORMALIZATION, self.normalization.to_json())
+        """Write the model, and the normalisation if it has one, into ``folder``."""
+        if self.normalization is not None:
+            write_json(folder / NORMALIZATION, self.normalization.to_json())
         with replacing(folder / MODEL) as temporary:
             self.model.save(temporary)
 
@@ -97,11 +107,10 @@ def load(run: RunFolder) -> CentralizedPolicy:
     if not path.is_file():
         raise RunError(f"{path} is missing: the run has saved no policy")
     model = algorithm_class(run.config["algorithm"]).load(path, device="cpu")
-    values = read_json(run.policy / NORMALIZATION)
-    normalization = Normalization(
-        np.asarray(values["mean"]),
-        np.asarray(values["variance"]),
-        values["epsilon"],
-        values["clip"],
-    )
-    return CentralizedPolicy(model, normalization)
+    return CentralizedPolicy(model, load_normalization(run.policy))
+
+
+def load_normalization(folder: Path) -> Normalization | None:
+    """The normalisation that :meth:`CentralizedPolicy.save` wrote, if there was one."""
+    path = folder / NORMALIZATION
+    return Normalization.from_json(read_json(path)) if path.is_file() else None

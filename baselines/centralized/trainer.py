@@ -2,48 +2,62 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import KVWriter, Logger
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from baselines.centralized.config import CentralizedConfig, algorithm_class, model_arguments
 from baselines.centralized.policy import CentralizedPolicy, Normalization
-from baselines.recorder import Recorder
+from baselines.recorder import ROW_STEPS, EpisodeWindow, Recorder
 from baselines.runs import Task
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 
 
-class ScaledReward(VecEnvWrapper):
-    """Rewards times a constant.
+class LearnersView(VecEnvWrapper):
+    """The worlds as the learner gets them: rewards scaled, ended episodes noted.
 
     Args:
-        venv: the environments.
-        scale: the constant.
+        venv: the worlds.
+        scale: the learner sees the reward times this.
+        episodes: where true returns and successes of ended episodes go.
     """
 
-    def __init__(self, venv: VecEnv, scale: float) -> None:
+    def __init__(self, venv: VecEnv, scale: float, episodes: EpisodeWindow) -> None:
         super().__init__(venv)
         self._scale = scale
+        self._episodes = episodes
 
     def reset(self) -> VecEnvObs:
-        """Reset the environments."""
+        """Reset the worlds."""
         return self.venv.reset()
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Finish the step and scale its rewards."""
+        """Finish the step."""
         observations, rewards, dones, infos = self.venv.step_wait()
+        if dones.any():
+            ended = [info for info, done in zip(infos, dones, strict=True) if done]
+            self._episodes.add(
+                [info["episode"]["r"] for info in ended], [info["is_success"] for info in ended]
+            )
         return observations, rewards * self._scale, dones, infos
 
 
 class Reporter(BaseCallback):
-    """Reports the end of every rollout, and the episodes in between, to a recorder.
+    """Reports the end of every rollout to a recorder.
 
     Args:
         recorder: where progress goes.
-        env: the normalised environments of training.
+        env: what the learner is trained on.
     """
 
-    def __init__(self, recorder: Recorder, env: VecNormalize) -> None:
+    def __init__(self, recorder: Recorder, env: VecEnv) -> None:
         super().__init__()
         self._recorder = recorder
         self._env = env
@@ -51,33 +65,76 @@ class Reporter(BaseCallback):
     @property
     def policy(self) -> CentralizedPolicy:
         """The policy as it is now."""
-        return CentralizedPolicy(self.model, Normalization.of(self._env))
+        normalizes = isinstance(self._env, VecNormalize)
+        return CentralizedPolicy(self.model, Normalization.of(self._env) if normalizes else None)
 
     def _on_training_start(self) -> None:
         self._recorder.start()
 
     def _on_step(self) -> bool:
-        ended = [info for info in self.locals["infos"] if "episode" in info]
-        self._recorder.episodes.add(
-            [info["episode"]["r"] for info in ended], [info["is_success"] for info in ended]
-        )
         return True
 
     def _on_rollout_end(self) -> None:
         self._recorder.update(self.num_timesteps, self.policy, {})
 
 
+class ToRecorder(KVWriter):
+    """Passes what the library logs on to the recorder's TensorBoard.
+
+    Args:
+        recorder: where it goes.
+    """
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+
+    def write(
+        self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
+    ) -> None:
+        """Write the values that are numbers and meant for TensorBoard."""
+        values: Mapping[str, float] = {
+            name: float(value)
+            for name, value in key_values.items()
+            if "tensorboard" not in key_excluded[name] and isinstance(value, int | float)
+        }
+        self._recorder.scalars(step, values)
+
+    def close(self) -> None:
+        """Nothing to close: the recorder does."""
+
+
 def train(task: Task, hyperparameters: CentralizedConfig, recorder: Recorder) -> None:
     """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result."""
-    seed = task.config.seed
-    worlds = CentralizedVecEnv(
-        task.field, hyperparameters.num_envs, seed=seed, threads=1, **task.settings
-    )
-    env = VecNormalize(ScaledReward(worlds, hyperparameters.reward_scale), norm_reward=False)
-    arguments = model_arguments(hyperparameters)
-    model = algorithm_class(task.config.algorithm)(
-        "MlpPolicy", env, seed=seed, device="cpu", **arguments
-    )
+    env = make_env(task, hyperparameters, recorder.episodes)
+    model = make_model(task, hyperparameters, env)
+    model.set_logger(Logger(None, [ToRecorder(recorder)]))
     reporter = Reporter(recorder, env)
-    model.learn(task.config.steps, callback=reporter)
+    model.learn(task.config.steps, callback=reporter, log_interval=log_interval(model))
     recorder.finish(model.num_timesteps, reporter.policy)
+
+
+def make_env(task: Task, hyperparameters: CentralizedConfig, episodes: EpisodeWindow) -> VecEnv:
+    """The worlds of training, as the learner sees them."""
+    worlds = CentralizedVecEnv(
+        task.field,
+        hyperparameters.num_envs,
+        seed=task.config.seed,
+        threads=1,
+        **task.settings,
+    )
+    env = LearnersView(worlds, hyperparameters.reward_scale, episodes)
+    return VecNormalize(env, norm_reward=False) if hyperparameters.normalize_observation else env
+
+
+def make_model(task: Task, hyperparameters: CentralizedConfig, env: VecEnv) -> BaseAlgorithm:
+    """A fresh learner."""
+    arguments = {"device": "cpu", **model_arguments(hyperparameters)}
+    make = algorithm_class(task.config.algorithm)
+    return make(hyperparameters.policy, env, seed=task.config.seed, **arguments)
+
+
+def log_interval(model: BaseAlgorithm) -> int:
+    """The library's interval between two log entries: rollouts on-policy, else episodes."""
+    if isinstance(model, OnPolicyAlgorithm):
+        return math.ceil(ROW_STEPS / (model.n_steps * model.n_envs))
+    return 4

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from baselines.hyperparameters import Hyperparameters, read_blocks, validate
+from baselines.hyperparameters import Hyperparameters, read_block, read_blocks, validate
 
 SOURCE = Path(__file__).with_name("hyperparameters.yaml")
 
@@ -80,12 +80,31 @@ class MultiAgentPPOConfig(Hyperparameters):
         return start + (end - start) * progress
 
 
-def load(algorithm: str, overrides: Mapping[str, Any]) -> MultiAgentPPOConfig:
-    """The recorded hyperparameters of ``"mappo"`` or ``"ippo"``, with ``overrides``.
+def load(
+    algorithm: str,
+    setting: str,
+    overrides: Mapping[str, Any],
+    *,
+    num_envs: int | None = None,
+    file: Path | None = None,
+) -> MultiAgentPPOConfig:
+    """The hyperparameters of ``"mappo"`` or ``"ippo"``, with ``overrides``.
+
+    Args:
+        algorithm: its name.
+        setting: ``"N"``, their only one.
+        overrides: values by name, instead of the recorded ones.
+        num_envs: worlds side by side, instead of the recorded number.
+        file: a YAML file whose block of the setting takes the place of the recorded values.
 
     Raises:
         ConfigError: naming every unknown or invalid hyperparameter.
     """
-    blocks = read_blocks(SOURCE)
-    values = {**blocks["shared"], **blocks[algorithm], **overrides}
-    return validate(MultiAgentPPOConfig, values, f"hyperparameters of {algorithm}")
+    if file is None:
+        blocks = read_blocks(SOURCE)
+        recorded = {**blocks["shared"], **blocks[algorithm]}
+    else:
+        recorded = read_block(file, setting)
+    given = {"num_worlds": num_envs} if num_envs is not None else {}
+    place = f"hyperparameters of {algorithm}" if file is None else str(file)
+    return validate(MultiAgentPPOConfig, {**recorded, **overrides, **given}, place)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -14,37 +14,52 @@ class Train:
     """Train one policy on one field and record everything in a run folder."""
 
     algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
-    """ppo (the centralised single MDP), mappo or ippo (decentralised)."""
+    """a2c, ppo, trpo, ars, crossq, tqc (centralised, the single MDP), mappo, ippo (decentralised)."""
     field: Positional[Annotated[str, arg(metavar="FIELD")]]
     """A name of `mbn fields`, or the path of a field file."""
-    seed: int = 0
-    """Of networks, exploration and worlds."""
-    steps: int = 655_360
-    """Budget in env-steps; an env-step moves every robot of one world once."""
+    setting: Literal["A", "B", "C", "N"] = "N"
+    """A: the paper's library defaults, raw observation and reward. B: its Optuna values. C: as A,
+    from a policy trained on another field. N: normalised observation, scaled reward."""
+    seed: int | None = None
+    """Of networks, exploration and worlds; by default 33 under A, B and C, 0 under N."""
+    steps: int | None = None
+    """Budget in env-steps (an env-step moves every robot of one world once); by default 5,000,000
+    under A, B and C, 655,360 under N."""
+    num_envs: int | None = None
+    """Worlds stepped side by side; by default 1 under A, B and C, the recorded number under N."""
+    hyperparams: Path | None = None
+    """A YAML file whose block named as the setting takes the place of the recorded one."""
     evaluate_every: int = 32_768
     """Env-steps between two fresh evaluations."""
     episodes: int = 100
     """Episodes of an evaluation."""
     out: Path | None = None
-    """The run folder; by default runs/ALGORITHM-FIELD-seedSEED."""
+    """The run folder; by default runs/ALGORITHM-SETTING-FIELD-seedSEED."""
     force: bool = False
     """If the run folder exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
         """Train, with a progress bar, and print the final evaluation."""
+        from baselines.algorithms import SETTINGS
         from baselines.progress import ProgressDisplay
         from baselines.runs import TrainConfig
-        from baselines.train import train
+        from baselines.train import resolve_hyperparameters, train
         from mbn_marl.cli.evaluate import print_evaluations
 
+        protocol = SETTINGS[self.setting]
         config = TrainConfig(
             self.algorithm,
             self.field,
-            seed=self.seed,
-            steps=self.steps,
+            setting=self.setting,
+            seed=protocol.seed if self.seed is None else self.seed,
+            steps=protocol.steps if self.steps is None else self.steps,
             evaluate_every=self.evaluate_every,
             episodes=self.episodes,
+            num_envs=self.num_envs,
+            hyperparams=self.hyperparams,
         )
+        for name, value in resolve_hyperparameters(config).skipped.items():
+            print(f"skipped: {name} = {value}, since {self.algorithm} has no such argument")
         out = self.out or Path("runs") / config.name
         with ProgressDisplay([config.name], config.steps) as display:
             run = train(config, out, command=command_line, force=self.force, listener=display)
