@@ -20,10 +20,11 @@ from baselines.train import train
 
 @dataclass(frozen=True)
 class Job:
-    """A run to train and the folder to make for it."""
+    """A run to train and the folder to make for it, or with ``resume`` to go on with."""
 
     config: TrainConfig
     out: Path
+    resume: bool = False
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def train_all(jobs: Sequence[Job], processes: int, listener: Listener) -> None:
     """
     if processes == 1:
         for job in jobs:
-            train(job.config, job.out, listener=listener)
+            train(job.config, job.out, resume=job.resume, listener=listener)
         return
     context = multiprocessing.get_context("spawn")
     todo, messages = context.Queue(), context.Queue()
@@ -100,7 +101,7 @@ def _work(todo: multiprocessing.Queue[Job | None], messages: multiprocessing.Que
 
     for job in iter(todo.get, None):
         try:
-            train(job.config, job.out, listener=report)
+            train(job.config, job.out, resume=job.resume, listener=report)
         except Exception:
             messages.put(Finished(job.config.name, traceback.format_exc()))
             return

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from baselines.evaluate import EVALUATION_SEED, Evaluation, evaluate
 from baselines.policies import TrainedPolicy
 from baselines.progress import Listener, Report
 from baselines.runs import RunFolder, Task
-from baselines.storage import write_json
+from baselines.storage import read_json, replacing_folder, write_json
 
 
 class EpisodeWindow:
@@ -53,8 +54,12 @@ ROW_STEPS = 2048
 evaluation: a learner that updates every few steps would otherwise write more than it learns."""
 
 
+CHECKPOINT_SECONDS = 600.0
+"""A checkpoint is due after every fresh evaluation, and after so many seconds of slow training."""
+
+
 class Recorder:
-    """Records one run in its folder.
+    """Records one run in its folder, from the start or from the newest checkpoint there.
 
     The training clock runs between :meth:`start` and the end, and stands still during evaluations
     and while files are written, so ``seconds`` are seconds of training alone.
@@ -62,22 +67,34 @@ class Recorder:
     Args:
         folder: the run's folder.
         task: what is trained; evaluations have its field and settings.
-        listener: is told where the run stands after every update.
+        listener: is told where the run stands after every row.
+
+    Attributes:
+        episodes: the training episodes since the last row.
+        checkpoint: the checkpoint that the trainer has to go on from, or ``None``.
+        checkpoint_due: whether the trainer should call :meth:`save_checkpoint` as soon as it is
+            between two updates.
     """
 
     def __init__(self, folder: RunFolder, task: Task, listener: Listener) -> None:
         self.episodes = EpisodeWindow()
+        self.checkpoint = folder.checkpoint
+        self.checkpoint_due = False
         self._folder = folder
         self._task = task
         self._listener = listener
-        self._evaluations: list[dict[str, Any]] = []
-        self._seconds = 0.0
-        self._started_at = 0.0
-        self._last_row = 0
         self._diagnostics: Mapping[str, float] = {}
-        self._next_evaluation = task.config.evaluate_every
-        self._board = SummaryWriter(folder.path / "tensorboard")
+        state = {"env_steps": 0, "seconds": 0.0, "progress_bytes": 0, "evaluations": []}
+        if self.checkpoint is not None:
+            state = read_json(self.checkpoint / "recorder.json")
+        self._last_row: int = state["env_steps"]
+        self._seconds: float = state["seconds"]
+        self._saved_at = self._seconds
+        self._started_at = 0.0
+        self._evaluations: list[dict[str, Any]] = state["evaluations"]
+        folder.cut_progress(state["progress_bytes"])
         write_json(folder.path / "evaluations.json", self._evaluations)
+        self._board = SummaryWriter(folder.path / "tensorboard", purge_step=self._last_row + 1)
 
     def start(self) -> None:
         """Start the training clock: the libraries are imported, the engine is compiled."""
@@ -94,23 +111,52 @@ class Recorder:
             diagnostics: numbers of the learner for ``progress.csv``, the same names every time.
         """
         self._diagnostics = diagnostics
-        evaluation_due = self._next_evaluation <= env_steps < self._task.config.steps
+        every, last = self._task.config.evaluate_every, env_steps >= self._task.config.steps
+        evaluation_due = env_steps // every > self._last_row // every and not last
         if env_steps - self._last_row < ROW_STEPS and not evaluation_due:
             return
         self._write_row(env_steps)
         if evaluation_due:
             number = 1 + len(self._evaluations)
             self._note(env_steps, self._fresh(policy, deterministic=False, number=number))
-            self._save(policy)
-        if env_steps < self._task.config.steps:
+        slow = self._seconds - self._saved_at >= CHECKPOINT_SECONDS
+        self.checkpoint_due = not last and (self.checkpoint_due or evaluation_due or slow)
+        if not last:
             self._tell(env_steps)
-        self._started_at = time.perf_counter()
+        self.start()
+
+    def save_checkpoint(
+        self, env_steps: int, policy: TrainedPolicy, save: Callable[[Path], None]
+    ) -> None:
+        """Write a checkpoint; no step may have been taken since the last :meth:`update`.
+
+        Args:
+            env_steps: env-steps so far.
+            policy: the current policy.
+            save: writes what the trainer needs to go on into a folder.
+        """
+        self._stop()
+        self._board.flush()
+        with self._folder.new_checkpoint(env_steps) as folder:
+            policy.save(folder / "policy")
+            save(folder)
+            state = {
+                "env_steps": env_steps,
+                "seconds": self._seconds,
+                "progress_bytes": self._folder.progress_bytes,
+                "evaluations": self._evaluations,
+            }
+            write_json(folder / "recorder.json", state)
+        self.checkpoint_due = False
+        self._saved_at = self._seconds
+        self.start()
 
     def finish(self, env_steps: int, policy: TrainedPolicy) -> None:
         """Make the final evaluation of the last policy; its file marks the run as finished."""
         if env_steps > self._last_row:
             self._write_row(env_steps)
-        self._save(policy)
+        with replacing_folder(self._folder.path / "policy") as place:
+            policy.save(place)
         stochastic = self._fresh(policy, deterministic=False, number=0)
         deterministic = self._fresh(policy, deterministic=True, number=0)
         self._note(env_steps, stochastic)
@@ -122,6 +168,7 @@ class Recorder:
             "deterministic": deterministic.to_json(),
         }
         write_json(self._folder.path / "evaluation.json", result)
+        self._folder.drop_checkpoints()
         self._tell(env_steps)
 
     def scalars(self, env_steps: int, values: Mapping[str, float]) -> None:
@@ -131,13 +178,16 @@ class Recorder:
 
     def _write_row(self, env_steps: int) -> None:
         """Stop the clock, and write the row of the window since the last one."""
-        now = time.perf_counter()
-        self._seconds += now - self._started_at
+        self._stop()
         row = {"seconds": self._seconds, **self.episodes.pop(), **self._diagnostics}
         self._folder.append_progress({"env_steps": float(env_steps), **row})
         known = {f"training/{name}": value for name, value in row.items() if value == value}
         self.scalars(env_steps, known)
         self._last_row = env_steps
+
+    def _stop(self) -> None:
+        """Stop the training clock."""
+        self._seconds += time.perf_counter() - self._started_at
 
     def _note(self, env_steps: int, evaluation: Evaluation) -> None:
         """Append an evaluation to the history."""
@@ -146,8 +196,6 @@ class Recorder:
         names = ("return_mean", "success_rate", "collision_rate", "rois_visited")
         self.scalars(env_steps, {f"evaluation/{name}": entry[name] for name in names})
         write_json(self._folder.path / "evaluations.json", self._evaluations)
-        while self._next_evaluation <= env_steps:
-            self._next_evaluation += self._task.config.evaluate_every
 
     def _fresh(self, policy: TrainedPolicy, *, deterministic: bool, number: int) -> Evaluation:
         """Evaluate with the seed of the evaluation's ``number``; every run has the same seeds."""
@@ -159,10 +207,6 @@ class Recorder:
             deterministic=deterministic,
             seed=EVALUATION_SEED + number,
         )
-
-    def _save(self, policy: TrainedPolicy) -> None:
-        self._folder.policy.mkdir(exist_ok=True)
-        policy.save(self._folder.policy)
 
     def _tell(self, env_steps: int) -> None:
         last = self._evaluations[-1] if self._evaluations else {}

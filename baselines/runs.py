@@ -5,10 +5,12 @@ Files of a run folder:
     field.yaml         the field
     command.txt        the exact command
     versions.json      Python, packages, machine, git revision
+    resumed.json       if it was interrupted: from where it went on, with what command and versions
     progress.csv       one row per window of training, see baselines.recorder
     tensorboard/       the same numbers and the library's own, as TensorBoard events
     evaluations.json   the fresh evaluations during training, in order
-    policy/            the latest policy
+    checkpoints/       until the run is finished: the newest checkpoint, named by its env-steps
+    policy/            the final policy
     evaluation.json    the final evaluation; its presence marks a finished run
 """
 
@@ -17,17 +19,27 @@ from __future__ import annotations
 import csv
 import dataclasses
 import importlib.metadata
+import json
 import os
 import platform
 import shlex
+import shutil
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from baselines.algorithms import Setting, find_algorithm
-from baselines.storage import RunError, claim_folder, read_json, write_json, write_text
+from baselines.storage import (
+    RunError,
+    claim_folder,
+    read_json,
+    replacing_folder,
+    write_json,
+    write_text,
+)
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 
@@ -59,6 +71,8 @@ class TrainConfig:
         episodes: stochastic episodes of an evaluation (> 0).
         num_envs: worlds side by side; ``None`` for the setting's own number.
         hyperparams: a YAML file whose block of the setting takes the place of the recorded one.
+        transferred_from: under setting C, the folder of the run whose policy it begins with.
+        device: what the networks run on, ``"cpu"`` or (centralised algorithms) ``"cuda"``.
         environment: settings of the environment that differ from the algorithm's own.
         hyperparameters: hyperparameters that differ from the algorithm's own.
 
@@ -76,6 +90,8 @@ class TrainConfig:
     episodes: int = 100
     num_envs: int | None = None
     hyperparams: Path | None = None
+    transferred_from: Path | None = None
+    device: Literal["cpu", "cuda"] = "cpu"
     environment: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     hyperparameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -89,10 +105,18 @@ class TrainConfig:
         ]
         if problems:
             raise ConfigError("training", problems)
-        settings = find_algorithm(self.algorithm).settings
-        if self.setting not in settings:
-            problem = f"setting: {self.algorithm} has {', '.join(settings)}, not {self.setting}"
-            raise ConfigError("training", [problem])
+        algorithm = find_algorithm(self.algorithm)
+        if self.setting not in algorithm.settings:
+            allowed = ", ".join(algorithm.settings)
+            problems.append(f"setting: {self.algorithm} has {allowed}, not {self.setting}")
+        elif self.setting == "C" and self.transferred_from is None:
+            problems.append("setting: C goes on from a trained policy; name its run with --from")
+        elif self.setting != "C" and self.transferred_from is not None:
+            problems.append(f"from: setting {self.setting} begins anew; allowed: setting C")
+        if self.device != "cpu" and algorithm.form == "decentralized":
+            problems.append(f"device: {self.algorithm} runs on cpu, not on {self.device}")
+        if problems:
+            raise ConfigError("training", problems)
         load_field(self.field)
 
     @property
@@ -113,6 +137,8 @@ class TrainConfig:
             "--episodes": self.episodes,
             "--num-envs": self.num_envs,
             "--hyperparams": self.hyperparams,
+            "--from": self.transferred_from,
+            "--device": self.device,
         }
         given = {name: value for name, value in options.items() if value is not None}
         words = [str(word) for option in given.items() for word in option]
@@ -169,6 +195,44 @@ class RunFolder:
         return folder
 
     @classmethod
+    def resume(cls, path: Path, resolved: Mapping[str, Any], field: Field, command: str) -> Self:
+        """Take up the folder of a run that was interrupted.
+
+        Args:
+            path: the folder.
+            resolved: the resolved configuration; it must be the recorded one.
+            field: the field to train on; it must be the recorded one.
+            command: the exact command that goes on, recorded in the folder.
+
+        Raises:
+            RunError: there is no run at ``path``.
+            ConfigError: naming every entry of the configuration that differs.
+        """
+        folder = cls.open(path)
+        recorded, asked = folder.config, json.loads(json.dumps(resolved))
+        problems = [
+            f"{name}: the run has {recorded.get(name)!r}, this command {asked.get(name)!r}"
+            for name in dict.fromkeys([*recorded, *asked])
+            if recorded.get(name) != asked.get(name)
+        ]
+        if (path / "field.yaml").exists() and folder.field != field:
+            problems.append("field: it has changed since the run was started")
+        if problems:
+            raise ConfigError(f"{path} cannot be resumed", problems)
+        for leftover in path.glob(".*"):  # half-written files of a process that was killed
+            shutil.rmtree(leftover)
+        checkpoint = folder.checkpoint
+        entry = {
+            "env_steps": 0 if checkpoint is None else int(checkpoint.name),
+            "command": command,
+            "versions": versions(),
+        }
+        history = path / "resumed.json"
+        write_json(history, [*(read_json(history) if history.exists() else []), entry])
+        save_field(field, path / "field.yaml")
+        return folder
+
+    @classmethod
     def open(cls, path: Path) -> Self:
         """Open the folder of an earlier run.
 
@@ -203,9 +267,55 @@ class RunFolder:
         return evaluation
 
     @property
+    def finished(self) -> bool:
+        """Whether the run came to its end."""
+        return (self.path / "evaluation.json").is_file()
+
+    @property
+    def checkpoint(self) -> Path | None:
+        """The newest checkpoint, if there is one; its name is its number of env-steps."""
+        found = (self.path / "checkpoints").glob("[0-9]*")
+        return max(found, key=lambda path: int(path.name), default=None)
+
+    @contextmanager
+    def new_checkpoint(self, env_steps: int) -> Iterator[Path]:
+        """A folder to fill; when the block ends well it is the newest checkpoint, and the only one.
+
+        Whatever interrupts this leaves the one before in place.
+        """
+        path = self.path / "checkpoints" / f"{env_steps:012d}"
+        with replacing_folder(path) as folder:
+            yield folder
+        for other in path.parent.iterdir():
+            if other != path:
+                shutil.rmtree(other)
+
+    def drop_checkpoints(self) -> None:
+        """Remove what a finished run has no more use for."""
+        shutil.rmtree(self.path / "checkpoints", ignore_errors=True)
+
+    @property
     def policy(self) -> Path:
-        """The folder of the latest policy."""
-        return self.path / "policy"
+        """The folder of the latest policy: the final one, or the newest checkpoint's."""
+        final, checkpoint = self.path / "policy", self.checkpoint
+        return final if final.exists() or checkpoint is None else checkpoint / "policy"
+
+    @property
+    def progress(self) -> Path:
+        """The table of training's windows."""
+        return self.path / "progress.csv"
+
+    @property
+    def progress_bytes(self) -> int:
+        """The size of ``progress.csv`` now."""
+        return self.progress.stat().st_size if self.progress.exists() else 0
+
+    def cut_progress(self, size: int) -> None:
+        """Leave only the first ``size`` bytes of ``progress.csv``; of nothing, no file."""
+        if size == 0:
+            self.progress.unlink(missing_ok=True)
+        else:
+            os.truncate(self.progress, size)
 
     def append_progress(self, row: Mapping[str, float]) -> None:
         """Append a row to ``progress.csv``; the first row fixes the columns.
@@ -213,7 +323,7 @@ class RunFolder:
         Raises:
             ValueError: the columns differ from the first row's.
         """
-        path = self.path / "progress.csv"
+        path = self.progress
         new = not path.exists()
         if not new:
             with path.open(newline="") as file:

@@ -68,6 +68,19 @@ def mean_interval(values: Sequence[float], *, confidence: float = 0.95) -> Inter
     return Interval(mean, float(bounds.low), float(bounds.high))
 
 
+def share_interval(outcomes: Sequence[bool], *, confidence: float = 0.95) -> Interval:
+    """The share of ``True`` with Wilson's interval, for independent outcomes.
+
+    Raises:
+        ValueError: ``outcomes`` is empty.
+    """
+    if not outcomes:
+        raise ValueError("a share needs at least one outcome")
+    test = stats.binomtest(sum(outcomes), len(outcomes))
+    bounds = test.proportion_ci(confidence, method="wilson")
+    return Interval(sum(outcomes) / len(outcomes), float(bounds.low), float(bounds.high))
+
+
 def mean_of_known(values: Iterable[float | None]) -> float | None:
     """The mean of the values that are not ``None``; ``None`` if there are none."""
     known = [value for value in values if value is not None]

@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 import json
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError
 from mbn_marl.render.files import replacing
@@ -67,3 +75,42 @@ def read_json(path: Path) -> Any:
         raise RunError(f"{path} is missing: {path.parent} is not a finished run") from None
     except json.JSONDecodeError as error:
         raise RunError(f"{path} is not valid JSON: {error}") from None
+
+
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bool = False) -> None:
+    """Write arrays by name as ``.npz``, atomically."""
+    save = np.savez_compressed if compress else np.savez
+    with replacing(path) as temporary:
+        save(temporary, allow_pickle=False, **arrays)
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read what :func:`write_arrays` wrote; no file can make this run code.
+
+    Raises:
+        RunError: the file is missing or damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return dict(arrays)
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise RunError(f"{path} cannot be read: {error}") from None
+
+
+@contextmanager
+def replacing_folder(path: Path) -> Iterator[Path]:
+    """A new folder that takes the place of ``path`` when the block ends well, whole or not at all.
+
+    If the block fails or is killed, ``path`` is left as it was.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    try:
+        new = temporary / path.name
+        new.mkdir()
+        yield new
+        if path.exists():
+            path.rename(temporary / "old")
+        new.rename(path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

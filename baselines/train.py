@@ -12,8 +12,10 @@ from baselines.hyperparameters import Hyperparameters
 from baselines.progress import Listener
 from baselines.recorder import Recorder
 from baselines.runs import RunFolder, Task, TrainConfig
+from baselines.storage import RunError
 from mbn_marl.config import make_config
-from mbn_marl.field import catalogue_names, load_field
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field, catalogue_names, load_field
 
 
 def train(
@@ -22,6 +24,7 @@ def train(
     *,
     command: str | None = None,
     force: bool = False,
+    resume: bool = False,
     listener: Listener = lambda report: None,
 ) -> RunFolder:
     """Train one policy and evaluate it.
@@ -34,11 +37,13 @@ def train(
         out: the run folder to make.
         command: the exact command, recorded in the folder; by default the equivalent one.
         force: move a folder that is already there aside.
+        resume: go on with the interrupted run in ``out``, which must be of the same configuration,
+            from its newest checkpoint. A finished one is left as it is.
         listener: is told where the run stands.
 
     Raises:
-        MbnError: the algorithm, the field, a setting or a hyperparameter is not valid, or ``out``
-            already holds something.
+        MbnError: the algorithm, the field, a setting or a hyperparameter is not valid; or ``out``
+            already holds something, or with ``resume`` no such run.
     """
     import torch
 
@@ -47,13 +52,14 @@ def train(
     hyperparameters = resolve_hyperparameters(config)
     settings = {**hyperparameters.environment, **config.environment}
     task = Task(config, load_field(config.field), settings)
-    folder = RunFolder.create(
-        out,
-        resolve(task, hyperparameters),
-        task.field,
-        command or config.command,
-        force=force,
-    )
+    check_source(task, hyperparameters)
+    resolved, command = resolve(task, hyperparameters), command or config.command
+    if resume:
+        folder = RunFolder.resume(out, resolved, task.field, command)
+        if folder.finished:
+            return folder
+    else:
+        folder = RunFolder.create(out, resolved, task.field, command, force=force)
     algorithm.train(task, hyperparameters, Recorder(folder, task, listener))
     return folder
 
@@ -73,13 +79,60 @@ def resolve_hyperparameters(config: TrainConfig) -> Hyperparameters:
     return hyperparameters
 
 
+def sizes(theirs: Field, ours: Field) -> dict[str, tuple[Any, Any]]:
+    """What of two fields must be equal for a policy of one to act in the other."""
+    return {
+        "robots": (len(theirs.starts), len(ours.starts)),
+        "ROIs": (len(theirs.rois), len(ours.rois)),
+        "arena": (theirs.arena, ours.arena),
+    }
+
+
+def check_source(task: Task, hyperparameters: Hyperparameters) -> None:
+    """Whether the run that a task begins with, if there is one, fits it.
+
+    Raises:
+        RunError: there is no such run, or it is not finished.
+        ConfigError: naming everything in which it differs.
+    """
+    if task.config.transferred_from is None:
+        return
+    source = RunFolder.open(task.config.transferred_from)
+    if not source.finished:
+        raise RunError(f"{source.path} is not finished; go on with it first (--resume)")
+    config, field = source.config, source.field
+    asked = hyperparameters.model_dump(mode="json")
+    recorded = {**config["hyperparameters"], "num_envs": asked["num_envs"]}
+    environment = make_config(task.settings).model_dump(mode="json")
+    compared = {
+        "algorithm": (config["algorithm"], task.config.algorithm),
+        **sizes(field, task.field),
+        "environment": (config["environment"], environment),
+        **{
+            f"hyperparameters.{name}": (recorded.get(name), value)
+            for name, value in asked.items()
+            if name != "source"
+        },
+    }
+    problems = [
+        f"{name}: the policy's run has {theirs}, this run {ours}"
+        for name, (theirs, ours) in compared.items()
+        if theirs != ours
+    ]
+    if problems:
+        raise ConfigError(f"from: {source.path}", problems)
+
+
 def resolve(task: Task, hyperparameters: Hyperparameters) -> Mapping[str, Any]:
     """The resolved configuration of a run, with every default written out, as JSON values."""
     field = task.config.field
-    file = task.config.hyperparams
+    paths = {
+        name: None if (path := getattr(task.config, name)) is None else str(path.resolve())
+        for name in ("hyperparams", "transferred_from")
+    }
     return {
         **asdict(task.config),
-        "hyperparams": None if file is None else str(file.resolve()),
+        **paths,
         "field": field if field in catalogue_names() else str(Path(field).resolve()),
         "environment": make_config(task.settings).model_dump(mode="json"),
         "hyperparameters": hyperparameters.model_dump(mode="json"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,7 +26,7 @@ CLASSES = {
     "crossq": "sb3_contrib:CrossQ",
     "tqc": "sb3_contrib:TQC",
 }
-RESERVED = ("policy", "env", "seed", "verbose", "tensorboard_log", "_init_setup_model")
+RESERVED = ("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
 """Arguments that the trainer gives itself."""
 TUNED_IN_PAPER = (
     "learning_rate",
@@ -135,4 +136,5 @@ def model_arguments(config: CentralizedConfig) -> dict[str, Any]:
         is_schedule = isinstance(value, dict) and set(value) == {"from", "to"}
         return LinearSchedule(**value) if is_schedule else value
 
-    return {name: scheduled(value) for name, value in config.model.items()}
+    own = deepcopy(config.model)  # the library writes into policy_kwargs
+    return {name: scheduled(value) for name, value in own.items()}

@@ -103,11 +103,20 @@ def load(run: RunFolder) -> CentralizedPolicy:
     Raises:
         RunError: a file is missing.
     """
+    model = algorithm_class(run.config["algorithm"]).load(model_file(run), device="cpu")
+    return CentralizedPolicy(model, load_normalization(run.policy))
+
+
+def model_file(run: RunFolder) -> Path:
+    """The library's file of the latest policy of a run.
+
+    Raises:
+        RunError: the run has saved no policy yet.
+    """
     path = run.policy / MODEL
     if not path.is_file():
         raise RunError(f"{path} is missing: the run has saved no policy")
-    model = algorithm_class(run.config["algorithm"]).load(path, device="cpu")
-    return CentralizedPolicy(model, load_normalization(run.policy))
+    return path
 
 
 def load_normalization(folder: Path) -> Normalization | None:

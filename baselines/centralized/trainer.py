@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from baselines.centralized.config import CentralizedConfig, algorithm_class, model_arguments
-from baselines.centralized.policy import CentralizedPolicy, Normalization
+from baselines.centralized.learner import policy_of, restore, save, transfer
 from baselines.recorder import ROW_STEPS, EpisodeWindow, Recorder
 from baselines.runs import Task
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
@@ -50,32 +50,30 @@ class LearnersView(VecEnvWrapper):
 
 
 class Reporter(BaseCallback):
-    """Reports the end of every rollout to a recorder.
+    """Reports the end of every rollout to a recorder, and saves between updates when that is due.
 
     Args:
         recorder: where progress goes.
-        env: what the learner is trained on.
     """
 
-    def __init__(self, recorder: Recorder, env: VecEnv) -> None:
+    def __init__(self, recorder: Recorder) -> None:
         super().__init__()
         self._recorder = recorder
-        self._env = env
-
-    @property
-    def policy(self) -> CentralizedPolicy:
-        """The policy as it is now."""
-        normalizes = isinstance(self._env, VecNormalize)
-        return CentralizedPolicy(self.model, Normalization.of(self._env) if normalizes else None)
 
     def _on_training_start(self) -> None:
         self._recorder.start()
+
+    def _on_rollout_start(self) -> None:
+        if self._recorder.checkpoint_due:
+            self._recorder.save_checkpoint(
+                self.num_timesteps, policy_of(self.model), lambda folder: save(self.model, folder)
+            )
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_end(self) -> None:
-        self._recorder.update(self.num_timesteps, self.policy, {})
+        self._recorder.update(self.num_timesteps, policy_of(self.model), {})
 
 
 class ToRecorder(KVWriter):
@@ -104,13 +102,26 @@ class ToRecorder(KVWriter):
 
 
 def train(task: Task, hyperparameters: CentralizedConfig, recorder: Recorder) -> None:
-    """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result."""
+    """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result.
+
+    The learner is a fresh one, or begins with the policy of another run, or goes on from the
+    recorder's checkpoint, bit by bit as if it had not been interrupted.
+    """
     env = make_env(task, hyperparameters, recorder.episodes)
-    model = make_model(task, hyperparameters, env)
+    if recorder.checkpoint is not None:
+        model = restore(task, env, recorder.checkpoint)
+    elif task.config.transferred_from is not None:
+        model = transfer(task, env, task.config.transferred_from)
+    else:
+        model = make_model(task, hyperparameters, env)
     model.set_logger(Logger(None, [ToRecorder(recorder)]))
-    reporter = Reporter(recorder, env)
-    model.learn(task.config.steps, callback=reporter, log_interval=log_interval(model))
-    recorder.finish(model.num_timesteps, reporter.policy)
+    model.learn(
+        task.config.steps - model.num_timesteps,
+        callback=Reporter(recorder),
+        log_interval=log_interval(model),
+        reset_num_timesteps=recorder.checkpoint is None,
+    )
+    recorder.finish(model.num_timesteps, policy_of(model))
 
 
 def make_env(task: Task, hyperparameters: CentralizedConfig, episodes: EpisodeWindow) -> VecEnv:
@@ -128,9 +139,14 @@ def make_env(task: Task, hyperparameters: CentralizedConfig, episodes: EpisodeWi
 
 def make_model(task: Task, hyperparameters: CentralizedConfig, env: VecEnv) -> BaseAlgorithm:
     """A fresh learner."""
-    arguments = {"device": "cpu", **model_arguments(hyperparameters)}
     make = algorithm_class(task.config.algorithm)
-    return make(hyperparameters.policy, env, seed=task.config.seed, **arguments)
+    return make(
+        hyperparameters.policy,
+        env,
+        seed=task.config.seed,
+        device=task.config.device,
+        **model_arguments(hyperparameters),
+    )
 
 
 def log_interval(model: BaseAlgorithm) -> int:

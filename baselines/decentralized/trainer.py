@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
+from pathlib import Path
 
 import torch
+from safetensors import torch as safetensors_torch
 from tensordict import TensorDictBase
 from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
@@ -26,9 +29,15 @@ from baselines.decentralized.networks import (
     make_critic,
 )
 from baselines.decentralized.policy import DecentralizedPolicy
+from baselines.generators import restore_generators, save_generators
 from baselines.recorder import Recorder
 from baselines.runs import Task
+from baselines.storage import read_arrays, read_json, write_arrays, write_json
 from mbn_marl.adapters.torchrl import NavigationEnv
+
+LEARNER = "learner.safetensors"
+WORLDS = "worlds.npz"
+COUNTERS = "counters.json"
 
 REWARD = ("robots", "reward")
 LEARNED_FROM = (OBSERVATION, ACTION, LOG_PROB, "advantage", "value_target")
@@ -86,9 +95,11 @@ class Trainer:
 
     def run(self) -> None:
         """Train to the end of the budget."""
-        current = self.env.reset()
+        first, current = 0, self.env.reset()
+        if self.recorder.checkpoint is not None:
+            first = self._restore(self.recorder.checkpoint, current)
         self.recorder.start()
-        for update in range(self.updates):
+        for update in range(first, self.updates):
             progress = update / self.updates
             for group in self.optimizer.param_groups:
                 group["lr"] = self.config.learning_rate_at(progress)
@@ -106,7 +117,59 @@ class Trainer:
             self._note_episodes(batch)
             env_steps = (update + 1) * self.config.batch
             self.recorder.update(env_steps, self.policy, diagnostics)
+            if self.recorder.checkpoint_due:
+                save = partial(self._save, update + 1, current)
+                self.recorder.save_checkpoint(env_steps, self.policy, save)
         self.recorder.finish(self.updates * self.config.batch, self.policy)
+
+    def _save(self, update: int, current: TensorDictBase, folder: Path) -> None:
+        """Write all that :meth:`_restore` needs into ``folder``, without pickle."""
+        optimizer = self.optimizer.state_dict()
+        moments = {
+            f"optimizer.{index}.{name}": tensor
+            for index, entry in optimizer["state"].items()
+            for name, tensor in entry.items()
+        }
+        networks = {f"loss.{name}": tensor for name, tensor in self.loss.state_dict().items()}
+        tensors = {**networks, **moments, "observation": current[OBSERVATION]}
+        whole = torch.contiguous_format
+        own = {name: tensor.clone(memory_format=whole) for name, tensor in tensors.items()}
+        safetensors_torch.save_file(own, folder / LEARNER)
+        write_arrays(folder / WORLDS, self.env.engine.save_state(), compress=True)
+        write_json(folder / COUNTERS, {"update": update, "generators": save_generators()})
+
+    def _restore(self, folder: Path, current: TensorDictBase) -> int:
+        """Take up the learner of a checkpoint at exactly the same point.
+
+        Args:
+            folder: the checkpoint.
+            current: where the worlds are; gets the observation, which is all that the actor reads.
+
+        Returns:
+            The next update.
+        """
+        tensors = safetensors_torch.load_file(folder / LEARNER)
+
+        def group(name: str) -> dict[str, torch.Tensor]:
+            prefix = f"{name}."
+            return {
+                key.removeprefix(prefix): tensor
+                for key, tensor in tensors.items()
+                if key.startswith(prefix)
+            }
+
+        self.loss.load_state_dict(group("loss"))
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for key, tensor in group("optimizer").items():
+            index, name = key.split(".")
+            state.setdefault(int(index), {})[name] = tensor
+        self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
+        self.env.engine.load_state(read_arrays(folder / WORLDS))
+        current[OBSERVATION] = tensors["observation"]
+        counters = read_json(folder / COUNTERS)
+        restore_generators(counters["generators"])
+        update: int = counters["update"]
+        return update
 
     @torch.no_grad()
     def _rollout(self, current: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:

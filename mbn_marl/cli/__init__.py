@@ -1,4 +1,4 @@
-"""The command line ``mbn``: ``fields``, ``train``, ``evaluate``, ``compare``, ``render``."""
+"""The command line ``mbn``, one module a command."""
 
 from mbn_marl.cli.main import main
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from baselines.policies import Policy
+    from baselines.runs import RunFolder
 
 
 @dataclass(frozen=True)
@@ -21,20 +25,37 @@ class Evaluate:
     seed: int | None = None
     """Of the episodes; by default the seed that every run's final evaluation has."""
     json: Path | None = None
-    """Write every episode to this file."""
+    """Write every episode to this file; with --wind-speeds by default RUN/wind.json."""
+    wind_speeds: str | None = None
+    """Wind speeds to evaluate at, such as 0,0.1,..,0.5 (units/step per step)."""
+    wind_angle: float = 30.0
+    """The direction of that wind, degrees from +x."""
+    figure: Path | None = None
+    """With --wind-speeds: the picture of an episode at each, by default RUN/wind.png."""
 
     def run(self, command_line: str) -> None:
         """Evaluate, print the summaries, and write the file if one is asked for."""
-        from baselines.evaluate import EVALUATION_SEED, evaluate
+        from baselines.evaluate import EVALUATION_SEED
         from baselines.policies import load_policy
         from baselines.runs import RunFolder
-        from baselines.storage import write_json
         from mbn_marl.errors import ConfigError
 
         if self.episodes < 1:
             raise ConfigError("evaluation", [f"episodes: at least 1, not {self.episodes}"])
+        if self.figure is not None and self.wind_speeds is None:
+            raise ConfigError("evaluation", ["figure: allowed with --wind-speeds"])
         run = RunFolder.open(self.run_folder)
-        policy = load_policy(run)
+        seed = EVALUATION_SEED if self.seed is None else self.seed
+        if self.wind_speeds is None:
+            self._evaluate(run, load_policy(run), seed, command_line)
+        else:
+            self._evaluate_in_wind(run, load_policy(run), seed, command_line, self.wind_speeds)
+
+    def _evaluate(self, run: RunFolder, policy: Policy, seed: int, command_line: str) -> None:
+        """Evaluate as the run was trained."""
+        from baselines.evaluate import evaluate
+        from baselines.storage import write_json
+
         stochastic, deterministic = (
             evaluate(
                 policy,
@@ -42,7 +63,7 @@ class Evaluate:
                 run.config["environment"],
                 episodes=self.episodes,
                 deterministic=deterministic,
-                seed=EVALUATION_SEED if self.seed is None else self.seed,
+                seed=seed,
             )
             for deterministic in (False, True)
         )
@@ -56,6 +77,23 @@ class Evaluate:
                     "deterministic": deterministic.to_json(),
                 },
             )
+
+    def _evaluate_in_wind(
+        self, run: RunFolder, policy: Policy, seed: int, command_line: str, speeds: str
+    ) -> None:
+        """Evaluate at several wind speeds; write the episodes and the picture."""
+        from baselines.storage import write_json
+        from baselines.wind import evaluate_in_wind, parse_speeds, write_panels
+
+        winds = parse_speeds(speeds), self.wind_angle
+        where = policy, run.field, run.config["environment"]
+        figure = self.figure or run.path / "wind.png"
+        results = self.json or run.path / "wind.json"
+        rows = evaluate_in_wind(*where, *winds, episodes=self.episodes, seed=seed)
+        write_panels(*where, *winds, figure)
+        write_json(results, {"command": command_line, "results": rows})
+        print_winds(rows, title=f"{run.path}: wind at {self.wind_angle:g} degrees")
+        print(f"written: {results}, {figure}")
 
 
 def print_evaluations(summaries: Sequence[Mapping[str, Any]], title: str) -> None:
@@ -76,3 +114,31 @@ def print_evaluations(summaries: Sequence[Mapping[str, Any]], title: str) -> Non
             "-" if makespan is None else f"{makespan:.1f}",
         )
     Console().print(table)
+
+
+def print_winds(rows: Sequence[Mapping[str, Any]], title: str) -> None:
+    """Print what ``evaluate_in_wind`` returns as a table, one entry a row."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, caption="intervals: 95 % over the episodes")
+    for heading in ("wind", "actions", "success", "return", "makespan"):
+        table.add_column(heading, justify="left" if heading == "actions" else "right")
+    for row in rows:
+        table.add_row(
+            f"{row['wind_speed']:g}",
+            "mean" if row["deterministic"] else "sampled",
+            _interval(row["success_interval"], "{:.0%}"),
+            _interval(row["return_interval"], "{:,.0f}"),
+            _interval(row["makespan_interval"], "{:.1f}"),
+        )
+    Console().print(table)
+
+
+def _interval(interval: Mapping[str, float | None] | None, form: str) -> str:
+    """A mean with its interval below; a dash for none."""
+    if interval is None:
+        return "-"
+    mean, low, high = (interval[name] for name in ("mean", "low", "high"))
+    shown = form.format(mean)
+    return shown if low is None else f"{shown}\n{form.format(low)} .. {form.format(high)}"

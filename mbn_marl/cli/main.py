@@ -17,11 +17,13 @@ from mbn_marl.cli.evaluate import Evaluate
 from mbn_marl.cli.fields import Fields
 from mbn_marl.cli.render import Render
 from mbn_marl.cli.train import Train
+from mbn_marl.cli.transfer import Transfer
 from mbn_marl.errors import MbnError
 
 Command = (
     Annotated[Fields, subcommand("fields")]
     | Annotated[Train, subcommand("train")]
+    | Annotated[Transfer, subcommand("transfer")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Compare, subcommand("compare")]
     | Annotated[Render, subcommand("render")]

@@ -14,7 +14,7 @@ class Train:
     """Train one policy on one field and record everything in a run folder."""
 
     algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
-    """a2c, ppo, trpo, ars, crossq, tqc (centralised, the single MDP), mappo, ippo (decentralised)."""
+    """a2c, ppo, trpo, ars, crossq, tqc (the centralised MDP), mappo, ippo (decentralised)."""
     field: Positional[Annotated[str, arg(metavar="FIELD")]]
     """A name of `mbn fields`, or the path of a field file."""
     setting: Literal["A", "B", "C", "N"] = "N"
@@ -29,14 +29,21 @@ class Train:
     """Worlds stepped side by side; by default 1 under A, B and C, the recorded number under N."""
     hyperparams: Path | None = None
     """A YAML file whose block named as the setting takes the place of the recorded one."""
+    source: Annotated[Path | None, arg(name="from", metavar="RUN")] = None
+    """Under C: the folder of the run whose policy it begins with; `mbn transfer` does it all."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """What the networks of a centralised algorithm run on; worth it for crossq and tqc."""
     evaluate_every: int = 32_768
-    """Env-steps between two fresh evaluations."""
+    """Env-steps between two fresh evaluations; after each one a checkpoint is written."""
     episodes: int = 100
     """Episodes of an evaluation."""
     out: Path | None = None
     """The run folder; by default runs/ALGORITHM-SETTING-FIELD-seedSEED."""
     force: bool = False
     """If the run folder exists, move it aside (to OUT.1, OUT.2, ...)."""
+    resume: bool = False
+    """Go on with the interrupted run in the folder, from its newest checkpoint; the rest of the
+    command must be the same."""
 
     def run(self, command_line: str) -> None:
         """Train, with a progress bar, and print the final evaluation."""
@@ -45,7 +52,10 @@ class Train:
         from baselines.runs import TrainConfig
         from baselines.train import resolve_hyperparameters, train
         from mbn_marl.cli.evaluate import print_evaluations
+        from mbn_marl.errors import ConfigError
 
+        if self.force and self.resume:
+            raise ConfigError("training", ["force and resume: allowed is one of them"])
         protocol = SETTINGS[self.setting]
         config = TrainConfig(
             self.algorithm,
@@ -57,11 +67,20 @@ class Train:
             episodes=self.episodes,
             num_envs=self.num_envs,
             hyperparams=self.hyperparams,
+            transferred_from=self.source,
+            device=self.device,
         )
         for name, value in resolve_hyperparameters(config).skipped.items():
             print(f"skipped: {name} = {value}, since {self.algorithm} has no such argument")
         out = self.out or Path("runs") / config.name
         with ProgressDisplay([config.name], config.steps) as display:
-            run = train(config, out, command=command_line, force=self.force, listener=display)
+            run = train(
+                config,
+                out,
+                command=command_line,
+                force=self.force,
+                resume=self.resume,
+                listener=display,
+            )
         final = run.evaluation
         print_evaluations([final["stochastic"], final["deterministic"]], title=str(run.path))

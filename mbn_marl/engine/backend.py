@@ -84,6 +84,13 @@ class Backend(Protocol):
     def draw_actions(self) -> Any:
         """The seed's next random actions, a fresh array."""
 
+    @property
+    def counters(self) -> dict[str, Any]:
+        """The seed and the number of the next draw, arrays (1,)."""
+
+    def recount(self) -> None:
+        """Take note that the arrays were written from outside."""
+
     def raise_fault(self) -> None:
         """Raise what a step has found wrong and could not raise itself."""
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from typing import TypeGuard, Unpack
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeGuard, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ from mbn_marl.engine.cpu import CpuBackend
 from mbn_marl.engine.kernels import INFO_COLUMNS
 from mbn_marl.engine.observation import observation_table
 from mbn_marl.engine.rewards import COLLISION, REWARD_TERMS, SUCCESS
+from mbn_marl.engine.saved import restore_worlds, save_worlds
 from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.engine.state import Array, make_geometry
 from mbn_marl.errors import ConfigError
@@ -262,6 +263,19 @@ class BatchEngine:
         """Uniform random actions, (W, n, 2) float32 in [-1, 1): the seed's next ones."""
         actions: Floats = self._backend.draw_actions()
         return actions
+
+    def save_state(self) -> dict[str, NDArray[Any]]:
+        """Copies of everything that changes, by name: NumPy arrays, to be kept in a file."""
+        self._backend.raise_fault()
+        return save_worlds(self._backend)
+
+    def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
+        """Go on exactly where the engine that :meth:`save_state` was called on would.
+
+        Raises:
+            MbnError: it was an engine of other settings or sizes; this one is left as it was.
+        """
+        restore_worlds(self._backend, saved)
 
     def snapshot(self, world: int = 0) -> Snapshot:
         """What a picture of one world needs, copied.

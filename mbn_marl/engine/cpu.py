@@ -42,7 +42,7 @@ class CpuBackend:
         self.output = make_output(worlds, n, plan.obs_size, self.dtype)
         self._actions = np.zeros(plan.actions_shape, self.dtype)
         self._waiting = worlds
-        self._draws = 0
+        self._draw = np.zeros(1, np.int64)
         self._connect()
 
     @property
@@ -56,7 +56,7 @@ class CpuBackend:
         """Use another seed, and number episodes and draws from 0 again."""
         self.plan.constants["seed"] = seed
         self.memory.episode[:] = -1
-        self._draws = 0
+        self._draw[:] = 0
 
     def reset(self, mask: Any) -> None:
         """Begin a new episode in the masked worlds, or in all.
@@ -70,7 +70,7 @@ class CpuBackend:
                 mask_problem("mask", chosen.shape, chosen.dtype, self.plan.num_worlds)
             )
         kernels.reset_worlds(self.store, chosen)
-        self._waiting = int(np.count_nonzero(self._waits()))
+        self.recount()
 
     def step(self, actions: Any, active: Any) -> None:
         """Step the worlds.
@@ -137,13 +137,22 @@ class CpuBackend:
         mask = np.zeros(self.plan.num_worlds, np.bool_)
         mask[parked] = True
         kernels.rest_worlds(self.store, mask)
-        self._waiting = int(np.count_nonzero(self._waits()))
+        self.recount()
 
     def _waits(self) -> Flags:
         """Which worlds cannot be stepped before a reset."""
         if self.plan.autoreset == "disabled":
             return self.memory.pending
         return self.memory.episode < 0
+
+    @property
+    def counters(self) -> dict[str, Array]:
+        """The seed and the number of the next draw, arrays (1,)."""
+        return {"seed": self.plan.constants["seed"], "draw": self._draw}
+
+    def recount(self) -> None:
+        """Count the worlds that wait for a reset."""
+        self._waiting = int(np.count_nonzero(self._waits()))
 
     # -- what happened -----------------------------------------------------------------------------
 
@@ -164,8 +173,8 @@ class CpuBackend:
     def draw_actions(self) -> Array:
         """Uniform random actions, (W, n, 2) float32."""
         actions = np.empty(self.plan.actions_shape, np.float32)
-        kernels.draw_actions(self.store, self._draws, actions)
-        self._draws += 1
+        kernels.draw_actions(self.store, int(self._draw[0]), actions)
+        self._draw += 1
         return actions
 
     def raise_fault(self) -> None:

@@ -195,6 +195,14 @@ class CudaBackend:
         what = value.device if isinstance(value, torch.Tensor) else type(value).__name__
         raise ActionError(f"{name}: {what}; allowed: a torch tensor on {place}")
 
+    @property
+    def counters(self) -> dict[str, torch.Tensor]:
+        """The seed and the number of the next draw, tensors (1,)."""
+        return {"seed": self._control.seed, "draw": self._control.draw}
+
+    def recount(self) -> None:
+        """Nothing: the kernels look at the tensors alone."""
+
     # -- what happened -----------------------------------------------------------------------------
 
     def infos(self) -> torch.Tensor:

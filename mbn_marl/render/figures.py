@@ -15,6 +15,7 @@ from mbn_marl.render import style
 from mbn_marl.render.curves import Curves, curves_figure
 from mbn_marl.render.files import replacing
 from mbn_marl.render.maps import draw_field, draw_trails, field_figure, trajectory_figure
+from mbn_marl.render.panels import trajectory_panels
 
 __all__ = [
     "FORMATS",
@@ -24,6 +25,7 @@ __all__ = [
     "learning_curves",
     "save",
     "trajectory_figure",
+    "trajectory_panels",
 ]
 
 FORMATS = (".png", ".pdf", ".svg")

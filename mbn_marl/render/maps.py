@@ -84,9 +84,9 @@ def trajectory_figure(
         if visited is not None:
             handles.insert(1, _roi_handle(True))
         if collision:
-            handles.append(_mark_collision(axes, trails[-1]))
+            handles.append(mark_collision(axes, trails[-1]))
         if float(np.hypot(*wind)) > 1e-9:
-            _draw_wind(axes, wind)
+            draw_wind(axes, wind)
         _finish(axes, field.name if title is None else title, handles)
     return figure
 
@@ -199,7 +199,7 @@ def _robot(axes: Axes, index: int, x: float, y: float) -> None:
     )
 
 
-def _mark_collision(axes: Axes, positions: NDArray[np.float64]) -> Line2D:
+def mark_collision(axes: Axes, positions: NDArray[np.float64]) -> Line2D:
     """A square round the two robots that are closest to each other."""
     gaps = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     np.fill_diagonal(gaps, np.inf)
@@ -210,7 +210,7 @@ def _mark_collision(axes: Axes, positions: NDArray[np.float64]) -> Line2D:
     return Line2D([], [], ms=8, mew=1.4, label="collision", **look)
 
 
-def _draw_wind(axes: Axes, wind: tuple[float, float]) -> None:
+def draw_wind(axes: Axes, wind: tuple[float, float]) -> None:
     """Over the top right corner, an arrow that points the way the wind blows, and its speed."""
     speed = float(np.hypot(*wind))
     corner = OffsetFrom(axes.patch, (1.0, 1.0), unit="points")

@@ -1,0 +1,104 @@
+"""A learner of the library on disk: kept in a checkpoint, taken up again, moved to a new field."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
+
+from baselines.centralized.config import algorithm_class
+from baselines.centralized.policy import (
+    MODEL,
+    CentralizedPolicy,
+    Normalization,
+    load_normalization,
+    model_file,
+)
+from baselines.generators import restore_generators, save_generators
+from baselines.runs import RunFolder, Task
+from baselines.storage import read_arrays, read_json, write_arrays, write_json
+
+WORLDS = "worlds.npz"
+REPLAY = "replay.npz"
+GENERATORS = "generators.json"
+
+
+def policy_of(model: BaseAlgorithm) -> CentralizedPolicy:
+    """The policy of a learner as it is now."""
+    env = model.get_vec_normalize_env()
+    return CentralizedPolicy(model, None if env is None else Normalization.of(env))
+
+
+def save(model: BaseAlgorithm, folder: Path) -> None:
+    """Write, beside its policy, all else that :func:`restore` needs into ``folder``.
+
+    The policy's file has the networks, optimisers and counters; here are the worlds, the replay
+    buffer as far as it is filled, and the random number generators.
+    """
+    worlds = model.get_env().unwrapped.engine
+    write_arrays(folder / WORLDS, worlds.save_state(), compress=True)
+    if isinstance(model, OffPolicyAlgorithm):
+        buffer = model.replay_buffer
+        filled = buffer.buffer_size if buffer.full else buffer.pos
+        arrays = {name: array[:filled] for name, array in _transitions(buffer).items()}
+        place = {"pos": np.array(buffer.pos), "full": np.array(buffer.full)}
+        write_arrays(folder / REPLAY, {**arrays, **place})
+    generators = {"global": save_generators(), "actions": _state_of(model)}
+    write_json(folder / GENERATORS, generators)
+
+
+def restore(task: Task, env: VecEnv, checkpoint: Path) -> BaseAlgorithm:
+    """The learner of a checkpoint, on ``env``, at exactly the same point.
+
+    Raises:
+        RunError: a file is missing or damaged.
+    """
+    model = algorithm_class(task.config.algorithm).load(
+        checkpoint / "policy" / MODEL, env=env, device=task.config.device, force_reset=False
+    )
+    normalization = load_normalization(checkpoint / "policy")
+    if normalization is not None:
+        normalization.put_into(model.get_vec_normalize_env())
+    if isinstance(model, OffPolicyAlgorithm):
+        saved, buffer = read_arrays(checkpoint / REPLAY), model.replay_buffer
+        for name, array in _transitions(buffer).items():
+            array[: len(saved[name])] = saved[name]
+        buffer.pos, buffer.full = int(saved["pos"]), bool(saved["full"])
+    worlds = env.unwrapped
+    worlds._reset_seeds()  # the library has seeded them again, from the next reset on
+    worlds.engine.load_state(read_arrays(checkpoint / WORLDS))
+    generators = read_json(checkpoint / GENERATORS)
+    model.action_space.np_random.bit_generator.state = generators["actions"]
+    restore_generators(generators["global"])
+    return model
+
+
+def transfer(task: Task, env: VecEnv, source: Path) -> BaseAlgorithm:
+    """A learner that begins with the networks and optimisers of another run.
+
+    Counters, replay buffer and random numbers begin anew.
+
+    Raises:
+        RunError: the run is missing or has saved no policy.
+    """
+    path = model_file(RunFolder.open(source))
+    return algorithm_class(task.config.algorithm).load(
+        path, env=env, device=task.config.device, seed=task.config.seed
+    )
+
+
+def _transitions(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
+    """The arrays of a replay buffer that have a row for every transition."""
+    arrays = {name: value for name, value in vars(buffer).items() if isinstance(value, np.ndarray)}
+    return {name: array for name, array in arrays.items() if len(array) == buffer.buffer_size}
+
+
+def _state_of(model: BaseAlgorithm) -> Any:
+    """The state of the generator that draws random actions before learning starts."""
+    return model.action_space.np_random.bit_generator.state

@@ -1,0 +1,40 @@
+"""The states of the global random number generators, to be kept in a JSON file."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+
+def save_generators() -> dict[str, Any]:
+    """The states of Python's, NumPy's and torch's global generators, as JSON values."""
+    version, numbers, gauss = random.getstate()
+    state: Any = np.random.get_state(legacy=False)
+    key = state["state"]["key"].tolist()
+    devices = torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else []
+    return {
+        "python": [version, list(numbers), gauss],
+        "numpy": {**state, "state": {**state["state"], "key": key}},
+        "torch": torch.get_rng_state().numpy().tobytes().hex(),
+        "cuda": [device.numpy().tobytes().hex() for device in devices],
+    }
+
+
+def restore_generators(saved: Mapping[str, Any]) -> None:
+    """Go on with the random numbers that would have followed :func:`save_generators`."""
+    version, numbers, gauss = saved["python"]
+    random.setstate((version, tuple(numbers), gauss))
+    state = saved["numpy"]
+    key = np.asarray(state["state"]["key"], np.uint32)
+    np.random.set_state({**state, "state": {**state["state"], "key": key}})
+    torch.set_rng_state(_tensor(saved["torch"]))
+    if saved["cuda"]:
+        torch.cuda.set_rng_state_all([_tensor(device) for device in saved["cuda"]])
+
+
+def _tensor(digits: str) -> torch.Tensor:
+    return torch.frombuffer(bytearray.fromhex(digits), dtype=torch.uint8)

@@ -1,0 +1,99 @@
+"""Setting C: a policy trained on one field goes on learning on others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from baselines.parallel import Job, train_all
+from baselines.progress import Listener
+from baselines.runs import RunFolder, TrainConfig
+from baselines.storage import RunError
+from baselines.train import sizes, train
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import load_field
+
+
+def find_source(config: TrainConfig, out: Path, *, resume: bool, listener: Listener) -> RunFolder:
+    """The finished run that the others begin with; it is trained if it is not there yet.
+
+    Args:
+        config: of that run.
+        out: the folder of all runs; one of the run's name that is finished there is taken.
+        resume: if it is there but not finished, go on with it.
+        listener: is told where it stands.
+
+    Raises:
+        RunError: it is there, not finished, and ``resume`` is not set.
+    """
+    path = out / config.name
+    there = path.is_dir() and any(path.iterdir())
+    if not there:
+        return train(config, path, listener=listener)
+    run = RunFolder.open(path)
+    if run.finished:
+        return run
+    if not resume:
+        raise RunError(f"{path} is not finished; pass --resume to go on with it")
+    return train(config, path, resume=True, listener=listener)
+
+
+def transfer_runs(config: TrainConfig, source: Path, fields: Sequence[str]) -> list[TrainConfig]:
+    """The runs of setting C: as ``config``, from the policy of the run ``source``.
+
+    Raises:
+        ConfigError: no field is named, or one twice, or the policy's own one.
+        MbnError: a field is not valid.
+    """
+    problems = [] if fields else ["fields: at least one is needed"]
+    for field in dict.fromkeys(fields):
+        if fields.count(field) > 1:
+            problems.append(f"fields: {field} is given twice")
+        if load_field(field) == load_field(config.field):
+            problems.append(f"fields: {field} is the field that the policy comes from")
+    if problems:
+        raise ConfigError("transfer", problems)
+    return [replace(config, field=field, setting="C", transferred_from=source) for field in fields]
+
+
+def check_sizes(source: str, fields: Sequence[str]) -> None:
+    """Whether a policy of the field ``source`` fits the others, before it is trained.
+
+    Raises:
+        ConfigError: naming every field that it does not fit.
+    """
+    theirs = load_field(source)
+    problems = [
+        f"{field}: {name} {ours}; allowed: {theirs_}, as {source} has"
+        for field in fields
+        for name, (theirs_, ours) in sizes(theirs, load_field(field)).items()
+        if theirs_ != ours
+    ]
+    if problems:
+        raise ConfigError("transfer", problems)
+
+
+def train_transfers(
+    runs: Sequence[TrainConfig], out: Path, *, processes: int, resume: bool, listener: Listener
+) -> list[RunFolder]:
+    """Train the runs of setting C, each in a folder of its own under ``out``.
+
+    Args:
+        runs: of :func:`transfer_runs`.
+        out: the folder of all runs.
+        processes: runs at a time.
+        resume: go on with those that are there, and leave finished ones.
+        listener: is told where the runs stand.
+
+    Raises:
+        RunError: a run's folder is there and ``resume`` is not set, or a run failed.
+    """
+    paths = [out / run.name for run in runs]
+    there = [path.exists() for path in paths]
+    if any(there) and not resume:
+        first = paths[there.index(True)]
+        raise RunError(f"{first} already exists; choose another --out, or pass --resume")
+    jobs = [Job(run, path, seen) for run, path, seen in zip(runs, paths, there, strict=True)]
+    train_all(jobs, processes, listener)
+    return [RunFolder.open(path) for path in paths]

@@ -1,0 +1,80 @@
+"""``mbn transfer``: setting C, from a policy of one field to others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Train under setting A on one field, then go on from that policy on each other field."""
+
+    algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
+    """a2c, ppo, trpo, ars, crossq or tqc."""
+    fields: tuple[str, ...] = ()
+    """Where to go on: names of `mbn fields` or paths; by default all others of the catalogue."""
+    source: str = "field_01"
+    """Where the policy comes from. A finished run of it in OUT is taken as it is."""
+    seed: int = 33
+    """Of networks, exploration and worlds."""
+    steps: int = 5_000_000
+    """Budget of every run in env-steps."""
+    source_steps: int | None = None
+    """Budget of the source's run; by default the same."""
+    num_envs: int | None = None
+    """Worlds stepped side by side; by default 1."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """What the networks run on."""
+    evaluate_every: int = 32_768
+    """Env-steps between two fresh evaluations; after each one a checkpoint is written."""
+    episodes: int = 100
+    """Episodes of an evaluation."""
+    processes: int = 1
+    """Fine-tuning runs at a time; each takes one core."""
+    out: Path = Path("runs")
+    """The folder of all runs: ALGO-A-SOURCE-seedSEED and ALGO-C-FIELD-seedSEED."""
+    resume: bool = False
+    """Go on with interrupted runs from their newest checkpoints, and leave finished ones."""
+
+    def run(self, command_line: str) -> None:
+        """Train with a bar for every run, then print the final evaluations."""
+        from dataclasses import replace
+
+        from baselines.progress import ProgressDisplay
+        from baselines.runs import TrainConfig
+        from baselines.transfer import check_sizes, find_source, train_transfers, transfer_runs
+        from mbn_marl.cli.evaluate import print_evaluations
+        from mbn_marl.errors import ConfigError
+        from mbn_marl.field import catalogue_names
+
+        if self.processes < 1:
+            raise ConfigError("transfer", [f"processes: at least 1, not {self.processes}"])
+        config = TrainConfig(
+            self.algorithm,
+            self.source,
+            setting="A",
+            seed=self.seed,
+            steps=self.steps,
+            evaluate_every=self.evaluate_every,
+            episodes=self.episodes,
+            num_envs=self.num_envs,
+            device=self.device,
+        )
+        others = tuple(name for name in catalogue_names() if name != self.source)
+        fields = self.fields or others
+        runs = transfer_runs(config, self.out / config.name, fields)
+        check_sizes(self.source, fields)
+        first = replace(config, steps=self.source_steps or self.steps)
+        with ProgressDisplay([first.name], first.steps) as display:
+            source = find_source(first, self.out, resume=self.resume, listener=display)
+        with ProgressDisplay([run.name for run in runs], self.steps) as display:
+            folders = train_transfers(
+                runs, self.out, processes=self.processes, resume=self.resume, listener=display
+            )
+        for folder in (source, *folders):
+            final = folder.evaluation
+            print_evaluations([final["stochastic"], final["deterministic"]], str(folder.path))
