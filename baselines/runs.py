@@ -196,7 +196,7 @@ class RunFolder:
 
     @classmethod
     def resume(cls, path: Path, resolved: Mapping[str, Any], field: Field, command: str) -> Self:
-        """Take up the folder of a run that was interrupted.
+        """Take up the folder of a run that was interrupted; a finished one is left as it is.
 
         Args:
             path: the folder.
@@ -219,18 +219,22 @@ class RunFolder:
             problems.append("field: it has changed since the run was started")
         if problems:
             raise ConfigError(f"{path} cannot be resumed", problems)
-        for leftover in path.glob(".*"):  # half-written files of a process that was killed
+        if not folder.finished:
+            folder._take_up(field, command)
+        return folder
+
+    def _take_up(self, field: Field, command: str) -> None:
+        """Clear what a killed process left half-written, and record that the run goes on."""
+        for leftover in self.path.glob(".*"):
             shutil.rmtree(leftover)
-        checkpoint = folder.checkpoint
         entry = {
-            "env_steps": 0 if checkpoint is None else int(checkpoint.name),
+            "env_steps": 0 if self.checkpoint is None else int(self.checkpoint.name),
             "command": command,
             "versions": versions(),
         }
-        history = path / "resumed.json"
+        history = self.path / "resumed.json"
         write_json(history, [*(read_json(history) if history.exists() else []), entry])
-        save_field(field, path / "field.yaml")
-        return folder
+        save_field(field, self.path / "field.yaml")
 
     @classmethod
     def open(cls, path: Path) -> Self:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from numbers import Real
 from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -93,7 +94,7 @@ class ToRecorder(KVWriter):
         values: Mapping[str, float] = {
             name: float(value)
             for name, value in key_values.items()
-            if "tensorboard" not in key_excluded[name] and isinstance(value, int | float)
+            if "tensorboard" not in key_excluded[name] and isinstance(value, Real)
         }
         self._recorder.scalars(step, values)
 
