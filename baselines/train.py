@@ -47,6 +47,8 @@ def train(
     """
     import torch
 
+    if config.device == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("training", ["device: torch finds no GPU here; allowed: cpu"])
     torch.set_num_threads(1)
     algorithm = find_algorithm(config.algorithm)
     hyperparameters = resolve_hyperparameters(config)

@@ -1,21 +1,28 @@
-"""Augmented random search, told apart from the library's by two details."""
+"""Augmented random search, told apart from the library's by three details."""
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from sb3_contrib import ARS
 from stable_baselines3.common.callbacks import BaseCallback
 
 
 class PopulationSearch(ARS):  # type: ignore[misc]  # the library ships no types
-    """SB3-Contrib's ARS, made to go on exactly where a saved one stopped.
+    """SB3-Contrib's ARS, for many worlds, and made to go on exactly where a saved one stopped.
 
+    - With several worlds each evaluates a candidate of its own. The library would evaluate one
+      candidate after the other, in all worlds at once.
     - A rollout starts before the random directions are drawn, so that what is saved at that moment
       draws the same ones.
     - The search goes on from the parameters that were loaded. The library would begin at zero
       again: it sets its parameter vector when the object is made, and does not save it.
+
+    Its environment is a ``LearnersView``, perhaps inside a ``VecNormalize``.
     """
 
     def _do_one_update(self, callback: BaseCallback, async_eval: Any) -> None:
@@ -27,3 +34,65 @@ class PopulationSearch(ARS):  # type: ignore[misc]  # the library ships no types
         super().set_parameters(*arguments, **options)
         parameters = self.policy.parameters()
         self.weights = torch.nn.utils.parameters_to_vector(parameters).detach()
+
+    def evaluate_candidates(
+        self, candidate_weights: torch.Tensor, callback: BaseCallback, async_eval: Any
+    ) -> torch.Tensor:
+        """The sum of each candidate's returns over ``n_eval_episodes`` episodes."""
+        if self.env.num_envs == 1:
+            returns: torch.Tensor = super().evaluate_candidates(
+                candidate_weights, callback, async_eval
+            )
+            return returns
+        self.ep_info_buffer = []
+        callback.on_rollout_start()
+        groups = [
+            torch.stack([self._episodes(group, callback) for _ in range(self.n_eval_episodes)])
+            for group in candidate_weights.split(self.env.num_envs)
+        ]
+        self.env.watched[:] = True
+        callback.on_rollout_end()
+        return torch.cat([group.sum(dim=0) for group in groups])
+
+    def _episodes(self, candidates: torch.Tensor, callback: BaseCallback) -> torch.Tensor:
+        """The returns of an episode of each candidate, side by side.
+
+        A world whose episode has ended goes on until all have, but neither its steps nor its next
+        episodes count.
+        """
+        worlds, count = self.env.num_envs, len(candidates)
+        act = self._side_by_side(candidates)
+        returns, lengths = np.zeros(count), np.zeros(count)
+        running = np.arange(worlds) < count
+        observations = self.env.reset()
+        while running.any():
+            self.env.watched[:] = running
+            actions = np.zeros((worlds, *self.action_space.shape), np.float32)
+            actions[:count] = act(observations[:count])
+            observations, _, dones, infos = self.env.step(actions)
+            self.num_timesteps += int(running.sum())
+            callback.on_step()
+            for world in np.flatnonzero(dones & running):
+                episode = infos[world]["episode"]
+                returns[world], lengths[world] = episode["r"], episode["l"]
+            running &= ~dones
+        self._mimic_monitor_wrapper(returns, lengths)
+        return torch.as_tensor(returns + self.alive_bonus_offset * lengths, dtype=torch.float32)
+
+    def _side_by_side(self, candidates: torch.Tensor) -> Any:
+        """A function from observations (count, size) to each candidate's actions for its own."""
+        policies = [deepcopy(self.policy) for _ in candidates]
+        for policy, weights in zip(policies, candidates, strict=True):
+            policy.load_from_vector(weights.numpy())
+        stacked, _ = torch.func.stack_module_state(policies)
+
+        def one(parameters: dict[str, torch.Tensor], observation: torch.Tensor) -> torch.Tensor:
+            return torch.func.functional_call(self.policy, parameters, (observation[None],))[0]
+
+        def act(observations: NDArray[Any]) -> NDArray[Any]:
+            outputs = torch.vmap(one)(stacked, torch.as_tensor(observations)).detach().numpy()
+            actions = outputs.reshape(len(outputs), *self.action_space.shape)
+            clipped: NDArray[Any] = np.clip(actions, -1.0, 1.0)  # as `predict` does in this space
+            return clipped
+
+        return act

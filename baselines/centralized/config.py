@@ -107,8 +107,9 @@ def load(
     source = file or FOLDER / f"{algorithm}.yaml"
     block = read_block(source, "A" if setting == "C" and file is None else setting)
     given = {"num_envs": num_envs} if num_envs is not None else {}
-    model = {**(block.get("model") or {}), **overrides.get("model", {})}
-    values = {**block, **overrides, **given, "model": model}
+    values = {**block, **overrides, **given}
+    if isinstance(block.get("model"), dict) and "model" in overrides:
+        values["model"] = {**block["model"], **overrides["model"]}
     place = f"hyperparameters of {algorithm}"
     config = validate(CentralizedConfig, values, place if file is None else str(file))
     accepted = accepted_arguments(algorithm)

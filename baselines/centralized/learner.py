@@ -88,9 +88,11 @@ def transfer(task: Task, env: VecEnv, source: Path) -> BaseAlgorithm:
         RunError: the run is missing or has saved no policy.
     """
     path = model_file(RunFolder.open(source))
-    return algorithm_class(task.config.algorithm).load(
+    model = algorithm_class(task.config.algorithm).load(
         path, env=env, device=task.config.device, seed=task.config.seed
     )
+    model.num_timesteps = 0
+    return model
 
 
 def _transitions(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:

@@ -11,43 +11,13 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.vec_env import VecEnv
 
 from baselines.centralized.config import CentralizedConfig, algorithm_class, model_arguments
 from baselines.centralized.learner import policy_of, restore, save, transfer
-from baselines.recorder import ROW_STEPS, EpisodeWindow, Recorder
+from baselines.centralized.worlds import make_env
+from baselines.recorder import ROW_STEPS, Recorder
 from baselines.runs import Task
-from mbn_marl.adapters.sb3 import CentralizedVecEnv
-
-
-class LearnersView(VecEnvWrapper):
-    """The worlds as the learner gets them: rewards scaled, ended episodes noted.
-
-    Args:
-        venv: the worlds.
-        scale: the learner sees the reward times this.
-        episodes: where true returns and successes of ended episodes go.
-    """
-
-    def __init__(self, venv: VecEnv, scale: float, episodes: EpisodeWindow) -> None:
-        super().__init__(venv)
-        self._scale = scale
-        self._episodes = episodes
-
-    def reset(self) -> VecEnvObs:
-        """Reset the worlds."""
-        return self.venv.reset()
-
-    def step_wait(self) -> VecEnvStepReturn:
-        """Finish the step."""
-        observations, rewards, dones, infos = self.venv.step_wait()
-        if dones.any():
-            ended = [info for info, done in zip(infos, dones, strict=True) if done]
-            self._episodes.add(
-                [info["episode"]["r"] for info in ended], [info["is_success"] for info in ended]
-            )
-        return observations, rewards * self._scale, dones, infos
 
 
 class Reporter(BaseCallback):
@@ -123,19 +93,6 @@ def train(task: Task, hyperparameters: CentralizedConfig, recorder: Recorder) ->
         reset_num_timesteps=recorder.checkpoint is None,
     )
     recorder.finish(model.num_timesteps, policy_of(model))
-
-
-def make_env(task: Task, hyperparameters: CentralizedConfig, episodes: EpisodeWindow) -> VecEnv:
-    """The worlds of training, as the learner sees them."""
-    worlds = CentralizedVecEnv(
-        task.field,
-        hyperparameters.num_envs,
-        seed=task.config.seed,
-        threads=1,
-        **task.settings,
-    )
-    env = LearnersView(worlds, hyperparameters.reward_scale, episodes)
-    return VecNormalize(env, norm_reward=False) if hyperparameters.normalize_observation else env
 
 
 def make_model(task: Task, hyperparameters: CentralizedConfig, env: VecEnv) -> BaseAlgorithm:

@@ -98,10 +98,11 @@ class Evaluate:
 
 def print_evaluations(summaries: Sequence[Mapping[str, Any]], title: str) -> None:
     """Print evaluations (as ``Evaluation.summary()`` has them) as a table, one a row."""
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title)
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for heading in ("actions", "episodes", "return", "min", "max", "success", "makespan"):
         table.add_column(heading, justify="left" if heading == "actions" else "right")
     for summary in summaries:

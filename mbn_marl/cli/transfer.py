@@ -49,7 +49,7 @@ class Transfer:
         from baselines.transfer import check_sizes, find_source, train_transfers, transfer_runs
         from mbn_marl.cli.evaluate import print_evaluations
         from mbn_marl.errors import ConfigError
-        from mbn_marl.field import catalogue_names
+        from mbn_marl.field import catalogue_names, load_field
 
         if self.processes < 1:
             raise ConfigError("transfer", [f"processes: at least 1, not {self.processes}"])
@@ -64,8 +64,9 @@ class Transfer:
             num_envs=self.num_envs,
             device=self.device,
         )
-        others = tuple(name for name in catalogue_names() if name != self.source)
-        fields = self.fields or others
+        fields = self.fields or tuple(
+            name for name in catalogue_names() if load_field(name) != load_field(self.source)
+        )
         runs = transfer_runs(config, self.out / config.name, fields)
         check_sizes(self.source, fields)
         first = replace(config, steps=self.source_steps or self.steps)

@@ -23,8 +23,8 @@ def trajectory_panels(lasts: Mapping[str, Snapshot]) -> Figure:
     """The paths of several episodes, a panel each, as in ``trajectory_figure``.
 
     Args:
-        lasts: the last snapshot of each episode, by what to write above its panel; the outcome is
-            written there too.
+        lasts: the last snapshot of each episode, by what to write above its panel; its outcome is
+            written below.
 
     Raises:
         MbnError: there is none.
@@ -46,7 +46,8 @@ def trajectory_panels(lasts: Mapping[str, Snapshot]) -> Figure:
                 mark_collision(axes, last.trail[-1])
             if float(np.hypot(*last.wind)) > 1e-9:
                 draw_wind(axes, last.wind)
-            axes.set_title(f"{name}\n{_outcome(last)}", loc="left", fontsize=8)
+            axes.set_title(name, loc="left")
+            axes.set_xlabel(_outcome(last))
     return figure
 
 
