@@ -228,6 +228,22 @@ def test_outputs_are_written_in_place_and_a_copy_goes_on_alike() -> None:
     assert twin.step(actions)[0] is not first
 
 
+def test_saved_worlds_go_on_alike() -> None:
+    _, gpu = pair(**SETTINGS)
+    gpu.reset()
+    for _ in range(20):
+        gpu.step(gpu.sample_actions())
+    saved = gpu.save_state()
+    _, other = pair(**SETTINGS)
+    other.reset(99)
+    other.load_state(saved)
+    for _ in range(30):
+        actions = gpu.sample_actions()
+        assert (other.sample_actions() == actions).all()
+        ahead = gpu.step(actions)
+        assert all((a == b).all() for a, b in zip(ahead, other.step(actions), strict=True))
+
+
 def test_seeds() -> None:
     cpu, gpu = pair(**SETTINGS)
     cpu.reset(), gpu.reset()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import shapely
 from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, centralized_env, parallel_env
+from mbn_marl.errors import MbnError
 
 STEPS = 2000
 SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 90, "wind": (0.05, 40.0)}
@@ -119,6 +121,46 @@ def test_a_copy_goes_on_as_the_original_would(make: Callable[[str], Any]) -> Non
     ahead = [original.step(action) for action in actions[50:]]
     assert [twin.step(action) for action in actions[50:]] == ahead
     assert original.resets >= 2
+
+
+@pytest.mark.parametrize("autoreset", [True, "next_step", False])
+@pytest.mark.parametrize("reward", ["released", "formal"])
+def test_an_engine_goes_on_from_saved_arrays(autoreset: Any, reward: Any, tmp_path: Path) -> None:
+    def make(seed: int) -> BatchEngine:
+        return BatchEngine("field_03", 4, seed=seed, autoreset=autoreset, reward=reward, **SETTINGS)
+
+    def go_on(engine: BatchEngine, steps: int) -> list[bytes]:
+        rows = []
+        for _ in range(steps):
+            result = engine.step(engine.sample_actions())
+            rows += [array.tobytes() for array in result]
+            rows += [engine.state().tobytes(), engine.metrics()["episode_return"].tobytes()]
+            if not autoreset:
+                engine.reset_worlds(result[2] | result[3])
+        return rows
+
+    original = make(5)
+    original.reset()
+    go_on(original, 50)
+    np.savez(tmp_path / "worlds.npz", allow_pickle=False, **original.save_state())
+    expected = go_on(original, 120)
+    other = make(6)
+    other.reset()
+    with np.load(tmp_path / "worlds.npz", allow_pickle=False) as arrays:
+        other.load_state(arrays)
+    assert go_on(other, 120) == expected
+
+
+def test_worlds_of_another_shape_are_refused() -> None:
+    saved = BatchEngine("field_03", 4).save_state()
+    other = BatchEngine("field_03", 5)
+    before = other.save_state()
+    with pytest.raises(MbnError, match=r"worlds: now\.x is \(3, 4\) of float32; allowed: \(3, 5\)"):
+        other.load_state(saved)
+    with pytest.raises(MbnError, match=r"missing or unknown: now\.x"):
+        other.load_state({name: saved[name] for name in saved if name != "now.x"})
+    after = other.save_state()
+    assert all(np.array_equal(before[name], after[name]) for name in before)
 
 
 def rollout(num_worlds: int, threads: int | None, steps: int, dtype: str) -> list[NDArray[Any]]:
