@@ -43,6 +43,9 @@ from baselines.storage import (
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 
+REWRITTEN = ("field.yaml", "resumed.json", "evaluations.json", "evaluation.json")
+"""Files of a run folder that training writes again, each as a whole."""
+
 PACKAGES = (
     "mbn-marl",
     "numpy",
@@ -225,8 +228,9 @@ class RunFolder:
 
     def _take_up(self, field: Field, command: str) -> None:
         """Clear what a killed process left half-written, and record that the run goes on."""
-        for leftover in self.path.glob(".*"):
-            shutil.rmtree(leftover)
+        for name in (*REWRITTEN, "policy"):
+            for leftover in self.path.glob(f".{name}.*"):
+                shutil.rmtree(leftover)
         entry = {
             "env_steps": 0 if self.checkpoint is None else int(self.checkpoint.name),
             "command": command,
