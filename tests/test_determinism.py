@@ -16,7 +16,7 @@ import shapely
 from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, centralized_env, parallel_env
-from mbn_marl.errors import MbnError
+from mbn_marl.errors import MbnError, StepError
 
 STEPS = 2000
 SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 90, "wind": (0.05, 40.0)}
@@ -145,10 +145,18 @@ def test_an_engine_goes_on_from_saved_arrays(autoreset: Any, reward: Any, tmp_pa
     np.savez(tmp_path / "worlds.npz", allow_pickle=False, **original.save_state())
     expected = go_on(original, 120)
     other = make(6)
-    other.reset()
     with np.load(tmp_path / "worlds.npz", allow_pickle=False) as arrays:
         other.load_state(arrays)
     assert go_on(other, 120) == expected
+
+
+def test_worlds_that_wait_for_a_reset_wait_when_they_are_loaded_too() -> None:
+    saved = BatchEngine("field_03", 2).save_state()  # never reset
+    other = BatchEngine("field_03", 2)
+    other.reset()
+    other.load_state(saved)
+    with pytest.raises(StepError, match="world 0 was never reset"):
+        other.step(np.zeros((2, N, 2)))
 
 
 def test_worlds_of_another_shape_are_refused() -> None:
