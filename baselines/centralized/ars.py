@@ -77,20 +77,22 @@ class PopulationSearch(ARS):  # type: ignore[misc]  # the library ships no types
                 returns[world], lengths[world] = episode["r"], episode["l"]
             running &= ~dones
         self._mimic_monitor_wrapper(returns, lengths)
-        return torch.as_tensor(returns + self.alive_bonus_offset * lengths, dtype=torch.float32)
+        totals = returns + self.alive_bonus_offset * lengths
+        return torch.as_tensor(totals, dtype=torch.float32, device=self.device)
 
     def _side_by_side(self, candidates: torch.Tensor) -> Any:
         """A function from observations (count, size) to each candidate's actions for its own."""
         policies = [deepcopy(self.policy) for _ in candidates]
         for policy, weights in zip(policies, candidates, strict=True):
-            policy.load_from_vector(weights.numpy())
+            policy.load_from_vector(weights.cpu().numpy())
         stacked, _ = torch.func.stack_module_state(policies)
 
         def one(parameters: dict[str, torch.Tensor], observation: torch.Tensor) -> torch.Tensor:
             return torch.func.functional_call(self.policy, parameters, (observation[None],))[0]
 
         def act(observations: NDArray[Any]) -> NDArray[Any]:
-            outputs = torch.vmap(one)(stacked, torch.as_tensor(observations)).detach().numpy()
+            seen = torch.as_tensor(observations, device=self.device)
+            outputs = torch.vmap(one)(stacked, seen).numpy(force=True)
             actions = outputs.reshape(len(outputs), *self.action_space.shape)
             clipped: NDArray[Any] = np.clip(actions, -1.0, 1.0)  # as `predict` does in this space
             return clipped
