@@ -1,4 +1,4 @@
-"""Several training runs side by side, one process per run at a time."""
+"""Work in several processes side by side, and training runs as such work."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import multiprocessing
 import queue
 import signal
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from baselines.progress import Listener, Report
+from baselines.progress import Listener
 from baselines.runs import TrainConfig
 from baselines.storage import RunError
 from baselines.train import train
@@ -28,11 +29,15 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Finished:
-    """A worker's word that a job is done; ``error`` is its traceback if it failed."""
+class Ended:
+    """A worker's last word; ``error`` is its traceback if it failed."""
 
-    run: str
     error: str | None = None
+
+
+def spawning() -> SpawnContext:
+    """What queues and locks that are shared with :func:`run_processes` have to come from."""
+    return multiprocessing.get_context("spawn")
 
 
 def train_all(jobs: Sequence[Job], processes: int, listener: Listener) -> None:
@@ -48,18 +53,49 @@ def train_all(jobs: Sequence[Job], processes: int, listener: Listener) -> None:
         for job in jobs:
             train(job.config, job.out, resume=job.resume, listener=listener)
         return
-    context = multiprocessing.get_context("spawn")
-    todo, messages = context.Queue(), context.Queue()
     count = min(processes, len(jobs))
-    for job in jobs:
+    todo = spawning().Queue()
+    for job in [*jobs, *[None] * count]:
         todo.put(job)
-    for _ in range(count):
-        todo.put(None)
-    workers = [context.Process(target=_work, args=(todo, messages)) for _ in range(count)]
+    run_processes(_train_jobs, (todo,), count, listener)
+
+
+def _train_jobs(todo: multiprocessing.Queue[Job | None], listener: Listener) -> None:
+    """Train the jobs of a queue up to its first ``None``."""
+    for job in iter(todo.get, None):
+        try:
+            train(job.config, job.out, resume=job.resume, listener=listener)
+        except Exception as error:
+            raise RunError(f"{job.config.name} failed") from error
+
+
+def run_processes(
+    work: Callable[..., None],
+    arguments: tuple[Any, ...],
+    count: int,
+    listener: Callable[[Any], None],
+) -> None:
+    """Run ``work(*arguments, report)`` in each of ``count`` new processes, until all have ended.
+
+    The first failure, Ctrl-C or a killed worker stops all. Workers end with this process.
+
+    Args:
+        work: a function of a module.
+        arguments: can be pickled, or are queues and locks from :func:`spawning`.
+        count: how many processes.
+        listener: is told here what a worker passes to its ``report``.
+
+    Raises:
+        RunError: a worker failed; the message has its traceback.
+    """
+    messages = spawning().Queue()
+    workers = [
+        spawning().Process(target=_work, args=(work, arguments, messages)) for _ in range(count)
+    ]
     try:
         for worker in workers:
             worker.start()
-        _watch(workers, messages, len(jobs), listener)
+        _watch(workers, messages, listener)
     finally:
         for worker in workers:
             worker.terminate()
@@ -68,41 +104,42 @@ def train_all(jobs: Sequence[Job], processes: int, listener: Listener) -> None:
 
 def _watch(
     workers: Sequence[BaseProcess],
-    messages: multiprocessing.Queue[Report | Finished],
-    jobs: int,
-    listener: Listener,
+    messages: multiprocessing.Queue[Any],
+    listener: Callable[[Any], None],
 ) -> None:
-    """Pass reports on until every job is finished."""
-    while jobs:
+    """Pass messages on until every worker has ended."""
+    running = len(workers)
+    while running:
         try:
             message = messages.get(timeout=1.0)
         except queue.Empty:
             dead = [worker.exitcode for worker in workers if worker.exitcode]
             if dead:
-                raise RunError(f"a training process died with exit code {dead[0]}") from None
+                raise RunError(f"a process died with exit code {dead[0]}") from None
             continue
-        if isinstance(message, Report):
+        if not isinstance(message, Ended):
             listener(message)
         elif message.error is not None:
-            raise RunError(f"{message.run} failed:\n{message.error}")
+            raise RunError(f"a process failed:\n{message.error}")
         else:
-            jobs -= 1
+            running -= 1
 
 
-def _work(todo: multiprocessing.Queue[Job | None], messages: multiprocessing.Queue[Any]) -> None:
-    """Train the jobs of a queue, in a process of its own, as long as the parent lives."""
+def _work(
+    work: Callable[..., None], arguments: tuple[Any, ...], messages: multiprocessing.Queue[Any]
+) -> None:
+    """Do the work in a process of its own, as long as the parent lives."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent answers Ctrl-C
     parent = multiprocessing.parent_process()
 
-    def report(state: Report) -> None:
+    def report(message: Any) -> None:
         if parent is not None and not parent.is_alive():
             raise SystemExit
-        messages.put(state)
+        messages.put(message)
 
-    for job in iter(todo.get, None):
-        try:
-            train(job.config, job.out, resume=job.resume, listener=report)
-        except Exception:
-            messages.put(Finished(job.config.name, traceback.format_exc()))
-            return
-        messages.put(Finished(job.config.name))
+    try:
+        work(*arguments, report)
+    except Exception:
+        messages.put(Ended(traceback.format_exc()))
+        return
+    messages.put(Ended())

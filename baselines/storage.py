@@ -45,6 +45,26 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
     return path
 
 
+def claim_file(path: Path, *, force: bool = False) -> None:
+    """Make sure that no file is at ``path``.
+
+    Args:
+        path: where a new file is to be.
+        force: a file that is already there is moved aside, as :func:`claim_folder` does.
+
+    Raises:
+        RunError: ``path`` is a folder, or a file and ``force`` is not set.
+    """
+    if path.is_dir():
+        raise RunError(f"{path} is a folder; the output must be a file")
+    if path.exists():
+        if not force:
+            raise RunError(
+                f"{path} already exists; choose another --out, or pass --force to move it aside"
+            )
+        path.rename(_free_name(path))
+
+
 def _free_name(path: Path) -> Path:
     number = 1
     while (candidate := path.with_name(f"{path.name}.{number}")).exists():

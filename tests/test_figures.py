@@ -205,6 +205,18 @@ def test_very_bad_returns_do_not_flatten_the_good_ones(worst: float, scale: str)
     assert high - zero > 0.25 * (high - low)
 
 
+def test_returns_that_are_all_far_below_zero_are_told_apart() -> None:
+    seeds = [run([0, 1, 2], [-30e6, -1e6, -2e5])]
+    axes = figures.learning_curves({"a": seeds}).axes[0]
+    assert axes.get_yscale() == "symlog"
+    heights = axes.transAxes.inverted().transform(
+        axes.transData.transform([(0, value) for value in (-30e6, -1e6, -2e5)])
+    )[:, 1]
+    assert 0.0 < heights[0] < heights[1] - 0.2 < heights[2] - 0.4 < 0.6
+    ticks = axes.get_yticks().tolist()
+    assert ticks == pytest.approx([-3e5, -1e6, -3e6, -1e7, -3e7])
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
@@ -220,6 +232,74 @@ def test_very_bad_returns_do_not_flatten_the_good_ones(worst: float, scale: str)
 def test_curves_that_cannot_be_drawn_are_refused(wrong: Any, message: str) -> None:
     with pytest.raises(MbnError, match=message):
         figures.learning_curves(wrong)
+
+
+# ---------------------------------------------------------------- comparisons and studies
+
+
+def test_panels_have_common_axes_and_one_legend() -> None:
+    panels = {
+        "one": figures.Panel({"b": [run([0, 10], [0, 9])]}, 20.0),
+        "two": figures.Panel({"a": [run([0, 30], [0, 5]), run([0, 30], [5, 5])]}, None),
+        "three": figures.Panel({"b": [run([0, 10], [0, 9])]}, None),
+    }
+    figure = figures.learning_curve_panels(panels, ["a", "b", "c"], 10.0)
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    assert len({(axes.get_xlim(), axes.get_ylim()) for axes in shown}) == 1
+    first, second, third = shown
+    assert first.lines[0].get_color() == third.lines[0].get_color() != second.lines[0].get_color()
+    assert [len(axes.collections) for axes in shown] == [0, 1, 0], "a band for two seeds"
+    assert [len(axes.lines) for axes in shown] == [3, 2, 2], "curve, threshold, optimum"
+    assert labels_of(figure) == ["a", "b", "threshold 10", "proved optimum"]
+    with pytest.raises(MbnError, match="no curve"):
+        figures.learning_curve_panels({"one": figures.Panel({}, None)}, [], 10.0)
+
+
+def test_pairs_are_joined_and_missing_ones_say_so() -> None:
+    panels = {
+        "ppo": {"here": figures.Pair(1.0, 4.0), "there": figures.Pair(None, 2.0)},
+        "ars": {"there": figures.Pair(3.0, 3.5)},
+    }
+    figure = figures.pairs(panels, ("A", "B"), 5.0)
+    ppo, ars = figure.axes
+    drawn = [line.get_xydata().tolist() for line in ppo.lines[:-1]]
+    assert drawn == [[[1, 0], [4, 0]], [[1, 0]], [[4, 0]], [[2, 1]]]
+    assert [text.get_text() for text in ppo.texts + ars.texts] == ["missing"]
+    assert ars.texts[0].xy[1] == 0
+    assert labels_of(figure) == ["A", "B", "threshold 5"]
+    with pytest.raises(MbnError, match="no return"):
+        figures.pairs({"ppo": {"here": figures.Pair(None, None)}}, ("A", "B"), 5.0)
+
+
+def test_many_fields_are_drawn_whole_each_with_its_bar() -> None:
+    small = Field([(0, 0), (40, 0), (40, 40), (0, 40)], [(20, 20)], [(5, 5)])
+    figure = figures.fields_figure([FIELD, small])
+    for axes, field, bar in zip(figure.axes, (FIELD, small), (50.0, 10.0), strict=True):
+        (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+        assert right - left == pytest.approx(top - bottom)
+        for x, y in field.vertices:
+            assert left < x < right and bottom < y < top
+        lengths = [np.ptp(line.get_xdata()) for line in axes.lines if len(line.get_xdata()) == 2]
+        assert lengths == pytest.approx([bar])
+        assert axes.texts[-1].get_text() == f"{bar:g} units"
+    with pytest.raises(MbnError, match="none to draw"):
+        figures.fields_figure([])
+
+
+def test_a_study_shows_its_best_so_far_and_what_was_pruned() -> None:
+    values = [(0, 1.0, False), (1, 9.0, True), (2, 3.0, False), (3, 2.0, False)]
+    trials = [figures.StudyTrial(*value) for value in values]
+    figure = figures.study_figure(trials, {"gamma": 0.75, "learning_rate": 0.25}, "ppo")
+    history, bars = figure.axes
+    best, finished, pruned = (line.get_xydata().tolist() for line in history.lines)
+    assert best == [[0, 1], [2, 3], [3, 3]]
+    assert finished == [[0, 1], [2, 3], [3, 2]]
+    assert pruned == [[1, 9]]
+    assert [bar.get_width() for bar in bars.patches] == [0.75, 0.25]
+    unknown = figures.study_figure(trials, {}, "ppo").axes[1]
+    assert "too few" in unknown.texts[0].get_text()
+    with pytest.raises(MbnError, match="no trial"):
+        figures.study_figure([], {}, "ppo")
 
 
 # ---------------------------------------------------------------- files and the look

@@ -16,8 +16,10 @@ from mbn_marl.cli.compare import Compare
 from mbn_marl.cli.evaluate import Evaluate
 from mbn_marl.cli.fields import Fields
 from mbn_marl.cli.render import Render
+from mbn_marl.cli.report import Report
 from mbn_marl.cli.train import Train
 from mbn_marl.cli.transfer import Transfer
+from mbn_marl.cli.tune import Tune
 from mbn_marl.errors import MbnError
 
 Command = (
@@ -26,6 +28,8 @@ Command = (
     | Annotated[Transfer, subcommand("transfer")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Compare, subcommand("compare")]
+    | Annotated[Tune, subcommand("tune")]
+    | Annotated[Report, subcommand("report")]
     | Annotated[Render, subcommand("render")]
     | Annotated[Bench, subcommand("bench")]
 )

@@ -9,16 +9,20 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, MaxNLocator
+from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError
 from mbn_marl.render import style
+from mbn_marl.render.scales import scale_returns
 
 Curves = Mapping[str, Sequence[tuple[NDArray[Any], NDArray[Any]]]]
 """For each algorithm, per seed, ``(steps, returns)``."""
 
 FloatArray = NDArray[np.float64]
+
+Band = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Steps, mean, and the two ends of the band, (k,) each."""
 
 _RESAMPLES = 10_000
 _MARKERS_A_LINE = 8
@@ -33,23 +37,13 @@ def curves_figure(curves: Curves, threshold: float | None, optimum: float | None
     with matplotlib.rc_context(style.MATPLOTLIB):
         figure = Figure(figsize=(5.6, 3.6), layout="constrained")
         axes = figure.add_subplot()
-        for index, (name, (steps, mean, low, high)) in enumerate(lines.items()):
-            look = style.series(index)
+        for index, (name, band) in enumerate(lines.items()):
             seeds = len(curves[name])
-            axes.plot(
-                steps,
-                mean,
-                color=look.colour,
-                ls=look.dash,
-                marker=look.marker,
-                ms=4,
-                markevery=max(len(steps) // _MARKERS_A_LINE, 1),
-                label=f"{name} ({seeds} seed{'' if seeds == 1 else 's'})",
-                zorder=3,
-            )
-            if seeds > 1:
-                axes.fill_between(steps, low, high, color=look.colour, alpha=0.18, lw=0)
-        _scale(axes, [band for _, _, *bands in lines.values() for band in bands], marks)
+            label = f"{name} ({seeds} seed{'' if seeds == 1 else 's'})"
+            draw_curve(axes, band, style.series(index), label, banded=seeds > 1)
+        ends = [end for band in lines.values() for end in band[2:]]
+        lowest = min(float(end.min()) for end in ends)
+        scale_returns(axes, "y", lowest, max(*(float(end.max()) for end in ends), *marks))
         _mark(axes, threshold, "threshold", ":")
         _mark(axes, optimum, "optimum", "-")
         axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
@@ -60,9 +54,27 @@ def curves_figure(curves: Curves, threshold: float | None, optimum: float | None
     return figure
 
 
-def mean_and_band(
-    name: str, runs: Sequence[tuple[NDArray[Any], NDArray[Any]]]
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def draw_curve(
+    axes: Axes, band: Band, look: style.SeriesStyle, label: str, *, banded: bool
+) -> None:
+    """Draw a mean as a line with sparse markers, and its band if it is ``banded``."""
+    steps, mean, low, high = band
+    axes.plot(
+        steps,
+        mean,
+        color=look.colour,
+        ls=look.dash,
+        marker=look.marker,
+        ms=4,
+        markevery=max(len(steps) // _MARKERS_A_LINE, 1),
+        label=label,
+        zorder=3,
+    )
+    if banded:
+        axes.fill_between(steps, low, high, color=look.colour, alpha=0.18, lw=0)
+
+
+def mean_and_band(name: str, runs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Band:
     """Steps, mean, and the ends of the 95 % percentile bootstrap over seeds, (k,) each.
 
     The steps are all those of any seed that lie within every seed's range.
@@ -99,23 +111,6 @@ def _checked(
     if not (np.diff(steps) > 0).all():
         raise MbnError(f"{place}: the steps have to increase")
     return steps, returns
-
-
-def _scale(axes: Axes, bands: Sequence[FloatArray], marks: Sequence[float]) -> None:
-    """Linear where policies that work lie, logarithmic far below."""
-    bottom = min(float(band.min()) for band in bands)
-    top = max([float(band.max()) for band in bands] + list(marks))
-    if top <= 0.0 or bottom >= -2.0 * top:
-        axes.yaxis.set_major_formatter(EngFormatter(sep=" "))
-        return
-    decades = np.log10(-bottom / top)
-    axes.set_yscale("symlog", linthresh=top, linscale=1.5 * max(decades, 1.0))
-    ticks = np.asarray(MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(-top, top))
-    exponents = np.arange(np.ceil(np.log10(1.5 * top)), np.floor(np.log10(-bottom)) + 1)
-    axes.set_yticks([*-(10.0**exponents), *ticks[np.abs(ticks) <= top]])
-    axes.minorticks_off()
-    axes.yaxis.set_major_formatter(EngFormatter(sep=" "))
-    axes.set_ylim(1.3 * bottom, 1.15 * top)
 
 
 def _mark(axes: Axes, value: float | None, label: str, dash: str) -> None:

@@ -1,10 +1,11 @@
-"""Figures for print and reports: fields, trajectories, learning curves.
+"""Figures for print and reports: fields, trajectories, learning curves, comparisons, studies.
 
 They are matplotlib figures without pyplot: no display, no global state, nothing to close.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -12,18 +13,34 @@ from matplotlib.figure import Figure
 
 from mbn_marl.errors import MbnError
 from mbn_marl.render import style
+from mbn_marl.render.curve_panels import Panel, panels_figure
 from mbn_marl.render.curves import Curves, curves_figure
 from mbn_marl.render.files import replacing
-from mbn_marl.render.maps import draw_field, draw_trails, field_figure, trajectory_figure
+from mbn_marl.render.maps import (
+    draw_field,
+    draw_trails,
+    field_figure,
+    fields_figure,
+    trajectory_figure,
+)
+from mbn_marl.render.pairs import Pair, pairs_figure
 from mbn_marl.render.panels import trajectory_panels
+from mbn_marl.render.study import StudyTrial, study_figure
 
 __all__ = [
     "FORMATS",
+    "Pair",
+    "Panel",
+    "StudyTrial",
     "draw_field",
     "draw_trails",
     "field_figure",
+    "fields_figure",
+    "learning_curve_panels",
     "learning_curves",
+    "pairs",
     "save",
+    "study_figure",
     "trajectory_figure",
     "trajectory_panels",
 ]
@@ -59,6 +76,39 @@ def learning_curves(
     if path is not None:
         save(figure, path)
     return figure
+
+
+def learning_curve_panels(
+    panels: Mapping[str, Panel], names: Sequence[str], threshold: float
+) -> Figure:
+    """Learning curves as in :func:`learning_curves`, a panel a field, on common axes.
+
+    Args:
+        panels: for each title the curves of its panel.
+        names: every algorithm, in the order of the legend; an algorithm looks the same in all
+            figures that have the same ``names``.
+        threshold: a return to mark.
+
+    Raises:
+        MbnError: naming the panel, the algorithm and the seed whose arrays cannot be a curve.
+    """
+    return panels_figure(panels, names, threshold)
+
+
+def pairs(
+    panels: Mapping[str, Mapping[str, Pair]], names: tuple[str, str], threshold: float
+) -> Figure:
+    """Two returns side by side on a line each, a panel an algorithm, on common axes.
+
+    Args:
+        panels: for each title, for each line of its panel, the two returns.
+        names: what the first and the second return of each pair are.
+        threshold: a return to mark.
+
+    Raises:
+        MbnError: there is no return at all.
+    """
+    return pairs_figure(panels, names, threshold)
 
 
 def save(figure: Figure, path: str | Path) -> Path:

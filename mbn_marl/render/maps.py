@@ -25,6 +25,8 @@ _WIDTH = 4.6
 """Width of a figure of one field, inches."""
 _HEIGHTS = (3.0, 5.6)
 """Least and greatest height of a figure of one field, inches."""
+_COLUMNS = 5
+"""Fields side by side in a figure of many."""
 _BORDER = 0.06
 """Empty border round a field, as a share of its larger side."""
 
@@ -43,6 +45,36 @@ def field_figure(field: Field, *, roi_radius: float = _ROI_RADIUS) -> Figure:
             _robot(axes, index, x, y)
         handles = [_roi_handle(False), _robot_handle("start of robot i")]
         _finish(axes, field.name, handles)
+    return figure
+
+
+def fields_figure(fields: Sequence[Field], *, roi_radius: float = _ROI_RADIUS) -> Figure:
+    """All ``fields`` side by side with their ROIs and the robots' starts, each with a scale bar.
+
+    Args:
+        fields: what to draw (one at least).
+        roi_radius: rho, units.
+
+    Raises:
+        MbnError: there is no field.
+    """
+    if not fields:
+        raise MbnError("fields: there is none to draw")
+    columns = min(len(fields), _COLUMNS)
+    rows = -(-len(fields) // columns)
+    with matplotlib.rc_context(style.MATPLOTLIB):
+        figure = Figure(figsize=(1.9 * columns, 2.1 * rows + 0.4), layout="constrained")
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes, field in zip(grid, fields, strict=False):
+            draw_field(axes, field, roi_radius=roi_radius, numbered=False)
+            for index, (x, y) in enumerate(field.starts):
+                _robot(axes, index, x, y, size=7.5)
+            axes.set_title(field.name, loc="left")
+            _frame(axes, field)
+        for empty in grid[len(fields) :]:
+            empty.set_visible(False)
+        handles = [_roi_handle(False), _robot_handle("start of robot i")]
+        figure.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=1.2)
     return figure
 
 
@@ -97,6 +129,7 @@ def draw_field(
     *,
     visited: NDArray[np.bool_] | None = None,
     roi_radius: float = _ROI_RADIUS,
+    numbered: bool = True,
 ) -> None:
     """Draw the field and its ROIs on ``axes``, to scale, and fit the axes to it.
 
@@ -105,6 +138,7 @@ def draw_field(
         field: what to draw.
         visited: (m,) bool, the ROIs to show as visited; ``None`` for none.
         roi_radius: rho, units.
+        numbered: write the name of each ROI beside it.
 
     Raises:
         MbnError: if ``visited`` has another shape.
@@ -123,15 +157,16 @@ def draw_field(
         tint = (colour, 0.28 if seen else 0.05)
         axes.add_patch(Circle((x, y), roi_radius, fc=tint, ec=colour, lw=0.7, zorder=2))
         axes.plot([x], [y], **_roi_marker(bool(seen)), zorder=2.5)
-        axes.annotate(
-            f"$w_{{{number}}}$",
-            (x + 0.72 * roi_radius, y + 0.72 * roi_radius),
-            xytext=(1, 0),
-            textcoords="offset points",
-            fontsize=8,
-            color=style.INK,
-            zorder=2.6,
-        )
+        if numbered:
+            axes.annotate(
+                f"$w_{{{number}}}$",
+                (x + 0.72 * roi_radius, y + 0.72 * roi_radius),
+                xytext=(1, 0),
+                textcoords="offset points",
+                fontsize=8,
+                color=style.INK,
+                zorder=2.6,
+            )
     low, high = field.vertices.min(axis=0), field.vertices.max(axis=0)
     border = _BORDER * float((high - low).max())
     axes.set_xlim(low[0] - border, high[0] + border)
@@ -156,6 +191,31 @@ def _canvas(field: Field) -> tuple[Figure, Axes]:
     tall = float(np.clip(_WIDTH * height / width + 0.6, *_HEIGHTS))
     figure = Figure(figsize=(_WIDTH, tall), layout="constrained")
     return figure, figure.add_subplot()
+
+
+def _frame(axes: Axes, field: Field) -> None:
+    """Show a square about the field, with a scale bar of round length instead of ticks."""
+    low, high = field.vertices.min(axis=0), field.vertices.max(axis=0)
+    side = float((high - low).max())
+    half = (0.5 + 2.0 * _BORDER) * side
+    decade = 10.0 ** np.floor(np.log10(side / 3.0))
+    bar = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= side / 3.0)
+    left, bottom = (low + high) / 2.0 - half
+    axes.set_xlim(left, left + 2.0 * half)
+    axes.set_ylim(bottom, bottom + 2.0 * half)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.spines[:].set_visible(False)
+    start, height = left + 0.1 * half, bottom + 0.12 * half
+    axes.plot([start, start + bar], [height, height], color=style.OUTLINE, lw=2.0)
+    axes.annotate(
+        f"{bar:g} units",
+        (start + bar, height),
+        xytext=(3, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize=7,
+    )
 
 
 def _finish(axes: Axes, title: str, handles: Sequence[Line2D]) -> None:
@@ -184,15 +244,16 @@ def _roi_marker(visited: bool) -> dict[str, Any]:
     return {"marker": "o", "ms": 4, "mfc": style.WHITE, "color": style.ROI_OPEN, "ls": "none"}
 
 
-def _robot(axes: Axes, index: int, x: float, y: float) -> None:
+def _robot(axes: Axes, index: int, x: float, y: float, size: float = 9.5) -> None:
+    """A numbered disc, ``size`` points wide."""
     colour = style.robot_colour(index)
-    axes.plot([x], [y], "o", color=colour, ms=9.5, mec=style.WHITE, mew=0.8, zorder=4)
+    axes.plot([x], [y], "o", color=colour, ms=size, mec=style.WHITE, mew=0.8, zorder=4)
     axes.annotate(
         str(index),
         (x, y),
         ha="center",
         va="center_baseline",
-        fontsize=6.5,
+        fontsize=0.68 * size,
         fontweight="bold",
         color=style.ink_on(colour),
         zorder=4,

@@ -1,0 +1,1 @@
+"""The paper's experiments beside ours: its numbers as data, the same tables from run folders."""

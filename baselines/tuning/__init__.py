@@ -1,0 +1,1 @@
+"""Tuning hyperparameters with Optuna, as the paper did for its setting B."""

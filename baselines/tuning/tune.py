@@ -1,0 +1,148 @@
+"""A study from its beginning, or from where it was interrupted, to the file for setting B."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import yaml
+from filelock import FileLock, Timeout
+from optuna import Study
+from optuna.trial import TrialState
+
+from baselines.algorithms import find_algorithm
+from baselines.parallel import run_processes, spawning
+from baselines.runs import write_provenance
+from baselines.storage import RunError, claim_folder, read_json, write_json, write_text
+from baselines.tuning.study import (
+    CONFIG,
+    begin_study,
+    draw_study,
+    ended,
+    importances,
+    open_study,
+    trials_csv,
+)
+from baselines.tuning.trial import BASE, News, TuneConfig, run_trials
+from mbn_marl.errors import ConfigError
+from mbn_marl.render.figures import save
+
+
+def tune(
+    config: TuneConfig,
+    out: Path,
+    *,
+    trials: int,
+    processes: int,
+    command: str,
+    resume: bool = False,
+    force: bool = False,
+    listener: Callable[[News], None] = lambda news: None,
+) -> Path:
+    """Run a study, and write what it found.
+
+    Args:
+        config: what to tune.
+        out: the folder of the study.
+        trials: how many that end, finished or pruned, with those from before (> 0).
+        processes: trials at a time (> 0).
+        command: the exact command, recorded when the study begins.
+        resume: go on with the study in ``out``; a trial that was interrupted is run anew.
+        force: move a folder that is already there aside.
+        listener: is told where the trials stand.
+
+    Returns:
+        The YAML file with the best values as setting B.
+
+    Raises:
+        ConfigError: a number is out of range, or the study in ``out`` tunes something else.
+        RunError: ``out`` holds something already, no study to resume, or one that is at work; or
+            no trial was finished.
+    """
+    problems = [
+        f"{name}: must be at least 1 (got {value})"
+        for name, value in (("trials", trials), ("processes", processes))
+        if value < 1
+    ]
+    if problems:
+        raise ConfigError("tuning", problems)
+    if resume:
+        _check_same(config, out)
+    else:
+        claim_folder(out, force=force)
+        write_json(out / CONFIG, asdict(config))
+        write_provenance(out, command)
+        begin_study(out)
+    with _alone(out):
+        study = open_study(out)
+        for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+            study.tell(trial.number, state=TrialState.FAIL)
+        if processes == 1:
+            run_trials(config, out, trials, nullcontext(), listener)
+        else:
+            work = (config, out, trials, spawning().Lock())
+            run_processes(run_trials, work, processes, listener)
+        return _write_results(study, config, out)
+
+
+def _check_same(config: TuneConfig, folder: Path) -> None:
+    """Check that the study of ``folder`` tunes what ``config`` says."""
+    open_study(folder)
+    recorded = read_json(folder / CONFIG)
+    problems = [
+        f"{name}: the study has {recorded.get(name)!r}, not {value!r}"
+        for name, value in asdict(config).items()
+        if recorded.get(name) != value
+    ]
+    if problems:
+        raise ConfigError(str(folder), problems)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Hold the lock of a study; the system frees it whatever becomes of this process."""
+    lock = FileLock(folder / ".lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise RunError(
+            f"{folder}: another mbn tune is at work here; --processes runs trials side by side"
+        ) from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _write_results(study: Study, config: TuneConfig, folder: Path) -> Path:
+    """Write the table, the figure and the file for setting B."""
+    write_text(folder / "trials.csv", trials_csv(study))
+    write_json(folder / "importances.json", dict(importances(study)))
+    if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
+        raise RunError(
+            f"{folder}: no trial finished, all {len(ended(study))} were pruned or diverged; see "
+            "trials.csv, and go on with --resume and more --trials"
+        )
+    save(draw_study(folder), folder / "study.png")
+    path = folder / f"{config.algorithm}.yaml"
+    text = yaml.safe_dump({"B": block(study, config)}, sort_keys=False, width=100)
+    write_text(path, text)
+    return path
+
+
+def block(study: Study, config: TuneConfig) -> dict[str, Any]:
+    """The best values as the block of setting B: those of setting A with the tuned ones."""
+    best = study.best_trial
+    hyperparameters = find_algorithm(config.algorithm).resolve(
+        {"model": best.params}, setting=BASE, num_envs=config.num_envs
+    )
+    source = (
+        f"mbn tune {config.algorithm}: trial {best.number}, the best of {len(ended(study))}, on "
+        f"{config.field} with {config.steps:,} env-steps a trial; mean return of "
+        f"{config.episodes} fresh episodes {best.value:,.0f}"
+    )
+    values: dict[str, Any] = hyperparameters.model_dump(mode="json", exclude={"skipped"})
+    return {**values, "source": source}

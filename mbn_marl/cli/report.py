@@ -1,0 +1,52 @@
+"""``mbn report``: what runs recorded, as a page with tables and figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+
+@dataclass(frozen=True)
+class Report:
+    """Report on runs: with --paper, the paper's tables and figures with ours beside them."""
+
+    runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUNS")]]
+    """Run folders, or folders that hold some."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """The folder to write, with the page paper.md; or NAME.md for the page, beside its folder
+    NAME."""
+    paper: bool = False
+    """The paper's experiments: its tables as Markdown, CSV and LaTeX, and its figures."""
+    study: Path | None = None
+    """The folder of an `mbn tune`, to draw."""
+    notes: Path | None = None
+    """A Markdown file to put at the top of the page."""
+    force: bool = False
+    """If there is a report already, move it aside (to OUT.1, OUT.2, ...)."""
+
+    def run(self, command_line: str) -> None:
+        """Write the report."""
+        from rich.console import Console
+
+        from baselines.paper.report import write_report
+        from mbn_marl.errors import ConfigError
+
+        problems = []
+        if not self.paper:
+            problems.append("kind: missing; --paper is the one there is")
+        if not self.runs:
+            problems.append("RUNS: at least one folder is needed")
+        if problems:
+            raise ConfigError("report", problems)
+        place = write_report(
+            self.runs,
+            self.out,
+            command=command_line,
+            study=self.study,
+            notes=self.notes,
+            force=self.force,
+        )
+        Console().print(f"written to {place.page}; tables and figures in {place.folder}")

@@ -1,0 +1,84 @@
+"""``mbn tune``: hyperparameters with Optuna, in the paper's ranges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+
+@dataclass(frozen=True)
+class Tune:
+    """Tune what the paper tuned, and write the values that `mbn train --setting B` reads."""
+
+    algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
+    """a2c, ppo, trpo, ars, crossq or tqc."""
+    field: str = "field_01"
+    """A name of `mbn fields`, or the path of a field file."""
+    trials: int = 20
+    """How many trials end, finished or pruned; with --resume those from before count."""
+    steps: int = 1_000_000
+    """Budget of a trial in env-steps."""
+    evaluate_every: int = 50_000
+    """Env-steps between two fresh evaluations; after each a trial below the median is pruned."""
+    episodes: int = 100
+    """Episodes of an evaluation."""
+    seed: int = 33
+    """Of the sampler and of every training."""
+    num_envs: int = 1
+    """Worlds stepped side by side."""
+    processes: int = 1
+    """Trials at a time; each takes one core."""
+    out: Path | None = None
+    """The folder of the study; by default runs/tune-ALGO-FIELD."""
+    resume: bool = False
+    """Go on with the study that is there; a trial that was interrupted is run anew."""
+    force: bool = False
+    """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
+
+    def run(self, command_line: str) -> None:
+        """Tune, with a progress bar, and say how to train with the result."""
+        from rich.console import Console
+
+        from baselines.tuning.display import TuneDisplay
+        from baselines.tuning.space import Space
+        from baselines.tuning.study import ended, open_study
+        from baselines.tuning.trial import TuneConfig
+        from baselines.tuning.tune import tune
+        from mbn_marl.errors import ConfigError
+
+        if self.resume and self.force:
+            raise ConfigError("tuning", ["resume: goes on with a study that --force moves aside"])
+        config = TuneConfig(
+            self.algorithm,
+            self.field,
+            seed=self.seed,
+            steps=self.steps,
+            evaluate_every=self.evaluate_every,
+            episodes=self.episodes,
+            num_envs=self.num_envs,
+        )
+        out = self.out or Path("runs") / f"tune-{self.algorithm}-{Path(self.field).stem}"
+        console = Console()
+        for name in Space.of(self.algorithm).skipped:
+            console.print(f"skipped: {name}, since {self.algorithm} has no such argument")
+        before = len(ended(open_study(out))) if self.resume else 0
+        with TuneDisplay(self.trials, before, self.steps, console) as display:
+            path = tune(
+                config,
+                out,
+                trials=self.trials,
+                processes=self.processes,
+                command=command_line,
+                resume=self.resume,
+                force=self.force,
+                listener=display,
+            )
+        console.print(
+            f"written to {out}: trials.csv, study.png, {path.name}. To train with it:\n"
+            f"mbn train {self.algorithm} FIELD --setting B --hyperparams {path}",
+            soft_wrap=True,
+            highlight=False,
+        )
