@@ -277,7 +277,6 @@ def test_latex_escapes_what_it_has_to() -> None:
         (["--paper", "runs", "--notes", "none.md"], "none.md"),
         (["--paper", "runs", "copy"], "same algorithm, setting, field and seed"),
         (["--paper", "old"], "config.json has no setting"),
-        (["--paper", "no_progress"], "progress.csv is missing"),
     ],
 )
 def test_wrong_input_is_one_clear_message(
@@ -287,12 +286,10 @@ def test_wrong_input_is_one_clear_message(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for name in ("runs", "copy", "old", "no_progress"):
+    for name in ("runs", "copy", "old"):
         run = make_run(tmp_path / name, [(1, 0, 0, 0, 0)])
         if name == "old":
             write_json(run / "config.json", {"algorithm": "ppo", "field": "field_01", "seed": 0})
-        if name == "no_progress":
-            (run / "progress.csv").unlink()
     (tmp_path / "empty").mkdir()
     monkeypatch.chdir(tmp_path)
     assert main(["report", *arguments, "-o", "out"]) == 2
@@ -322,9 +319,11 @@ def test_progress_that_cannot_be_read_names_the_place(
         Windows.read(path)
 
 
-def test_a_run_without_an_ended_episode_is_missing(tmp_path: Path) -> None:
-    make_run(tmp_path, [NOTHING], finished=False)
+@pytest.mark.parametrize("rows", [[], [NOTHING]], ids=["no row yet", "no episode yet"])
+def test_a_run_without_an_ended_episode_is_missing(rows: list[Row], tmp_path: Path) -> None:
+    make_run(tmp_path, rows, finished=False)
     runs = find_trainings([tmp_path])
+    assert glance.coverage(runs).lines[4][2] == f"1 x {len(rows)}k, 1 unfinished"
     assert {table.grid().lines[4][3] for table in paper_tables(runs)[:2]} == {"missing"}
     assert figures.learning_curves(runs, "A") is None
     assert figures.against(runs, "A", "A") is None

@@ -45,16 +45,15 @@ class Windows:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read a ``progress.csv``; one without rows gives empty arrays.
+        """Read a ``progress.csv``; one that is not there yet gives empty arrays.
 
         Raises:
             RunError: naming the file, and the column or the line that is not as it should be.
         """
-        try:
+        rows: list[dict[str, str | None]] = []
+        if path.exists():
             with path.open(newline="") as file:
                 rows = list(csv.DictReader(file))
-        except FileNotFoundError:
-            raise RunError(f"{path} is missing: the run has recorded no training yet") from None
         missing = [name for name in COLUMNS.values() if rows and name not in rows[0]]
         if missing:
             raise RunError(f"{path} has no column {', '.join(missing)}")
