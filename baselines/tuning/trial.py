@@ -20,6 +20,8 @@ from baselines.tuning.space import Space
 from baselines.tuning.study import DIVERGED, ended, open_study
 from mbn_marl.errors import ActionError, MbnError
 
+State = Literal["running", "finished", "pruned", "diverged"]
+
 BASE: Literal["A"] = "A"
 """The setting whose other hyperparameters the trials have."""
 
@@ -73,7 +75,7 @@ class News:
     """
 
     number: int
-    state: Literal["running", "finished", "pruned", "diverged"]
+    state: State
     env_steps: int
     return_mean: float | None
     values: dict[str, Any]
@@ -182,6 +184,6 @@ class _Watch:
         if new and report.env_steps < self._steps and self._trial.should_prune():
             raise TrialPruned
 
-    def news(self, state: Literal["running", "finished", "pruned", "diverged"]) -> News:
+    def news(self, state: State) -> News:
         """Where the trial stands."""
         return News(self._trial.number, state, self._env_steps, self._return, self._values)
