@@ -113,7 +113,7 @@ def make_geometry(
         own_field = np.arange(worlds) % count
         tables = tuple(np.take(table, own_field, axis=-1) for table in tables)
     masses = np.broadcast_to(np.asarray(config.mass, real), (n,)).copy()
-    return Geometry(*tables, masses)
+    return Geometry._make([*tables, masses])
 
 
 def make_episode(worlds: int, n: int, real: np.dtype[Any], xp: ModuleType = np) -> Episode:
