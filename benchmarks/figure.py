@@ -53,8 +53,8 @@ def _draw_parts(axes: Axes, parts: list[Part]) -> None:
 
 def _draw_curve(axes: Axes, curve: Curve, look: style.SeriesStyle) -> None:
     axes.plot(curve.sizes, curve.nanoseconds, color=look.colour, marker=look.marker, ms=4)
+    axes.set_xscale("log", base=2)
     if max(curve.nanoseconds) > WIDE_RANGE * min(curve.nanoseconds):
-        axes.set_xscale("log", base=2)
         axes.set_yscale("log")
     else:
         axes.set_ylim(bottom=0.0)

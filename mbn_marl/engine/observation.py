@@ -14,6 +14,7 @@ import numpy as np
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.compiling import compiled
 from mbn_marl.engine.rules import within
+from mbn_marl.engine.transpose import SIDE, transpose
 
 RELATIVE, STATE, LOCAL = 0, 1, 2
 FIRST = np.uint64(0)
@@ -195,15 +196,31 @@ def describe(p, g, ep, lo, hi, i, tile):
 
 
 @compiled
+def turn_over(tile, lo, hi, i, rows):
+    """``rows[w, i, entry] = tile[entry, w - lo]`` for all worlds from ``lo`` to ``hi - 1``.
+
+    By squares, of which the last one of a row may overlap the one before it.
+    """
+    side, size = np.uint64(SIDE), np.uint64(rows.shape[2])
+    w = lo
+    if size >= side:
+        while w + side <= hi:
+            for entry in range(FIRST, size, side):
+                transpose(tile, min(entry, size - side), w - lo, rows, w, i)
+            w += side
+    while w < hi:
+        for entry in range(size):
+            rows[w, i, entry] = tile[entry, w - lo]
+        w += np.uint64(1)
+
+
+@compiled
 def observe(p, g, ep, lo, hi, tile, rows):
     """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size).
 
     They are made entry by entry in ``tile`` (size, at least hi - lo), where worlds lie side by
     side, and then turned over: faster than writing each entry to its far-apart places at once.
     """
-    size = np.uint64(rows.shape[2])
     for i in range(ep.x.shape[0]):
         describe(p, g, ep, lo, hi, i, tile)
-        for w in range(lo, hi):
-            for entry in range(size):
-                rows[w, i, entry] = tile[entry, w - lo]
+        turn_over(tile, lo, hi, np.uint64(i), rows)

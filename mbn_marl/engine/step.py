@@ -176,11 +176,11 @@ def record(mem, now, lo, hi):
     """Append the robots' positions to the trails."""
     n = np.uint64(now.x.shape[0])
     last = np.uint64(mem.trail.shape[1]) - n
-    for w in range(lo, hi):
-        entry = min(np.uint64(now.steps[w] + 1) * n, last)
-        for i in range(n):
-            mem.trail[w, entry + i, 0] = now.x[i, w]
-            mem.trail[w, entry + i, 1] = now.y[i, w]
+    for i in range(n):
+        for w in range(lo, hi):
+            entry = min(np.uint64(now.steps[w] + 1) * n, last) + i
+            mem.trail[w, entry, 0] = now.x[i, w]
+            mem.trail[w, entry, 1] = now.y[i, w]
 
 
 @compiled

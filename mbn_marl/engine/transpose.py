@@ -1,0 +1,54 @@
+"""Turning a square of numbers over in vector registers: each one by itself takes thrice as long."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numba.np import arrayobj
+
+SIDE = 8
+HALVINGS = 3  # of SIDE, down to 1
+FLOATS = ir.VectorType(ir.FloatType(), SIDE)
+INDICES = ir.VectorType(ir.IntType(32), SIDE)
+LOWER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) for k in range(SIDE)])
+UPPER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) + SIDE // 2 for k in range(SIDE)])
+"""Which numbers of two vectors, one after the other, interleave their lower or upper halves."""
+
+
+def _transpose(typing: Any, tile: Any, k: Any, column: Any, rows: Any, w: Any, i: Any) -> Any:
+    """``rows[w + b, i, k + a] = tile[k + a, column + b]`` for a and b from 0 to ``SIDE`` - 1."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        tile, k, column, rows, w, i = arguments
+        tile_type, _, _, rows_type, _, _ = signature.args
+
+        def address(kind: Any, array: Any, *place: Any) -> Any:
+            view = arrayobj.make_array(kind)(context, builder, array)
+            element = cgutils.get_item_pointer(context, builder, kind, view, place)
+            return builder.bitcast(element, FLOATS.as_pointer())
+
+        def offset(index: Any, by: int) -> Any:
+            return builder.add(index, ir.Constant(index.type, by))
+
+        vectors = [
+            builder.load(address(tile_type, tile, offset(k, a), column), align=4)
+            for a in range(SIDE)
+        ]
+        for _ in range(HALVINGS):
+            pairs = zip(vectors[: SIDE // 2], vectors[SIDE // 2 :], strict=True)
+            vectors = [
+                builder.shuffle_vector(*pair, mask) for pair in pairs for mask in (LOWER, UPPER)
+            ]
+        for b, vector in enumerate(vectors):
+            builder.store(vector, address(rows_type, rows, offset(w, b), i, k), align=4)
+        return context.get_dummy_value()
+
+    return types.void(tile, k, column, rows, w, i), generate
+
+
+transpose: Any = intrinsic(_transpose)
+"""``transpose(tile, k, column, rows, w, i)``, for compiled functions and float32 arrays whose last
+axis is contiguous; the indices are unsigned and the square lies within both arrays."""
