@@ -55,8 +55,8 @@ def train_all(jobs: Sequence[Job], processes: int, listener: Listener) -> None:
         return
     count = min(processes, len(jobs))
     todo = spawning().Queue()
-    for job in [*jobs, *[None] * count]:
-        todo.put(job)
+    for item in (*jobs, *[None] * count):
+        todo.put(item)
     run_processes(_train_jobs, (todo,), count, listener)
 
 

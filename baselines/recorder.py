@@ -84,7 +84,12 @@ class Recorder:
         self._task = task
         self._listener = listener
         self._diagnostics: Mapping[str, float] = {}
-        state = {"env_steps": 0, "seconds": 0.0, "progress_bytes": 0, "evaluations": []}
+        state: dict[str, Any] = {
+            "env_steps": 0,
+            "seconds": 0.0,
+            "progress_bytes": 0,
+            "evaluations": [],
+        }
         if self.checkpoint is not None:
             state = read_json(self.checkpoint / "recorder.json")
         self._last_row: int = state["env_steps"]

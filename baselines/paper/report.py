@@ -9,7 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from baselines.algorithms import SETTINGS
+from baselines.algorithms import SETTINGS, Setting
 from baselines.paper import figures, glance, published
 from baselines.paper.grid import MISSING, NOT_IN_PAPER
 from baselines.paper.tables import ALGORITHMS, Table, paper_tables, write_csv
@@ -165,7 +165,7 @@ def _page(
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _meaning(setting: str) -> str:
+def _meaning(setting: Setting) -> str:
     summary = SETTINGS[setting].summary
     return summary if setting in published.settings() else f"ours: {summary}"
 

@@ -315,7 +315,8 @@ def settle(p, g, mem, now, final, out, to, lo, hi):
         ended += fate & ENDED
         if fate == ENDED | RESTARTS:
             for i in range(now.x.shape[0]):
-                out.final_observations[w, i] = out.observations[w, i]
+                for entry in range(out.observations.shape[2]):  # a slice takes long to compile
+                    out.final_observations[w, i, entry] = out.observations[w, i, entry]
             finish_world(now, final, w)
         if fate & RESTARTS:
             reset_world(p, g, mem, now, w)
