@@ -15,7 +15,8 @@ def save_generators() -> dict[str, Any]:
     version, numbers, gauss = random.getstate()
     state: Any = np.random.get_state(legacy=False)
     key = state["state"]["key"].tolist()
-    devices = torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else []
+    cuda: Any = torch.cuda  # not all of it has types
+    devices = cuda.get_rng_state_all() if cuda.is_initialized() else []
     return {
         "python": [version, list(numbers), gauss],
         "numpy": {**state, "state": {**state["state"], "key": key}},

@@ -65,15 +65,16 @@ class Row:
 def seconds(work: Callable[[], object], times: int) -> float:
     """Seconds on the device of ``times`` calls, the best of three rounds, after a first call."""
     work()
+    new_event: Any = torch.cuda.Event  # its constructor has no types
     best = float("inf")
     for _ in range(3):
-        start, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
-        start.record()  # type: ignore[no-untyped-call]
+        start, end = (new_event(enable_timing=True) for _ in range(2))
+        start.record()
         for _ in range(times):
             work()
-        end.record()  # type: ignore[no-untyped-call]
-        end.synchronize()  # type: ignore[no-untyped-call]
-        best = min(best, start.elapsed_time(end) / 1e3)  # type: ignore[no-untyped-call]
+        end.record()
+        end.synchronize()
+        best = min(best, float(start.elapsed_time(end)) / 1e3)
     return best
 
 
@@ -104,7 +105,7 @@ def check_against_the_cpu(options: Options) -> None:
     settings: dict[str, Any] = {"num_worlds": 2**options.least, "seed": 3, "random_starts": True}
     cpu = BatchEngine(options.field, **settings)
     gpu = BatchEngine(options.field, device="cuda", **settings)
-    pairs = [("observations", cpu.reset(), gpu.reset())]
+    pairs: list[tuple[str, Any, Any]] = [("observations", cpu.reset(), gpu.reset())]
     names = ("observations", "rewards", "terminated", "truncated")
     for t in range(options.check_steps):
         actions = cpu.sample_actions()
@@ -135,7 +136,7 @@ def measure(options: Options, worlds: int, copy: float) -> Row:
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):
         some_steps()
-    replayed = seconds(graph.replay, rounds)  # type: ignore[no-untyped-call]
+    replayed = seconds(graph.replay, rounds)
     steps = worlds * rounds * GRAPH_STEPS
     rate = steps / replayed
     moved = rate * necessary_bytes(engine)
@@ -150,7 +151,7 @@ def kernel_facts(options: Options) -> dict[str, int]:
     dispatcher = kernels.step_kernel(engine.n_robots, engine.obs_size, engine.config.dtype)
     kernel = next(iter(dispatcher.overloads.values()))
     threads = kernels.threads_per_block(engine.obs_size)
-    device = torch.cuda.get_device_properties(0)
+    device: Any = torch.cuda.get_device_properties(0)  # its types lack the registers
     by_registers = device.regs_per_multiprocessor // (kernel.regs_per_thread * threads)
     by_shared = device.shared_memory_per_multiprocessor // (kernel.shared_mem_per_block + 1024)
     resident = threads * min(by_registers, by_shared)

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 import torch
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from sb3_contrib import ARS
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnvWrapper
 
 
-class PopulationSearch(ARS):  # type: ignore[misc]  # the library ships no types
+class PopulationSearch(ARS):
     """SB3-Contrib's ARS, for many worlds, and made to go on exactly where a saved one stopped.
 
     - With several worlds each evaluates a candidate of its own. The library would evaluate one
@@ -24,6 +26,16 @@ class PopulationSearch(ARS):  # type: ignore[misc]  # the library ships no types
 
     Its environment is a ``LearnersView``, perhaps inside a ``VecNormalize``.
     """
+
+    action_space: Box
+    weights: Any  # a tensor; the library's types have it as None
+    ep_info_buffer: Any  # a list; the library's types have it as a deque
+
+    @property
+    def _worlds(self) -> VecEnvWrapper:
+        """The environment; what a wrapper does not have it looks up in the one inside."""
+        assert isinstance(self.env, VecEnvWrapper)
+        return self.env
 
     def _do_one_update(self, callback: BaseCallback, async_eval: Any) -> None:
         callback.on_rollout_start()
@@ -39,7 +51,7 @@ class PopulationSearch(ARS):  # type: ignore[misc]  # the library ships no types
         self, candidate_weights: torch.Tensor, callback: BaseCallback, async_eval: Any
     ) -> torch.Tensor:
         """The sum of each candidate's returns over ``n_eval_episodes`` episodes."""
-        if self.env.num_envs == 1:
+        if self._worlds.num_envs == 1:
             returns: torch.Tensor = super().evaluate_candidates(
                 candidate_weights, callback, async_eval
             )
@@ -48,9 +60,9 @@ class PopulationSearch(ARS):  # type: ignore[misc]  # the library ships no types
         callback.on_rollout_start()
         groups = [
             torch.stack([self._episodes(group, callback) for _ in range(self.n_eval_episodes)])
-            for group in candidate_weights.split(self.env.num_envs)
+            for group in torch.split(candidate_weights, self._worlds.num_envs)
         ]
-        self.env.watched[:] = True
+        self._worlds.watched[:] = True
         callback.on_rollout_end()
         return torch.cat([group.sum(dim=0) for group in groups])
 
@@ -60,16 +72,16 @@ class PopulationSearch(ARS):  # type: ignore[misc]  # the library ships no types
         A world whose episode has ended goes on until all have, but neither its steps nor its next
         episodes count.
         """
-        worlds, count = self.env.num_envs, len(candidates)
+        worlds, count = self._worlds.num_envs, len(candidates)
         act = self._side_by_side(candidates)
         returns, lengths = np.zeros(count), np.zeros(count)
         running = np.arange(worlds) < count
-        observations = self.env.reset()
+        observations: Any = self._worlds.reset()
         while running.any():
-            self.env.watched[:] = running
+            self._worlds.watched[:] = running
             actions = np.zeros((worlds, *self.action_space.shape), np.float32)
             actions[:count] = act(observations[:count])
-            observations, _, dones, infos = self.env.step(actions)
+            observations, _, dones, infos = self._worlds.step(actions)
             self.num_timesteps += int(running.sum())
             callback.on_step()
             for world in np.flatnonzero(dones & running):
@@ -88,7 +100,10 @@ class PopulationSearch(ARS):  # type: ignore[misc]  # the library ships no types
         stacked, _ = torch.func.stack_module_state(policies)
 
         def one(parameters: dict[str, torch.Tensor], observation: torch.Tensor) -> torch.Tensor:
-            return torch.func.functional_call(self.policy, parameters, (observation[None],))[0]
+            actions: torch.Tensor = torch.func.functional_call(
+                self.policy, parameters, (observation[None],)
+            )
+            return actions[0]
 
         def act(observations: NDArray[Any]) -> NDArray[Any]:
             seen = torch.as_tensor(observations, device=self.device)

@@ -15,14 +15,15 @@ from stable_baselines3.common.vec_env import VecEnv
 from baselines.centralized.config import algorithm_class
 from baselines.centralized.policy import (
     MODEL,
+    NORMALIZATION,
     CentralizedPolicy,
     Normalization,
-    load_normalization,
     model_file,
 )
 from baselines.generators import restore_generators, save_generators
 from baselines.runs import RunFolder, Task
 from baselines.storage import read_arrays, read_json, write_arrays, write_json
+from mbn_marl.adapters.sb3 import CentralizedVecEnv
 
 WORLDS = "worlds.npz"
 REPLAY = "replay.npz"
@@ -41,10 +42,10 @@ def save(model: BaseAlgorithm, folder: Path) -> None:
     The policy's file has the networks, optimisers and counters; here are the worlds, the replay
     buffer as far as it is filled, and the random number generators.
     """
-    worlds = model.get_env().unwrapped.engine
-    write_arrays(folder / WORLDS, worlds.save_state(), compress=True)
+    worlds = _worlds_of(model.get_env())
+    write_arrays(folder / WORLDS, worlds.engine.save_state(), compress=True)
     if isinstance(model, OffPolicyAlgorithm):
-        buffer = model.replay_buffer
+        buffer = _buffer_of(model)
         filled = buffer.buffer_size if buffer.full else buffer.pos
         arrays = {name: array[:filled] for name, array in _transitions(buffer).items()}
         place = {"pos": np.array(buffer.pos), "full": np.array(buffer.full)}
@@ -62,15 +63,16 @@ def restore(task: Task, env: VecEnv, checkpoint: Path) -> BaseAlgorithm:
     model = algorithm_class(task.config.algorithm).load(
         checkpoint / "policy" / MODEL, env=env, device=task.config.device, force_reset=False
     )
-    normalization = load_normalization(checkpoint / "policy")
-    if normalization is not None:
-        normalization.put_into(model.get_vec_normalize_env())
+    normalizing = model.get_vec_normalize_env()
+    if normalizing is not None:
+        saved_normalization = read_json(checkpoint / "policy" / NORMALIZATION)
+        Normalization.from_json(saved_normalization).put_into(normalizing)
     if isinstance(model, OffPolicyAlgorithm):
-        saved, buffer = read_arrays(checkpoint / REPLAY), model.replay_buffer
+        saved, buffer = read_arrays(checkpoint / REPLAY), _buffer_of(model)
         for name, array in _transitions(buffer).items():
             array[: len(saved[name])] = saved[name]
         buffer.pos, buffer.full = int(saved["pos"]), bool(saved["full"])
-    worlds = env.unwrapped
+    worlds = _worlds_of(env)
     worlds._reset_seeds()  # the library has seeded them again, from the next reset on
     worlds.engine.load_state(read_arrays(checkpoint / WORLDS))
     generators = read_json(checkpoint / GENERATORS)
@@ -93,6 +95,20 @@ def transfer(task: Task, env: VecEnv, source: Path) -> BaseAlgorithm:
     )
     model.num_timesteps = 0
     return model
+
+
+def _worlds_of(env: VecEnv | None) -> CentralizedVecEnv:
+    """The worlds inside the wrappers of a learner's environment."""
+    worlds = None if env is None else env.unwrapped
+    assert isinstance(worlds, CentralizedVecEnv)
+    return worlds
+
+
+def _buffer_of(model: OffPolicyAlgorithm) -> ReplayBuffer:
+    """The replay buffer of a learner."""
+    buffer = model.replay_buffer
+    assert buffer is not None
+    return buffer
 
 
 def _transitions(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
