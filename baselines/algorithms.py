@@ -81,6 +81,15 @@ class Algorithm:
         load = self._module("config").load
         return load(self.name, setting, overrides, num_envs=num_envs, file=file)
 
+    def check(self, task: Any, hyperparameters: Any) -> None:
+        """Whether a learner can be made; the ranges of a decentralised one say all.
+
+        Raises:
+            ConfigError: with what the library says against the hyperparameters.
+        """
+        if self.form == "centralized":
+            self._module("trainer").check(task, hyperparameters)
+
     @property
     def train(self) -> Callable[..., None]:
         """``train(task, hyperparameters, recorder)``."""

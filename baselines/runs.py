@@ -12,6 +12,7 @@ Files of a run folder:
     checkpoints/       until the run is finished: the newest checkpoint, named by its env-steps
     policy/            the final policy
     evaluation.json    the final evaluation; its presence marks a finished run
+    .lock              held by the process that is at work here, if there is one
 """
 
 from __future__ import annotations
@@ -34,13 +35,12 @@ from typing import Any, Literal, Self
 from baselines.algorithms import Setting, find_algorithm
 from baselines.storage import (
     RunError,
-    claim_folder,
     read_json,
     replacing_folder,
     write_json,
     write_text,
 )
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, load_field, save_field
 
 REWRITTEN = ("field.yaml", "resumed.json", "evaluations.json", "evaluation.json")
@@ -60,6 +60,14 @@ PACKAGES = (
 )
 
 
+MOST_SEED = 2**32 - 1
+"""NumPy's global generator takes no larger seed."""
+
+
+class DivergenceError(MbnError):
+    """A learner broke down in training."""
+
+
 @dataclass(frozen=True)
 class TrainConfig:
     """What a training run is asked to do.
@@ -68,7 +76,7 @@ class TrainConfig:
         algorithm: a name of :data:`baselines.algorithms.ALGORITHMS`.
         field: a catalogue name or the path of a field file.
         setting: a name of :data:`baselines.algorithms.SETTINGS` that the algorithm has.
-        seed: seeds the networks, the exploration and the worlds (>= 0).
+        seed: seeds the networks, the exploration and the worlds (0 to 2^32 - 1).
         steps: the budget in env-steps (> 0), rounded up to whole updates of the learner.
         evaluate_every: env-steps between two fresh evaluations (> 0).
         episodes: stochastic episodes of an evaluation (> 0).
@@ -106,6 +114,8 @@ class TrainConfig:
             for name, least in {"seed": 0, **counts}.items()
             if (value := getattr(self, name)) is not None and value < least
         ]
+        if self.seed > MOST_SEED:
+            problems.append(f"seed: must be at most 2^32 - 1 (got {self.seed})")
         if problems:
             raise ConfigError("training", problems)
         algorithm = find_algorithm(self.algorithm)
@@ -176,26 +186,19 @@ class RunFolder:
         resolved: Mapping[str, Any],
         field: Field,
         command: str,
-        *,
-        force: bool = False,
     ) -> Self:
-        """Start a run folder.
+        """Start a run in a folder that is claimed.
 
         Args:
             path: the folder.
             resolved: the resolved configuration (JSON values).
             field: the field to train on.
             command: the exact command of the run.
-            force: move a folder that is already there aside.
-
-        Raises:
-            RunError: the folder already holds something and ``force`` is not set.
         """
-        folder = cls(claim_folder(path, force=force))
         write_json(path / "config.json", resolved)
         save_field(field, path / "field.yaml")
         write_provenance(path, command)
-        return folder
+        return cls(path)
 
     @classmethod
     def resume(cls, path: Path, resolved: Mapping[str, Any], field: Field, command: str) -> Self:

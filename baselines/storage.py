@@ -12,14 +12,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError
 from mbn_marl.render.files import replacing
 
+LOCK = ".lock"
+
 
 class RunError(MbnError):
-    """A run folder is missing, incomplete, or would be overwritten."""
+    """A run folder is missing, incomplete, at work, or would be overwritten."""
 
 
 def claim_folder(path: Path, *, force: bool = False) -> Path:
@@ -31,7 +34,8 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
             (the first free name), so nothing is lost.
 
     Raises:
-        RunError: ``path`` is a file, or a folder with something in it and ``force`` is not set.
+        RunError: ``path`` is a file, or a folder with something in it and ``force`` is not set or
+            a process is at work there.
     """
     if path.exists() and not path.is_dir():
         raise RunError(f"{path} is a file; the output must be a folder")
@@ -40,9 +44,35 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
             raise RunError(
                 f"{path} already exists; choose another --out, or pass --force to move it aside"
             )
+        for lock in path.rglob(LOCK):
+            with alone(lock.parent, "mbn"):
+                pass
         path.rename(_free_name(path))
     path.mkdir(parents=True, exist_ok=True)
     return path
+
+
+@contextmanager
+def alone(folder: Path, command: str, hint: str = "") -> Iterator[None]:
+    """Hold the lock of ``folder``; the system frees it whatever becomes of this process.
+
+    Args:
+        folder: it has to be there.
+        command: what works there, such as ``"mbn train"``.
+        hint: what to do instead.
+
+    Raises:
+        RunError: another process holds it.
+    """
+    lock = FileLock(folder / LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise RunError(f"{folder}: another {command} is at work here{hint}") from None
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def claim_file(path: Path, *, force: bool = False) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,10 @@ from baselines.algorithms import find_algorithm
 from baselines.hyperparameters import Hyperparameters
 from baselines.progress import Listener
 from baselines.recorder import Recorder
-from baselines.runs import RunFolder, Task, TrainConfig
-from baselines.storage import RunError
+from baselines.runs import DivergenceError, RunFolder, Task, TrainConfig
+from baselines.storage import RunError, alone, claim_folder
 from mbn_marl.config import make_config
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ActionError, ConfigError, MbnError
 from mbn_marl.field import Field, catalogue_names, load_field
 
 
@@ -29,8 +30,8 @@ def train(
 ) -> RunFolder:
     """Train one policy and evaluate it.
 
-    Everything is checked before the folder is made. Torch runs on one thread: the networks are
-    small, and comparisons run one process per core.
+    Everything is checked before the folder is made. A run's folder is locked while it is at work.
+    Torch runs on one thread: the networks are small, and comparisons run one process per core.
 
     Args:
         config: what to train.
@@ -43,7 +44,8 @@ def train(
 
     Raises:
         MbnError: the algorithm, the field, a setting or a hyperparameter is not valid; or ``out``
-            already holds something, or with ``resume`` no such run.
+            already holds something, or with ``resume`` no such run, or one that is at work.
+        DivergenceError: the learner's numbers are no longer finite.
     """
     import torch
 
@@ -57,13 +59,36 @@ def train(
     check_source(task, hyperparameters)
     resolved, command = resolve(task, hyperparameters), command or config.command
     if resume:
-        folder = RunFolder.resume(out, resolved, task.field, command)
-        if folder.finished:
-            return folder
+        RunFolder.open(out)
     else:
-        folder = RunFolder.create(out, resolved, task.field, command, force=force)
-    algorithm.train(task, hyperparameters, Recorder(folder, task, listener))
+        algorithm.check(task, hyperparameters)
+        claim_folder(out, force=force)
+    with alone(out, "mbn train"):
+        make = RunFolder.resume if resume else RunFolder.create
+        folder = make(out, resolved, task.field, command)
+        if not folder.finished:
+            with _divergence_named(folder):
+                algorithm.train(task, hyperparameters, Recorder(folder, task, listener))
     return folder
+
+
+@contextmanager
+def _divergence_named(folder: RunFolder) -> Iterator[None]:
+    """Turn what numbers that are not finite cause in a learner or the engine into one error.
+
+    Raises:
+        DivergenceError: naming the run.
+    """
+    try:
+        yield
+    except ValueError as error:
+        if isinstance(error, MbnError) and not isinstance(error, ActionError):
+            raise
+        what = str(error).splitlines()[0]
+        raise DivergenceError(
+            f"{folder.path}: the learner broke down, most likely since its numbers are no longer "
+            f"finite; a smaller learning rate may help ({what})"
+        ) from error
 
 
 def resolve_hyperparameters(config: TrainConfig) -> Hyperparameters:

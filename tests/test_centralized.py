@@ -20,6 +20,7 @@ from baselines.centralized.worlds import LearnersView, make_env
 from baselines.policies import load_policy
 from baselines.recorder import EpisodeWindow
 from baselines.runs import RunFolder, Task, TrainConfig
+from baselines.storage import RunError
 from baselines.train import train
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.cli import main
@@ -83,7 +84,7 @@ def test_values_that_a_class_does_not_take_are_reported(
 ) -> None:
     config = load("crossq", "B", {})
     assert config.skipped == {"gae_lambda": 0.959, "vf_coef": 0.531, "max_grad_norm": 0.6072}
-    assert not set(config.skipped) & accepted_arguments("crossq")
+    assert not config.skipped.keys() & accepted_arguments("crossq").keys()
     block = "B:\n  model: {gamma: 0.5, buffer_size: 7}\n"
     (tmp_path / "b.yaml").write_text(block)
     arguments = ["--setting", "B", "--hyperparams", str(tmp_path / "b.yaml"), "--steps", "5"]
@@ -97,10 +98,10 @@ def test_values_that_a_class_does_not_take_are_reported(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_the_paper_tuned_is_taken_or_skipped(name: str) -> None:
-    values = dict.fromkeys(TUNED_IN_PAPER, 0.5)
+    values = {**dict.fromkeys(TUNED_IN_PAPER, 0.5), "buffer_size": 5}
     config = load(name, "A", {"model": values})
     assert config.model.keys() | config.skipped.keys() == set(TUNED_IN_PAPER)
-    assert config.model.keys() <= accepted_arguments(name)
+    assert config.model.keys() <= accepted_arguments(name).keys()
     with pytest.raises(ConfigError, match=r"model\.momentum: unknown name; known: "):
         load(name, "A", {"model": {"momentum": 0.5}})
 
@@ -114,6 +115,32 @@ def test_what_the_paper_tuned_is_taken_or_skipped(name: str) -> None:
         ("N: {worlds: 1}\n", "worlds: unknown name; known: source, environment, skipped, num_envs"),
         ("N: {model: {tau: 0.1}}\n", r"model.tau: unknown name; known: batch_size"),
         ("N: {model: 3}\n", "model: Input should be a valid dictionary"),
+        (
+            "N: {model: {gamma: 2}}\n",
+            "model.gamma: must be a finite number, at least 0 and at most 1",
+        ),
+        ("N: {model: {gae_lambda: .nan}}\n", "model.gae_lambda: must be a finite number"),
+        (
+            "N: {model: {n_steps: 0}}\n",
+            "model.n_steps: must be a finite number, at least 1 (got 0)",
+        ),
+        (
+            "N: {model: {n_steps: 2.5}}\n",
+            "model.n_steps: Input should be a valid integer (got 2.5)",
+        ),
+        ("N: {model: {ent_coef: auto}}\n", "model.ent_coef: Input should be a valid number"),
+        (
+            "N: {model: {learning_rate: fast}}\n",
+            "Input should be a valid number or {from: number, to: number} (got 'fast')",
+        ),
+        (
+            "N: {model: {learning_rate: {from: 1.0, to: -1.0}}}\n",
+            "must be a finite number, at least 0",
+        ),
+        ("N: {policy: Mlp}\n", "no learner can be made with them: Policy Mlp unknown"),
+        ("N: {model: {n_steps: 1}}\n", "no learner can be made with them: `n_steps * n_envs`"),
+        ("N: {model: {policy_kwargs: {depth: 3}}}\n", "unexpected keyword argument 'depth'"),
+        ("N: {model: {policy_kwargs: {net_arch: [-1]}}}\n", "no learner can be made with them: "),
         ("N: {environment: {gravity: 9.81}}\n", "gravity: unknown name; known: n_robots"),
         ("N: {\n", "cannot be read: "),
     ],
@@ -220,6 +247,7 @@ def test_transfer_goes_from_one_field_to_others(
         (["transfer", "ppo", "--fields", "two.yaml"], "two.yaml: robots 2; allowed: 3"),
         (["transfer", "ppo", "--fields", "field_99"], "field_99"),
         (["transfer", "ppo", "--processes", "0"], "processes: at least 1"),
+        (["train", "ppo", "field_02", "--seed", str(2**32)], "seed: must be at most 2^32 - 1"),
         (["train", "ppo", "field_02", "--setting", "C"], "name its run with --from"),
         (["train", "ppo", "field_02", "--setting", "C", "--from", "x"], "x is not a run folder"),
         (["train", "ppo", "field_02", "--from", "x"], "from: setting N begins anew"),
@@ -269,3 +297,25 @@ def test_only_a_policy_of_the_same_learner_is_taken_over(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="is not finished"):
         train(moved, tmp_path / "moved")
     assert not (tmp_path / "moved").exists()
+
+
+def test_a_learner_that_diverges_is_one_clear_message(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    block = "A: {model: {learning_rate: 1.0e+30, max_grad_norm: 1.0e+30}}\n"
+    (tmp_path / "wild.yaml").write_text(block)
+    out = tmp_path / "run"
+    chosen = ["--setting", "A", "--hyperparams", str(tmp_path / "wild.yaml"), "--steps", "100"]
+    assert main(["train", "a2c", "field_03", *chosen, "--episodes", "1", "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"mbn: error: {out}: the learner broke down, most likely since its num")
+    assert error.count("\n") == 1
+    assert not RunFolder.open(out).finished
+
+
+def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
+    config = TrainConfig("a2c", "field_01", "A", steps=5, episodes=1)
+    run = train(config, tmp_path / "run")
+    (run.path / "policy" / "model.zip").write_bytes(b"half")
+    with pytest.raises(RunError, match=r"model\.zip cannot be read"):
+        load_policy(run)

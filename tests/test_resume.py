@@ -169,7 +169,7 @@ def test_a_killed_process_goes_on(
     history = json.loads((killed / "resumed.json").read_text())
     assert history[0]["env_steps"] > 0
     assert history[0]["command"].endswith("--resume")
-    assert not list(killed.glob(".*"))
+    assert [path.name for path in killed.glob(".*")] == [".lock"]
 
 
 def test_a_run_killed_before_its_first_checkpoint_begins_anew(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_a_run_killed_before_its_first_checkpoint_begins_anew(tmp_path: Path) ->
     assert (tmp_path / "run" / "progress.csv").exists()
     assert not (tmp_path / "run" / "checkpoints").exists()
     _assert_equal(train(config, tmp_path / "run", resume=True), whole)
-    assert not list((tmp_path / "run").glob(".*"))
+    assert [path.name for path in (tmp_path / "run").glob(".*")] == [".lock"]
 
 
 def test_tensorboard_shows_every_step_once(tmp_path: Path) -> None:
@@ -263,3 +263,24 @@ def test_a_field_that_was_edited_meanwhile_is_refused(tmp_path: Path) -> None:
         train(config, stopped.path, resume=True)
     save_field(load_field("field_03"), path)
     assert train(config, stopped.path, resume=True).finished
+
+
+def test_a_run_at_work_is_left_alone(tmp_path: Path) -> None:
+    config, out = _config("a2c"), tmp_path / "run"
+    refused: list[str] = []
+
+    def interfere(report: Report) -> None:
+        for options in ({"resume": True}, {"force": True}):
+            with pytest.raises(RunError, match=r"another mbn.* is at work here") as caught:
+                train(config, out, **options)
+            refused.append(str(caught.value))
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        train(config, out, listener=interfere)
+    assert refused == [
+        f"{out}: another mbn train is at work here",
+        f"{out}: another mbn is at work here",
+    ]
+    assert train(config, out, resume=True).finished
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]

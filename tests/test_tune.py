@@ -13,10 +13,12 @@ import pytest
 import yaml
 from filelock import FileLock
 from optuna.distributions import FloatDistribution
+from optuna.samplers._tpe.sampler import _split_trials
 from optuna.trial import TrialState, create_trial
 
 from baselines.algorithms import find_algorithm
 from baselines.paper import published
+from baselines.runs import DivergenceError
 from baselines.storage import RunError, write_json
 from baselines.tuning import trial as trials_module
 from baselines.tuning.space import Space
@@ -24,7 +26,7 @@ from baselines.tuning.study import begin_study, draw_study, importances, open_st
 from baselines.tuning.trial import News, TuneConfig, run_trials
 from baselines.tuning.tune import tune
 from mbn_marl.cli import main
-from mbn_marl.errors import ActionError, ConfigError
+from mbn_marl.errors import ConfigError
 
 TINY = ("--field", "field_03", "--steps", "20", "--evaluate-every", "20", "--episodes", "1")
 CONFIG = TuneConfig("a2c", "field_03", 33, 20, 20, 1, 1)
@@ -151,6 +153,13 @@ def test_two_processes_share_a_study(tmp_path: Path) -> None:
     assert len(list((out / "trials").iterdir())) == 3
 
 
+def test_the_largest_seed_leaves_every_trial_one(tmp_path: Path) -> None:
+    out = tmp_path / "study"
+    words = ["tune", "a2c", *TINY, "--trials", "2", "--seed", str(2**32 - 1), "--out", str(out)]
+    assert main(words) == 0
+    assert len({row["learning_rate"] for row in table(out)}) == 2
+
+
 def test_a_study_at_work_is_left_alone(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with FileLock(study / ".lock"):
         words = ["tune", "a2c", *TINY, "--trials", "5", "--resume", "--out", str(study)]
@@ -187,27 +196,41 @@ def test_a_trial_below_the_median_is_pruned(tmp_path: Path) -> None:
     assert last.intermediate_values == {1: recorded[0]}
 
 
-@pytest.mark.parametrize("error", [ValueError("loc is nan\nmore"), ActionError("actions: nan")])
 def test_a_trial_that_diverges_counts_as_the_worst(
-    error: ValueError, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def diverge(*_: Any, **__: Any) -> None:
-        raise error
+        raise DivergenceError("loc is nan")
 
     monkeypatch.setattr(trials_module, "train", diverge)
     out = tmp_path / "study"
     with pytest.raises(RunError, match="no trial finished, all 2 were pruned or diverged"):
         tune(CONFIG, out, trials=2, processes=1, command="mbn tune a2c")
     assert [row["state"] for row in table(out)] == ["diverged"] * 2
-    assert open_study(out).get_trials()[0].state is TrialState.PRUNED
+    study = open_study(out)
+    assert study.get_trials()[0].state is TrialState.PRUNED
+    # The sampler's order: of two that were told pruned, the one that broke down later is worse.
+    pruned = create_trial(state=TrialState.PRUNED, intermediate_values={1: -1e9})
+    study.add_trial(pruned)
+    broken = create_trial(
+        state=TrialState.PRUNED,
+        intermediate_values={9: 1e9},
+        system_attrs=study.get_trials()[0].system_attrs,
+    )
+    study.add_trial(broken)
+    better, _ = _split_trials(study, study.get_trials(), n_below=1)
+    assert [trial.number for trial in better] == [2]
 
 
-def test_any_other_error_ends_the_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error", [RunError("the disk is full"), ValueError("the disk is full")])
+def test_any_other_error_ends_the_study(
+    error: ValueError, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fail(*_: Any, **__: Any) -> None:
-        raise RunError("the disk is full")
+        raise error
 
     monkeypatch.setattr(trials_module, "train", fail)
-    with pytest.raises(RunError, match="the disk is full"):
+    with pytest.raises(type(error), match="the disk is full"):
         tune(CONFIG, tmp_path / "study", trials=2, processes=1, command="mbn tune a2c")
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from baselines.hyperparameters import Hyperparameters, read_block, validate
 from mbn_marl.errors import ConfigError
@@ -28,6 +29,22 @@ CLASSES = {
 }
 RESERVED = ("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
 """Arguments that the trainer gives itself."""
+OBJECTS = ("action_noise", "rollout_buffer_class", "replay_buffer_class")
+"""Arguments that are objects or classes, which no file can hold."""
+_COUNT, _SHARE, _AMOUNT = (1, math.inf), (0, 1), (0, math.inf)
+RANGES: Mapping[str, tuple[float, float]] = {
+    **dict.fromkeys(("n_steps", "batch_size", "n_epochs", "buffer_size", "train_freq"), _COUNT),
+    **dict.fromkeys(("policy_delay", "target_update_interval", "stats_window_size"), _COUNT),
+    **dict.fromkeys(("n_critic_updates", "cg_max_steps", "line_search_max_iter"), _COUNT),
+    **dict.fromkeys(("sub_sampling_factor", "n_delta", "n_top", "n_eval_episodes"), _COUNT),
+    **dict.fromkeys(("gamma", "gae_lambda", "tau", "line_search_shrinking_factor"), _SHARE),
+    **dict.fromkeys(("learning_rate", "delta_std", "clip_range", "clip_range_vf"), _AMOUNT),
+    **dict.fromkeys(("ent_coef", "vf_coef", "max_grad_norm", "rms_prop_eps"), _AMOUNT),
+    **dict.fromkeys(("target_kl", "cg_damping", "learning_starts"), _AMOUNT),
+    "top_quantiles_to_drop_per_net": _AMOUNT,
+    "gradient_steps": (-1, math.inf),
+}
+"""The least and the most that the numbers of ``model`` may be; the library does not check them."""
 TUNED_IN_PAPER = (
     "learning_rate",
     "gamma",
@@ -64,7 +81,7 @@ class CentralizedConfig(Hyperparameters):
 class LinearSchedule(BaseModel):
     """A number that changes linearly over training, as Stable-Baselines3 calls it."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     start: float = Field(alias="from")
     end: float = Field(alias="to")
@@ -121,21 +138,50 @@ def load(
             place, [f"model.{name}: unknown name; known: {known}" for name in unknown]
         )
     kept = {name: value for name, value in config.model.items() if name in accepted}
+    problems = [
+        f"model.{name}: {problem} (got {value!r:.80})"
+        for name, value in kept.items()
+        for problem in _problems(name, value, accepted[name])
+    ]
+    if problems:
+        raise ConfigError(place, problems)
     skipped = {**config.skipped, **foreign}
     return config.model_copy(update={"model": kept, "skipped": skipped})
 
 
-def accepted_arguments(algorithm: str) -> set[str]:
-    """The names that ``model`` may have."""
-    return set(inspect.signature(algorithm_class(algorithm)).parameters) - set(RESERVED)
+def accepted_arguments(algorithm: str) -> dict[str, Any]:
+    """The names that ``model`` may have, with the types that the library's class says."""
+    parameters = inspect.signature(algorithm_class(algorithm)).parameters
+    return {
+        name: parameter.annotation
+        for name, parameter in parameters.items()
+        if name not in (*RESERVED, *OBJECTS)
+    }
 
 
 def model_arguments(config: CentralizedConfig) -> dict[str, Any]:
     """The arguments of the library's class, with schedules as functions."""
-
-    def scheduled(value: Any) -> Any | Callable[[float], float]:
-        is_schedule = isinstance(value, dict) and set(value) == {"from", "to"}
-        return LinearSchedule(**value) if is_schedule else value
-
     own = deepcopy(config.model)  # the library writes into policy_kwargs
-    return {name: scheduled(value) for name, value in own.items()}
+    return {name: _scheduled(value) for name, value in own.items()}
+
+
+def _scheduled(value: Any) -> Any:
+    is_schedule = isinstance(value, dict) and set(value) == {"from", "to"}
+    return LinearSchedule(**value) if is_schedule else value
+
+
+def _problems(name: str, value: Any, its_type: Any) -> Iterator[str]:
+    """What is wrong with an argument of the library's class that has the type ``its_type``."""
+    strict = ConfigDict(strict=True, arbitrary_types_allowed=True)
+    try:
+        scheduled = TypeAdapter(its_type, config=strict).validate_python(_scheduled(value))
+    except ValidationError as error:
+        allowed = " or ".join(dict.fromkeys(problem["msg"] for problem in error.errors()))
+        yield allowed.replace("Input should be callable", "{from: number, to: number}")
+        return
+    ends = value.values() if isinstance(scheduled, LinearSchedule) else (value,)
+    least, most = RANGES.get(name, (-math.inf, math.inf))
+    for number in (end for end in ends if isinstance(end, int | float)):
+        if not (math.isfinite(number) and least <= number <= most):
+            upper = "" if math.isinf(most) else f" and at most {most}"
+            yield f"must be a finite number, at least {least:g}{upper}"

@@ -12,12 +12,12 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
-from baselines.centralized.config import algorithm_class
 from baselines.centralized.policy import (
     MODEL,
     NORMALIZATION,
     CentralizedPolicy,
     Normalization,
+    load_model,
     model_file,
 )
 from baselines.generators import restore_generators, save_generators
@@ -60,9 +60,8 @@ def restore(task: Task, env: VecEnv, checkpoint: Path) -> BaseAlgorithm:
     Raises:
         RunError: a file is missing or damaged.
     """
-    model = algorithm_class(task.config.algorithm).load(
-        checkpoint / "policy" / MODEL, env=env, device=task.config.device, force_reset=False
-    )
+    path, device = checkpoint / "policy" / MODEL, task.config.device
+    model = load_model(task.config.algorithm, path, env=env, device=device, force_reset=False)
     normalizing = model.get_vec_normalize_env()
     if normalizing is not None:
         saved_normalization = read_json(checkpoint / "policy" / NORMALIZATION)
@@ -87,11 +86,11 @@ def transfer(task: Task, env: VecEnv, source: Path) -> BaseAlgorithm:
     Counters, replay buffer and random numbers begin anew.
 
     Raises:
-        RunError: the run is missing or has saved no policy.
+        RunError: the run is missing, or has saved no policy or a damaged one.
     """
     path = model_file(RunFolder.open(source))
-    model = algorithm_class(task.config.algorithm).load(
-        path, env=env, device=task.config.device, seed=task.config.seed
+    model = load_model(
+        task.config.algorithm, path, env=env, device=task.config.device, seed=task.config.seed
     )
     model.num_timesteps = 0
     return model

@@ -101,10 +101,22 @@ def load(run: RunFolder) -> CentralizedPolicy:
     Stable-Baselines3's files hold pickled parts: load only runs that you trust.
 
     Raises:
-        RunError: a file is missing.
+        RunError: a file is missing or damaged.
     """
-    model = algorithm_class(run.config["algorithm"]).load(model_file(run), device="cpu")
+    model = load_model(run.config["algorithm"], model_file(run), device="cpu")
     return CentralizedPolicy(model, load_normalization(run.policy))
+
+
+def load_model(algorithm: str, path: Path, **options: Any) -> BaseAlgorithm:
+    """The library's learner from its file ``path``, with ``options`` of the library.
+
+    Raises:
+        RunError: the file is damaged or does not fit.
+    """
+    try:
+        return algorithm_class(algorithm).load(path, **options)
+    except ValueError as error:
+        raise RunError(f"{path} cannot be read: {error}") from error
 
 
 def model_file(run: RunFolder) -> Path:

@@ -16,8 +16,21 @@ from stable_baselines3.common.vec_env import VecEnv
 from baselines.centralized.config import CentralizedConfig, algorithm_class, model_arguments
 from baselines.centralized.learner import policy_of, restore, save, transfer
 from baselines.centralized.worlds import make_env
-from baselines.recorder import ROW_STEPS, Recorder
+from baselines.recorder import ROW_STEPS, EpisodeWindow, Recorder
 from baselines.runs import Task
+from mbn_marl.errors import ConfigError
+
+REFUSALS = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""What the library and torch raise for arguments that they cannot make a learner from."""
 
 
 class Reporter(BaseCallback):
@@ -93,6 +106,21 @@ def train(task: Task, hyperparameters: CentralizedConfig, recorder: Recorder) ->
         reset_num_timesteps=recorder.checkpoint is None,
     )
     recorder.finish(model.num_timesteps, policy_of(model))
+
+
+def check(task: Task, hyperparameters: CentralizedConfig) -> None:
+    """Whether a learner can be made with these hyperparameters.
+
+    Raises:
+        ConfigError: with what the library says against them.
+    """
+    env = make_env(task, hyperparameters, EpisodeWindow())
+    try:
+        make_model(task, hyperparameters, env)
+    except REFUSALS as error:
+        place = task.config.hyperparams or f"hyperparameters of {task.config.algorithm}"
+        what = " ".join(str(error).split()) or type(error).__name__
+        raise ConfigError(str(place), [f"no learner can be made with them: {what}"]) from error
 
 
 def make_model(task: Task, hyperparameters: CentralizedConfig, env: VecEnv) -> BaseAlgorithm:

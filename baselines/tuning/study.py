@@ -36,7 +36,7 @@ NAME = "study"
 ENOUGH = 10
 """Finished trials that importances need: Optuna asks for five on the good side."""
 DIVERGED = "diverged"
-"""The attribute of a trial whose learner broke down, with what it said."""
+"""The attribute of a trial whose learner broke down, with what it said, and its constraint."""
 
 
 def begin_study(folder: Path) -> None:

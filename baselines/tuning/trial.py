@@ -14,11 +14,10 @@ from optuna.samplers import TPESampler
 from optuna.trial import TrialState
 
 from baselines.progress import Report
-from baselines.runs import RunFolder, TrainConfig
+from baselines.runs import MOST_SEED, DivergenceError, RunFolder, TrainConfig
 from baselines.train import train
 from baselines.tuning.space import Space
 from baselines.tuning.study import DIVERGED, ended, open_study
-from mbn_marl.errors import ActionError, MbnError
 
 State = Literal["running", "finished", "pruned", "diverged"]
 
@@ -33,7 +32,7 @@ class TuneConfig:
     Attributes:
         algorithm: one that the paper tuned.
         field: a catalogue name or the path of a field file.
-        seed: of every training and of the sampler (>= 0).
+        seed: of every training and of the sampler (0 to 2^32 - 1).
         steps: env-steps of a trial (> 0).
         evaluate_every: env-steps between two fresh evaluations, after which a trial may be pruned.
         episodes: stochastic episodes of an evaluation (> 0).
@@ -116,7 +115,8 @@ def _claim(
         if len(ended(study)) + len(running) >= total:
             return None
         number = len(study.get_trials(deepcopy=False))
-        study.sampler = TPESampler(seed=config.seed + number, constant_liar=True)
+        seed = (config.seed + number) % (MOST_SEED + 1)
+        study.sampler = TPESampler(seed=seed, constant_liar=True)
         return study.ask()
 
 
@@ -132,11 +132,9 @@ def _run(
     except TrialPruned:
         study.tell(trial, state=TrialState.PRUNED)
         listener(watch.news("pruned"))
-    except ValueError as error:
-        if isinstance(error, MbnError) and not isinstance(error, ActionError):
-            raise
-        # Numbers that are no longer finite; the sampler takes it for the worst that can be.
-        trial.set_user_attr(DIVERGED, str(error).splitlines()[0])
+    except DivergenceError as error:
+        trial.set_user_attr(DIVERGED, str(error))
+        trial.set_constraint(DIVERGED, 1.0)  # the sampler takes it for the worst that can be
         study.tell(trial, state=TrialState.PRUNED)
         listener(watch.news("diverged"))
     else:
@@ -172,7 +170,7 @@ class _Watch:
         """Pass on what is new.
 
         Raises:
-            TrialPruned: the trial does worse than the median of those before.
+            TrialPruned: its best return so far is below the median of the finished trials'.
         """
         self._env_steps = report.env_steps
         new = self._run.evaluations[self._seen :]

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import yaml
-from filelock import FileLock, Timeout
 from optuna import Study
 from optuna.trial import TrialState
 
 from baselines.algorithms import find_algorithm
 from baselines.parallel import run_processes, spawning
 from baselines.runs import write_provenance
-from baselines.storage import RunError, claim_folder, read_json, write_json, write_text
+from baselines.storage import RunError, alone, claim_folder, read_json, write_json, write_text
 from baselines.tuning.study import (
     CONFIG,
     begin_study,
@@ -76,7 +75,7 @@ def tune(
         write_json(out / CONFIG, asdict(config))
         write_provenance(out, command)
         begin_study(out)
-    with _alone(out):
+    with alone(out, "mbn tune", "; --processes runs trials side by side"):
         study = open_study(out)
         for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
             study.tell(trial.number, state=TrialState.FAIL)
@@ -99,22 +98,6 @@ def _check_same(config: TuneConfig, folder: Path) -> None:
     ]
     if problems:
         raise ConfigError(str(folder), problems)
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Hold the lock of a study; the system frees it whatever becomes of this process."""
-    lock = FileLock(folder / ".lock", timeout=0)
-    try:
-        lock.acquire()
-    except Timeout:
-        raise RunError(
-            f"{folder}: another mbn tune is at work here; --processes runs trials side by side"
-        ) from None
-    try:
-        yield
-    finally:
-        lock.release()
 
 
 def _write_results(study: Study, config: TuneConfig, folder: Path) -> Path:
