@@ -17,6 +17,7 @@ from baselines.progress import Listener
 from baselines.runs import TrainConfig
 from baselines.storage import RunError
 from baselines.train import train
+from mbn_marl.errors import MbnError
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Ended:
-    """A worker's last word; ``error`` is its traceback if it failed."""
+    """A worker's last word; ``error`` is a message or a traceback if it failed."""
 
     error: str | None = None
 
@@ -47,7 +48,7 @@ def train_all(jobs: Sequence[Job], processes: int, listener: Listener) -> None:
     killed worker stops all.
 
     Raises:
-        RunError: a job failed in another process; the message has its traceback.
+        RunError: a job failed in another process; the message says how.
     """
     if processes == 1:
         for job in jobs:
@@ -65,8 +66,11 @@ def _train_jobs(todo: multiprocessing.Queue[Job | None], listener: Listener) -> 
     for job in iter(todo.get, None):
         try:
             train(job.config, job.out, resume=job.resume, listener=listener)
+        except MbnError as error:
+            raise RunError(f"{job.config.name}: {error}") from error
         except Exception as error:
-            raise RunError(f"{job.config.name} failed") from error
+            error.add_note(f"in the run {job.config.name}")
+            raise
 
 
 def run_processes(
@@ -86,7 +90,7 @@ def run_processes(
         listener: is told here what a worker passes to its ``report``.
 
     Raises:
-        RunError: a worker failed; the message has its traceback.
+        RunError: a worker failed; the message is its own, or has the traceback of a defect.
     """
     messages = spawning().Queue()
     workers = [
@@ -120,7 +124,7 @@ def _watch(
         if not isinstance(message, Ended):
             listener(message)
         elif message.error is not None:
-            raise RunError(f"a process failed:\n{message.error}")
+            raise RunError(message.error)
         else:
             running -= 1
 
@@ -139,7 +143,10 @@ def _work(
 
     try:
         work(*arguments, report)
+    except MbnError as error:
+        messages.put(Ended(str(error)))
+        return
     except Exception:
-        messages.put(Ended(traceback.format_exc()))
+        messages.put(Ended(f"a process failed:\n{traceback.format_exc()}"))
         return
     messages.put(Ended())

@@ -84,7 +84,8 @@ class ProgressDisplay:
 
 def describe(report: Report) -> str:
     """The state of a run in a few words."""
-    words = [f"{report.steps_per_second / 1000.0:3.0f}k/s"]
+    speed = report.steps_per_second
+    words = [f"{speed / 1000.0:3.0f}k/s" if speed >= 10_000.0 else f"{speed:4,.0f}/s"]
     if report.return_mean is not None and report.success_rate is not None:
         words.append(f"return {report.return_mean:>8,.0f} success {report.success_rate:4.0%}")
     return " ".join(words)

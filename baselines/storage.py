@@ -95,6 +95,11 @@ def claim_file(path: Path, *, force: bool = False) -> None:
         path.rename(_free_name(path))
 
 
+def moved_aside(path: Path) -> bool:
+    """Whether ``path`` has a name that ``force`` gives, and what took its place is there."""
+    return path.suffix[1:].isdecimal() and path.with_suffix("").exists()
+
+
 def _free_name(path: Path) -> Path:
     number = 1
     while (candidate := path.with_name(f"{path.name}.{number}")).exists():

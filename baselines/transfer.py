@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from baselines.parallel import Job, train_all
+from baselines.parallel import Job
 from baselines.progress import Listener
 from baselines.runs import RunFolder, TrainConfig
 from baselines.storage import RunError
@@ -15,17 +15,21 @@ from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field
 
 
-def find_source(config: TrainConfig, out: Path, *, resume: bool, listener: Listener) -> RunFolder:
+def find_source(
+    config: TrainConfig, out: Path, *, any_steps: bool, resume: bool, listener: Listener
+) -> RunFolder:
     """The finished run that the others begin with; it is trained if it is not there yet.
 
     Args:
         config: of that run.
         out: the folder of all runs; one of the run's name that is finished there is taken.
+        any_steps: take a finished one whatever its budget was.
         resume: if it is there but not finished, go on with it.
         listener: is told where it stands.
 
     Raises:
-        RunError: it is there, not finished, and ``resume`` is not set.
+        RunError: it is there, not finished, and ``resume`` is not set; or it is finished after
+            another budget, and ``any_steps`` is not set.
     """
     path = out / config.name
     there = path.is_dir() and any(path.iterdir())
@@ -33,6 +37,12 @@ def find_source(config: TrainConfig, out: Path, *, resume: bool, listener: Liste
         return train(config, path, listener=listener)
     run = RunFolder.open(path)
     if run.finished:
+        steps = run.config["steps"]
+        if not any_steps and steps != config.steps:
+            raise RunError(
+                f"{path} is finished with a budget of {steps:,} env-steps, not {config.steps:,}; "
+                "choose another --out, or leave --source-steps out to take it as it is"
+            )
         return run
     if not resume:
         raise RunError(f"{path} is not finished; pass --resume to go on with it")
@@ -74,26 +84,20 @@ def check_sizes(source: str, fields: Sequence[str]) -> None:
         raise ConfigError("transfer", problems)
 
 
-def train_transfers(
-    runs: Sequence[TrainConfig], out: Path, *, processes: int, resume: bool, listener: Listener
-) -> list[RunFolder]:
-    """Train the runs of setting C, each in a folder of its own under ``out``.
+def transfer_jobs(runs: Sequence[TrainConfig], out: Path, *, resume: bool) -> list[Job]:
+    """The runs of setting C, each in a folder of its own under ``out``.
 
     Args:
         runs: of :func:`transfer_runs`.
         out: the folder of all runs.
-        processes: runs at a time.
         resume: go on with those that are there, and leave finished ones.
-        listener: is told where the runs stand.
 
     Raises:
-        RunError: a run's folder is there and ``resume`` is not set, or a run failed.
+        RunError: a run's folder is there and ``resume`` is not set.
     """
     paths = [out / run.name for run in runs]
     there = [path.exists() for path in paths]
     if any(there) and not resume:
         first = paths[there.index(True)]
         raise RunError(f"{first} already exists; choose another --out, or pass --resume")
-    jobs = [Job(run, path, seen) for run, path, seen in zip(runs, paths, there, strict=True)]
-    train_all(jobs, processes, listener)
-    return [RunFolder.open(path) for path in paths]
+    return [Job(run, path, seen) for run, path, seen in zip(runs, paths, there, strict=True)]

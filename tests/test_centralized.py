@@ -17,6 +17,7 @@ from baselines.centralized.ars import PopulationSearch
 from baselines.centralized.config import TUNED_IN_PAPER, accepted_arguments, load
 from baselines.centralized.learner import transfer
 from baselines.centralized.worlds import LearnersView, make_env
+from baselines.parallel import Job, train_all
 from baselines.policies import load_policy
 from baselines.recorder import EpisodeWindow
 from baselines.runs import RunFolder, Task, TrainConfig
@@ -229,6 +230,8 @@ def test_transfer_goes_from_one_field_to_others(
     moved = RunFolder.open(out / "a2c-C-mine-seed33")
     assert moved.config["transferred_from"] == str(out / "a2c-A-field_01-seed33")
     assert moved.field == load_field(custom)
+    printed = capsys.readouterr().out
+    assert f"from: {out / names[0]}, 20 env-steps" in printed
     before = (out / names[0] / "evaluation.json").stat().st_mtime_ns
     assert main(command) == 2
     assert "already exists" in capsys.readouterr().err
@@ -236,6 +239,24 @@ def test_transfer_goes_from_one_field_to_others(
     assert main([*command, "--resume"]) == 0
     assert (out / "a2c-C-field_02-seed33" / "evaluation.json").is_file()
     assert (out / names[0] / "evaluation.json").stat().st_mtime_ns == before
+    command[command.index("20")] = "25"
+    command[command.index("field_02")] = "field_03"
+    command.remove(str(custom))
+    assert main([*command, "--source-steps", "25"]) == 2
+    assert "with a budget of 20 env-steps, not 25; choose" in capsys.readouterr().err
+    assert not (out / "a2c-C-field_03-seed33").exists()
+    assert main(command) == 0
+    assert f"from: {out / names[0]}, 20 env-steps" in capsys.readouterr().out
+
+
+def test_targets_are_looked_at_before_the_source_is_trained(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a2c-C-field_02-seed33").mkdir()
+    command = ["transfer", "a2c", "--fields", "field_02", "--steps", "5", "--out", str(tmp_path)]
+    assert main(command) == 2
+    assert "a2c-C-field_02-seed33 already exists" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["a2c-C-field_02-seed33"]
 
 
 @pytest.mark.parametrize(
@@ -247,6 +268,7 @@ def test_transfer_goes_from_one_field_to_others(
         (["transfer", "ppo", "--fields", "two.yaml"], "two.yaml: robots 2; allowed: 3"),
         (["transfer", "ppo", "--fields", "field_99"], "field_99"),
         (["transfer", "ppo", "--processes", "0"], "processes: at least 1"),
+        (["transfer", "ppo", "--source-steps", "0"], "source_steps: at least 1, not 0"),
         (["train", "ppo", "field_02", "--seed", str(2**32)], "seed: must be at most 2^32 - 1"),
         (["train", "ppo", "field_02", "--setting", "C"], "name its run with --from"),
         (["train", "ppo", "field_02", "--setting", "C", "--from", "x"], "x is not a run folder"),
@@ -311,6 +333,18 @@ def test_a_learner_that_diverges_is_one_clear_message(
     assert error.startswith(f"mbn: error: {out}: the learner broke down, most likely since its num")
     assert error.count("\n") == 1
     assert not RunFolder.open(out).finished
+
+
+def test_processes_pass_on_messages_and_the_tracebacks_of_defects(tmp_path: Path) -> None:
+    """What training says in another process is the message here, too."""
+    wild = {"model": {"learning_rate": 1e30, "max_grad_norm": 1e30}}
+    config = TrainConfig("a2c", "field_03", "A", steps=100, episodes=1, hyperparameters=wild)
+    with pytest.raises(RunError, match="^a2c-A-field_03-seed0: .* the learner broke down.*$"):
+        train_all([Job(config, tmp_path / "run")], 2, lambda report: None)
+    (tmp_path / "file").touch()
+    job = Job(TrainConfig("a2c", "field_03", "A", steps=5), tmp_path / "file" / "run")
+    with pytest.raises(RunError, match=r"(?s)^a process failed:.*in the run a2c-A-field_03-seed0"):
+        train_all([job], 2, lambda report: None)
 
 
 def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:

@@ -112,6 +112,7 @@ def test_the_moving_mean_is_over_the_latest_hundred_episodes(tmp_path: Path) -> 
     assert steps.tolist() == [2000, 3000, 4000, 5000]
     assert means.tolist() == [10.0, 15.0, 15.0, 50.0]
     assert first_reach(windows, 15.0) == 3000
+    assert first_reach(windows, 10.0) == 3000, "not before a hundred episodes have ended"
     assert first_reach(windows, 51.0) is None
 
 
@@ -259,6 +260,29 @@ def test_a_page_can_stand_beside_its_folder_with_notes_on_top(tmp_path: Path) ->
     assert (tmp_path / "docs" / "paper.md.1").read_text() == text
 
 
+def test_comparisons_and_what_was_moved_aside_are_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "runs", [(1, 3e6, 0, 3e6, 3e6)])
+    make_run(tmp_path / "old", [(1, 9e6, 0, 9e6, 9e6)]).rename(run.with_name(f"{run.name}.1"))
+    demo = tmp_path / "runs" / "demo"
+    make_run(demo, [(1, 9e6, 0, 9e6, 9e6)])
+    make_run(demo, [(1, 9e6, 0, 9e6, 9e6)], seed=34)
+    write_json(demo / "config.json", {"algorithms": ["ppo"]})
+    page = tmp_path / "page.md"
+    words = ["report", "--paper", str(tmp_path / "runs"), "-o", str(page)]
+    assert main(words) == 0
+    assert "| PPO | mean | -0.2128 | 3.0000 |" in page.read_text()
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == [
+        f"left out: {demo}, a comparison; name it to report on its runs",
+        f"left out: {run}.1, moved aside by --force",
+    ]
+    assert [training.seed for training in find_trainings([demo])] == [33, 34]
+    (aside,) = find_trainings([run.with_name(f"{run.name}.1")])
+    assert aside.windows.mean.tolist() == [9e6]
+
+
 def test_latex_escapes_what_it_has_to() -> None:
     grid = Grid("a_b, 5%", ("field", "x"), (("field_01", "-1.5"), ("", "2"), ("c&d", "3")))
     latex = grid.latex("tab:x")
@@ -275,6 +299,7 @@ def test_latex_escapes_what_it_has_to() -> None:
         (["--paper", "empty"], "empty is not a run folder, and holds none"),
         (["--paper", "runs", "--study", "empty"], "empty is not the folder of a study"),
         (["--paper", "runs", "--notes", "none.md"], "none.md"),
+        (["--paper", "runs", "--notes", "latin.md"], "latin.md is not a text file in UTF-8"),
         (["--paper", "runs", "copy"], "same algorithm, setting, field and seed"),
         (["--paper", "old"], "config.json has no setting"),
     ],
@@ -291,6 +316,7 @@ def test_wrong_input_is_one_clear_message(
         if name == "old":
             write_json(run / "config.json", {"algorithm": "ppo", "field": "field_01", "seed": 0})
     (tmp_path / "empty").mkdir()
+    (tmp_path / "latin.md").write_bytes("très".encode("latin-1"))
     monkeypatch.chdir(tmp_path)
     assert main(["report", *arguments, "-o", "out"]) == 2
     error = capsys.readouterr().err
@@ -327,3 +353,4 @@ def test_a_run_without_an_ended_episode_is_missing(rows: list[Row], tmp_path: Pa
     assert {table.grid().lines[4][3] for table in paper_tables(runs)[:2]} == {"missing"}
     assert figures.learning_curves(runs, "A") is None
     assert figures.against(runs, "A", "A") is None
+    assert first_reach(runs[0].windows, 0.0) is None

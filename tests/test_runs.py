@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from baselines.progress import Report, describe
 from baselines.runs import RunFolder, TrainConfig
-from baselines.storage import RunError, claim_folder, read_json, write_json
+from baselines.storage import RunError, alone, claim_folder, read_json, write_json
 from baselines.table import summarise
 from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError, MbnError
@@ -57,6 +58,15 @@ def test_read_json_names_the_file(tmp_path: Path) -> None:
     (tmp_path / "bad.json").write_text("{")
     with pytest.raises(RunError, match=r"bad\.json is not valid JSON"):
         read_json(tmp_path / "bad.json")
+
+
+def test_a_folder_at_work_is_not_moved_aside(tmp_path: Path) -> None:
+    inner = tmp_path / "comparison" / "run"
+    inner.mkdir(parents=True)
+    with alone(inner, "mbn train"), pytest.raises(RunError, match="run: another mbn is at work"):
+        claim_folder(tmp_path / "comparison", force=True)
+    claim_folder(tmp_path / "comparison", force=True)
+    assert (tmp_path / "comparison.1" / "run").is_dir()
 
 
 # Runs
@@ -134,3 +144,8 @@ def test_train_config_names_unknown_algorithms_and_fields() -> None:
         TrainConfig("sac", "field_03")
     with pytest.raises(MbnError, match="field_99"):
         TrainConfig("ppo", "field_99")
+
+
+def test_the_speed_of_a_slow_learner_is_shown() -> None:
+    words = [describe(Report("run", 1, speed, None, None)) for speed in (42.4, 9_960.0, 123_456.0)]
+    assert words == ["  42/s", "9,960/s", "123k/s"]

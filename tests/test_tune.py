@@ -116,7 +116,7 @@ def test_a_report_draws_the_study_and_takes_its_trials_for_no_runs(
 ) -> None:
     words = ["report", "--paper", str(study), "-o", str(tmp_path / "out")]
     assert main(words) == 2
-    assert "holds none" in capsys.readouterr().err
+    assert "is a study, and holds no run to report on" in capsys.readouterr().err
     words[2] = str(study / "trials" / "trial-0000")
     assert main([*words, "--study", str(study)]) == 0
     assert (tmp_path / "out" / "optuna.png").is_file()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
+from baselines import wind as wind_module
 from baselines.evaluate import Evaluation
 from baselines.statistics import Interval, share_interval
 from baselines.wind import evaluate_in_wind, parse_speeds, with_intervals
@@ -132,7 +133,7 @@ def test_panels_show_every_episode() -> None:
 
 
 def test_evaluate_in_wind_from_the_command_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = tmp_path / "run"
     tiny = ["--steps", "5", "--episodes", "1", "--setting", "A", "--out", str(run)]
@@ -154,5 +155,15 @@ def test_evaluate_in_wind_from_the_command_line(
     assert "figure: allowed with --wind-speeds" in capsys.readouterr().err
     assert main(["evaluate", str(run), "--wind-speeds", "x"]) == 2
     assert "'x' is no number" in capsys.readouterr().err
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise OSError("no space is left")
+
+    monkeypatch.setattr(wind_module, "write_panels", fail)
+    (run / "wind.json").unlink()
+    assert main(["evaluate", str(run), "--wind-speeds", "1", "--episodes", "1"]) == 2
+    assert (run / "wind.json").is_file(), "what was evaluated is not lost with the picture"
+    monkeypatch.setattr(wind_module, "evaluate_in_wind", fail)
+    capsys.readouterr()
     assert main(["evaluate", str(run), "--wind-speeds", "1", "--figure", "x.bmp"]) == 2
-    assert ".png" in capsys.readouterr().err
+    assert ".png" in capsys.readouterr().err, "the name is looked at before the evaluation"

@@ -74,9 +74,9 @@ def reached(trainings: Sequence[Training]) -> Grid:
         for name in algorithms_of(trainings)
     )
     caption = (
-        f"Runs whose moving mean of 100 training episodes reached {RETURN_THRESHOLD:,.0f}, of all "
-        "runs of that algorithm and setting on any field, and the env-steps of the soonest. In "
-        "the paper only CrossQ does so under A within 500k env-steps."
+        f"Runs whose moving mean of 100 training episodes reached {RETURN_THRESHOLD:,.0f}, once so "
+        "many had ended, of all runs of that algorithm and setting on any field, and the env-steps "
+        "of the soonest. In the paper only CrossQ does so under A within 500k env-steps."
     )
     return Grid(caption, ("algorithm", *_setting_headings()), lines)
 

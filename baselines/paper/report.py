@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from baselines.paper.grid import MISSING, NOT_IN_PAPER
 from baselines.paper.tables import ALGORITHMS, Table, paper_tables, write_csv
 from baselines.paper.trainings import Training, find_trainings
 from baselines.runs import write_provenance
-from baselines.storage import claim_file, claim_folder, write_text
+from baselines.storage import RunError, claim_file, claim_folder, write_text
 from baselines.tuning.study import draw_study
 from mbn_marl.render.figures import save
 
@@ -65,6 +65,7 @@ def write_report(
     study: Path | None = None,
     notes: Path | None = None,
     force: bool = False,
+    note: Callable[[str], None] = lambda text: None,
 ) -> Place:
     """Write the report on the runs at ``paths``.
 
@@ -75,14 +76,15 @@ def write_report(
         study: the folder of a study of hyperparameters, to draw.
         notes: a Markdown file to put at the top of the page.
         force: move a report that is already there aside.
+        note: is told which folders at ``paths`` are left out, and why.
 
     Raises:
-        RunError: a run or the study cannot be read, or something is at ``out`` already.
+        RunError: a run, the study or the notes cannot be read, or something is at ``out`` already.
     """
-    trainings = find_trainings(paths)
+    preface = "" if notes is None else _read_notes(notes)
+    trainings = find_trainings(paths, note)
     tables = paper_tables(trainings)
     drawn = _draw(trainings, study)
-    preface = notes.read_text(encoding="utf-8") if notes is not None else ""
     place = Place.of(out)
     place.claim(force=force)
     for name, figure in drawn.items():
@@ -96,6 +98,14 @@ def write_report(
     write_provenance(place.folder, command)
     write_text(place.page, _page(trainings, tables, drawn, place, command, preface))
     return place
+
+
+def _read_notes(path: Path) -> str:
+    """The text of a Markdown file."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise RunError(f"{path} is not a text file in UTF-8: {error}") from None
 
 
 def _draw(trainings: Sequence[Training], study: Path | None) -> dict[str, Figure | None]:
@@ -193,9 +203,9 @@ How to read the tables:
   deviation (SD), largest (max) and largest minus smallest (range).
 - Each table comes twice. Over *single episodes* every training episode counts once. Over *moving
   means of 100 episodes* every row of `progress.csv` counts once, with the mean of the latest 100
-  episodes, as Stable-Baselines3 logs it. The paper does not say which it took, but its largest
-  values are multiples of 0.1 where the reward of an episode is a multiple of 10: they are means of
-  episodes, and the second kind is the one to compare with.
+  episodes (of all so far while there are fewer), as Stable-Baselines3 logs it. The paper does not
+  say which it took, but its largest values are multiples of 0.1 where the reward of an episode is a
+  multiple of 10: they are means of episodes, and the second kind is the one to compare with.
 - A cell pools all runs of its setting, over the fields and seeds of "What was run" only; the
   paper's pools 5M env-steps on each of ten fields. *{MISSING}*: no run here. {NOT_IN_PAPER}: not in
   the paper.

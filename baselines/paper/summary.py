@@ -81,7 +81,11 @@ def moving_mean(window: Windows) -> tuple[FloatArray, FloatArray]:
 
 
 def first_reach(window: Windows, threshold: float) -> float | None:
-    """Env-steps at which the moving mean first is ``threshold`` or more; ``None`` for never."""
+    """Env-steps at which the moving mean first is ``threshold`` or more; ``None`` for never.
+
+    Rows before ``SMOOTHING`` episodes have ended do not count.
+    """
     env_steps, means = moving_mean(window)
-    reached = means >= threshold
+    ended = np.cumsum(window.episodes)
+    reached = (ended[ended > 0] >= SMOOTHING) & (means >= threshold)
     return float(env_steps[reached.argmax()]) if reached.any() else None

@@ -84,14 +84,15 @@ class Evaluate:
         """Evaluate at several wind speeds; write the episodes and the picture."""
         from baselines.storage import write_json
         from baselines.wind import evaluate_in_wind, parse_speeds, write_panels
+        from mbn_marl.render.figures import check_name
 
         winds = parse_speeds(speeds), self.wind_angle
         where = policy, run.field, run.config["environment"]
-        figure = self.figure or run.path / "wind.png"
+        figure = check_name(self.figure or run.path / "wind.png")
         results = self.json or run.path / "wind.json"
         rows = evaluate_in_wind(*where, *winds, episodes=self.episodes, seed=seed)
-        write_panels(*where, *winds, figure)
         write_json(results, {"command": command_line, "results": rows})
+        write_panels(*where, *winds, figure)
         print_winds(rows, title=f"{run.path}: wind at {self.wind_angle:g} degrees")
         print(f"written: {results}, {figure}")
 

@@ -14,7 +14,8 @@ class Report:
     """Report on runs: with --paper, the paper's tables and figures with ours beside them."""
 
     runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUNS")]]
-    """Run folders, or folders that hold some."""
+    """Run folders, or folders that hold some; comparisons, studies and what --force moved aside are
+    left out there."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """The folder to write, with the page paper.md; or NAME.md for the page, beside its folder
     NAME."""
@@ -29,6 +30,8 @@ class Report:
 
     def run(self, command_line: str) -> None:
         """Write the report."""
+        from functools import partial
+
         from rich.console import Console
 
         from baselines.paper.report import write_report
@@ -41,6 +44,7 @@ class Report:
             problems.append("RUNS: at least one folder is needed")
         if problems:
             raise ConfigError("report", problems)
+        console = Console()
         place = write_report(
             self.runs,
             self.out,
@@ -48,5 +52,6 @@ class Report:
             study=self.study,
             notes=self.notes,
             force=self.force,
+            note=partial(console.print, soft_wrap=True, highlight=False),
         )
-        Console().print(f"written to {place.page}; tables and figures in {place.folder}")
+        console.print(f"written to {place.page}; tables and figures in {place.folder}")

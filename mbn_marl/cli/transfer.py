@@ -18,7 +18,8 @@ class Transfer:
     fields: tuple[str, ...] = ()
     """Where to go on: names of `mbn fields` or paths; by default all others of the catalogue."""
     source: str = "field_01"
-    """Where the policy comes from. A finished run of it in OUT is taken as it is."""
+    """Where the policy comes from. A finished run of it in OUT is taken, of any budget unless
+    --source-steps says which."""
     seed: int = 33
     """Of networks, exploration and worlds."""
     steps: int = 5_000_000
@@ -44,15 +45,20 @@ class Transfer:
         """Train with a bar for every run, then print the final evaluations."""
         from dataclasses import replace
 
+        from baselines.parallel import train_all
         from baselines.progress import ProgressDisplay
-        from baselines.runs import TrainConfig
-        from baselines.transfer import check_sizes, find_source, train_transfers, transfer_runs
+        from baselines.runs import RunFolder, TrainConfig
+        from baselines.transfer import check_sizes, find_source, transfer_jobs, transfer_runs
         from mbn_marl.cli.evaluate import print_evaluations
         from mbn_marl.errors import ConfigError
         from mbn_marl.field import catalogue_names, load_field
 
-        if self.processes < 1:
-            raise ConfigError("transfer", [f"processes: at least 1, not {self.processes}"])
+        any_steps = self.source_steps is None
+        source_steps = self.steps if self.source_steps is None else self.source_steps
+        counts = {"processes": self.processes, "source_steps": source_steps}
+        problems = [f"{name}: at least 1, not {n}" for name, n in counts.items() if n < 1]
+        if problems:
+            raise ConfigError("transfer", problems)
         config = TrainConfig(
             self.algorithm,
             self.source,
@@ -69,13 +75,15 @@ class Transfer:
         )
         runs = transfer_runs(config, self.out / config.name, fields)
         check_sizes(self.source, fields)
-        first = replace(config, steps=self.source_steps or self.steps)
+        jobs = transfer_jobs(runs, self.out, resume=self.resume)
+        first = replace(config, steps=source_steps)
         with ProgressDisplay([first.name], first.steps) as display:
-            source = find_source(first, self.out, resume=self.resume, listener=display)
-        with ProgressDisplay([run.name for run in runs], self.steps) as display:
-            folders = train_transfers(
-                runs, self.out, processes=self.processes, resume=self.resume, listener=display
+            source = find_source(
+                first, self.out, any_steps=any_steps, resume=self.resume, listener=display
             )
-        for folder in (source, *folders):
+        print(f"from: {source.path}, {source.evaluation['env_steps']:,} env-steps")
+        with ProgressDisplay([run.name for run in runs], self.steps) as display:
+            train_all(jobs, self.processes, display)
+        for folder in (source, *(RunFolder.open(job.out) for job in jobs)):
             final = folder.evaluation
             print_evaluations([final["stochastic"], final["deterministic"]], str(folder.path))

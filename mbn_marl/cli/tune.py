@@ -22,7 +22,8 @@ class Tune:
     steps: int = 1_000_000
     """Budget of a trial in env-steps."""
     evaluate_every: int = 50_000
-    """Env-steps between two fresh evaluations; after each a trial below the median is pruned."""
+    """Env-steps between two fresh evaluations; after each a trial whose best one so far is below
+    the median of the finished trials' is pruned."""
     episodes: int = 100
     """Episodes of an evaluation."""
     seed: int = 33

@@ -32,6 +32,7 @@ __all__ = [
     "Pair",
     "Panel",
     "StudyTrial",
+    "check_name",
     "draw_field",
     "draw_trails",
     "field_figure",
@@ -111,6 +112,17 @@ def pairs(
     return pairs_figure(panels, names, threshold)
 
 
+def check_name(path: Path) -> Path:
+    """``path``, if a figure can be written there as far as its name goes.
+
+    Raises:
+        MbnError: for another format, naming the path and the formats.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
+    return path
+
+
 def save(figure: Figure, path: str | Path) -> Path:
     """Write ``figure`` as PNG, PDF or SVG, as the end of ``path`` says.
 
@@ -123,9 +135,7 @@ def save(figure: Figure, path: str | Path) -> Path:
         MbnError: for another format, naming the path and the formats.
         OSError: naming the path, if it cannot be written.
     """
-    path = Path(path)
-    if path.suffix.lower() not in FORMATS:
-        raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
+    path = check_name(Path(path))
     with replacing(path) as temporary, matplotlib.rc_context(style.MATPLOTLIB):
         figure.savefig(temporary)
     return path
