@@ -66,7 +66,7 @@ def _train_jobs(todo: multiprocessing.Queue[Job | None], listener: Listener) -> 
     for job in iter(todo.get, None):
         try:
             train(job.config, job.out, resume=job.resume, listener=listener)
-        except MbnError as error:
+        except (MbnError, OSError) as error:
             raise RunError(f"{job.config.name}: {error}") from error
         except Exception as error:
             error.add_note(f"in the run {job.config.name}")
@@ -143,7 +143,7 @@ def _work(
 
     try:
         work(*arguments, report)
-    except MbnError as error:
+    except (MbnError, OSError) as error:
         messages.put(Ended(str(error)))
         return
     except Exception:

@@ -336,15 +336,13 @@ def test_a_learner_that_diverges_is_one_clear_message(
 
 
 def test_processes_pass_on_messages_and_the_tracebacks_of_defects(tmp_path: Path) -> None:
-    """What training says in another process is the message here, too."""
     wild = {"model": {"learning_rate": 1e30, "max_grad_norm": 1e30}}
     config = TrainConfig("a2c", "field_03", "A", steps=100, episodes=1, hyperparameters=wild)
-    with pytest.raises(RunError, match="^a2c-A-field_03-seed0: .* the learner broke down.*$"):
+    with pytest.raises(RunError, match=r"^a2c-A-field_03-seed0: .* the learner broke down"):
         train_all([Job(config, tmp_path / "run")], 2, lambda report: None)
-    (tmp_path / "file").touch()
-    job = Job(TrainConfig("a2c", "field_03", "A", steps=5), tmp_path / "file" / "run")
+    nowhere: Any = None
     with pytest.raises(RunError, match=r"(?s)^a process failed:.*in the run a2c-A-field_03-seed0"):
-        train_all([job], 2, lambda report: None)
+        train_all([Job(config, nowhere)], 2, lambda report: None)
 
 
 def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
