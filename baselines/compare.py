@@ -1,33 +1,36 @@
-"""Train algorithms on fields with equal budgets, and compare what the runs recorded."""
+"""Train variants on fields with equal budgets, and compare what the runs recorded."""
 
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from baselines.episode import record_episode, write_animation, write_trajectories
-from baselines.optimum import optimal_return
 from baselines.parallel import Job, train_all
 from baselines.policies import load_policy
 from baselines.progress import Listener
+from baselines.results import Result, Results
 from baselines.runs import RunFolder, TrainConfig, write_provenance
 from baselines.statistics import RETURN_THRESHOLD
-from baselines.storage import claim_folder, write_json
-from baselines.table import Row, summarise, write_table
-from mbn_marl.config import make_config
+from baselines.storage import RunError, claim_folder, read_json, write_json, write_text
+from baselines.summary import THRESHOLDS, Comparison, summarise
+from baselines.table import field_grids, markdown, overall_grids
+from baselines.variants import Variant
 from mbn_marl.errors import ConfigError
 
 
 @dataclass(frozen=True)
 class CompareConfig:
-    """What to compare: every algorithm on every field with every seed.
+    """What to compare: every variant on every field with every seed.
 
     Attributes:
-        algorithms: names of :data:`baselines.algorithms.ALGORITHMS`.
+        variants: ways to train, each under a label of its own.
         fields: catalogue names or paths.
         seeds: one run each.
         steps: env-steps of every run.
@@ -40,7 +43,7 @@ class CompareConfig:
         MbnError: an algorithm or a field is not valid.
     """
 
-    algorithms: tuple[str, ...]
+    variants: tuple[Variant, ...]
     fields: tuple[str, ...]
     seeds: tuple[int, ...]
     steps: int
@@ -50,8 +53,12 @@ class CompareConfig:
     def __post_init__(self) -> None:
         """Check everything before the first run starts."""
         problems = []
-        for name in ("algorithms", "fields", "seeds"):
-            values = getattr(self, name)
+        lists: dict[str, Sequence[Any]] = {
+            "algorithms": [variant.name for variant in self.variants],
+            "fields": self.fields,
+            "seeds": self.seeds,
+        }
+        for name, values in lists.items():
             if not values:
                 problems.append(f"{name}: at least one is needed")
             problems += [
@@ -68,18 +75,21 @@ class CompareConfig:
     def runs(self) -> list[TrainConfig]:
         """The runs, seed by seed."""
         return [
-            TrainConfig(
-                algorithm,
+            variant.training(
                 field,
-                seed=seed,
+                seed,
                 steps=self.steps,
                 evaluate_every=self.evaluate_every,
                 episodes=self.episodes,
             )
-            for seed, field, algorithm in itertools.product(
-                self.seeds, self.fields, self.algorithms
-            )
+            for seed, field, variant in itertools.product(self.seeds, self.fields, self.variants)
         ]
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values."""
+        values = {**vars(self), "variants": [variant.model_dump() for variant in self.variants]}
+        as_json: dict[str, Any] = json.loads(json.dumps(values))
+        return as_json
 
 
 def compare(
@@ -89,9 +99,11 @@ def compare(
     command: str,
     processes: int,
     force: bool = False,
+    resume: bool = False,
+    wandb: str | None = None,
     listener: Listener = lambda report: None,
-) -> list[Row]:
-    """Train every run into a folder of its own under ``out``, then write table and figures.
+) -> Comparison:
+    """Train every run into a folder of its own under ``out``, then write tables and figures.
 
     Args:
         config: what to compare.
@@ -99,62 +111,138 @@ def compare(
         command: the exact command, recorded there.
         processes: runs at a time.
         force: move a folder that is already there aside.
+        resume: go on with the comparison in ``out``, which must be of the same configuration:
+            finished runs are kept, unfinished ones go on, missing ones are started.
+        wandb: a project of Weights & Biases to log to as well.
         listener: is told where the runs stand.
 
     Raises:
         RunError: ``out`` already holds something, or a run failed.
+        ConfigError: with ``resume``, naming every entry of the configuration that differs.
     """
-    claim_folder(out, force=force)
-    write_json(out / "config.json", asdict(config))
-    write_provenance(out, command)
-    train_all([Job(run, out / run.name) for run in config.runs()], processes, listener)
-    rows = []
-    for field in config.fields:
-        groups = {
-            algorithm: [
-                RunFolder.open(out / run.name)
-                for run in config.runs()
-                if (run.field, run.algorithm) == (field, algorithm)
-            ]
-            for algorithm in config.algorithms
+    if resume:
+        _check_same(config, out)
+    else:
+        claim_folder(out, force=force)
+        write_json(out / "config.json", config.to_json())
+        write_provenance(out, command)
+    jobs = [_job(run, out / run.name, wandb) for run in config.runs()]
+    train_all(jobs, processes, listener)
+    results = Results.of([Result.read(RunFolder.open(job.out)) for job in jobs])
+    return write_comparison(results, out)
+
+
+def _check_same(config: CompareConfig, out: Path) -> None:
+    """Whether the comparison in ``out`` is of this configuration."""
+    if not (out / "config.json").is_file():
+        raise RunError(f"{out} is not the folder of a comparison: it has no config.json")
+    recorded, asked = read_json(out / "config.json"), config.to_json()
+    problems = [
+        f"{name}: the comparison has {recorded.get(name)!r}, this command {asked.get(name)!r}"
+        for name in dict.fromkeys([*recorded, *asked])
+        if recorded.get(name) != asked.get(name)
+    ]
+    if problems:
+        raise ConfigError(f"{out} cannot be resumed", problems)
+
+
+def _job(run: TrainConfig, path: Path, wandb: str | None) -> Job:
+    """What is left to do for a run; a folder that was killed before it began is moved aside."""
+    begun = (path / "config.json").is_file()
+    if path.exists() and not begun:
+        claim_folder(path, force=True)
+    return Job(run, path, resume=begun, wandb=wandb)
+
+
+def write_comparison(results: Results, out: Path) -> Comparison:
+    """Write tables, figures and every number into the folder ``out``.
+
+    Files: ``comparison.md`` with the tables, ``comparison.json`` with every number, ``table.csv``
+    with a row for every label and field, and the figures.
+    """
+    comparison = summarise(results)
+    write_json(out / "comparison.json", comparison.to_json())
+    write_text(out / "table.csv", comparison.csv())
+    pictures = _draw_statistics(comparison, out)
+    for field in results.fields:
+        _draw_field({label: results.cells[label, field] for label in results.labels}, out)
+    write_text(out / "comparison.md", _page(comparison, pictures))
+    return comparison
+
+
+def _page(comparison: Comparison, pictures: dict[str, str]) -> str:
+    overall = [markdown(title, grid) for title, grid in overall_grids(comparison).items()]
+    fields = [markdown(title, grid) for title, grid in field_grids(comparison).items()]
+    images = [f"![{title}]({name})" for title, name in pictures.items()]
+    return "\n\n".join(["# Comparison", *overall, *images, *fields]) + "\n"
+
+
+def _draw_statistics(comparison: Comparison, out: Path) -> dict[str, str]:
+    """Draw what is over all fields; the files' names by what they show."""
+    from mbn_marl.render import figures
+
+    drawn = {}
+    if comparison.aggregates:
+        names = {
+            "interquartile mean": "iqm",
+            "optimality gap": "gap",
+            "optimality gap, mean actions": "deterministic_gap",
         }
-        rows += [summarise(runs) for runs in groups.values()]
-        write_figures(groups, out)
-    write_table(rows, out)
-    return rows
+        panels = {
+            title: {entry.label: getattr(entry, name) for entry in comparison.aggregates}
+            for title, name in names.items()
+        }
+        profiles = {entry.label: entry.profile for entry in comparison.aggregates}
+        score = "return as a share of the proved optimum"
+        drawn["Aggregates"] = ("aggregates.png", figures.intervals_figure(panels))
+        drawn["Performance profiles"] = (
+            "profiles.png",
+            figures.profiles_figure(profiles, THRESHOLDS, score),
+        )
+    pairs = list(itertools.combinations(comparison.improvement, 2))
+    if pairs:
+        chances = {f"{x} > {y}": comparison.improvement[x][y] for x, y in pairs}
+        drawn["Probability of improvement"] = (
+            "improvement.png",
+            figures.intervals_figure({"probability of improvement": chances}, rule=0.5),
+        )
+    for name, figure in drawn.values():
+        figures.save(figure, out / name)
+    return {title: name for title, (name, _) in drawn.items()}
 
 
-def write_figures(groups: dict[str, list[RunFolder]], out: Path) -> None:
+def _draw_field(groups: dict[str, tuple[Result, ...]], out: Path) -> None:
     """Draw the learning curves of one field's runs, and an episode of the best policy."""
     from mbn_marl.render import figures
 
-    runs = list(itertools.chain(*groups.values()))
-    field = runs[0].field
+    results = list(itertools.chain(*groups.values()))
+    field = results[0].field
     figures.learning_curves(
-        {algorithm: [_curve(run) for run in group] for algorithm, group in groups.items()},
+        {label: [_curve(result) for result in group] for label, group in groups.items()},
         threshold=RETURN_THRESHOLD,
-        optimum=optimal_return(field, make_config(runs[0].config["environment"])),
+        optimum=results[0].optimum,
         path=out / f"learning_curves_{field.name}.png",
     )
-    best = best_run(runs)
-    snapshots = record_episode(load_policy(best), field, best.config["environment"])
+    best = best_result(results)
+    snapshots = record_episode(load_policy(best.run), field, best.config["environment"])
     last = snapshots[-1]
-    title = f"{best.path.name}: return {last.team_return:,.0f}, {last.step} steps"
+    title = f"{best.run.path.name}: return {last.team_return:,.0f}, {last.step} steps"
     write_trajectories(last, out / f"trajectories_{field.name}.png", title)
     write_animation(snapshots, out / f"episode_{field.name}.gif")
 
 
-def best_run(runs: Sequence[RunFolder]) -> RunFolder:
-    """The run with the best deterministic return; of equal ones the best stochastic return."""
+def best_result(results: Sequence[Result]) -> Result:
+    """The one with the best return with mean actions; of equal ones with sampled actions."""
 
-    def rank(run: RunFolder) -> tuple[float, float]:
-        final = run.evaluation
-        return final["deterministic"]["return_mean"], final["stochastic"]["return_mean"]
+    def rank(result: Result) -> tuple[float, float]:
+        kinds = ("deterministic", "stochastic")
+        mean, sampled = (result.final(kind, "return_mean") for kind in kinds)
+        return mean, sampled
 
-    return max(runs, key=rank)
+    return max(results, key=rank)
 
 
-def _curve(run: RunFolder) -> tuple[np.ndarray, np.ndarray]:
-    history = run.evaluations
+def _curve(result: Result) -> tuple[np.ndarray, np.ndarray]:
+    history = result.evaluations
     steps = np.asarray([entry["env_steps"] for entry in history])
     return steps, np.asarray([entry["return_mean"] for entry in history])

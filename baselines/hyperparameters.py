@@ -29,7 +29,7 @@ class Hyperparameters(BaseModel):
     skipped: dict[str, Any] = Field(default_factory=dict)
 
 
-Model = TypeVar("Model", bound=Hyperparameters)
+Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_blocks(path: Path) -> dict[str, Any]:
@@ -65,7 +65,7 @@ def validate(model: type[Model], values: Mapping[str, Any], source: str) -> Mode
     """Validate ``values``.
 
     Raises:
-        ConfigError: naming every unknown or invalid hyperparameter and what is allowed.
+        ConfigError: naming every unknown or invalid value and what is allowed.
     """
     try:
         return model.model_validate(dict(values))

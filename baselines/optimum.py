@@ -5,6 +5,9 @@ from __future__ import annotations
 from mbn_marl.config import NavigationConfig
 from mbn_marl.field import Field
 
+VIEW = ("reward_sharing", "observation", "one_hot", "sensing_radius", "dtype")
+"""Settings that change what a learner sees, but not what there is to reach."""
+
 
 def optimal_return(field: Field, config: NavigationConfig | None = None) -> float | None:
     """The best possible team return, ``m r_l + r_inf - n r_s T*``, or ``None`` if not proved.
@@ -14,10 +17,7 @@ def optimal_return(field: Field, config: NavigationConfig | None = None) -> floa
     """
     config = config or NavigationConfig()
     comparable = config.model_copy(
-        update={
-            name: NavigationConfig.model_fields[name].default
-            for name in ("reward_sharing", "observation", "one_hot", "sensing_radius", "dtype")
-        }
+        update={name: NavigationConfig.model_fields[name].default for name in VIEW}
     )
     if field.optimal_makespan is None or comparable not in (
         NavigationConfig(),

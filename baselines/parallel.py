@@ -22,11 +22,19 @@ from mbn_marl.errors import MbnError
 
 @dataclass(frozen=True)
 class Job:
-    """A run to train and the folder to make for it, or with ``resume`` to go on with."""
+    """A run to train and the folder to make for it, or with ``resume`` to go on with.
+
+    ``wandb`` is a project of Weights & Biases to log to as well, or ``None``.
+    """
 
     config: TrainConfig
     out: Path
     resume: bool = False
+    wandb: str | None = None
+
+    def train(self, listener: Listener) -> None:
+        """Do it here."""
+        train(self.config, self.out, resume=self.resume, wandb=self.wandb, listener=listener)
 
 
 @dataclass(frozen=True)
@@ -52,7 +60,7 @@ def train_all(jobs: Sequence[Job], processes: int, listener: Listener) -> None:
     """
     if processes == 1:
         for job in jobs:
-            train(job.config, job.out, resume=job.resume, listener=listener)
+            job.train(listener)
         return
     count = min(processes, len(jobs))
     todo = spawning().Queue()
@@ -65,7 +73,7 @@ def _train_jobs(todo: multiprocessing.Queue[Job | None], listener: Listener) -> 
     """Train the jobs of a queue up to its first ``None``."""
     for job in iter(todo.get, None):
         try:
-            train(job.config, job.out, resume=job.resume, listener=listener)
+            job.train(listener)
         except (MbnError, OSError) as error:
             raise RunError(f"{job.config.name}: {error}") from error
         except Exception as error:

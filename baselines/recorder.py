@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from torch.utils.tensorboard import SummaryWriter
 
 from baselines.evaluate import EVALUATION_SEED, Evaluation, evaluate
+from baselines.loggers import Logger, TensorBoard, WeightsAndBiases
 from baselines.policies import TrainedPolicy
 from baselines.progress import Listener, Report
 from baselines.runs import RunFolder, Task
@@ -58,16 +58,22 @@ CHECKPOINT_SECONDS = 600.0
 """A checkpoint is due after every fresh evaluation, and after so many seconds of slow training."""
 
 
+MEAN_ACTION_NAMES = ("return_mean", "success_rate")
+"""What the history of evaluations has of those with mean actions, as ``deterministic_...``."""
+
+
 class Recorder:
     """Records one run in its folder, from the start or from the newest checkpoint there.
 
     The training clock runs between :meth:`start` and the end, and stands still during evaluations
-    and while files are written, so ``seconds`` are seconds of training alone.
+    and while files are written, so ``seconds`` are seconds of training alone; ``wall_seconds`` are
+    seconds since the first :meth:`start`, without the time that an interrupted run lay still.
 
     Args:
         folder: the run's folder.
         task: what is trained; evaluations have its field and settings.
         listener: is told where the run stands after every row.
+        wandb: a project of Weights & Biases to log to as well, or ``None``.
 
     Attributes:
         episodes: the training episodes since the last row.
@@ -76,7 +82,9 @@ class Recorder:
             between two updates.
     """
 
-    def __init__(self, folder: RunFolder, task: Task, listener: Listener) -> None:
+    def __init__(
+        self, folder: RunFolder, task: Task, listener: Listener, wandb: str | None = None
+    ) -> None:
         self.episodes = EpisodeWindow()
         self.checkpoint = folder.checkpoint
         self.checkpoint_due = False
@@ -87,6 +95,7 @@ class Recorder:
         state: dict[str, Any] = {
             "env_steps": 0,
             "seconds": 0.0,
+            "wall_seconds": 0.0,
             "progress_bytes": 0,
             "evaluations": [],
         }
@@ -95,15 +104,21 @@ class Recorder:
         self._last_row: int = state["env_steps"]
         self._seconds: float = state["seconds"]
         self._saved_at = self._seconds
+        self._wall_seconds: float = state["wall_seconds"]
         self._started_at = 0.0
+        self._wall_started_at: float | None = None
         self._evaluations: list[dict[str, Any]] = state["evaluations"]
         folder.cut_progress(state["progress_bytes"])
         write_json(folder.path / "evaluations.json", self._evaluations)
-        self._board = SummaryWriter(folder.path / "tensorboard", purge_step=self._last_row + 1)
+        self._loggers: list[Logger] = [TensorBoard(folder, self._last_row)]
+        if wandb is not None:
+            self._loggers.append(WeightsAndBiases(folder, task.config.name, wandb))
 
     def start(self) -> None:
         """Start the training clock: the libraries are imported, the engine is compiled."""
         self._started_at = time.perf_counter()
+        if self._wall_started_at is None:
+            self._wall_started_at = self._started_at
 
     def update(
         self, env_steps: int, policy: TrainedPolicy, diagnostics: Mapping[str, float]
@@ -123,7 +138,8 @@ class Recorder:
         self._write_row(env_steps)
         if evaluation_due:
             number = 1 + len(self._evaluations)
-            self._note(env_steps, self._fresh(policy, deterministic=False, number=number))
+            stochastic = self._fresh(policy, deterministic=False, number=number)
+            self._note(env_steps, stochastic, self._glance(policy, number))
         slow = self._seconds - self._saved_at >= CHECKPOINT_SECONDS
         self.checkpoint_due = not last and (self.checkpoint_due or evaluation_due or slow)
         if not last:
@@ -141,13 +157,15 @@ class Recorder:
             save: writes what the trainer needs to go on into a folder.
         """
         self._stop()
-        self._board.flush()
+        for logger in self._loggers:
+            logger.flush()
         with self._folder.new_checkpoint(env_steps) as folder:
             policy.save(folder / "policy")
             save(folder)
             state = {
                 "env_steps": env_steps,
                 "seconds": self._seconds,
+                "wall_seconds": self._wall(),
                 "progress_bytes": self._folder.progress_bytes,
                 "evaluations": self._evaluations,
             }
@@ -164,11 +182,13 @@ class Recorder:
             policy.save(place)
         stochastic = self._fresh(policy, deterministic=False, number=0)
         deterministic = self._fresh(policy, deterministic=True, number=0)
-        self._note(env_steps, stochastic)
-        self._board.close()
+        self._note(env_steps, stochastic, deterministic)
+        for logger in self._loggers:
+            logger.close()
         result = {
             "env_steps": env_steps,
             "seconds": self._seconds,
+            "wall_seconds": self._wall(),
             "stochastic": stochastic.to_json(),
             "deterministic": deterministic.to_json(),
         }
@@ -177,9 +197,9 @@ class Recorder:
         self._tell(env_steps)
 
     def scalars(self, env_steps: int, values: Mapping[str, float]) -> None:
-        """Write numbers to TensorBoard alone."""
-        for name, value in values.items():
-            self._board.add_scalar(name, value, env_steps)
+        """Write numbers to the loggers alone, not to ``progress.csv``."""
+        for logger in self._loggers:
+            logger.scalars(env_steps, values)
 
     def _write_row(self, env_steps: int) -> None:
         """Stop the clock, and write the row of the window since the last one."""
@@ -194,21 +214,45 @@ class Recorder:
         """Stop the training clock."""
         self._seconds += time.perf_counter() - self._started_at
 
-    def _note(self, env_steps: int, evaluation: Evaluation) -> None:
-        """Append an evaluation to the history."""
-        entry = {"env_steps": env_steps, "seconds": self._seconds, **evaluation.summary()}
+    def _wall(self) -> float:
+        """Seconds since the first start."""
+        assert self._wall_started_at is not None
+        return self._wall_seconds + time.perf_counter() - self._wall_started_at
+
+    def _note(self, env_steps: int, sampled: Evaluation, mean: Evaluation) -> None:
+        """Append an evaluation, with sampled and with mean actions, to the history."""
+        entry = {
+            "env_steps": env_steps,
+            "seconds": self._seconds,
+            "wall_seconds": self._wall(),
+            **sampled.summary(),
+            **{f"deterministic_{name}": mean.summary()[name] for name in MEAN_ACTION_NAMES},
+        }
         self._evaluations.append(entry)
         names = ("return_mean", "success_rate", "collision_rate", "rois_visited")
         self.scalars(env_steps, {f"evaluation/{name}": entry[name] for name in names})
         write_json(self._folder.path / "evaluations.json", self._evaluations)
 
-    def _fresh(self, policy: TrainedPolicy, *, deterministic: bool, number: int) -> Evaluation:
+    def _glance(self, policy: TrainedPolicy, number: int) -> Evaluation:
+        """Evaluate mean actions as cheaply as can be: from fixed starts all episodes are equal."""
+        random_starts = self._task.settings.get("random_starts", False)
+        episodes = self._task.config.episodes if random_starts else 1
+        return self._fresh(policy, deterministic=True, number=number, episodes=episodes)
+
+    def _fresh(
+        self,
+        policy: TrainedPolicy,
+        *,
+        deterministic: bool,
+        number: int,
+        episodes: int | None = None,
+    ) -> Evaluation:
         """Evaluate with the seed of the evaluation's ``number``; every run has the same seeds."""
         return evaluate(
             policy,
             self._task.field,
             self._task.settings,
-            episodes=self._task.config.episodes,
+            episodes=episodes or self._task.config.episodes,
             deterministic=deterministic,
             seed=EVALUATION_SEED + number,
         )

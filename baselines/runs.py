@@ -23,6 +23,7 @@ import importlib.metadata
 import json
 import os
 import platform
+import re
 import shlex
 import shutil
 import subprocess
@@ -33,6 +34,7 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from baselines.algorithms import Setting, find_algorithm
+from baselines.overrides import ENVIRONMENT, words_of
 from baselines.storage import (
     RunError,
     read_json,
@@ -42,6 +44,9 @@ from baselines.storage import (
 )
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, load_field, save_field
+
+LABEL = re.compile(r"[A-Za-z0-9][\w.+-]*")
+"""Labels name folders too."""
 
 REWRITTEN = ("field.yaml", "resumed.json", "evaluations.json", "evaluation.json")
 """Files of a run folder that training writes again, each as a whole."""
@@ -84,6 +89,7 @@ class TrainConfig:
         hyperparams: a YAML file whose block of the setting takes the place of the recorded one.
         transferred_from: under setting C, the folder of the run whose policy it begins with.
         device: what the networks run on, ``"cpu"`` or (centralised algorithms) ``"cuda"``.
+        label: what tables and figures call it; ``None`` for :func:`default_label`.
         environment: settings of the environment that differ from the algorithm's own.
         hyperparameters: hyperparameters that differ from the algorithm's own.
 
@@ -103,6 +109,7 @@ class TrainConfig:
     hyperparams: Path | None = None
     transferred_from: Path | None = None
     device: Literal["cpu", "cuda"] = "cpu"
+    label: str | None = None
     environment: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     hyperparameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -128,16 +135,21 @@ class TrainConfig:
             problems.append(f"from: setting {self.setting} begins anew; allowed: setting C")
         if self.device != "cpu" and algorithm.form == "decentralized":
             problems.append(f"device: {self.algorithm} runs on cpu, not on {self.device}")
+        if self.label is not None and not LABEL.fullmatch(self.label):
+            problems.append(
+                f"label: {self.label!r}; allowed: letters, digits, _ . + -, the first a letter "
+                "or digit"
+            )
         if problems:
             raise ConfigError("training", problems)
         load_field(self.field)
 
     @property
     def name(self) -> str:
-        """The run's name, unique within a comparison: algorithm, setting, field and seed."""
+        """The run's name, unique in a comparison: label or algorithm and setting; field; seed."""
         form = find_algorithm(self.algorithm).form
         learner = f"{self.algorithm}-{self.setting}" if form == "centralized" else self.algorithm
-        return f"{learner}-{Path(self.field).stem}-seed{self.seed}"
+        return f"{self.label or learner}-{Path(self.field).stem}-seed{self.seed}"
 
     @property
     def command(self) -> str:
@@ -152,10 +164,19 @@ class TrainConfig:
             "--hyperparams": self.hyperparams,
             "--from": self.transferred_from,
             "--device": self.device,
+            "--label": self.label,
         }
         given = {name: value for name, value in options.items() if value is not None}
         words = [str(word) for option in given.items() for word in option]
+        environment = {ENVIRONMENT: self.environment} if self.environment else {}
+        if changes := words_of({**self.hyperparameters, **environment}):
+            words += ["--set", *changes]
         return shlex.join(["mbn", "train", self.algorithm, self.field, *words])
+
+
+def default_label(algorithm: str, setting: str) -> str:
+    """What tables and figures call a run without a label: setting N goes without saying."""
+    return algorithm if setting == "N" else f"{algorithm}-{setting}"
 
 
 @dataclass(frozen=True)

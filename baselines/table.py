@@ -1,131 +1,114 @@
-"""The comparison table: what the runs recorded, summarised over seeds."""
+"""A comparison as tables, on a terminal and as Markdown."""
 
 from __future__ import annotations
 
-import csv
-import io
-import itertools
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from dataclasses import replace
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from baselines.algorithms import find_algorithm
-from baselines.optimum import optimal_return
-from baselines.runs import RunFolder
-from baselines.statistics import mean_interval, mean_of_known, reach
-from baselines.storage import write_json, write_text
-from mbn_marl.config import make_config
+from baselines.paper.grid import Grid
+from baselines.stratified import Estimate
+from baselines.summary import Aggregate, Comparison, Row, Summary
+
+UNKNOWN = "-"
 
 
-@dataclass(frozen=True)
-class Row:
-    """One algorithm on one field, over seeds.
-
-    Attributes:
-        algorithm: its name.
-        form: ``"centralized"`` or ``"decentralized"``.
-        field: the field's name.
-        seeds: number of runs.
-        env_steps: env-steps of a run.
-        return_mean: mean over seeds of the mean true team return of the final stochastic episodes.
-        return_low: lower end of its 95 % bootstrap interval; ``None`` for one seed.
-        return_high: upper end.
-        success_rate: share of those episodes that visited every ROI.
-        makespan: mean length of the successful ones, in steps.
-        optimum: the proved best return, or ``None`` if there is no proof.
-        optimum_share: ``return_mean / optimum``.
-        deterministic_return: mean over seeds of the return with mean actions.
-        reached: runs with a fresh evaluation at 100 000 or more.
-        env_steps_to_threshold: mean env-steps of the first such evaluation, of those runs.
-        seconds_to_threshold: mean training seconds of it, evaluations excluded.
-        seconds: mean training seconds of a whole run, evaluations excluded.
-    """
-
-    algorithm: str
-    form: str
-    field: str
-    seeds: int
-    env_steps: int
-    return_mean: float
-    return_low: float | None
-    return_high: float | None
-    success_rate: float
-    makespan: float | None
-    optimum: float | None
-    optimum_share: float | None
-    deterministic_return: float
-    reached: int
-    env_steps_to_threshold: float | None
-    seconds_to_threshold: float | None
-    seconds: float
+def print_comparison(comparison: Comparison, console: Console) -> None:
+    """Print every table, 80 columns wide for a few labels, with what its columns mean below."""
+    per_field, overall = field_grids(comparison), overall_grids(comparison)
+    for title, grid in per_field.items():
+        console.print(_rich(title, grid))
+    console.print(next(iter(per_field.values())).caption, "\n")
+    for title, grid in overall.items():
+        console.print(_rich(title, grid))
+        console.print(grid.caption, "\n")
 
 
-def summarise(runs: Sequence[RunFolder]) -> Row:
-    """Summarise the finished runs of one algorithm on one field, one run per seed.
+def markdown(title: str, grid: Grid, level: int = 2) -> str:
+    """A table as a section of a page."""
+    headings = tuple(word.replace("-\n", "").replace("\n", " ") for word in grid.headings)
+    return f"{'#' * level} {title}\n\n{replace(grid, headings=headings).markdown()}"
 
-    Raises:
-        RunError: a run is not finished.
-    """
-    config = runs[0].config
-    finals = [run.evaluation for run in runs]
-    stochastic = [final["stochastic"] for final in finals]
-    returns = mean_interval([entry["return_mean"] for entry in stochastic])
-    hits = reach([run.evaluations for run in runs])
-    field = runs[0].field
-    optimum = optimal_return(field, make_config(config["environment"]))
-    return Row(
-        algorithm=config["algorithm"],
-        form=find_algorithm(config["algorithm"]).form,
-        field=field.name,
-        seeds=len(runs),
-        env_steps=finals[0]["env_steps"],
-        return_mean=returns.mean,
-        return_low=returns.low,
-        return_high=returns.high,
-        success_rate=mean_interval([entry["success_rate"] for entry in stochastic]).mean,
-        makespan=mean_of_known(entry["makespan"] for entry in stochastic),
-        optimum=optimum,
-        optimum_share=None if optimum is None else returns.mean / optimum,
-        deterministic_return=mean_interval(
-            [final["deterministic"]["return_mean"] for final in finals]
-        ).mean,
-        reached=hits.reached,
-        env_steps_to_threshold=hits.env_steps,
-        seconds_to_threshold=hits.seconds,
-        seconds=mean_interval([final["seconds"] for final in finals]).mean,
+
+def overall_grids(comparison: Comparison) -> dict[str, Grid]:
+    """Tables over all fields, by title."""
+    grids = {}
+    if comparison.aggregates:
+        first = comparison.aggregates[0]
+        fields = f"{first.fields} field{'' if first.fields == 1 else 's'}"
+        grids[f"Over {fields}, {first.seeds} seeds each"] = _aggregates(comparison)
+    if len(comparison.improvement) > 1:
+        grids["Probability of improvement"] = _improvement(comparison)
+    return grids
+
+
+def field_grids(comparison: Comparison) -> dict[str, Grid]:
+    """A table for each field, by title."""
+    rows: dict[str, list[Row]] = {}
+    for row in comparison.rows:
+        rows.setdefault(row.field, []).append(row)
+    return {_title(group): _rows(group) for group in rows.values()}
+
+
+def _aggregates(comparison: Comparison) -> Grid:
+    left_out = ", ".join(comparison.unproved)
+    caption = (
+        "Scores are true returns as shares of the field's proved optimum. IQM: interquartile mean "
+        "of all runs, with its 95 % interval by stratified bootstrap; gap: the optimality gap, how "
+        "far runs fall short of 1 on average, with sampled and with mean actions; to 100k: as per "
+        "field." + (f" Left out, with no proved optimum: {left_out}." if left_out else "")
+    )
+    headings = (
+        "algo",
+        "IQM",
+        "interval",
+        "gap",
+        "gap, mean\nactions",
+        "success",
+        "steps to\n100k",
+        "s to\n100k",
+    )
+    return Grid(caption, headings, tuple(map(_aggregate_line, comparison.aggregates)))
+
+
+def _aggregate_line(aggregate: Aggregate) -> tuple[str, ...]:
+    return (
+        aggregate.label,
+        f"{aggregate.iqm.value:.1%}",
+        _interval(aggregate.iqm),
+        f"{aggregate.gap.value:.2%}",
+        f"{aggregate.deterministic_gap.value:.2%}",
+        f"{aggregate.success_rate:.1%}",
+        *_threshold(aggregate, aggregate.seeds * aggregate.fields),
     )
 
 
-def write_table(rows: Sequence[Row], folder: Path) -> None:
-    """Write ``table.csv`` and ``table.json`` into ``folder``; an unknown value is empty or null."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(row) for row in rows)
-    write_text(folder / "table.csv", text.getvalue())
-    write_json(folder / "table.json", [asdict(row) for row in rows])
+def _improvement(comparison: Comparison) -> Grid:
+    labels = tuple(comparison.improvement)
+
+    def cell(ours: str, theirs: str) -> str:
+        return UNKNOWN if ours == theirs else f"{comparison.improvement[ours][theirs].value:.0%}"
+
+    caption = (
+        "How likely a run of the row has a higher return with sampled actions than a run of the "
+        "column on the same field, mean over all fields; equal returns count half."
+    )
+    lines = tuple((ours, *(cell(ours, theirs) for theirs in labels)) for ours in labels)
+    return Grid(caption, ("", *labels), lines)
 
 
-def print_table(rows: Sequence[Row], console: Console) -> None:
-    """Print a table per field, 80 columns wide, with what the columns mean below."""
-    for _, group in itertools.groupby(rows, key=lambda row: row.field):
-        console.print(_table_of_field(list(group)))
-    console.print(
+def _rows(rows: Sequence[Row]) -> Grid:
+    caption = (
         "Fresh episodes with sampled actions, mean over seeds; the interval is the 95 % bootstrap "
         "over seeds. mean actions: the return without sampling. to 100k: until the first fresh "
         "evaluation at 100 000 or more, mean of the runs that got there (how many did); seconds "
         "are of training alone."
     )
-
-
-def _table_of_field(rows: Sequence[Row]) -> Table:
-    table = Table(title=_title(rows), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("algo")
-    for heading in (
+    headings = (
+        "algo",
         "return",
         "interval\n(x 1000)",
         "success",
@@ -134,42 +117,55 @@ def _table_of_field(rows: Sequence[Row]) -> Table:
         "mean\nactions",
         "steps to\n100k",
         "s to\n100k",
-    ):
-        table.add_column(heading, justify="right")
-    for row in rows:
-        table.add_row(
-            row.algorithm,
-            f"{row.return_mean:,.0f}",
-            _interval(row),
-            f"{row.success_rate:.1%}",
-            _shown(row.makespan, "{:.1f}"),
-            _shown(row.optimum_share, "{:.1%}"),
-            f"{row.deterministic_return:,.0f}",
-            f"{_thousands(row.env_steps_to_threshold)} {row.reached}/{row.seeds}",
-            _shown(row.seconds_to_threshold, "{:.1f}"),
-        )
-    return table
+    )
+    return Grid(caption, headings, tuple(map(_row_line, rows)))
 
 
-def _interval(row: Row) -> str:
-    """The interval in thousands."""
-    if row.return_low is None or row.return_high is None:
-        return "-"
-    return f"{row.return_low / 1000.0:.1f}..{row.return_high / 1000.0:.1f}"
+def _row_line(row: Row) -> tuple[str, ...]:
+    return (
+        row.label,
+        f"{row.return_mean:,.0f}",
+        _thousands(row.return_low, row.return_high),
+        f"{row.success_rate:.1%}",
+        _shown(row.makespan, "{:.1f}"),
+        _shown(row.optimum_share, "{:.1%}"),
+        f"{row.deterministic_return:,.0f}",
+        *_threshold(row, row.seeds),
+    )
 
 
-def _thousands(value: float | None) -> str:
-    return "-" if value is None else f"{value / 1000.0:,.0f}k"
+def _threshold(summary: Summary, runs: int) -> tuple[str, str]:
+    """Env-steps and seconds to the threshold, and how many of ``runs`` got there."""
+    steps = summary.env_steps_to_threshold
+    shown = UNKNOWN if steps is None else f"{steps / 1000.0:,.0f}k"
+    return f"{shown} {summary.reached}/{runs}", _shown(summary.seconds_to_threshold, "{:.1f}")
+
+
+def _thousands(low: float | None, high: float | None) -> str:
+    return UNKNOWN if low is None or high is None else f"{low / 1000.0:.1f}..{high / 1000.0:.1f}"
+
+
+def _interval(estimate: Estimate) -> str:
+    if estimate.low is None or estimate.high is None:
+        return UNKNOWN
+    return f"{100.0 * estimate.low:.1f}..{100.0 * estimate.high:.1f}"
 
 
 def _title(rows: Sequence[Row]) -> str:
-    budgets = sorted({row.env_steps for row in rows})
-    seeds = sorted({row.seeds for row in rows})
+    steps, seeds = max(row.env_steps for row in rows), rows[0].seeds
     return (
-        f"{rows[0].field}: {' / '.join(f'{steps:,}' for steps in budgets)} env-steps a run, "
-        f"{' / '.join(map(str, seeds))} seeds each"
+        f"{rows[0].field}: {steps:,} env-steps a run, {seeds} seed{'' if seeds == 1 else 's each'}"
     )
 
 
 def _shown(value: float | None, form: str) -> str:
-    return "-" if value is None else form.format(value)
+    return UNKNOWN if value is None else form.format(value)
+
+
+def _rich(title: str, grid: Grid) -> Table:
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for index, heading in enumerate(grid.headings):
+        table.add_column(heading, justify="left" if index < grid.words else "right")
+    for line in grid.lines:
+        table.add_row(*line)
+    return table

@@ -10,6 +10,7 @@ from typing import Any
 
 from baselines.algorithms import find_algorithm
 from baselines.hyperparameters import Hyperparameters
+from baselines.loggers import find_wandb
 from baselines.progress import Listener
 from baselines.recorder import Recorder
 from baselines.runs import DivergenceError, RunFolder, Task, TrainConfig
@@ -26,6 +27,7 @@ def train(
     command: str | None = None,
     force: bool = False,
     resume: bool = False,
+    wandb: str | None = None,
     listener: Listener = lambda report: None,
 ) -> RunFolder:
     """Train one policy and evaluate it.
@@ -40,6 +42,7 @@ def train(
         force: move a folder that is already there aside.
         resume: go on with the interrupted run in ``out``, which must be of the same configuration,
             from its newest checkpoint. A finished one is left as it is.
+        wandb: a project of Weights & Biases to log to as well.
         listener: is told where the run stands.
 
     Raises:
@@ -51,6 +54,8 @@ def train(
 
     if config.device == "cuda" and not torch.cuda.is_available():
         raise ConfigError("training", ["device: torch finds no GPU here; allowed: cpu"])
+    if wandb is not None:
+        find_wandb()
     torch.set_num_threads(1)
     algorithm = find_algorithm(config.algorithm)
     hyperparameters = resolve_hyperparameters(config)
@@ -68,7 +73,7 @@ def train(
         folder = make(out, resolved, task.field, command)
         if not folder.finished:
             with _divergence_named(folder):
-                algorithm.train(task, hyperparameters, Recorder(folder, task, listener))
+                algorithm.train(task, hyperparameters, Recorder(folder, task, listener, wandb))
     return folder
 
 

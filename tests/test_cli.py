@@ -84,7 +84,7 @@ def test_compare_writes_table_and_figures(
     assert main(["compare", *chosen, *TINY, "--processes", "2", "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "ppo" in printed and "mappo" in printed
-    rows = json.loads((out / "table.json").read_text())
+    rows = json.loads((out / "comparison.json").read_text())["rows"]
     assert [(row["algorithm"], row["seeds"]) for row in rows] == [("ppo", 2), ("mappo", 2)]
     finals = [
         json.loads((out / f"ppo-N-field_03-seed{seed}" / "evaluation.json").read_text())
@@ -95,12 +95,16 @@ def test_compare_writes_table_and_figures(
     with (out / "table.csv").open(newline="") as file:
         assert [row["algorithm"] for row in csv.DictReader(file)] == ["ppo", "mappo"]
     assert {path.name for path in out.iterdir() if path.is_file()} == {
+        "aggregates.png",
         "command.txt",
+        "comparison.json",
+        "comparison.md",
         "config.json",
         "episode_field_03.gif",
+        "improvement.png",
         "learning_curves_field_03.png",
+        "profiles.png",
         "table.csv",
-        "table.json",
         "trajectories_field_03.png",
         "versions.json",
     }
@@ -119,6 +123,11 @@ def test_compare_writes_table_and_figures(
         (["compare", "--fields", "field_03", str(CATALOGUE / "field_03.yaml")], "the same name"),
         (["compare", "--seeds", "0", "-1"], "seed: must be at least 0"),
         (["compare", "--processes", "0"], "processes: at least 1"),
+        (["compare", "--algos", "ppo:D"], "setting: Input should be 'A', 'B' or 'N' (got 'D')"),
+        (["compare", "--force", "--resume"], "force and resume: allowed is one of them"),
+        (["compare", "--resume", "--out", "none"], "none is not the folder of a comparison"),
+        (["train", "ippo", "field_03", "--set", "gamma"], "gamma: must be NAME=VALUE"),
+        (["train", "ippo", "field_03", "--wandb", "it"], "wandb: the package is not installed"),
         (["evaluate", "nowhere"], "nowhere is not a run folder"),
         (["render", "field_03", "-o", "picture.bmp"], ".png"),
     ],

@@ -1,4 +1,4 @@
-"""Run folders and the table made from them."""
+"""Run folders: what they hold, and what they refuse."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ import pytest
 from baselines.progress import Report, describe
 from baselines.runs import RunFolder, TrainConfig
 from baselines.storage import RunError, alone, claim_folder, read_json, write_json
-from baselines.table import summarise
-from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import load_field
 
@@ -72,49 +70,13 @@ def test_a_folder_at_work_is_not_moved_aside(tmp_path: Path) -> None:
 # Runs
 
 
-def _run_folder(path: Path, seed: int, returns: float, steps: int | None) -> RunFolder:
-    """A finished run with made-up results."""
-    config = {"algorithm": "mappo", "environment": NavigationConfig().model_dump(mode="json")}
-    folder = RunFolder.create(path / str(seed), config, load_field("field_03"), "mbn train")
-    success = {"success_rate": 0.5 if steps is None else 1.0, "makespan": steps}
-    write_json(
-        folder.path / "evaluation.json",
-        {
-            "env_steps": 1000,
-            "seconds": 10.0 + seed,
-            "stochastic": {"return_mean": returns, **success},
-            "deterministic": {"return_mean": returns + 100.0},
-        },
-    )
-    history = [
-        {"env_steps": 100, "seconds": 2.0, "return_mean": 0.0},
-        {"env_steps": 200, "seconds": 4.0, "return_mean": returns},
-    ]
-    write_json(folder.path / "evaluations.json", history)
-    return folder
-
-
-def test_a_table_row_from_two_runs(tmp_path: Path) -> None:
-    runs = [_run_folder(tmp_path, 0, 159_490.0, 17), _run_folder(tmp_path, 1, 79_745.0, None)]
-    row = summarise(runs)
-    assert (row.algorithm, row.form, row.field) == ("mappo", "decentralized", "field_03")
-    assert (row.seeds, row.env_steps, row.seconds) == (2, 1000, 10.5)
-    assert (row.return_low, row.return_mean, row.return_high) == (79_745.0, 119_617.5, 159_490.0)
-    assert (row.success_rate, row.makespan) == (0.75, 17.0)
-    assert (row.optimum, row.optimum_share) == (159_490.0, 0.75)
-    assert row.deterministic_return == 119_717.5
-    assert (row.reached, row.env_steps_to_threshold, row.seconds_to_threshold) == (1, 200.0, 4.0)
-
-
-def test_a_table_needs_finished_runs(tmp_path: Path) -> None:
-    run = _run_folder(tmp_path, 0, 0.0, None)
-    (run.path / "evaluation.json").unlink()
-    with pytest.raises(RunError, match="not a finished run"):
-        summarise([run])
+def _run_folder(path: Path) -> RunFolder:
+    """A run that has just begun."""
+    return RunFolder.create(path / "run", {"algorithm": "mappo"}, load_field("field_03"), "mbn")
 
 
 def test_progress_has_the_columns_of_its_first_row(tmp_path: Path) -> None:
-    run = _run_folder(tmp_path, 0, 0.0, None)
+    run = _run_folder(tmp_path)
     run.append_progress({"env_steps": 8.0, "loss": 0.25})
     run.append_progress({"env_steps": 16.0, "loss": float("nan")})
     with pytest.raises(ValueError, match="differ"):

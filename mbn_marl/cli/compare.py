@@ -5,14 +5,22 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from baselines.compare import CompareConfig
+    from baselines.summary import Comparison
 
 
 @dataclass(frozen=True)
 class Compare:
     """Train every algorithm on every field with every seed, then print and write a comparison."""
 
-    algos: tuple[str, ...] = ("ppo", "mappo", "ippo")
-    """ppo (the centralised single MDP), mappo, ippo (decentralised)."""
+    algos: tuple[str, ...] = ()
+    """Algorithms of `mbn train`, centralised and decentralised together; crossq:A is crossq under
+    setting A, crossq under N. By default ppo mappo ippo."""
+    variants: Path | None = None
+    """Instead of --algos: a YAML file of labelled variants, see docs/comparison.md."""
     fields: tuple[str, ...] = ("field_03",)
     """Names of `mbn fields`, or paths of field files."""
     seeds: tuple[int, ...] = (0, 1, 2)
@@ -26,33 +34,84 @@ class Compare:
     processes: int = os.cpu_count() or 1
     """Runs at a time; each takes one core."""
     out: Path = Path("runs/comparison")
-    """The folder to write: table, figures, GIF, and a run folder for every run."""
+    """The folder to write: tables, figures, GIFs, and a run folder for every run."""
     force: bool = False
     """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
+    resume: bool = False
+    """Go on with the comparison in the folder: finished runs are kept, interrupted ones go on,
+    missing ones are started. The rest of the command must be the same."""
+    wandb: str | None = None
+    """Log every run to this project of Weights & Biases too (pip install wandb)."""
 
     def run(self, command_line: str) -> None:
-        """Train with a bar for every run, then print the table."""
-        from rich.console import Console
-
-        from baselines.compare import CompareConfig, compare
-        from baselines.progress import ProgressDisplay
-        from baselines.table import print_table
+        """Train with a bar for every run, then print the tables."""
+        from baselines.compare import CompareConfig
+        from baselines.variants import parse_variants, read_variants
         from mbn_marl.errors import ConfigError
 
-        if self.processes < 1:
-            raise ConfigError("comparison", [f"processes: at least 1, not {self.processes}"])
+        if self.algos and self.variants is not None:
+            raise ConfigError("comparison", ["algos and variants: allowed is one of them"])
+        named = parse_variants(self.algos or ("ppo", "mappo", "ippo"))
         config = CompareConfig(
-            self.algos, self.fields, self.seeds, self.steps, self.evaluate_every, self.episodes
+            named if self.variants is None else read_variants(self.variants),
+            self.fields,
+            self.seeds,
+            self.steps,
+            self.evaluate_every,
+            self.episodes,
         )
-        with ProgressDisplay([run.name for run in config.runs()], config.steps) as display:
-            rows = compare(
-                config,
-                self.out,
-                command=command_line,
-                processes=self.processes,
-                force=self.force,
-                listener=display,
-            )
-        console = Console()
-        print_table(rows, console)
-        console.print(f"written to {self.out}: table, figures, GIF and the runs")
+        train_and_compare(
+            config,
+            self.out,
+            command=command_line,
+            processes=self.processes,
+            force=self.force,
+            resume=self.resume,
+            wandb=self.wandb,
+        )
+        print(f"written to {self.out}: comparison.md, comparison.json, table.csv, figures, runs")
+
+
+def train_and_compare(
+    config: CompareConfig,
+    out: Path,
+    *,
+    command: str,
+    processes: int,
+    force: bool,
+    resume: bool,
+    wandb: str | None = None,
+) -> Comparison:
+    """Run a comparison with a bar for every run, and print its tables.
+
+    Raises:
+        ConfigError: ``force`` and ``resume`` together, or no process, and as ``compare``.
+        RunError: as ``compare``.
+    """
+    from rich.console import Console
+
+    from baselines.compare import compare
+    from baselines.progress import ProgressDisplay
+    from baselines.table import print_comparison
+    from mbn_marl.errors import ConfigError
+
+    problems = []
+    if processes < 1:
+        problems.append(f"processes: at least 1, not {processes}")
+    if force and resume:
+        problems.append("force and resume: allowed is one of them")
+    if problems:
+        raise ConfigError("comparison", problems)
+    with ProgressDisplay([run.name for run in config.runs()], config.steps) as display:
+        comparison = compare(
+            config,
+            out,
+            command=command,
+            processes=processes,
+            force=force,
+            resume=resume,
+            wandb=wandb,
+            listener=display,
+        )
+    print_comparison(comparison, Console())
+    return comparison

@@ -37,6 +37,13 @@ class Train:
     """Env-steps between two fresh evaluations; after each one a checkpoint is written."""
     episodes: int = 100
     """Episodes of an evaluation."""
+    set: tuple[str, ...] = ()
+    """NAME=VALUE: hyperparameters, or environment.NAME=VALUE settings of the environment, instead
+    of the recorded ones; a value is JSON or a word, for example entropy=0.01 model.gamma=0.9."""
+    label: str | None = None
+    """What tables and figures call this run, and its folder; by default the algorithm."""
+    wandb: str | None = None
+    """Log to this project of Weights & Biases too (pip install wandb)."""
     out: Path | None = None
     """The run folder; by default runs/ALGORITHM-SETTING-FIELD-seedSEED."""
     force: bool = False
@@ -48,6 +55,7 @@ class Train:
     def run(self, command_line: str) -> None:
         """Train, with a progress bar, and print the final evaluation."""
         from baselines.algorithms import SETTINGS
+        from baselines.overrides import ENVIRONMENT, parse
         from baselines.progress import ProgressDisplay
         from baselines.runs import TrainConfig
         from baselines.train import resolve_hyperparameters, train
@@ -56,7 +64,7 @@ class Train:
 
         if self.force and self.resume:
             raise ConfigError("training", ["force and resume: allowed is one of them"])
-        protocol = SETTINGS[self.setting]
+        protocol, changes = SETTINGS[self.setting], parse(self.set)
         config = TrainConfig(
             self.algorithm,
             self.field,
@@ -69,6 +77,9 @@ class Train:
             hyperparams=self.hyperparams,
             transferred_from=self.source,
             device=self.device,
+            label=self.label,
+            environment=changes.pop(ENVIRONMENT, {}),
+            hyperparameters=changes,
         )
         for name, value in resolve_hyperparameters(config).skipped.items():
             print(f"skipped: {name} = {value}, since {self.algorithm} has no such argument")
@@ -80,6 +91,7 @@ class Train:
                 command=command_line,
                 force=self.force,
                 resume=self.resume,
+                wandb=self.wandb,
                 listener=display,
             )
         final = run.evaluation

@@ -15,6 +15,7 @@ from mbn_marl.errors import MbnError
 from mbn_marl.render import style
 from mbn_marl.render.curve_panels import Panel, panels_figure
 from mbn_marl.render.curves import Curves, curves_figure
+from mbn_marl.render.estimates import intervals_figure, profiles_figure
 from mbn_marl.render.files import replacing
 from mbn_marl.render.maps import (
     draw_field,
@@ -37,9 +38,11 @@ __all__ = [
     "draw_trails",
     "field_figure",
     "fields_figure",
+    "intervals_figure",
     "learning_curve_panels",
     "learning_curves",
     "pairs",
+    "profiles_figure",
     "save",
     "study_figure",
     "trajectory_figure",

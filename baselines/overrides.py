@@ -1,0 +1,66 @@
+"""Values that differ from the recorded ones, as ``NAME=VALUE`` on the command line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mbn_marl.errors import ConfigError
+
+ENVIRONMENT = "environment"
+"""Names that begin with this and a point are settings of the environment."""
+
+
+def parse(words: Sequence[str]) -> dict[str, Any]:
+    """Read ``NAME=VALUE`` words into nested mappings.
+
+    A name goes into depth at its points; a value is JSON, or else the word as it is.
+    ``["model.gamma=0.9", "sharing=full"]`` is ``{"model": {"gamma": 0.9}, "sharing": "full"}``.
+
+    Raises:
+        ConfigError: naming every word that is not so, or that sets again what another has set.
+    """
+    values: dict[str, Any] = {}
+    problems = []
+    for word in words:
+        name, equals, text = word.partition("=")
+        *path, last = name.split(".")
+        if not equals or not all([*path, last]):
+            problems.append(f"{word}: must be NAME=VALUE, for example model.gamma=0.9")
+            continue
+        place: Any = values
+        for part in path:
+            place = place.setdefault(part, {}) if isinstance(place, dict) else None
+        if not isinstance(place, dict) or last in place:
+            problems.append(f"{word}: {name} is set twice")
+            continue
+        place[last] = _value(text)
+    if not isinstance(values.get(ENVIRONMENT, {}), dict):
+        problems.append(f"{ENVIRONMENT}: must be {ENVIRONMENT}.NAME=VALUE")
+    if problems:
+        raise ConfigError("set", problems)
+    return values
+
+
+def words_of(values: Mapping[str, Any]) -> list[str]:
+    """The words that :func:`parse` reads ``values`` from."""
+    words = []
+    for name, value in values.items():
+        if isinstance(value, Mapping) and value:
+            words += [f"{name}.{word}" for word in words_of(value)]
+        else:
+            words.append(f"{name}={_text(value)}")
+    return words
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
+
+
+def _text(value: Any) -> str:
+    is_word = isinstance(value, str) and _value(value) == value
+    return value if is_word else json.dumps(value)

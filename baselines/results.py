@@ -1,0 +1,241 @@
+"""Finished runs as results that can be compared: the same seeds, budgets and evaluations."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.algorithms import Form, find_algorithm
+from baselines.optimum import VIEW, optimal_return
+from baselines.runs import RunFolder, default_label
+from baselines.storage import RunError
+from mbn_marl.config import make_config
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field
+
+Kind = Literal["stochastic", "deterministic"]
+"""Of a final evaluation: with sampled actions, or with mean ones."""
+
+EQUAL_EVERYWHERE = ("steps", "evaluate_every", "episodes")
+"""What all runs of a comparison have in common: budget and evaluations."""
+EQUAL_IN_A_LABEL = ("algorithm", "setting", "environment", "hyperparameters")
+"""What runs of one label have in common: they differ in field and seed alone."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a finished run recorded.
+
+    Attributes:
+        run: its folder.
+        config: its configuration.
+        field: the field it was trained on.
+        evaluations: the summaries of its fresh evaluations, in order.
+        evaluation: the final evaluation.
+    """
+
+    run: RunFolder
+    config: Mapping[str, Any]
+    field: Field
+    evaluations: Sequence[dict[str, Any]]
+    evaluation: Mapping[str, Any]
+
+    @classmethod
+    def read(cls, run: RunFolder) -> Result:
+        """Read a run.
+
+        Raises:
+            RunError: it is not finished, or a file cannot be read.
+        """
+        return cls(run, run.config, run.field, run.evaluations, run.evaluation)
+
+    @property
+    def label(self) -> str:
+        """What tables and figures call it."""
+        config = self.config
+        return config.get("label") or default_label(config["algorithm"], config["setting"])
+
+    @property
+    def form(self) -> Form:
+        """Whether one policy moved all robots, or each robot its own."""
+        return find_algorithm(self.config["algorithm"]).form
+
+    @cached_property
+    def optimum(self) -> float | None:
+        """The proved best return, or ``None`` if nothing is proved."""
+        return optimal_return(self.field, make_config(self.config["environment"]))
+
+    def final(self, *path: str) -> float:
+        """A number of the final evaluation."""
+        value: Any = self.evaluation
+        for name in path:
+            value = value[name]
+        return float(value)
+
+
+@dataclass(frozen=True)
+class Results:
+    """Results that may be compared: each label on each field with equally many seeds.
+
+    Attributes:
+        labels: in order.
+        fields: names, in order.
+        cells: the results of each label and field, by seed.
+    """
+
+    labels: tuple[str, ...]
+    fields: tuple[str, ...]
+    cells: Mapping[tuple[str, str], tuple[Result, ...]]
+
+    @classmethod
+    def of(cls, results: Sequence[Result]) -> Results:
+        """Put results together.
+
+        Raises:
+            ConfigError: naming everything that keeps them from being compared.
+        """
+        if not results:
+            raise ConfigError("comparison", ["runs: there is none"])
+        labels = tuple(dict.fromkeys(result.label for result in results))
+        fields = tuple(dict.fromkeys(result.field.name for result in results))
+        cells: dict[tuple[str, str], list[Result]] = {
+            (label, field): [] for label in labels for field in fields
+        }
+        for result in results:
+            cells[result.label, result.field.name].append(result)
+        problems = [
+            *_unequal_seeds(cells),
+            *_differences(results, EQUAL_EVERYWHERE, "all runs"),
+            *(
+                problem
+                for label in labels
+                for problem in _differences(
+                    [result for result in results if result.label == label],
+                    EQUAL_IN_A_LABEL,
+                    f"runs labelled {label}",
+                )
+            ),
+            *_different_worlds(results),
+            *_different_fields(results),
+        ]
+        if problems:
+            raise ConfigError("comparison", problems)
+        ordered = {
+            place: tuple(sorted(cell, key=lambda result: int(result.config["seed"])))
+            for place, cell in cells.items()
+        }
+        return cls(labels, fields, ordered)
+
+    @property
+    def seeds(self) -> int:
+        """Runs of a cell."""
+        return len(next(iter(self.cells.values())))
+
+    def of_label(self, label: str) -> list[Result]:
+        """The results of a label, field by field."""
+        return [result for field in self.fields for result in self.cells[label, field]]
+
+    def returns(self, label: str, kind: Kind = "stochastic") -> NDArray[np.float64]:
+        """The final mean returns of a label, (fields, seeds)."""
+        return np.array(
+            [
+                [result.final(kind, "return_mean") for result in self.cells[label, field]]
+                for field in self.fields
+            ]
+        )
+
+    def optima(self) -> NDArray[np.float64]:
+        """The proved best returns, (fields,); NaN where nothing is proved."""
+        firsts = [self.cells[self.labels[0], field][0] for field in self.fields]
+        return np.array([first.optimum for first in firsts], np.float64)
+
+    def proved(self) -> Results | None:
+        """The part on fields with a proved optimum; ``None`` if there is none."""
+        known = np.isfinite(self.optima())
+        fields = tuple(itertools.compress(self.fields, known))
+        cells = {place: cell for place, cell in self.cells.items() if place[1] in fields}
+        return Results(self.labels, fields, cells) if fields else None
+
+
+def find_results(paths: Sequence[Path]) -> Results:
+    """Read the runs at ``paths``: run folders, or folders with run folders anywhere inside.
+
+    Raises:
+        RunError: a path holds no run, or a run is not finished.
+        ConfigError: naming everything that keeps the runs from being compared.
+    """
+    folders = {folder.resolve(): folder for path in paths for folder in _run_folders(path)}
+    return Results.of([Result.read(RunFolder.open(folder)) for folder in folders.values()])
+
+
+def _run_folders(path: Path) -> list[Path]:
+    if not path.is_dir():
+        raise RunError(f"{path} is not a folder")
+    folders = [file.parent for file in sorted(path.rglob("field.yaml"))]
+    if not folders:
+        raise RunError(f"{path} is not a run folder, and holds none")
+    return folders
+
+
+def _unequal_seeds(cells: Mapping[tuple[str, str], Sequence[Result]]) -> list[str]:
+    """Cells with fewer seeds than another has, and seeds that are there twice."""
+    problems = []
+    seeds = {place: [result.config["seed"] for result in cell] for place, cell in cells.items()}
+    most = max(len(set(numbers)) for numbers in seeds.values())
+    for (label, field), numbers in seeds.items():
+        place = f"{label} on {field}"
+        if len(set(numbers)) < most:
+            there = ", ".join(map(str, sorted(set(numbers)))) or "none"
+            problems.append(
+                f"seeds: {place} has {len(set(numbers))} ({there}), another has {most}; allowed: "
+                "equally many everywhere"
+            )
+        problems += [
+            f"seeds: {place} has seed {seed} twice"
+            for seed in sorted(set(numbers))
+            if numbers.count(seed) > 1
+        ]
+    return problems
+
+
+def _differences(results: Sequence[Result], names: Iterable[str], whose: str) -> list[str]:
+    """The entries of the configuration in which a result differs from the first one."""
+    first = results[0]
+    return [
+        f"{name}: must be the same in {whose}; {first.run.path.name} has {first.config[name]!r}, "
+        f"{other.run.path.name} {other.config[name]!r}"
+        for name in names
+        for other in [next((r for r in results if r.config[name] != first.config[name]), None)]
+        if other is not None
+    ]
+
+
+def _different_worlds(results: Sequence[Result]) -> list[str]:
+    """Settings of the environment, but for those of a learner's view, that are not the same."""
+    first = results[0]
+    return [
+        f"environment.{name}: must be the same in all runs; {first.run.path.name} has {value!r}, "
+        f"{other.run.path.name} {other.config['environment'].get(name)!r}"
+        for name, value in first.config["environment"].items()
+        if name not in VIEW
+        for other in results
+        if other.config["environment"].get(name) != value
+    ][:1]
+
+
+def _different_fields(results: Sequence[Result]) -> list[str]:
+    """Names that two fields have."""
+    firsts: dict[str, Result] = {}
+    return [
+        f"fields: {first.run.path.name} and {result.run.path.name} have different fields of the "
+        f"name {result.field.name}"
+        for result in results
+        if (first := firsts.setdefault(result.field.name, result)).field != result.field
+    ]
