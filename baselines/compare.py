@@ -18,9 +18,10 @@ from baselines.progress import Listener
 from baselines.results import Result, Results
 from baselines.runs import RunFolder, TrainConfig, write_provenance
 from baselines.statistics import RETURN_THRESHOLD
-from baselines.storage import RunError, claim_folder, read_json, write_json, write_text
+from baselines.storage import RunError, alone, claim_folder, read_json, write_json, write_text
 from baselines.summary import THRESHOLDS, Comparison, summarise
 from baselines.table import field_grids, markdown, overall_grids
+from baselines.train import prepare
 from baselines.variants import Variant
 from mbn_marl.errors import ConfigError
 
@@ -92,7 +93,7 @@ class CompareConfig:
         return as_json
 
 
-def compare(
+def train_all_runs(
     config: CompareConfig,
     out: Path,
     *,
@@ -102,8 +103,8 @@ def compare(
     resume: bool = False,
     wandb: str | None = None,
     listener: Listener = lambda report: None,
-) -> Comparison:
-    """Train every run into a folder of its own under ``out``, then write tables and figures.
+) -> Results:
+    """Train every run into a folder of its own under ``out``.
 
     Args:
         config: what to compare.
@@ -117,19 +118,24 @@ def compare(
         listener: is told where the runs stand.
 
     Raises:
-        RunError: ``out`` already holds something, or a run failed.
+        RunError: ``out`` already holds something, or another process compares there, or a run
+            failed.
         ConfigError: with ``resume``, naming every entry of the configuration that differs.
+        MbnError: a hyperparameter or a setting of a variant is not valid.
     """
+    for run in config.runs():
+        prepare(run)
     if resume:
         _check_same(config, out)
     else:
         claim_folder(out, force=force)
-        write_json(out / "config.json", config.to_json())
-        write_provenance(out, command)
-    jobs = [_job(run, out / run.name, wandb) for run in config.runs()]
-    train_all(jobs, processes, listener)
-    results = Results.of([Result.read(RunFolder.open(job.out)) for job in jobs])
-    return write_comparison(results, out)
+    with alone(out, "mbn compare"):
+        if not resume:
+            write_json(out / "config.json", config.to_json())
+            write_provenance(out, command)
+        jobs = [_job(run, out / run.name, wandb) for run in config.runs()]
+        train_all(jobs, processes, listener)
+    return Results.of([Result.read(RunFolder.open(job.out)) for job in jobs])
 
 
 def _check_same(config: CompareConfig, out: Path) -> None:

@@ -20,10 +20,10 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
     """Print every table, 80 columns wide for a few labels, with what its columns mean below."""
     per_field, overall = field_grids(comparison), overall_grids(comparison)
     for title, grid in per_field.items():
-        console.print(_rich(title, grid))
+        console.print(rich_table(title, grid))
     console.print(next(iter(per_field.values())).caption, "\n")
     for title, grid in overall.items():
-        console.print(_rich(title, grid))
+        console.print(rich_table(title, grid))
         console.print(grid.caption, "\n")
 
 
@@ -162,7 +162,8 @@ def _shown(value: float | None, form: str) -> str:
     return UNKNOWN if value is None else form.format(value)
 
 
-def _rich(title: str, grid: Grid) -> Table:
+def rich_table(title: str, grid: Grid) -> Table:
+    """A table for a terminal."""
     table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for index, heading in enumerate(grid.headings):
         table.add_column(heading, justify="left" if index < grid.words else "right")

@@ -58,10 +58,7 @@ def train(
         find_wandb()
     torch.set_num_threads(1)
     algorithm = find_algorithm(config.algorithm)
-    hyperparameters = resolve_hyperparameters(config)
-    settings = {**hyperparameters.environment, **config.environment}
-    task = Task(config, load_field(config.field), settings)
-    check_source(task, hyperparameters)
+    task, hyperparameters = prepare(config)
     resolved, command = resolve(task, hyperparameters), command or config.command
     if resume:
         RunFolder.open(out)
@@ -75,6 +72,20 @@ def train(
             with _divergence_named(folder):
                 algorithm.train(task, hyperparameters, Recorder(folder, task, listener, wandb))
     return folder
+
+
+def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
+    """Load and resolve what a trainer gets; nothing is made yet.
+
+    Raises:
+        MbnError: the field, a setting, a hyperparameter or the run to begin with is not valid.
+    """
+    hyperparameters = resolve_hyperparameters(config)
+    settings = {**hyperparameters.environment, **config.environment}
+    make_config(settings)
+    task = Task(config, load_field(config.field), settings)
+    check_source(task, hyperparameters)
+    return task, hyperparameters
 
 
 @contextmanager

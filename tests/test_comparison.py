@@ -13,7 +13,7 @@ from rich.console import Console
 from scipy import stats
 
 from baselines import stratified
-from baselines.compare import CompareConfig, compare
+from baselines.compare import CompareConfig, train_all_runs
 from baselines.overrides import parse, words_of
 from baselines.progress import Report
 from baselines.results import Result, Results, find_results
@@ -349,34 +349,31 @@ def test_an_interrupted_comparison_goes_on(tmp_path: Path) -> None:
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        compare(CONFIG, out, command="mbn compare", processes=1, listener=interrupt)
+        train_all_runs(CONFIG, out, command="mbn compare", processes=1, listener=interrupt)
     first = out / CONFIG.runs()[0].name / "evaluation.json"
     finished_at = first.stat().st_mtime_ns
     killed = out / CONFIG.runs()[2].name
     killed.mkdir()
     (killed / ".config.json.x").touch()  # as a process leaves it that is killed at once
-    comparison = compare(CONFIG, out, command="mbn compare", processes=1, resume=True)
-    assert [(row.label, row.seeds) for row in comparison.rows] == [
-        ("mappo-tiny", 2),
-        ("ippo-tiny", 2),
-    ]
+    results = train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
+    assert (results.labels, results.seeds) == (("mappo-tiny", "ippo-tiny"), 2)
     assert first.stat().st_mtime_ns == finished_at
     assert read_json(second / "resumed.json")[0]["env_steps"] > 0
     assert not (killed / "resumed.json").exists()
     config = read_json(second / "config.json")
     assert (config["label"], config["hyperparameters"]["num_worlds"]) == ("ippo-tiny", 4)
-    again = compare(CONFIG, out, command="mbn compare", processes=1, resume=True)
-    assert again.to_json() == comparison.to_json()
+    again = train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
+    assert summarise(again).to_json() == summarise(results).to_json()
 
 
 def test_only_the_same_comparison_goes_on(tmp_path: Path) -> None:
     out = tmp_path / "comparison"
     out.mkdir()
     with pytest.raises(RunError, match="not the folder of a comparison"):
-        compare(CONFIG, out, command="mbn compare", processes=1, resume=True)
+        train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
     write_json(out / "config.json", {**CONFIG.to_json(), "seeds": [0, 2], "steps": 7})
     with pytest.raises(ConfigError) as caught:
-        compare(CONFIG, out, command="mbn compare", processes=1, resume=True)
+        train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
     assert caught.value.problems == [
         "seeds: the comparison has [0, 2], this command [0, 1]",
         "steps: the comparison has 7, this command 320",

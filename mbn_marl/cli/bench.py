@@ -1,7 +1,8 @@
-"""``mbn bench``: how fast the suite is here, against targets and against its peers."""
+"""``mbn bench``: how fast the suite is here, and how well it learns, against targets."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -11,17 +12,47 @@ from tyro.conf import Positional
 
 @dataclass(frozen=True)
 class Bench:
-    """Measure in one run, print a table with targets, and write it as JSON and as a figure."""
+    """Measure in one run, print tables with targets, and write them and figures."""
 
-    subject: Positional[Literal["speed"]] = "speed"
-    """speed: the engine, its adapters, the plain loop, and the peers that are installed."""
+    subject: Positional[Literal["speed", "learning", "sharing"]] = "speed"
+    """speed: the engine, its adapters, the plain loop, and the peers that are installed. learning:
+    one setting on all ten fields against its targets. sharing: the ways to share parameters."""
+    fields: tuple[str, ...] = ()
+    """learning, sharing: names of `mbn fields`, or paths; by default all ten."""
+    seeds: tuple[int, ...] = ()
+    """learning, sharing: one run per variant, field and seed; by default 0 1 2 3 4."""
+    steps: int | None = None
+    """learning, sharing: env-steps of every run; by default 1,310,720 and 655,360."""
+    processes: int | None = None
+    """learning, sharing: runs at a time, each on one core; by default as many as there are."""
     out: Path | None = None
     """The folder to write; by default runs/bench-SUBJECT."""
     force: bool = False
     """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
+    resume: bool = False
+    """learning, sharing: go on with what is in the folder, as `mbn compare` does."""
 
     def run(self, command_line: str) -> None:
-        """Measure with a progress bar, then print the tables."""
+        """Measure, then print the tables."""
+        out = self.out or Path(f"runs/bench-{self.subject}")
+        if self.subject == "speed":
+            self._refuse_sizes()
+            self._measure_speed(out, command_line)
+        else:
+            self._study(out, command_line)
+
+    def _refuse_sizes(self) -> None:
+        from mbn_marl.errors import ConfigError
+
+        problems = [
+            f"{name}: for learning and sharing, not for speed"
+            for name in ("fields", "seeds", "steps", "processes", "resume")
+            if getattr(self, name)
+        ]
+        if problems:
+            raise ConfigError("bench", problems)
+
+    def _measure_speed(self, out: Path, command_line: str) -> None:
         from rich.console import Console
         from rich.progress import Progress
 
@@ -30,7 +61,7 @@ class Bench:
         from benchmarks.speed import STAGES, measure_speed
         from benchmarks.timing import Budget
 
-        folder = claim_folder(self.out or Path(f"runs/bench-{self.subject}"), force=self.force)
+        folder = claim_folder(out, force=self.force)
         console = Console()
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task("measuring", total=STAGES)
@@ -38,3 +69,27 @@ class Bench:
         print_result(result, console)
         write_result(result, folder)
         console.print(f"written to {folder}: speed.json, speed.png")
+
+    def _study(self, out: Path, command_line: str) -> None:
+        from rich.console import Console
+
+        from benchmarks.studies.learning import print_targets, target_rows, write_targets
+        from benchmarks.studies.study import STUDIES
+        from mbn_marl.cli.compare import train_and_compare
+
+        config = STUDIES[self.subject].config(self.fields, self.seeds, self.steps)
+        processes = (os.cpu_count() or 1) if self.processes is None else self.processes
+        results = train_and_compare(
+            config,
+            out,
+            command=command_line,
+            processes=processes,
+            force=self.force,
+            resume=self.resume,
+        )
+        console = Console()
+        if self.subject == "learning":
+            rows = target_rows(results, processes)
+            print_targets(rows, console)
+            write_targets(results, rows, out)
+        console.print(f"written to {out}: comparison.md, comparison.json, figures, runs")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from baselines.compare import CompareConfig
-    from baselines.summary import Comparison
+    from baselines.results import Results
 
 
 @dataclass(frozen=True)
@@ -81,16 +81,16 @@ def train_and_compare(
     force: bool,
     resume: bool,
     wandb: str | None = None,
-) -> Comparison:
-    """Run a comparison with a bar for every run, and print its tables.
+) -> Results:
+    """Train with a bar for every run, then write and print the comparison.
 
     Raises:
-        ConfigError: ``force`` and ``resume`` together, or no process, and as ``compare``.
-        RunError: as ``compare``.
+        ConfigError: ``force`` and ``resume`` together, or no process.
+        MbnError: as ``train_all_runs``.
     """
     from rich.console import Console
 
-    from baselines.compare import compare
+    from baselines.compare import train_all_runs, write_comparison
     from baselines.progress import ProgressDisplay
     from baselines.table import print_comparison
     from mbn_marl.errors import ConfigError
@@ -103,7 +103,7 @@ def train_and_compare(
     if problems:
         raise ConfigError("comparison", problems)
     with ProgressDisplay([run.name for run in config.runs()], config.steps) as display:
-        comparison = compare(
+        results = train_all_runs(
             config,
             out,
             command=command,
@@ -113,5 +113,5 @@ def train_and_compare(
             wandb=wandb,
             listener=display,
         )
-    print_comparison(comparison, Console())
-    return comparison
+    print_comparison(write_comparison(results, out), Console())
+    return results

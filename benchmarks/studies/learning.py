@@ -1,0 +1,204 @@
+"""The targets of learning: what a comparison's runs reached, and at what cost."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from statistics import median
+
+from rich.console import Console
+
+from baselines.paper.grid import Grid
+from baselines.results import Result, Results
+from baselines.storage import write_json, write_text
+from baselines.table import markdown, rich_table
+from benchmarks.results import Row
+from benchmarks.studies.passing import FieldLine, Passing, known, passes
+
+NEAR = 0.005
+"""How far below the optimum a return may be to count as near it."""
+BUDGET = 1_500_000
+"""Env-steps within which a run has to pass."""
+CAPTION = (
+    "A run passes when the mean return of fresh sampled episodes is 100 000 or more, 99 % of them "
+    "succeed, and so does the policy with mean actions. Targets are scaled to the runs made."
+)
+
+
+def makespan(seconds: Sequence[float], processes: int) -> float:
+    """How long ``processes`` workers take for jobs that they take up in this order."""
+    free = [0.0] * processes
+    for job in seconds:
+        heapq.heapreplace(free, free[0] + job)
+    return max(free)
+
+
+def target_rows(results: Results, processes: int) -> list[Row]:
+    """The targets, with what was reached.
+
+    Args:
+        results: of the study, or a part of it: the first label is the setting, the second the same
+            on the true reward only.
+        processes: how many runs went on at a time.
+    """
+    setting, *others = results.labels
+    runs = results.of_label(setting)
+    lines = [FieldLine.of(results.cells[setting, field]) for field in results.fields]
+    rows = [
+        _count(f"{setting}: final policies that pass", map(passes, runs), 1.0),
+        _bound(
+            f"{setting}: env-steps to the first evaluation that passes, worst run",
+            max(Passing.of(result).env_steps for result in runs),
+            "env-steps",
+            BUDGET,
+        ),
+        _bound(
+            f"{setting}: {len(lines)} fields, one seed each, to that evaluation, wall time",
+            median(
+                makespan([Passing.of(cell[seed]).seconds for cell in _cells(results)], processes)
+                for seed in range(results.seeds)
+            ),
+            "s",
+            18.0 * len(lines),
+            f"{processes} at a time; evaluations included, start of Python and compilation not; "
+            "median over seeds; target: 180 s for ten fields",
+        ),
+        _count(
+            f"{setting}: fields with the median return of mean actions within 0.5 % of the optimum",
+            (
+                line.optimum is not None and line.deterministic_median >= (1 - NEAR) * line.optimum
+                for line in lines
+            ),
+            1.0,
+        ),
+        *_best_of_seeds(setting, lines),
+        _bound(
+            f"{setting}: wall time of all its runs",
+            sum(result.final("wall_seconds") for result in runs) / processes,
+            "s",
+            180.0 * len(lines),
+            f"{processes} at a time; target: 30 minutes for ten fields",
+        ),
+    ]
+    for label in others:
+        rows.append(
+            _count(f"{label}: final policies that pass", map(passes, results.of_label(label)), 0.8)
+        )
+    return rows
+
+
+def _best_of_seeds(label: str, lines: Sequence[FieldLine]) -> list[Row]:
+    return [
+        _count(
+            f"{label}: fields where the best of all seeds' mean actions is at or above the paper",
+            (
+                line.paper_best is not None and line.deterministic_best >= line.paper_best
+                for line in lines
+            ),
+            0.8,
+        ),
+        _count(
+            f"{label}: fields where it is the proved optimum",
+            (line.deterministic_best == line.optimum for line in lines),
+            0.5,
+        ),
+    ]
+
+
+def print_targets(rows: Sequence[Row], console: Console) -> None:
+    """Print the targets."""
+    console.print(rich_table("targets", _targets_grid(rows)))
+    console.print(CAPTION, "\n")
+
+
+def write_targets(results: Results, rows: Sequence[Row], out: Path) -> None:
+    """Write ``learning.md`` and ``learning.json`` into the folder ``out``."""
+    lines = [FieldLine.of(cell) for cell in results.cells.values()]
+    write_json(
+        out / "learning.json",
+        {"targets": [row.to_json() for row in rows], "fields": [asdict(line) for line in lines]},
+    )
+    parts = [markdown("Targets", _targets_grid(rows))]
+    parts += [
+        markdown(label, field_grid([line for line in lines if line.label == label]))
+        for label in results.labels
+    ]
+    write_text(out / "learning.md", "\n\n".join(["# Learning", *parts]) + "\n")
+
+
+def field_grid(lines: Sequence[FieldLine]) -> Grid:
+    """The lines of one label as a table."""
+    caption = (
+        "pass: runs whose final policy does. env-steps, s: to the first evaluation that passes, "
+        "median over seeds, wall time; worst: the most env-steps. below: how far the median return "
+        "of mean actions is below the proved optimum."
+    )
+    headings = (
+        "field",
+        "pass",
+        "env-steps",
+        "worst",
+        "s",
+        "sampled return",
+        "success",
+        "mean actions",
+        "below",
+        "best",
+        "optimum",
+        "paper's best",
+    )
+    return Grid(caption, headings, tuple(map(_field_words, lines)))
+
+
+def _field_words(line: FieldLine) -> tuple[str, ...]:
+    below = None if line.optimum is None else 1.0 - line.deterministic_median / line.optimum
+    return (
+        line.field,
+        f"{line.passed}/{line.runs}",
+        _shown(line.env_steps),
+        _shown(line.worst_env_steps),
+        _shown(line.seconds, "{:.1f}"),
+        _shown(line.return_mean),
+        f"{line.success_rate:.1%}",
+        _shown(line.deterministic_median),
+        _shown(below, "{:.2%}"),
+        _shown(line.deterministic_best),
+        _shown(line.optimum),
+        _shown(line.paper_best),
+    )
+
+
+def _targets_grid(rows: Sequence[Row]) -> Grid:
+    lines = tuple(
+        (
+            row.name,
+            "never" if row.value is None else f"{row.value:,.0f} {row.unit}",
+            f"{'>=' if row.at_least else '<='} {row.target:,.0f}",
+            "met" if row.met else "missed",
+            row.note,
+        )
+        for row in rows
+    )
+    return Grid(CAPTION, ("what", "measured", "target", "", "note"), lines, words=5)
+
+
+def _cells(results: Results) -> list[tuple[Result, ...]]:
+    """The runs of the first label, field by field."""
+    return [results.cells[results.labels[0], field] for field in results.fields]
+
+
+def _count(name: str, met: Iterable[bool], share: float) -> Row:
+    """How many of some are met, with the share that is aimed at."""
+    outcomes = [bool(one) for one in met]
+    return Row(name, sum(outcomes), f"of {len(outcomes)}", share * len(outcomes))
+
+
+def _bound(name: str, value: float, unit: str, most: float, note: str = "") -> Row:
+    """A quantity that should stay below ``most``; one that is infinite has no value."""
+    return Row(name, known(value), unit, most, at_least=False, note=note)
+
+
+def _shown(value: float | None, form: str = "{:,.0f}") -> str:
+    return "-" if value is None else form.format(value)

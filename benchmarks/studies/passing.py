@@ -1,0 +1,124 @@
+"""When runs pass, and what those of one label on one field reached."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+from baselines.algorithms import SETTINGS
+from baselines.paper import published
+from baselines.results import Result
+from baselines.statistics import RETURN_THRESHOLD
+
+SUCCESS = 0.99
+"""Share of sampled episodes that have to succeed for a run to pass."""
+NEVER = float("inf")
+
+
+@dataclass(frozen=True)
+class Passing:
+    """When a run first passed a fresh evaluation: ``NEVER`` in both for one that did not.
+
+    A run passes when the mean return of fresh episodes with sampled actions is 100 000 or more, at
+    least 99 % of them succeed, and so does the policy with mean actions.
+
+    Attributes:
+        env_steps: env-steps of that evaluation.
+        seconds: wall time until then, evaluations included, from the start of training.
+    """
+
+    env_steps: float
+    seconds: float
+
+    @classmethod
+    def of(cls, result: Result) -> Passing:
+        """The first of a run's evaluations that passes."""
+        for entry in result.evaluations:
+            if _passes(entry, entry["deterministic_success_rate"]):
+                return cls(entry["env_steps"], entry["wall_seconds"])
+        return cls(NEVER, NEVER)
+
+
+def passes(result: Result) -> bool:
+    """Whether the final policy of a run passes."""
+    final = result.evaluation
+    return _passes(final["stochastic"], final["deterministic"]["success_rate"])
+
+
+def _passes(sampled: Mapping[str, Any], deterministic_success_rate: float) -> bool:
+    return bool(
+        sampled["return_mean"] >= RETURN_THRESHOLD
+        and sampled["success_rate"] >= SUCCESS
+        and deterministic_success_rate == 1.0
+    )
+
+
+@dataclass(frozen=True)
+class FieldLine:
+    """What the runs of one label on one field reached.
+
+    Attributes:
+        label: the label.
+        field: the field.
+        runs: how many there are.
+        passed: how many final policies pass.
+        env_steps: median of the env-steps of the first evaluation that passes; ``None`` if most
+            runs never do.
+        worst_env_steps: the most of them; ``None`` if a run never does.
+        seconds: median wall time to that evaluation.
+        return_mean: mean return with sampled actions.
+        success_rate: share of those episodes that succeed.
+        deterministic_median: median over seeds of the return with mean actions.
+        deterministic_best: the best of them.
+        optimum: the proved best return, or ``None``.
+        paper_best: the paper's best on the field over its algorithms and settings, or ``None``.
+    """
+
+    label: str
+    field: str
+    runs: int
+    passed: int
+    env_steps: float | None
+    worst_env_steps: float | None
+    seconds: float | None
+    return_mean: float
+    success_rate: float
+    deterministic_median: float
+    deterministic_best: float
+    optimum: float | None
+    paper_best: float | None
+
+    @classmethod
+    def of(cls, cell: Sequence[Result]) -> FieldLine:
+        """Summarise the runs of one label on one field."""
+        firsts = [Passing.of(result) for result in cell]
+        mean_actions = [result.final("deterministic", "return_mean") for result in cell]
+        sampled = [result.evaluation["stochastic"] for result in cell]
+        return cls(
+            label=cell[0].label,
+            field=cell[0].field.name,
+            runs=len(cell),
+            passed=sum(map(passes, cell)),
+            env_steps=known(median(first.env_steps for first in firsts)),
+            worst_env_steps=known(max(first.env_steps for first in firsts)),
+            seconds=known(median(first.seconds for first in firsts)),
+            return_mean=sum(entry["return_mean"] for entry in sampled) / len(cell),
+            success_rate=sum(entry["success_rate"] for entry in sampled) / len(cell),
+            deterministic_median=median(mean_actions),
+            deterministic_best=max(mean_actions),
+            optimum=cell[0].optimum,
+            paper_best=paper_best(cell[0].field.name),
+        )
+
+
+def paper_best(field: str) -> float | None:
+    """The largest number that the paper has for a field, a mean of 100 training episodes."""
+    cells = [published.of_field(field, setting) for setting in SETTINGS]
+    return max((cell.maximum for cell in cells if cell is not None), default=None)
+
+
+def known(value: float) -> float | None:
+    """``None`` for never."""
+    return None if value == NEVER else value
