@@ -9,18 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from baselines.episode import record_episode, write_animation, write_trajectories
 from baselines.parallel import Job, train_all
-from baselines.policies import load_policy
 from baselines.progress import Listener
 from baselines.results import Result, Results
 from baselines.runs import RunFolder, TrainConfig, write_provenance
-from baselines.statistics import RETURN_THRESHOLD
-from baselines.storage import RunError, alone, claim_folder, read_json, write_json, write_text
-from baselines.summary import THRESHOLDS, Comparison, summarise
-from baselines.table import field_grids, markdown, overall_grids
+from baselines.storage import RunError, alone, claim_folder, read_json, write_json
 from baselines.train import prepare
 from baselines.variants import Variant
 from mbn_marl.errors import ConfigError
@@ -158,97 +151,3 @@ def _job(run: TrainConfig, path: Path, wandb: str | None) -> Job:
     if path.exists() and not begun:
         claim_folder(path, force=True)
     return Job(run, path, resume=begun, wandb=wandb)
-
-
-def write_comparison(results: Results, out: Path) -> Comparison:
-    """Write tables, figures and every number into the folder ``out``.
-
-    Files: ``comparison.md`` with the tables, ``comparison.json`` with every number, ``table.csv``
-    with a row for every label and field, and the figures.
-    """
-    comparison = summarise(results)
-    write_json(out / "comparison.json", comparison.to_json())
-    write_text(out / "table.csv", comparison.csv())
-    pictures = _draw_statistics(comparison, out)
-    for field in results.fields:
-        _draw_field({label: results.cells[label, field] for label in results.labels}, out)
-    write_text(out / "comparison.md", _page(comparison, pictures))
-    return comparison
-
-
-def _page(comparison: Comparison, pictures: dict[str, str]) -> str:
-    overall = [markdown(title, grid) for title, grid in overall_grids(comparison).items()]
-    fields = [markdown(title, grid) for title, grid in field_grids(comparison).items()]
-    images = [f"![{title}]({name})" for title, name in pictures.items()]
-    return "\n\n".join(["# Comparison", *overall, *images, *fields]) + "\n"
-
-
-def _draw_statistics(comparison: Comparison, out: Path) -> dict[str, str]:
-    """Draw what is over all fields; the files' names by what they show."""
-    from mbn_marl.render import figures
-
-    drawn = {}
-    if comparison.aggregates:
-        names = {
-            "interquartile mean": "iqm",
-            "optimality gap": "gap",
-            "optimality gap, mean actions": "deterministic_gap",
-        }
-        panels = {
-            title: {entry.label: getattr(entry, name) for entry in comparison.aggregates}
-            for title, name in names.items()
-        }
-        profiles = {entry.label: entry.profile for entry in comparison.aggregates}
-        score = "return as a share of the proved optimum"
-        drawn["Aggregates"] = ("aggregates.png", figures.intervals_figure(panels))
-        drawn["Performance profiles"] = (
-            "profiles.png",
-            figures.profiles_figure(profiles, THRESHOLDS, score),
-        )
-    pairs = list(itertools.combinations(comparison.improvement, 2))
-    if pairs:
-        chances = {f"{x} > {y}": comparison.improvement[x][y] for x, y in pairs}
-        drawn["Probability of improvement"] = (
-            "improvement.png",
-            figures.intervals_figure({"probability of improvement": chances}, rule=0.5),
-        )
-    for name, figure in drawn.values():
-        figures.save(figure, out / name)
-    return {title: name for title, (name, _) in drawn.items()}
-
-
-def _draw_field(groups: dict[str, tuple[Result, ...]], out: Path) -> None:
-    """Draw the learning curves of one field's runs, and an episode of the best policy."""
-    from mbn_marl.render import figures
-
-    results = list(itertools.chain(*groups.values()))
-    field = results[0].field
-    figures.learning_curves(
-        {label: [_curve(result) for result in group] for label, group in groups.items()},
-        threshold=RETURN_THRESHOLD,
-        optimum=results[0].optimum,
-        path=out / f"learning_curves_{field.name}.png",
-    )
-    best = best_result(results)
-    snapshots = record_episode(load_policy(best.run), field, best.config["environment"])
-    last = snapshots[-1]
-    title = f"{best.run.path.name}: return {last.team_return:,.0f}, {last.step} steps"
-    write_trajectories(last, out / f"trajectories_{field.name}.png", title)
-    write_animation(snapshots, out / f"episode_{field.name}.gif")
-
-
-def best_result(results: Sequence[Result]) -> Result:
-    """The one with the best return with mean actions; of equal ones with sampled actions."""
-
-    def rank(result: Result) -> tuple[float, float]:
-        kinds = ("deterministic", "stochastic")
-        mean, sampled = (result.final(kind, "return_mean") for kind in kinds)
-        return mean, sampled
-
-    return max(results, key=rank)
-
-
-def _curve(result: Result) -> tuple[np.ndarray, np.ndarray]:
-    history = result.evaluations
-    steps = np.asarray([entry["env_steps"] for entry in history])
-    return steps, np.asarray([entry["return_mean"] for entry in history])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.algorithms import Form, find_algorithm
+from baselines.folders import run_folders
 from baselines.optimum import VIEW, optimal_return
 from baselines.runs import RunFolder, default_label
-from baselines.storage import RunError
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
@@ -164,24 +164,19 @@ class Results:
         return Results(self.labels, fields, cells) if fields else None
 
 
-def find_results(paths: Sequence[Path]) -> Results:
+def find_results(paths: Sequence[Path], note: Callable[[str], None] = lambda text: None) -> Results:
     """Read the runs at ``paths``: run folders, or folders with run folders anywhere inside.
+
+    Args:
+        paths: where to look.
+        note: is told what is left out, see :func:`baselines.folders.run_folders`.
 
     Raises:
         RunError: a path holds no run, or a run is not finished.
         ConfigError: naming everything that keeps the runs from being compared.
     """
-    folders = {folder.resolve(): folder for path in paths for folder in _run_folders(path)}
-    return Results.of([Result.read(RunFolder.open(folder)) for folder in folders.values()])
-
-
-def _run_folders(path: Path) -> list[Path]:
-    if not path.is_dir():
-        raise RunError(f"{path} is not a folder")
-    folders = [file.parent for file in sorted(path.rglob("field.yaml"))]
-    if not folders:
-        raise RunError(f"{path} is not a run folder, and holds none")
-    return folders
+    folders = run_folders(paths, note, comparisons=True)
+    return Results.of([Result.read(RunFolder.open(folder)) for folder in folders])
 
 
 def _unequal_seeds(cells: Mapping[tuple[str, str], Sequence[Result]]) -> list[str]:

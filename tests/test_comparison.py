@@ -23,6 +23,7 @@ from baselines.stratified import Estimate
 from baselines.summary import THRESHOLDS, summarise
 from baselines.table import print_comparison
 from baselines.variants import Variant, parse_variants, read_variants
+from mbn_marl.cli import main
 from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field
@@ -105,10 +106,35 @@ def test_the_performance_profile_counts_runs_above() -> None:
 # ---------------------------------------------------------------- results
 
 
-def make_run(folder: Path, share: float = 0.5, **changes: Any) -> Result:
+def _made_up(share: float, field: Field, seed: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Evaluations and the final one of a run that reaches ``share``."""
+    best = share * OPTIMA.get(field.name, 150_000.0)
+    final = {
+        "env_steps": 400,
+        "seconds": 10.0 + seed,
+        "stochastic": {"return_mean": best / 2, "success_rate": share, "makespan": 20.0},
+        "deterministic": {"return_mean": best, "success_rate": float(share > 0.7)},
+    }
+    passed = 1e5 if share > 0.7 else 0.0
+    returns = ((100, -5.0), (300, passed), (400, best / 2))
+    history = [
+        {"env_steps": steps, "seconds": steps / 100, "return_mean": mean} for steps, mean in returns
+    ]
+    return history, final
+
+
+def make_run(
+    folder: Path,
+    share: float = 0.5,
+    *,
+    recorded: tuple[list[dict[str, Any]], dict[str, Any]] | None = None,
+    field_object: Field | None = None,
+    **changes: Any,
+) -> Result:
     """A finished run with made-up results: its mean actions reach ``share`` of the optimum.
 
-    Sampled actions reach half as much. 100 000 is passed at 300 env-steps, or never.
+    Sampled actions reach half as much. 100 000 is passed at 300 env-steps, or never. ``recorded``
+    are its evaluations and the final one, instead of these.
     """
     request = {"algorithm": "mappo", "setting": "N", "label": None, "field": "field_03", "seed": 0}
     budget = {"steps": 400, "evaluate_every": 100, "episodes": 2}
@@ -117,25 +143,13 @@ def make_run(folder: Path, share: float = 0.5, **changes: Any) -> Result:
         "hyperparameters": {"gamma": 0.99},
     }
     config = {**request, **budget, **learning, **changes}
-    field: Field = changes.get("field_object") or load_field(config["field"])
-    config.pop("field_object", None)
+    field = field_object or load_field(config["field"])
     label = config["label"] or config["algorithm"]
     path = folder / f"{label}-{field.name}-{config['seed']}-{len(list(folder.iterdir()))}"
     run = RunFolder.create(path, config, field, "mbn train")
-    best = share * OPTIMA.get(field.name, 150_000.0)
-    final = {
-        "env_steps": 400,
-        "seconds": 10.0 + config["seed"],
-        "stochastic": {"return_mean": best / 2, "success_rate": share, "makespan": 20.0},
-        "deterministic": {"return_mean": best, "success_rate": float(share > 0.7)},
-    }
+    history, final = recorded or _made_up(share, field, config["seed"])
     write_json(path / "evaluation.json", final)
-    passed = 1e5 if share > 0.7 else 0.0
-    entries = [
-        {"env_steps": steps, "seconds": steps / 100, "return_mean": mean}
-        for steps, mean in ((100, -5.0), (300, passed), (400, best / 2))
-    ]
-    write_json(path / "evaluations.json", entries)
+    write_json(path / "evaluations.json", history)
     return Result.read(run)
 
 
@@ -362,6 +376,11 @@ def test_an_interrupted_comparison_goes_on(tmp_path: Path) -> None:
     assert not (killed / "resumed.json").exists()
     config = read_json(second / "config.json")
     assert (config["label"], config["hyperparameters"]["num_worlds"]) == ("ippo-tiny", 4)
+    page = tmp_path / "docs" / "found.md"
+    assert main(["report", "--comparison", str(out), "-o", str(page)]) == 0
+    assert "](found/learning_curves_field_03.png)" in page.read_text()
+    reported = read_json(page.parent / "found" / "comparison.json")
+    assert {row["label"] for row in reported["rows"]} == {"mappo-tiny", "ippo-tiny"}
     again = train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
     assert summarise(again).to_json() == summarise(results).to_json()
 

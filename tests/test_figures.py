@@ -302,6 +302,40 @@ def test_a_study_shows_its_best_so_far_and_what_was_pruned() -> None:
         figures.study_figure([], {}, "ppo")
 
 
+def test_estimates_are_marked_within_their_intervals() -> None:
+    panels = {
+        "mean": {"ppo": (0.5, 0.25, 0.75), "mappo": (0.9, None, None)},
+        "gap": {"ppo": (0.1, 0.0, 0.2), "mappo": (0.2, 0.1, 0.3)},
+    }
+    figure = figures.intervals_figure(panels, rule=0.5)
+    mean, gap = figure.axes
+    assert [label.get_text() for label in mean.get_yticklabels()] == ["ppo", "mappo"]
+    rule, interval, *values = (line.get_xydata().tolist() for line in mean.lines)
+    assert [x for x, _ in rule] == [0.5, 0.5]
+    assert interval == [[0.25, 0], [0.75, 0]]
+    assert values == [[[0.5, 0]], [[0.9, 1]]]
+    assert len(gap.lines) == 5
+    with pytest.raises(MbnError, match="nothing to draw"):
+        figures.intervals_figure({"mean": {}})
+
+
+def test_profiles_are_drawn_whole_and_near_the_end() -> None:
+    thresholds = np.array([0.0, 0.5, 0.95, 1.0])
+    share = np.array([1.0, 0.5, 0.25, 0.0])
+    profiles = {"ppo": (share, share - 0.1, share + 0.1), "mappo": (share, share, share)}
+    figure = figures.profiles_figure(profiles, thresholds, "score")
+    whole, end = figure.axes
+    assert (whole.get_xlim(), end.get_xlim()) == ((0.0, 1.0), (0.9, 1.0))
+    for axes in (whole, end):
+        assert axes.lines[0].get_xydata().tolist() == list(
+            map(list, zip(thresholds, share, strict=True))
+        )
+        assert len(axes.collections) == 2
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ppo", "mappo"]
+    with pytest.raises(MbnError, match="nothing to draw"):
+        figures.profiles_figure({}, thresholds, "score")
+
+
 # ---------------------------------------------------------------- files and the look
 
 

@@ -268,7 +268,7 @@ def test_comparisons_and_what_was_moved_aside_are_left_out(
     demo = tmp_path / "runs" / "demo"
     make_run(demo, [(1, 9e6, 0, 9e6, 9e6)])
     make_run(demo, [(1, 9e6, 0, 9e6, 9e6)], seed=34)
-    write_json(demo / "config.json", {"algorithms": ["ppo"]})
+    write_json(demo / "config.json", {"variants": []})
     page = tmp_path / "page.md"
     words = ["report", "--paper", str(tmp_path / "runs"), "-o", str(page)]
     assert main(words) == 0
@@ -294,7 +294,7 @@ def test_latex_escapes_what_it_has_to() -> None:
     ("arguments", "message"),
     [
         ([], "RUNS: at least one folder"),
-        (["runs"], "kind: missing; --paper"),
+        (["runs"], "kind: --paper or --comparison"),
         (["--paper", "nowhere"], "nowhere is not a folder"),
         (["--paper", "empty"], "empty is not a run folder, and holds none"),
         (["--paper", "runs", "--study", "empty"], "empty is not the folder of a study"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -14,47 +13,14 @@ from baselines.paper import figures, glance, published
 from baselines.paper.grid import MISSING, NOT_IN_PAPER
 from baselines.paper.tables import ALGORITHMS, Table, paper_tables, write_csv
 from baselines.paper.trainings import Training, find_trainings
+from baselines.place import Place
 from baselines.runs import write_provenance
-from baselines.storage import RunError, claim_file, claim_folder, write_text
+from baselines.storage import RunError, write_text
 from baselines.tuning.study import draw_study
 from mbn_marl.render.figures import save
 
 OVERVIEW = "fields"
 STUDY = "optuna"
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a report goes.
-
-    Attributes:
-        page: the Markdown page.
-        folder: everything else.
-    """
-
-    page: Path
-    folder: Path
-
-    @classmethod
-    def of(cls, out: Path) -> Place:
-        """``NAME.md`` is the page, beside its folder ``NAME``; any other path is the folder."""
-        if out.suffix == ".md":
-            return cls(out, out.with_suffix(""))
-        return cls(out / "paper.md", out)
-
-    def claim(self, *, force: bool) -> None:
-        """Make the folder.
-
-        Raises:
-            RunError: something is there already and ``force``, which moves it aside, is not set.
-        """
-        if self.page.parent != self.folder:
-            claim_file(self.page, force=force)
-        claim_folder(self.folder, force=force)
-
-    def link(self, name: str) -> str:
-        """A file of the folder as the page refers to it."""
-        return (self.folder / name).relative_to(self.page.parent).as_posix()
 
 
 def write_report(
@@ -85,7 +51,7 @@ def write_report(
     trainings = find_trainings(paths, note)
     tables = paper_tables(trainings)
     drawn = _draw(trainings, study)
-    place = Place.of(out)
+    place = Place.of(out, "paper.md")
     place.claim(force=force)
     for name, figure in drawn.items():
         if figure is not None:

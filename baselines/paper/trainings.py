@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from baselines.folders import run_folders
 from baselines.paper.windows import Windows
 from baselines.runs import RunFolder
-from baselines.storage import RunError, moved_aside, read_json
-from baselines.tuning.study import JOURNAL
+from baselines.storage import RunError, read_json
 from mbn_marl.field import Field, catalogue_names
 
 NEEDED = ("algorithm", "setting", "field", "seed")
@@ -91,9 +91,7 @@ def find_trainings(
     Raises:
         RunError: a path holds no run, a run cannot be read, or two are of one cell and seed.
     """
-    found = [folder for path in paths for folder in _run_folders(path, note)]
-    folders = {folder.resolve(): folder for folder in found}
-    trainings = [Training.read(folder) for folder in folders.values()]
+    trainings = [Training.read(folder) for folder in run_folders(paths, note)]
     seen: dict[tuple[Cell, int], Path] = {}
     for training in trainings:
         other = seen.setdefault((training.cell, training.seed), training.path)
@@ -108,46 +106,6 @@ def find_trainings(
 def windows_of(trainings: Iterable[Training]) -> list[Windows]:
     """What they recorded."""
     return [training.windows for training in trainings]
-
-
-def _run_folders(path: Path, note: Callable[[str], None]) -> list[Path]:
-    """The folders of runs at or below ``path``, sorted, but for what is left out."""
-    if not path.is_dir():
-        raise RunError(f"{path} is not a folder")
-    if (path / JOURNAL).is_file():
-        raise RunError(f"{path} is a study, and holds no run to report on; draw it with --study")
-    folders: list[Path] = []
-    left_out: dict[Path, str] = {}
-    for folder in sorted(file.parent for file in path.rglob("field.yaml")):
-        for place in _from_to(path, folder):
-            if why := _why_left_out(place):
-                left_out[place] = why
-                break
-        else:
-            folders.append(folder)
-    for place, why in left_out.items():
-        note(f"left out: {place}, {why}")
-    if not folders:
-        raise RunError(f"{path} is not a run folder, and holds none")
-    return folders
-
-
-def _from_to(path: Path, folder: Path) -> list[Path]:
-    """The folders below ``path`` on the way to ``folder`` inside it, and that one."""
-    return [place for place in (*reversed(folder.parents), folder) if path in place.parents]
-
-
-def _why_left_out(folder: Path) -> str | None:
-    """Why what is in ``folder`` is not reported on; ``None`` if it is."""
-    if moved_aside(folder):
-        return "moved aside by --force"
-    if (folder / JOURNAL).is_file():
-        return "a study; draw it with --study"
-    config = folder / "config.json"
-    is_run = (folder / "field.yaml").is_file()
-    if not is_run and config.is_file() and "algorithms" in read_json(config):
-        return "a comparison; name it to report on its runs"
-    return None
 
 
 def _field_name(field: str) -> str:

@@ -90,7 +90,9 @@ def train_and_compare(
     """
     from rich.console import Console
 
-    from baselines.compare import train_all_runs, write_comparison
+    from baselines.compare import train_all_runs
+    from baselines.page import PAGE, write_comparison
+    from baselines.place import Place
     from baselines.progress import ProgressDisplay
     from baselines.table import print_comparison
     from mbn_marl.errors import ConfigError
@@ -113,5 +115,5 @@ def train_and_compare(
             wandb=wandb,
             listener=display,
         )
-    print_comparison(write_comparison(results, out), Console())
+    print_comparison(write_comparison(results, Place.of(out, PAGE)), Console())
     return results

@@ -11,16 +11,18 @@ from tyro.conf import Positional, arg
 
 @dataclass(frozen=True)
 class Report:
-    """Report on runs: with --paper, the paper's tables and figures with ours beside them."""
+    """Report on runs: the paper's tables and figures with ours beside them, or a comparison."""
 
     runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUNS")]]
-    """Run folders, or folders that hold some; comparisons, studies and what --force moved aside are
-    left out there."""
+    """Run folders, or folders that hold some; studies and what --force moved aside are left out
+    there, with --paper comparisons too."""
     out: Annotated[Path, arg(aliases=["-o"])]
-    """The folder to write, with the page paper.md; or NAME.md for the page, beside its folder
-    NAME."""
+    """The folder to write, with the page paper.md or comparison.md in it; or NAME.md for the page,
+    beside its folder NAME."""
     paper: bool = False
     """The paper's experiments: its tables as Markdown, CSV and LaTeX, and its figures."""
+    comparison: bool = False
+    """The statistics of `mbn compare`, on runs that are there already."""
     study: Path | None = None
     """The folder of an `mbn tune`, to draw."""
     notes: Path | None = None
@@ -34,24 +36,35 @@ class Report:
 
         from rich.console import Console
 
+        from baselines.page import report_comparison
         from baselines.paper.report import write_report
+        from baselines.table import print_comparison
         from mbn_marl.errors import ConfigError
 
         problems = []
-        if not self.paper:
-            problems.append("kind: missing; --paper is the one there is")
+        if self.paper == self.comparison:
+            problems.append("kind: --paper or --comparison, one of them is needed")
+        if self.comparison and (self.study is not None or self.notes is not None):
+            problems.append("study and notes: allowed with --paper")
         if not self.runs:
             problems.append("RUNS: at least one folder is needed")
         if problems:
             raise ConfigError("report", problems)
         console = Console()
-        place = write_report(
-            self.runs,
-            self.out,
-            command=command_line,
-            study=self.study,
-            notes=self.notes,
-            force=self.force,
-            note=partial(console.print, soft_wrap=True, highlight=False),
-        )
+        note = partial(console.print, soft_wrap=True, highlight=False)
+        if self.paper:
+            place = write_report(
+                self.runs,
+                self.out,
+                command=command_line,
+                study=self.study,
+                notes=self.notes,
+                force=self.force,
+                note=note,
+            )
+        else:
+            place, comparison = report_comparison(
+                self.runs, self.out, command=command_line, force=self.force, note=note
+            )
+            print_comparison(comparison, console)
         console.print(f"written to {place.page}; tables and figures in {place.folder}")
