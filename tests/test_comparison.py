@@ -354,7 +354,8 @@ CONFIG = CompareConfig(
 )
 
 
-def test_an_interrupted_comparison_goes_on(tmp_path: Path) -> None:
+def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("baselines.page.write_animation", lambda snapshots, path: None)
     out = tmp_path / "comparison"
     second = out / CONFIG.runs()[1].name
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -23,7 +24,10 @@ BUDGET = 1_500_000
 """Env-steps within which a run has to pass."""
 CAPTION = (
     "A run passes when the mean return of fresh sampled episodes is 100 000 or more, 99 % of them "
-    "succeed, and so does the policy with mean actions. Targets are scaled to the runs made."
+    "succeed, and so does the policy with mean actions. Wall times have the evaluations in them, "
+    "but not the start of Python and compilation; in the table, of as many runs at a time as there "
+    "were processes. Returns of fields are those of mean actions, over seeds. Targets are scaled "
+    "to the runs made: for ten fields 180 s until all pass, 30 minutes in all."
 )
 
 
@@ -49,24 +53,23 @@ def target_rows(results: Results, processes: int) -> list[Row]:
     rows = [
         _count(f"{setting}: final policies that pass", map(passes, runs), 1.0),
         _bound(
-            f"{setting}: env-steps to the first evaluation that passes, worst run",
+            f"{setting}: until a run passes, worst run",
             max(Passing.of(result).env_steps for result in runs),
             "env-steps",
             BUDGET,
         ),
         _bound(
-            f"{setting}: {len(lines)} fields, one seed each, to that evaluation, wall time",
+            f"{setting}: until {len(lines)} fields pass, one seed each, wall time",
             median(
                 makespan([Passing.of(cell[seed]).seconds for cell in _cells(results)], processes)
                 for seed in range(results.seeds)
             ),
             "s",
             18.0 * len(lines),
-            f"{processes} at a time; evaluations included, start of Python and compilation not; "
-            "median over seeds; target: 180 s for ten fields",
+            f"{processes} at a time, median over seeds",
         ),
         _count(
-            f"{setting}: fields with the median return of mean actions within 0.5 % of the optimum",
+            f"{setting}: fields, median return within 0.5 % of the optimum",
             (
                 line.optimum is not None and line.deterministic_median >= (1 - NEAR) * line.optimum
                 for line in lines
@@ -75,11 +78,11 @@ def target_rows(results: Results, processes: int) -> list[Row]:
         ),
         *_best_of_seeds(setting, lines),
         _bound(
-            f"{setting}: wall time of all its runs",
+            f"{setting}: wall time of all runs",
             sum(result.final("wall_seconds") for result in runs) / processes,
             "s",
             180.0 * len(lines),
-            f"{processes} at a time; target: 30 minutes for ten fields",
+            f"{processes} at a time",
         ),
     ]
     for label in others:
@@ -92,7 +95,7 @@ def target_rows(results: Results, processes: int) -> list[Row]:
 def _best_of_seeds(label: str, lines: Sequence[FieldLine]) -> list[Row]:
     return [
         _count(
-            f"{label}: fields where the best of all seeds' mean actions is at or above the paper",
+            f"{label}: fields, best return at or above the paper's",
             (
                 line.paper_best is not None and line.deterministic_best >= line.paper_best
                 for line in lines
@@ -100,7 +103,7 @@ def _best_of_seeds(label: str, lines: Sequence[FieldLine]) -> list[Row]:
             0.8,
         ),
         _count(
-            f"{label}: fields where it is the proved optimum",
+            f"{label}: fields, best return is the proved optimum",
             (line.deterministic_best == line.optimum for line in lines),
             0.5,
         ),
@@ -177,11 +180,10 @@ def _targets_grid(rows: Sequence[Row]) -> Grid:
             "never" if row.value is None else f"{row.value:,.0f} {row.unit}",
             f"{'>=' if row.at_least else '<='} {row.target:,.0f}",
             "met" if row.met else "missed",
-            row.note,
         )
         for row in rows
     )
-    return Grid(CAPTION, ("what", "measured", "target", "", "note"), lines, words=5)
+    return Grid(CAPTION, ("what", "measured", "target", ""), lines)
 
 
 def _cells(results: Results) -> list[tuple[Result, ...]]:
@@ -192,7 +194,8 @@ def _cells(results: Results) -> list[tuple[Result, ...]]:
 def _count(name: str, met: Iterable[bool], share: float) -> Row:
     """How many of some are met, with the share that is aimed at."""
     outcomes = [bool(one) for one in met]
-    return Row(name, sum(outcomes), f"of {len(outcomes)}", share * len(outcomes))
+    least = math.ceil(share * len(outcomes) - 1e-9)
+    return Row(name, sum(outcomes), f"of {len(outcomes)}", least)
 
 
 def _bound(name: str, value: float, unit: str, most: float, note: str = "") -> Row:
