@@ -44,12 +44,16 @@ class Algorithm:
 
     Attributes:
         name: as on the command line.
-        form: ``"centralized"``, the single MDP with Stable-Baselines3, or ``"decentralized"``,
-            one policy per robot with TorchRL. Each form is one package with one trainer.
+        form: ``"centralized"``, the single MDP, or ``"decentralized"``, each robot acts on its own
+            observation.
+        package: the package of ``baselines`` that trains it, with one trainer for all its
+            algorithms: ``centralized`` and ``shared`` with Stable-Baselines3, ``decentralized``
+            with TorchRL.
     """
 
     name: str
     form: Form
+    package: str
 
     @property
     def settings(self) -> tuple[Setting, ...]:
@@ -57,7 +61,7 @@ class Algorithm:
         return tuple(SETTINGS) if self.form == "centralized" else ("N",)
 
     def _module(self, name: str) -> ModuleType:
-        return import_module(f"baselines.{self.form}.{name}")
+        return import_module(f"baselines.{self.package}.{name}")
 
     def resolve(
         self,
@@ -106,14 +110,16 @@ class Algorithm:
 ALGORITHMS: Mapping[str, Algorithm] = {
     algorithm.name: algorithm
     for algorithm in (
-        Algorithm("a2c", "centralized"),
-        Algorithm("ppo", "centralized"),
-        Algorithm("trpo", "centralized"),
-        Algorithm("ars", "centralized"),
-        Algorithm("crossq", "centralized"),
-        Algorithm("tqc", "centralized"),
-        Algorithm("mappo", "decentralized"),
-        Algorithm("ippo", "decentralized"),
+        Algorithm("a2c", "centralized", "centralized"),
+        Algorithm("ppo", "centralized", "centralized"),
+        Algorithm("trpo", "centralized", "centralized"),
+        Algorithm("ars", "centralized", "centralized"),
+        Algorithm("crossq", "centralized", "centralized"),
+        Algorithm("tqc", "centralized", "centralized"),
+        Algorithm("mappo", "decentralized", "decentralized"),
+        Algorithm("ippo", "decentralized", "decentralized"),
+        Algorithm("ppo-shared", "decentralized", "shared"),
+        Algorithm("ppo-supersuit", "decentralized", "shared"),
     )
 }
 

@@ -110,6 +110,21 @@ def evaluate(
     )
 
 
+def evaluate_both(
+    policy: Policy, field: Field, settings: Mapping[str, Any], *, episodes: int, seed: int
+) -> dict[str, Evaluation]:
+    """Evaluate with sampled actions (``stochastic``) and with mean ones (``deterministic``).
+
+    Arguments as for :func:`evaluate`.
+    """
+    return {
+        name: evaluate(
+            policy, field, settings, episodes=episodes, deterministic=deterministic, seed=seed
+        )
+        for name, deterministic in (("stochastic", False), ("deterministic", True))
+    }
+
+
 def _record(
     results: dict[str, np.ndarray], metrics: Mapping[str, np.ndarray], ended: np.ndarray
 ) -> None:

@@ -59,6 +59,7 @@ PACKAGES = (
     "pettingzoo",
     "sb3-contrib",
     "stable-baselines3",
+    "supersuit",
     "tensordict",
     "torch",
     "torchrl",

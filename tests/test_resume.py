@@ -40,12 +40,14 @@ MODELS: dict[str, dict[str, Any]] = {
     "ars": {"n_delta": 1, "n_top": 1},
     "crossq": {**REPLAY, "gradient_steps": 2},
     "tqc": REPLAY,
+    "ppo-shared": {**SMALL, "n_steps": 32, "batch_size": 32},
+    "ppo-supersuit": {**SMALL, "n_steps": 32, "batch_size": 32},
 }
 
 
 def _config(name: str, **changes: Any) -> TrainConfig:
     """A run of a few updates with a checkpoint on the way."""
-    if ALGORITHMS[name].form == "decentralized":
+    if ALGORITHMS[name].package == "decentralized":
         small = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8]}
         config = TrainConfig(name, "field_03", steps=320, evaluate_every=128, episodes=2)
         return replace(config, hyperparameters=small, **changes)

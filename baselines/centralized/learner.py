@@ -32,8 +32,7 @@ GENERATORS = "generators.json"
 
 def policy_of(model: BaseAlgorithm) -> CentralizedPolicy:
     """The policy of a learner as it is now."""
-    env = model.get_vec_normalize_env()
-    return CentralizedPolicy(model, None if env is None else Normalization.of(env))
+    return CentralizedPolicy(model, Normalization.of(model.get_vec_normalize_env()))
 
 
 def save(model: BaseAlgorithm, folder: Path) -> None:

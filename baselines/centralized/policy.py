@@ -24,8 +24,8 @@ class Normalization:
     """How ``VecNormalize`` treats an observation: ``clip((x - mean) / sqrt(var + epsilon))``.
 
     Attributes:
-        mean: (4n+1,) running mean of the state.
-        variance: (4n+1,) running variance.
+        mean: (size,) running mean; of the centralised form's state size is 4n+1.
+        variance: (size,) running variance.
         count: how many observations they are of.
         epsilon: keeps the division finite.
         clip: bound of the result.
@@ -38,8 +38,10 @@ class Normalization:
     clip: float
 
     @classmethod
-    def of(cls, env: VecNormalize) -> Normalization:
-        """The normalisation of ``env`` as it is now."""
+    def of(cls, env: VecNormalize | None) -> Normalization | None:
+        """The normalisation of ``env`` as it is now; ``None`` without one."""
+        if env is None:
+            return None
         running: Any = env.obs_rms
         return cls(
             running.mean.copy(), running.var.copy(), running.count, env.epsilon, env.clip_obs
@@ -56,9 +58,9 @@ class Normalization:
         arrays = {name: np.asarray(values[name]) for name in ("mean", "variance")}
         return cls(**{**values, **arrays})
 
-    def __call__(self, states: np.ndarray) -> np.ndarray:
-        """Normalise ``states`` (worlds, 4n+1)."""
-        scaled: np.ndarray = (states - self.mean) / np.sqrt(self.variance + self.epsilon)
+    def __call__(self, seen: np.ndarray) -> np.ndarray:
+        """Normalise ``seen`` (rows, size)."""
+        scaled: np.ndarray = (seen - self.mean) / np.sqrt(self.variance + self.epsilon)
         clipped: np.ndarray = np.clip(scaled, -self.clip, self.clip)
         return clipped.astype(np.float32)
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from numbers import Real
+from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -16,6 +18,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from baselines.centralized.config import CentralizedConfig, algorithm_class, model_arguments
 from baselines.centralized.learner import policy_of, restore, save, transfer
 from baselines.centralized.worlds import make_env
+from baselines.policies import TrainedPolicy
 from baselines.recorder import ROW_STEPS, EpisodeWindow, Recorder
 from baselines.runs import Task
 from mbn_marl.errors import ConfigError
@@ -33,16 +36,37 @@ REFUSALS = (
 """What the library and torch raise for arguments that they cannot make a learner from."""
 
 
+@dataclass(frozen=True)
+class Keeping:
+    """How a learner is kept, and how its steps are counted.
+
+    Attributes:
+        policy_of: the policy of a learner as it is now.
+        save: writes what a learner needs to go on, beside its policy, into a folder.
+        stride: rows of a world: the library counts a step of each as one.
+    """
+
+    policy_of: Callable[[BaseAlgorithm], TrainedPolicy]
+    save: Callable[[BaseAlgorithm, Path], None]
+    stride: int = 1
+
+
 class Reporter(BaseCallback):
     """Reports the end of every rollout to a recorder, and saves between updates when that is due.
 
     Args:
         recorder: where progress goes.
+        keeping: of the learner.
     """
 
-    def __init__(self, recorder: Recorder) -> None:
+    def __init__(self, recorder: Recorder, keeping: Keeping) -> None:
         super().__init__()
         self._recorder = recorder
+        self._keeping = keeping
+
+    @property
+    def _env_steps(self) -> int:
+        return self.num_timesteps // self._keeping.stride
 
     def _on_training_start(self) -> None:
         self._recorder.start()
@@ -50,14 +74,16 @@ class Reporter(BaseCallback):
     def _on_rollout_start(self) -> None:
         if self._recorder.checkpoint_due:
             self._recorder.save_checkpoint(
-                self.num_timesteps, policy_of(self.model), lambda folder: save(self.model, folder)
+                self._env_steps,
+                self._keeping.policy_of(self.model),
+                lambda folder: self._keeping.save(self.model, folder),
             )
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_end(self) -> None:
-        self._recorder.update(self.num_timesteps, policy_of(self.model), {})
+        self._recorder.update(self._env_steps, self._keeping.policy_of(self.model), {})
 
 
 class ToRecorder(KVWriter):
@@ -65,10 +91,12 @@ class ToRecorder(KVWriter):
 
     Args:
         recorder: where it goes.
+        stride: rows of a world.
     """
 
-    def __init__(self, recorder: Recorder) -> None:
+    def __init__(self, recorder: Recorder, stride: int) -> None:
         self._recorder = recorder
+        self._stride = stride
 
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
@@ -79,7 +107,7 @@ class ToRecorder(KVWriter):
             for name, value in key_values.items()
             if "tensorboard" not in key_excluded[name] and isinstance(value, Real)
         }
-        self._recorder.scalars(step, values)
+        self._recorder.scalars(step // self._stride, values)
 
     def close(self) -> None:
         """Nothing to close: the recorder does."""
@@ -98,14 +126,20 @@ def train(task: Task, hyperparameters: CentralizedConfig, recorder: Recorder) ->
         model = transfer(task, env, task.config.transferred_from)
     else:
         model = make_model(task, hyperparameters, env)
-    model.set_logger(Logger(None, [ToRecorder(recorder)]))
+    learn(model, task, recorder, Keeping(policy_of, save))
+
+
+def learn(model: BaseAlgorithm, task: Task, recorder: Recorder, keeping: Keeping) -> None:
+    """Train a learner to the end of the budget, and evaluate the result."""
+    stride = keeping.stride
+    model.set_logger(Logger(None, [ToRecorder(recorder, stride)]))
     model.learn(
-        task.config.steps - model.num_timesteps,
-        callback=Reporter(recorder),
-        log_interval=log_interval(model),
+        task.config.steps * stride - model.num_timesteps,
+        callback=Reporter(recorder, keeping),
+        log_interval=log_interval(model, stride),
         reset_num_timesteps=recorder.checkpoint is None,
     )
-    recorder.finish(model.num_timesteps, policy_of(model))
+    recorder.finish(model.num_timesteps // stride, keeping.policy_of(model))
 
 
 def check(task: Task, hyperparameters: CentralizedConfig) -> None:
@@ -135,8 +169,8 @@ def make_model(task: Task, hyperparameters: CentralizedConfig, env: VecEnv) -> B
     )
 
 
-def log_interval(model: BaseAlgorithm) -> int:
+def log_interval(model: BaseAlgorithm, stride: int) -> int:
     """The library's interval between two log entries: rollouts on-policy, else episodes."""
     if isinstance(model, OnPolicyAlgorithm):
-        return math.ceil(ROW_STEPS / (model.n_steps * model.n_envs))
+        return math.ceil(ROW_STEPS * stride / (model.n_steps * model.n_envs))
     return 4

@@ -19,17 +19,20 @@ class LearnersView(VecEnvWrapper):
         venv: the worlds.
         scale: the learner sees the reward times this.
         episodes: where true returns and successes of ended episodes go.
+        stride: rows of a world; its first row tells about the world's episodes.
 
     Attributes:
-        watched: (num_envs,) bool, the worlds whose episodes are noted: all, unless a learner steps
-            some only because they stand beside others.
+        watched: (num_envs,) bool, the rows whose episodes are noted: all, unless a learner steps
+            some worlds only because they stand beside others.
     """
 
-    def __init__(self, venv: VecEnv, scale: float, episodes: EpisodeWindow) -> None:
+    def __init__(
+        self, venv: VecEnv, scale: float, episodes: EpisodeWindow, stride: int = 1
+    ) -> None:
         super().__init__(venv)
         self._scale = scale
         self._episodes = episodes
-        self.watched = np.ones(venv.num_envs, dtype=bool)
+        self.watched = np.arange(venv.num_envs) % stride == 0
 
     def reset(self) -> VecEnvObs:
         """Reset the worlds."""
@@ -39,9 +42,9 @@ class LearnersView(VecEnvWrapper):
         """Finish the step."""
         observations, rewards, dones, infos = self.venv.step_wait()
         if dones.any():
-            ended = [infos[world] for world in np.flatnonzero(dones & self.watched)]
+            ended = [infos[row] for row in np.flatnonzero(dones & self.watched)]
             self._episodes.add(
-                [info["episode"]["r"] for info in ended], [info["is_success"] for info in ended]
+                [info["episode_return"] for info in ended], [info["success"] for info in ended]
             )
         return observations, rewards * self._scale, dones, infos
 

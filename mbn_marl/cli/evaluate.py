@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 class Evaluate:
     """Evaluate the policy of a run on fresh episodes, with sampled and with mean actions."""
 
-    run_folder: Positional[Annotated[Path, arg(metavar="RUN")]]
-    """The folder of a run."""
+    source: Positional[Annotated[str, arg(metavar="RUN")]]
+    """The folder of a run, or zoo:NAME, a policy of `mbn zoo`."""
     episodes: int = 100
     """How many episodes."""
     seed: int | None = None
@@ -37,14 +37,17 @@ class Evaluate:
         """Evaluate, print the summaries, and write the file if one is asked for."""
         from baselines.evaluate import EVALUATION_SEED
         from baselines.policies import load_policy
-        from baselines.runs import RunFolder
+        from baselines.zoo.entries import PREFIX, open_run
         from mbn_marl.errors import ConfigError
 
         if self.episodes < 1:
             raise ConfigError("evaluation", [f"episodes: at least 1, not {self.episodes}"])
         if self.figure is not None and self.wind_speeds is None:
             raise ConfigError("evaluation", ["figure: allowed with --wind-speeds"])
-        run = RunFolder.open(self.run_folder)
+        files = (self.json, self.figure)
+        if self.wind_speeds is not None and self.source.startswith(PREFIX) and None in files:
+            raise ConfigError("evaluation", ["json, figure: of a zoo policy in wind, name both"])
+        run = open_run(self.source)
         seed = EVALUATION_SEED if self.seed is None else self.seed
         if self.wind_speeds is None:
             self._evaluate(run, load_policy(run), seed, command_line)
@@ -53,30 +56,16 @@ class Evaluate:
 
     def _evaluate(self, run: RunFolder, policy: Policy, seed: int, command_line: str) -> None:
         """Evaluate as the run was trained."""
-        from baselines.evaluate import evaluate
+        from baselines.evaluate import evaluate_both
         from baselines.storage import write_json
 
-        stochastic, deterministic = (
-            evaluate(
-                policy,
-                run.field,
-                run.config["environment"],
-                episodes=self.episodes,
-                deterministic=deterministic,
-                seed=seed,
-            )
-            for deterministic in (False, True)
+        results = evaluate_both(
+            policy, run.field, run.config["environment"], episodes=self.episodes, seed=seed
         )
-        print_evaluations([stochastic.summary(), deterministic.summary()], title=str(run.path))
+        print_evaluations([result.summary() for result in results.values()], title=self.source)
         if self.json is not None:
-            write_json(
-                self.json,
-                {
-                    "command": command_line,
-                    "stochastic": stochastic.to_json(),
-                    "deterministic": deterministic.to_json(),
-                },
-            )
+            episodes = {name: result.to_json() for name, result in results.items()}
+            write_json(self.json, {"command": command_line, **episodes})
 
     def _evaluate_in_wind(
         self, run: RunFolder, policy: Policy, seed: int, command_line: str, speeds: str
@@ -93,7 +82,7 @@ class Evaluate:
         rows = evaluate_in_wind(*where, *winds, episodes=self.episodes, seed=seed)
         write_json(results, {"command": command_line, "results": rows})
         write_panels(*where, *winds, figure)
-        print_winds(rows, title=f"{run.path}: wind at {self.wind_angle:g} degrees")
+        print_winds(rows, title=f"{self.source}: wind at {self.wind_angle:g} degrees")
         print(f"written: {results}, {figure}")
 
 

@@ -20,6 +20,7 @@ from mbn_marl.cli.report import Report
 from mbn_marl.cli.train import Train
 from mbn_marl.cli.transfer import Transfer
 from mbn_marl.cli.tune import Tune
+from mbn_marl.cli.zoo import Zoo
 from mbn_marl.errors import MbnError
 
 Command = (
@@ -31,6 +32,7 @@ Command = (
     | Annotated[Tune, subcommand("tune")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Render, subcommand("render")]
+    | Annotated[Zoo, subcommand("zoo")]
     | Annotated[Bench, subcommand("bench")]
 )
 

@@ -14,7 +14,7 @@ class Render:
     """Show an episode: the policy of a run, or random actions in a field."""
 
     source: Positional[Annotated[str, arg(metavar="RUN|FIELD")]]
-    """The folder of a run, a name of `mbn fields`, or the path of a field file."""
+    """The folder of a run, zoo:NAME (see `mbn zoo`), a name of `mbn fields`, or a field file."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
     """A .gif for the episode, .png, .pdf or .svg for its paths; without it a window opens."""
     sampled: bool = False
@@ -28,15 +28,15 @@ class Render:
         """Run the episode and show it."""
         from baselines.episode import record_episode, show, write_animation, write_trajectories
         from baselines.policies import Policy, RandomPolicy, load_policy
-        from baselines.runs import RunFolder
+        from baselines.zoo.entries import PREFIX, open_run
         from mbn_marl.errors import ConfigError
         from mbn_marl.field import load_field
 
         if self.steps < 1:
             raise ConfigError("render", [f"steps: at least 1, not {self.steps}"])
         policy: Policy = RandomPolicy(self.seed)
-        if Path(self.source).is_dir():
-            run = RunFolder.open(Path(self.source))
+        if self.source.startswith(PREFIX) or Path(self.source).is_dir():
+            run = open_run(self.source)
             field, settings, policy = run.field, run.config["environment"], load_policy(run)
         else:
             field, settings = load_field(self.source), {}

@@ -14,7 +14,8 @@ class Train:
     """Train one policy on one field and record everything in a run folder."""
 
     algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
-    """a2c, ppo, trpo, ars, crossq, tqc (the centralised MDP), mappo, ippo (decentralised)."""
+    """a2c, ppo, trpo, ars, crossq, tqc (the centralised MDP); mappo, ippo, ppo-shared and
+    ppo-supersuit (decentralised)."""
     field: Positional[Annotated[str, arg(metavar="FIELD")]]
     """A name of `mbn fields`, or the path of a field file."""
     setting: Literal["A", "B", "C", "N"] = "N"

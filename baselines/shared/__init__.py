@@ -1,0 +1,1 @@
+"""PPO of Stable-Baselines3 with one policy for all robots, each robot a row of the batch."""

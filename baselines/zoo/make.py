@@ -1,0 +1,170 @@
+"""Making an entry of the zoo from a finished run."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from baselines.evaluate import EVALUATION_SEED, evaluate_both
+from baselines.optimum import optimal_return
+from baselines.policies import load_policy
+from baselines.runs import RunFolder
+from baselines.storage import RunError, read_json, replacing_folder, write_json, write_text
+from baselines.zoo.entries import CARD, PREFIX
+from mbn_marl.config import make_config
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import catalogue_names, save_field
+
+EPISODES = 100
+LARGEST = 200_000
+"""Bytes of an entry's files together."""
+
+README = """\
+# {prefix}{name}
+
+{algorithm} on {field}, trained with seed {seed} for {env_steps:,} env-steps in {seconds:,.0f} s \
+(evaluations excluded):
+
+```sh
+{command}
+```
+
+All hyperparameters are in `config.json`; it ran with Python {python}, torch {torch}, at revision
+`{revision}`.
+
+{episodes} fresh episodes each, with sampled and with mean actions, seed {evaluation_seed} \
+(`mbn evaluate {prefix}{name}`):
+
+| actions | return | min | max | success | collisions | makespan |
+|---|---|---|---|---|---|---|
+{rows}
+
+{optimum}
+"""
+
+
+def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
+    """Evaluate a finished run's policy and make the folder ``path`` of it.
+
+    A folder that is already there is replaced when all has gone well.
+
+    Args:
+        run: the run, on a field of the catalogue.
+        path: the entry's folder; its name is the entry's name.
+
+    Returns:
+        The card.
+
+    Raises:
+        RunError: the run is not finished, or ``path`` holds something that is no entry.
+        ConfigError: its field is not the catalogue's, it holds pickled files, or it is too large.
+    """
+    config = run.config
+    check_run(run)
+    if path.exists() and not (path / CARD).is_file():
+        raise RunError(f"{path} already exists, and is no entry of the zoo")
+    card = make_card(run, path.name)
+    for name in ("hyperparams", "transferred_from"):
+        config[name] = None if config[name] is None else Path(config[name]).name
+    with replacing_folder(path) as folder:
+        write_json(folder / "config.json", config)
+        save_field(run.field, folder / "field.yaml")
+        shutil.copytree(run.policy, folder / "policy")
+        write_json(folder / CARD, card)
+        write_text(folder / "README.md", readme(card))
+        size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+        if size > LARGEST:
+            raise ConfigError(str(run.path), [f"{size:,} bytes; allowed: up to {LARGEST:,}"])
+    return card
+
+
+def check_run(run: RunFolder) -> None:
+    """Whether an entry can be made of a run.
+
+    Raises:
+        RunError: the run is not finished.
+        ConfigError: naming everything that stands against it.
+    """
+    if not run.finished:
+        raise RunError(f"{run.path} is not finished; go on with it first (--resume)")
+    field = run.config["field"]
+    problems = [
+        f"{file.name}: may hold pickled parts; allowed: .json and .safetensors"
+        for file in run.policy.iterdir()
+        if file.suffix not in (".json", ".safetensors")
+    ]
+    if field not in catalogue_names():
+        problems.append(f"field: {field}; allowed: {', '.join(catalogue_names())}")
+    if problems:
+        raise ConfigError(str(run.path), problems)
+
+
+def make_card(run: RunFolder, name: str) -> dict[str, Any]:
+    """How a run's policy was trained and what it does, as JSON values.
+
+    Args:
+        run: the run; its policy is evaluated here.
+        name: of the entry.
+    """
+    config, trained = run.config, run.evaluation
+    evaluations = evaluate_both(
+        load_policy(run),
+        run.field,
+        config["environment"],
+        episodes=EPISODES,
+        seed=EVALUATION_SEED,
+    )
+    return {
+        "name": name,
+        **{key: config[key] for key in ("algorithm", "setting", "field", "seed")},
+        "env_steps": trained["env_steps"],
+        "seconds": trained["seconds"],
+        "command": plain_command((run.path / "command.txt").read_text()),
+        "versions": read_json(run.path / "versions.json"),
+        "optimum": optimal_return(run.field, make_config(config["environment"])),
+        **{key: evaluation.summary() for key, evaluation in evaluations.items()},
+    }
+
+
+def plain_command(command: str) -> str:
+    """A recorded command without what only says where its files go."""
+    words, kept = iter(shlex.split(command)), []
+    for word in words:
+        if word in ("--out", "-o"):
+            next(words)
+        elif word not in ("--force", "--resume") and not word.startswith("--out="):
+            kept.append(word)
+    return shlex.join(kept)
+
+
+def readme(card: Mapping[str, Any]) -> str:
+    """The card as Markdown."""
+    evaluations = card["stochastic"], card["deterministic"]
+    optimum = card["optimum"]
+    versions = card["versions"]
+    return README.format(
+        **{key: value for key, value in card.items() if key != "optimum"},
+        optimum="" if optimum is None else f"The proved optimum is {optimum:,.0f}.",
+        prefix=PREFIX,
+        python=versions["python"],
+        torch=versions["packages"]["torch"],
+        revision=versions["git_revision"],
+        episodes=evaluations[0]["episodes"],
+        evaluation_seed=evaluations[0]["seed"],
+        rows="\n".join(map(_row, evaluations)),
+    )
+
+
+def _row(summary: Mapping[str, Any]) -> str:
+    makespan = summary["makespan"]
+    cells = (
+        "mean" if summary["deterministic"] else "sampled",
+        *(f"{summary[f'return_{name}']:,.0f}" for name in ("mean", "min", "max")),
+        f"{summary['success_rate']:.1%}",
+        f"{summary['collision_rate']:.1%}",
+        "-" if makespan is None else f"{makespan:.1f}",
+    )
+    return f"| {' | '.join(cells)} |"
