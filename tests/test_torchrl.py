@@ -286,20 +286,59 @@ def test_ppo_loss_trains(team: bool) -> None:
     assert all(grad.abs().sum() > 0 for grad in gradients)
 
 
-def wrapped_parallel_env() -> PettingZooWrapper:
-    env = parallel_env("field_03", max_steps=5)
-    return PettingZooWrapper(
-        env, group_map={GROUP: env.possible_agents}, return_state=True, done_on_any=True
-    )
+def wrapped_parallel_env(**settings: object) -> PettingZooWrapper:
+    env = parallel_env("field_03", **settings)
+    return PettingZooWrapper(env, group_map={GROUP: env.possible_agents}, return_state=True)
 
 
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using")
-def test_pettingzoo_wrapper_works_and_trains() -> None:
-    torch.manual_seed(0)
-    env = wrapped_parallel_env()
+def test_pettingzoo_wrapper_knows_time_limits() -> None:
+    env = wrapped_parallel_env(max_steps=5)
     check_env_specs(env)
     data = env.rollout(12, break_when_any_done=False)
-    assert data["next", "truncated"][:, 0].tolist() == [t % 5 == 4 for t in range(12)]
-    assert not data["next", "terminated"].any()
-    gradients = ppo_gradients(env, team=False)
-    assert all(grad.isfinite().all() and grad.abs().sum() > 0 for grad in gradients)
+    for flags in (data["next"], data["next", GROUP]):
+        assert flags["truncated"].flatten(1).all(1).tolist() == [t % 5 == 4 for t in range(12)]
+        assert not flags["terminated"].any()
+
+
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using")
+def test_pettingzoo_wrapper_trains() -> None:
+    """PPO as a user writes it: collector, GAE and loss of TorchRL on PettingZoo's environment."""
+    torch.manual_seed(0)
+    gamma, env = 0.9, wrapped_parallel_env(**LIVELY)
+    actor, critic = actor_and_critic(env, team=False)
+    loss = ClipPPOLoss(actor, critic)
+    keys = {name: (GROUP, name) for name in ("action", "reward", "done", "terminated")}
+    loss.set_keys(sample_log_prob=(GROUP, "action_log_prob"), value=(GROUP, "state_value"), **keys)
+    # With lambda = 0 the targets are those of one step, which can be told by hand.
+    loss.make_value_estimator(ValueEstimators.GAE, gamma=gamma, lmbda=0.0)
+    optimizer = torch.optim.Adam(loss.parameters(), lr=1e-2)
+    before = [weights.detach().clone() for weights in loss.parameters()]
+    ends = torch.zeros(2)
+    collector = Collector(
+        env, actor, frames_per_batch=100, total_frames=300, auto_register_policy_transforms=False
+    )
+    for data in collector:
+        data["next", GROUP, "reward"] *= 1e-4
+        with torch.no_grad():
+            loss.value_estimator(data)
+            following = critic(data["next"].clone())[GROUP, "state_value"]
+        terminated, truncated = (data["next", GROUP, name] for name in ("terminated", "truncated"))
+        going_on = ~terminated  # at a time limit the value of the last observation counts
+        target = data["next", GROUP, "reward"] + gamma * going_on * following
+        torch.testing.assert_close(data["value_target"], target)
+        ended = data["next", "done"][:-1, 0]
+        seen, last = data[GROUP, "observation"][1:], data["next", GROUP, "observation"][:-1]
+        assert (seen[ended] != last[ended]).any(-1).all() and (seen[~ended] == last[~ended]).all()
+        ends += torch.stack([flag[:, 0].sum() for flag in (terminated, truncated & ~terminated)])
+        for _ in range(2):
+            losses = loss(data)
+            total = sum(value for key, value in losses.items() if key.startswith("loss_"))
+            assert total.isfinite()
+            optimizer.zero_grad()
+            total.backward()
+            optimizer.step()
+    assert (ends > 0).all()
+    after = list(loss.parameters())
+    assert all(weights.isfinite().all() for weights in after)
+    assert all((old != new).any() for old, new in zip(before, after, strict=True))
