@@ -146,6 +146,8 @@ def test_a_saved_policy_acts_as_before(normalized: bool, tmp_path: Path) -> None
         acts.append([one.act(seen, deterministic=chosen) for chosen in (True, False)])
     np.testing.assert_array_equal(acts[0], acts[1])
     assert acts[0][0].shape == (5, ROBOTS, 2)
+    raw = SharedPolicy(policy.network, policy.arguments, None).act(seen, deterministic=True)
+    assert np.array_equal(raw, acts[0][0]) != normalized
     # Each robot's action follows from its own observation, by the same network for all.
     turned = policy.act(seen[:, ::-1], deterministic=True)[:, ::-1]
     np.testing.assert_allclose(turned, acts[0][0], atol=1e-6)
