@@ -86,12 +86,12 @@ class Algorithm:
         return load(self.name, setting, overrides, num_envs=num_envs, file=file)
 
     def check(self, task: Any, hyperparameters: Any) -> None:
-        """Whether a learner can be made; the ranges of a decentralised one say all.
+        """Whether a learner can be made; the ranges of TorchRL's ones say all.
 
         Raises:
             ConfigError: with what the library says against the hyperparameters.
         """
-        if self.form == "centralized":
+        if self.package != "decentralized":
             self._module("trainer").check(task, hyperparameters)
 
     @property

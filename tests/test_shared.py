@@ -20,6 +20,7 @@ from baselines.shared.policy import load_policy as load_shared
 from baselines.shared.worlds import engines, make_env
 from baselines.storage import RunError
 from baselines.table import summarise
+from baselines.tensors import write_tensors
 from baselines.train import train
 from mbn_marl.cli import main
 from mbn_marl.errors import ConfigError
@@ -139,7 +140,7 @@ def test_a_saved_policy_acts_as_before(normalized: bool, tmp_path: Path) -> None
     assert (policy.normalization is not None) == normalized
     policy.save(tmp_path)
     copy = load_shared(tmp_path)
-    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (5, ROBOTS, 30)).astype(np.float32)
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (5, ROBOTS, 33)).astype(np.float32)
     acts = []
     for one in (policy, copy):
         torch.manual_seed(1)
@@ -155,6 +156,9 @@ def test_a_saved_policy_acts_as_before(normalized: bool, tmp_path: Path) -> None
 
 def test_a_damaged_policy_is_named(tmp_path: Path) -> None:
     run = train(config_of("ppo-shared"), tmp_path / "run")
+    write_tensors(run.policy / "policy.safetensors", {"log_std": torch.zeros(2)})
+    with pytest.raises(RunError, match=r"policy\.safetensors does not fit policy\.json"):
+        load_policy(run)
     (run.policy / "policy.safetensors").write_bytes(b"nonsense")
     with pytest.raises(RunError, match=r"policy\.safetensors cannot be read"):
         load_policy(run)
@@ -169,6 +173,13 @@ def test_hyperparameters_are_the_same_for_both() -> None:
         find_algorithm(NAMES[0]).resolve({"model": {"tau": 0.1}})
     with pytest.raises(ConfigError, match="setting: ppo-shared has N, not A"):
         TrainConfig("ppo-shared", "field_03", setting="A")
+
+
+def test_what_makes_no_learner_is_said_before_the_folder_is_made(tmp_path: Path) -> None:
+    config = config_of("ppo-shared", hyperparameters={"model": {"n_steps": 1, "batch_size": 1}})
+    with pytest.raises(ConfigError, match=r"of ppo-shared: 1 problem\n.*no learner can be made"):
+        train(config, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_the_command_line_takes_them(tmp_path: Path) -> None:

@@ -122,39 +122,37 @@ def load(
         ConfigError: naming every unknown or invalid hyperparameter.
     """
     block = "A" if setting == "C" and file is None else setting
-    recorded = FOLDER / f"{algorithm}.yaml"
-    return read(algorithm, block, overrides, recorded=recorded, num_envs=num_envs, file=file)
+    place = f"hyperparameters of {algorithm}" if file is None else str(file)
+    return read(file or FOLDER / f"{algorithm}.yaml", block, algorithm, overrides, num_envs, place)
 
 
 def read(
-    learner: str,
+    source: Path,
     name: str,
+    learner: str,
     overrides: Mapping[str, Any],
-    *,
-    recorded: Path,
     num_envs: int | None,
-    file: Path | None,
+    place: str,
 ) -> CentralizedConfig:
-    """The block ``name`` of ``file``, or else of ``recorded``, with ``overrides``.
+    """Read a block of a YAML file, with ``overrides``.
 
     Args:
-        learner: a name of :data:`CLASSES`, which says what ``model`` may have.
+        source: the file.
         name: of the block.
+        learner: a name of :data:`CLASSES`, which says what ``model`` may have.
         overrides: values by name, instead of the block's.
-        recorded: the repository's file.
         num_envs: worlds side by side, instead of the block's number.
-        file: the user's file, if there is one.
+        place: what an error names.
 
     Raises:
         ConfigError: naming every unknown or invalid hyperparameter.
     """
-    block = read_block(file or recorded, name)
+    block = read_block(source, name)
     given = {"num_envs": num_envs} if num_envs is not None else {}
     values = {**block, **overrides, **given}
     if isinstance(block.get("model"), dict) and "model" in overrides:
         values["model"] = {**block["model"], **overrides["model"]}
-    place = f"hyperparameters of {learner}"
-    config = validate(CentralizedConfig, values, place if file is None else str(file))
+    config = validate(CentralizedConfig, values, place)
     accepted = accepted_arguments(learner)
     foreign = {name: value for name, value in config.model.items() if name not in accepted}
     unknown = sorted(set(foreign) - set(TUNED_IN_PAPER))

@@ -149,8 +149,17 @@ def check(task: Task, hyperparameters: CentralizedConfig) -> None:
         ConfigError: with what the library says against them.
     """
     env = make_env(task, hyperparameters, EpisodeWindow())
+    check_maker(task, lambda: make_model(task, hyperparameters, env))
+
+
+def check_maker(task: Task, make: Callable[[], BaseAlgorithm]) -> None:
+    """Whether ``make`` makes a learner.
+
+    Raises:
+        ConfigError: with what the library says against the hyperparameters.
+    """
     try:
-        make_model(task, hyperparameters, env)
+        make()
     except REFUSALS as error:
         place = task.config.hyperparams or f"hyperparameters of {task.config.algorithm}"
         what = " ".join(str(error).split()) or type(error).__name__

@@ -33,4 +33,5 @@ def load(
     Raises:
         ConfigError: naming every unknown or invalid hyperparameter.
     """
-    return read(LEARNER, setting, overrides, recorded=SOURCE, num_envs=num_envs, file=file)
+    place = f"hyperparameters of {algorithm}" if file is None else str(file)
+    return read(file or SOURCE, setting, LEARNER, overrides, num_envs, place)

@@ -6,41 +6,41 @@ from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
-from safetensors import torch as safetensors_torch
-from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 
 from baselines.generators import restore_generators, save_generators
-from baselines.optimizers import moments_of, restore_moments
 from baselines.shared.policy import load_policy
 from baselines.shared.worlds import engines
 from baselines.storage import read_arrays, read_json, write_arrays, write_json
+from baselines.tensors import moments_of, read_tensors, restore_moments, write_tensors
 
 MOMENTS = "optimizer.safetensors"
 WORLDS = "worlds.npz"
 COUNTERS = "counters.json"
 
 
-def save(model: PPO, folder: Path) -> None:
+def save(model: BaseAlgorithm, folder: Path) -> None:
     """Write, beside its policy, all else that :func:`restore` needs into ``folder``."""
-    safetensors_torch.save_file(moments_of(model.policy.optimizer), folder / MOMENTS)
+    ppo: Any = model
+    write_tensors(folder / MOMENTS, moments_of(ppo.policy.optimizer))
     worlds = {
         f"{number}/{name}": array
-        for number, engine in enumerate(engines(model.get_env()))
+        for number, engine in enumerate(engines(ppo.get_env()))
         for name, array in engine.save_state().items()
     }
-    seen = {"observations": model._last_obs, "episode_starts": model._last_episode_starts}
+    seen = {"observations": ppo._last_obs, "episode_starts": ppo._last_episode_starts}
     write_arrays(folder / WORLDS, {**worlds, **seen}, compress=True)
     counters = {
-        "num_timesteps": model.num_timesteps,
-        "updates": model._n_updates,
-        "episodes": list(model.ep_info_buffer),
-        "successes": list(model.ep_success_buffer),
+        "num_timesteps": ppo.num_timesteps,
+        "updates": ppo._n_updates,
+        "episodes": list(ppo.ep_info_buffer),
+        "successes": list(ppo.ep_success_buffer),
         "generators": save_generators(),
     }
     write_json(folder / COUNTERS, counters)
 
 
-def restore(model: PPO, checkpoint: Path) -> None:
+def restore(model: BaseAlgorithm, checkpoint: Path) -> None:
     """Take up the learner of a checkpoint at exactly the same point.
 
     Args:
@@ -50,23 +50,24 @@ def restore(model: PPO, checkpoint: Path) -> None:
     Raises:
         RunError: a file is missing or damaged.
     """
-    model._setup_learn(0)  # makes what is filled here, and would be made anew without it
+    ppo: Any = model
+    ppo._setup_learn(0)  # makes what is filled here, and would be made anew without it
     policy = load_policy(checkpoint / "policy")
-    model.policy.load_state_dict(policy.network.state_dict())
+    ppo.policy.load_state_dict(policy.network.state_dict())
     if policy.normalization is not None:
-        policy.normalization.put_into(model.get_vec_normalize_env())
-    restore_moments(model.policy.optimizer, safetensors_torch.load_file(checkpoint / MOMENTS))
+        policy.normalization.put_into(ppo.get_vec_normalize_env())
+    restore_moments(ppo.policy.optimizer, read_tensors(checkpoint / MOMENTS))
     saved = read_arrays(checkpoint / WORLDS)
-    model._last_obs = saved.pop("observations")
-    model._last_episode_starts = saved.pop("episode_starts")
+    ppo._last_obs = saved.pop("observations")
+    ppo._last_episode_starts = saved.pop("episode_starts")
     worlds: dict[str, dict[str, NDArray[Any]]] = {}
     for key, array in saved.items():
         number, name = key.split("/")
         worlds.setdefault(number, {})[name] = array
-    for number, engine in enumerate(engines(model.get_env())):
-        engine.load_state(worlds[str(number)])
+    for index, engine in enumerate(engines(ppo.get_env())):
+        engine.load_state(worlds[str(index)])
     counters = read_json(checkpoint / COUNTERS)
-    model.num_timesteps, model._n_updates = counters["num_timesteps"], counters["updates"]
-    model.ep_info_buffer.extend(counters["episodes"])
-    model.ep_success_buffer.extend(counters["successes"])
+    ppo.num_timesteps, ppo._n_updates = counters["num_timesteps"], counters["updates"]
+    ppo.ep_info_buffer.extend(counters["episodes"])
+    ppo.ep_success_buffer.extend(counters["successes"])
     restore_generators(counters["generators"])

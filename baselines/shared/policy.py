@@ -7,17 +7,15 @@ from typing import Any, Literal
 
 import numpy as np
 from gymnasium import spaces
-from safetensors import SafetensorError
-from safetensors import torch as safetensors_torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import ConstantSchedule
 
 from baselines.centralized.policy import Normalization
 from baselines.runs import RunFolder
 from baselines.storage import RunError, read_json, write_json
-from mbn_marl.render.files import replacing
+from baselines.tensors import read_tensors, write_tensors
 
 WEIGHTS = "policy.safetensors"
 SHAPE = "policy.json"
@@ -36,7 +34,7 @@ class SharedPolicy:
 
     def __init__(
         self,
-        network: ActorCriticPolicy,
+        network: BasePolicy,
         arguments: dict[str, Any],
         normalization: Normalization | None,
     ) -> None:
@@ -61,13 +59,12 @@ class SharedPolicy:
         """Write the weights (safetensors), and shape and normalisation (JSON), into ``folder``."""
         normalization = None if self.normalization is None else self.normalization.to_json()
         shape = {
-            "obs_size": self.network.observation_space.shape[0],
+            "obs_size": spaces.flatdim(self.network.observation_space),
             "arguments": self.arguments,
             "normalization": normalization,
         }
         write_json(folder / SHAPE, shape)
-        with replacing(folder / WEIGHTS) as temporary:
-            safetensors_torch.save_file(self.network.state_dict(), temporary)
+        write_tensors(folder / WEIGHTS, self.network.state_dict())
 
 
 def load_policy(folder: Path) -> SharedPolicy:
@@ -84,9 +81,9 @@ def load_policy(folder: Path) -> SharedPolicy:
         **shape["arguments"],
     )
     try:
-        network.load_state_dict(safetensors_torch.load_file(folder / WEIGHTS))
-    except (OSError, SafetensorError, RuntimeError) as error:
-        raise RunError(f"{folder / WEIGHTS} cannot be read: {error}") from None
+        network.load_state_dict(read_tensors(folder / WEIGHTS))
+    except RuntimeError as error:
+        raise RunError(f"{folder / WEIGHTS} does not fit {SHAPE}: {error}") from None
     normalization = shape["normalization"]
     if normalization is not None:
         normalization = Normalization.from_json(normalization)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecEnv
 
 from baselines.centralized.config import CentralizedConfig, model_arguments
-from baselines.centralized.trainer import Keeping, learn
-from baselines.recorder import Recorder
+from baselines.centralized.trainer import Keeping, check_maker, learn
+from baselines.recorder import EpisodeWindow, Recorder
 from baselines.runs import Task
 from baselines.shared.learner import restore, save
 from baselines.shared.policy import SharedPolicy
@@ -17,17 +18,29 @@ from baselines.shared.worlds import make_env
 def train(task: Task, hyperparameters: CentralizedConfig, recorder: Recorder) -> None:
     """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result.
 
-    An env-step moves every robot of one world, so a row for each robot is one env-step together.
+    An env-step moves every robot of a world, and is a row for each robot in the library's count.
     """
-    set_random_seed(task.config.seed)  # PPO's own `seed` would seed the worlds: SuperSuit has none
     env = make_env(task, hyperparameters, recorder.episodes)
-    model = PPO(
-        hyperparameters.policy,
-        env,
-        device=task.config.device,
-        **model_arguments(hyperparameters),
-    )
+    model = make_model(task, hyperparameters, env)
     if recorder.checkpoint is not None:
         restore(model, recorder.checkpoint)
     stride = env.num_envs // hyperparameters.num_envs
     learn(model, task, recorder, Keeping(SharedPolicy.of, save, stride))
+
+
+def check(task: Task, hyperparameters: CentralizedConfig) -> None:
+    """Whether a learner can be made with these hyperparameters.
+
+    Raises:
+        ConfigError: with what the library says against them.
+    """
+    env = make_env(task, hyperparameters, EpisodeWindow())
+    check_maker(task, lambda: make_model(task, hyperparameters, env))
+
+
+def make_model(task: Task, hyperparameters: CentralizedConfig, env: VecEnv) -> PPO:
+    """A fresh learner. PPO's own ``seed`` would seed the worlds, which SuperSuit's refuse."""
+    set_random_seed(task.config.seed)
+    return PPO(
+        hyperparameters.policy, env, device=task.config.device, **model_arguments(hyperparameters)
+    )
