@@ -57,9 +57,10 @@ class NavigationConfig(BaseModel):
         reward: the name of a reward profile, or a :class:`RewardProfile`.
         reward_sharing: ``"individual"`` (each robot its own share; the shares sum to the team's
             reward) or ``"team"`` (every robot gets the team's reward).
-        observation: ``"relative"``, ``"state"`` or ``"local"``, see ``engine.observation``.
+        observation: ``"relative"``, ``"state"``, ``"local"`` or ``"lidar"``, see
+            ``engine.observation``.
         one_hot: append the robot's index as a one-hot vector to its observation.
-        sensing_radius: how far ``"local"`` sees, in units.
+        sensing_radius: how far ``"local"`` and ``"lidar"`` see, in units.
         wind: ``(v_a, beta_a)``: speed in units/step per step, angle in degrees from +x.
         max_steps: T_max; reaching it truncates the episode.
         dtype: precision of the simulation, ``"float32"`` or ``"float64"``.
@@ -81,7 +82,7 @@ class NavigationConfig(BaseModel):
     n_robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] | None = None
     reward: RewardProfile = REWARD_PROFILES["released"]
     reward_sharing: Literal["individual", "team"] = "individual"
-    observation: Literal["relative", "state", "local"] = "relative"
+    observation: Literal["relative", "state", "local", "lidar"] = "relative"
     one_hot: bool = False
     sensing_radius: Positive = 100.0
     wind: tuple[NonNegative, Finite] = (0.0, 0.0)
@@ -116,7 +117,7 @@ class FixedSettings(TypedDict, total=False):
 
     reward: str | RewardProfile
     reward_sharing: Literal["individual", "team"]
-    observation: Literal["relative", "state", "local"]
+    observation: Literal["relative", "state", "local", "lidar"]
     one_hot: bool
     sensing_radius: float
     wind: tuple[float, float]

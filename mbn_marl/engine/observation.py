@@ -1,24 +1,27 @@
 """What a robot sees: one table of entries for each observation, and the function that writes them.
 
-Entries are float32 and bounded. ``relative`` and ``local`` are scaled to [-1, 1] by the arena and
-the speed limit; ``state`` is the paper's vector in raw units with the own robot first. The visit
-bits of the ROIs are shared by the team in all of them.
+Entries are float32 and bounded. ``relative``, ``local`` and ``lidar`` are scaled to [-1, 1] by the
+arena, the speed limit and the sensing radius; ``state`` is the paper's vector in raw units with the
+own robot first. The visit bits of the ROIs are shared by the team in all of them.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.compiling import compiled
-from mbn_marl.engine.rules import within
+from mbn_marl.engine.rules import clip, cross_edge, within
 from mbn_marl.engine.transpose import SIDE, transpose
+from mbn_marl.engine.walls import COSINES, RAYS, SINES, braking_path, distance_squared, reading
 
-RELATIVE, STATE, LOCAL = 0, 1, 2
+RELATIVE, STATE, LOCAL, LIDAR = 0, 1, 2, 3
 FIRST = np.uint64(0)
-OBSERVATIONS = {"relative": RELATIVE, "state": STATE, "local": LOCAL}
+FAR = np.float32(np.inf)
+OBSERVATIONS = {"relative": RELATIVE, "state": STATE, "local": LOCAL, "lidar": LIDAR}
 
 
 Row = tuple[str, float, float, str]
@@ -41,6 +44,8 @@ def observation_table(
     rows: list[Row]
     if config.observation == "state":
         rows = _state_rows(n, m, arena, config.v_clip)
+    elif config.observation == "lidar":
+        rows = _lidar_rows(n, m)
     else:
         rows = _relative_rows(n, m, flags=config.observation == "local")
     if config.one_hot:
@@ -60,6 +65,24 @@ def _relative_rows(n: int, m: int, *, flags: bool) -> list[Row]:
         rows += [(f"roi_{j}_present", 0.0, 1.0, "flag")] * flags
         rows += [(f"roi_{j}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
         rows += [(f"roi_{j}_visited", 0.0, 1.0, "flag")]
+    return rows
+
+
+def _lidar_rows(n: int, m: int) -> list[Row]:
+    velocity, radii = "speed limits", "sensing radii"
+    rows = [(f"own_{a}", -1.0, 1.0, "half arenas from the field's centre") for a in "xy"]
+    rows += [(f"own_v{a}", -1.0, 1.0, velocity) for a in "xy"]
+    for k in range(1, n):
+        rows += [(f"other_{k}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
+        rows += [(f"other_{k}_dv{a}", -1.0, 1.0, f"2 {velocity}") for a in "xy"]
+        rows += [(f"other_{k}_near", 0.0, 1.0, f"1 - {radii}")]
+    for j in range(m):
+        rows += [(f"roi_{j}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
+        rows += [(f"roi_{j}_u{a}", -1.0, 1.0, "soft unit vector") for a in "xy"]
+        rows += [(f"roi_{j}_visited", 0.0, 1.0, "flag")]
+    rows += [(f"ray_{k}", 0.0, 1.0, radii) for k in range(RAYS)]
+    rows += [("time_to_wall", 0.0, 1.0, f"{radii} at the speed limit")]
+    rows += [("brake_inside", 0.0, 1.0, "flag"), ("wall_distance", 0.0, 1.0, radii)]
     return rows
 
 
@@ -181,12 +204,120 @@ def put_relative(p, g, ep, lo, hi, i, tile):
 
 
 @compiled
+def put_centred(p, g, ep, lo, hi, i, tile):
+    """``lidar``: robot i's place about the centre of the field's bounding box, two entries."""
+    for w in range(lo, hi):
+        f = column(g, w)
+        x, y = ep.x[i, w] - g.boxes[0, f], ep.y[i, w] - g.boxes[1, f]
+        tile[0, w - lo] = clip((x + (x - g.boxes[2, f])) * p.per_arena_x, -p.one, p.one)
+        tile[1, w - lo] = clip((y + (y - g.boxes[3, f])) * p.per_arena_y, -p.one, p.one)
+
+
+@compiled
+def put_near(p, ep, lo, hi, i, j, tile, k):
+    """``lidar``: how near robot j is: 1 here, 0 from the sensing radius on."""
+    for w in range(lo, hi):
+        dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
+        distance = math.sqrt(dx * dx + dy * dy)
+        tile[k, w - lo] = max(p.one - distance * p.per_radius, p.zero)
+
+
+@compiled
+def put_direction(p, g, ep, lo, hi, i, j, tile, k):
+    """``lidar``: where ROI j lies, ``d / (|d| + 1 unit)``, and whether the team has visited it."""
+    for w in range(lo, hi):
+        f = column(g, w)
+        dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
+        length = math.sqrt(dx * dx + dy * dy) + p.one
+        tile[k + 2, w - lo] = tile[k, w - lo]
+        tile[k, w - lo] = dx / length
+        tile[k + 1, w - lo] = dy / length
+
+
+@compiled
+def put_rays(p, g, ep, lo, hi, i, tile, k):
+    """``lidar``: how far robot i can go in each of the directions, up to the sensing radius."""
+    for ray in range(RAYS):
+        row, dx, dy = k + ray, COSINES[ray], SINES[ray]
+        for w in range(lo, hi):
+            tile[row, w - lo] = p.one
+        for e in range(g.edges.shape[1]):
+            for w in range(lo, hi):
+                f = column(g, w)
+                x, y = ep.x[i, w], ep.y[i, w]
+                ax, ay = g.edges[0, e, f] - x, g.edges[1, e, f] - y
+                bx, by = g.edges[2, e, f] - x, g.edges[3, e, f] - y
+                seen = reading(p, dx, dy, ax, ay, bx, by, p.per_radius)
+                tile[row, w - lo] = min(tile[row, w - lo], seen)
+
+
+@compiled
+def put_margins(p, g, ep, lo, hi, i, tile, k):
+    """``lidar``: when robot i would reach the wall, and how far the nearest wall is."""
+    for w in range(lo, hi):
+        tile[k, w - lo] = p.one
+        tile[k + 2, w - lo] = FAR
+    for e in range(g.edges.shape[1]):
+        for w in range(lo, hi):
+            f = column(g, w)
+            x, y, vx, vy = ep.x[i, w], ep.y[i, w], ep.vx[i, w], ep.vy[i, w]
+            ax, ay = g.edges[0, e, f] - x, g.edges[1, e, f] - y
+            bx, by = g.edges[2, e, f] - x, g.edges[3, e, f] - y
+            seen = reading(p, vx, vy, ax, ay, bx, by, p.per_radius_time)
+            square = distance_squared(p, ax, ay, bx, by)
+            tile[k, w - lo] = min(tile[k, w - lo], seen)
+            tile[k + 2, w - lo] = min(tile[k + 2, w - lo], square)
+    for w in range(lo, hi):
+        distance = math.sqrt(tile[k + 2, w - lo]) * p.per_radius
+        tile[k + 2, w - lo] = min(distance, p.one)
+
+
+@compiled
+def put_brake(p, g, ep, lo, hi, i, tile, k):
+    """``lidar``: whether robot i would stop in the field if it braked from now on."""
+    brake = p.f_max / g.masses[i]
+    for w in range(lo, hi):
+        f = column(g, w)
+        x = ep.x[i, w] + braking_path(p, ep.vx[i, w], brake, p.wind_x, p.arena_x)
+        y = ep.y[i, w] + braking_path(p, ep.vy[i, w], brake, p.wind_y, p.arena_y)
+        seen = 0
+        for e in range(g.edges.shape[1]):
+            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
+            bx, by = g.edges[2, e, f], g.edges[3, e, f]
+            seen = cross_edge(seen, x, y, ax, ay, bx, by)
+        tile[k, w - lo] = p.one if seen != 0 else p.zero
+
+
+@compiled
+def put_lidar(p, g, ep, lo, hi, i, tile):
+    """The entries of ``lidar`` for robot i; how many there are."""
+    put_own(p, ep, lo, hi, i, tile)
+    put_centred(p, g, ep, lo, hi, i, tile)
+    k = 4
+    for j in range(ep.x.shape[0]):
+        if j != i:
+            put_other(p, ep, lo, hi, i, j, tile, k)
+            put_near(p, ep, lo, hi, i, j, tile, k + 4)
+            k += 5
+    for j in range(g.rois.shape[1]):
+        put_roi(p, g, ep, lo, hi, i, j, tile, k)
+        put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)
+        k += 5
+    put_rays(p, g, ep, lo, hi, i, tile, k)
+    put_margins(p, g, ep, lo, hi, i, tile, k + RAYS)
+    put_brake(p, g, ep, lo, hi, i, tile, k + RAYS + 1)
+    return k + RAYS + 3
+
+
+@compiled
 def describe(p, g, ep, lo, hi, i, tile):
     """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side."""
     n = ep.x.shape[0]
     if p.observation == STATE:
         put_state(g, ep, lo, hi, i, tile)
         k = 4 * n + 1
+    elif p.observation == LIDAR:
+        k = put_lidar(p, g, ep, lo, hi, i, tile)
     else:
         k = put_relative(p, g, ep, lo, hi, i, tile)
     if p.one_hot:

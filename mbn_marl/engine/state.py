@@ -24,7 +24,7 @@ Array = NDArray[Any]
 class Geometry(NamedTuple):
     """The field of all worlds, or each world's own, padded to common sizes; the robots' masses."""
 
-    edges: Array  # (4, E, F) real: ax, ay, bx, by; padding edges are a single vertex
+    edges: Array  # (4, E, F) real: ax, ay, bx, by, the field on the left; padding: a single vertex
     rois: Array  # (2, m, F) real
     starts: Array  # (2, n, F) real
     roi_bits: Array  # (m, F) int32: the bit of each ROI in the visit code, first ROI highest
@@ -100,7 +100,7 @@ def make_geometry(
     for f, field in enumerate(fields):
         own = len(field.rois)
         edges[:, :, f] = np.tile(field.vertices[0], 2)[:, None]
-        edges[:, : len(field.edges), f] = field.edges.T
+        edges[:, : len(field.edges), f] = _directed_edges(field)
         rois[:, :, f] = field.rois[0][:, None]
         rois[:, :own, f] = field.rois.T
         starts[:, :, f] = field.starts[:n].T
@@ -114,6 +114,15 @@ def make_geometry(
         tables = tuple(np.take(table, own_field, axis=-1) for table in tables)
     masses = np.broadcast_to(np.asarray(config.mass, real), (n,)).copy()
     return Geometry._make([*tables, masses])
+
+
+def _directed_edges(field: Field) -> Array:
+    """The edges of a field (4, E), turned so that it lies to the left of each."""
+    rings = [field.polygon.exterior, *field.polygon.interiors]
+    sizes = [len(ring.coords) - 1 for ring in rings]
+    wrong = [ring.is_ccw == (ring is not rings[0]) for ring in rings]
+    turned = np.roll(field.edges, 2, axis=1)
+    return np.where(np.repeat(wrong, sizes)[:, None], turned, field.edges).T
 
 
 def make_episode(worlds: int, n: int, real: np.dtype[Any], xp: ModuleType = np) -> Episode:
