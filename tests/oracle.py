@@ -148,6 +148,7 @@ class Oracle:
         self.max_steps = max_steps
         self.observation, self.one_hot = observation, one_hot
         self.sensing_radius = sensing_radius
+        self.slack = 1e-6 * max(self.width, self.height)
         self.reset()
 
     def reset(self, positions: Sequence[Sequence[float]] | None = None) -> None:
@@ -192,9 +193,14 @@ class Oracle:
         self._reward(step)
         return step
 
-    def observe(self, i: int) -> NDArray[np.float32]:
-        """What robot i sees, (size,)."""
+    def observe(self, i: int, missing: int = 0) -> NDArray[np.float32]:
+        """What robot i sees, (size,).
+
+        ``missing`` is by how many ROIs the field has fewer than another of a batch: they are seen
+        as visited, and where the first one is.
+        """
         me = self.robots[i]
+        rois = [*zip(self.rois, self.visited, strict=True), *[(self.rois[0], True)] * missing]
         others = [other for other in self.robots if other is not me]
         if self.observation == "state":
             seen = [body.position for body in (me, *others)]
@@ -202,12 +208,22 @@ class Oracle:
             seen.append(np.array([self.visit_code]))
         else:
             half = np.array([self.width, self.height]) / 2
-            seen = [me.position / half - 1, me.velocity / self.v_clip]
+            centre = half if self.observation != "lidar" else self._centre()
+            seen = [(me.position - centre) / half, me.velocity / self.v_clip]
             for other in others:
                 turn = (other.velocity - me.velocity) / (2 * self.v_clip)
                 seen += self._sight(other.position - me.position, turn)
-            for roi, visited in zip(self.rois, self.visited, strict=True):
-                seen += [*self._sight(np.array(roi) - me.position), [visited]]
+                if self.observation == "lidar":
+                    distance = math.dist(other.position, me.position)
+                    seen.append([max(0.0, 1.0 - distance / self.sensing_radius)])
+            for roi, visited in rois:
+                offset = np.array(roi) - me.position
+                seen += self._sight(offset)
+                if self.observation == "lidar":
+                    seen.append(offset / (math.hypot(*offset) + 1.0))
+                seen.append([visited])
+            if self.observation == "lidar":
+                seen.append(self._walls(me, self.masses[i]))
         if self.one_hot:
             seen.append(np.eye(self.n)[i])
         return np.concatenate(seen).astype(np.float32)
@@ -215,10 +231,56 @@ class Oracle:
     def _sight(self, offset: NDArray[Any], *more: NDArray[Any]) -> list[NDArray[Any]]:
         """Something at an offset, in arenas; ``local`` flags it, or blanks what is too far."""
         entries = [offset / np.array([self.width, self.height]), *more]
-        if self.observation == "relative":
+        if self.observation != "local":
             return entries
         near = math.hypot(*offset) <= self.sensing_radius
         return [np.array([near]), *(near * entry for entry in entries)]
+
+    def _centre(self) -> NDArray[Any]:
+        """The middle of the field's bounding box."""
+        bounds = np.array(self.polygon.bounds)
+        return (bounds[:2] + bounds[2:]) / 2
+
+    def _walls(self, me: Robot, mass: Any) -> list[float]:
+        """``lidar``: eight rays, the time to the wall, whether a brake stops, the distance."""
+        radius, speed = self.sensing_radius, math.hypot(me.vx, me.vy)
+        angles = [math.radians(45 * k) for k in range(8)]
+        rays = [self._free(me, (math.cos(a), math.sin(a)), radius) / radius for a in angles]
+        time = 1.0
+        if speed > 0:
+            heading = (float(me.vx) / speed, float(me.vy) / speed)
+            # The horizon is as long as the sensing radius takes at the speed limit.
+            time = self._free(me, heading, radius * speed / self.v_clip)
+            time /= radius * speed / self.v_clip
+        stop = self._stop(me, mass)
+        inside = stop is not None and shapely.intersects_xy(self.polygon, *stop)
+        distance = self.boundary.distance(shapely.Point(me.x, me.y))
+        return [*rays, time, float(inside), min(1.0, distance / radius)]
+
+    def _free(self, me: Robot, heading: tuple[float, float], reach: float) -> float:
+        """How far the robot can go straight ahead before it leaves the field, at most ``reach``."""
+        start = shapely.Point(me.x, me.y)
+        end = (start.x + reach * heading[0], start.y + reach * heading[1])
+        ways = self.polygon.intersection(shapely.LineString([start, end]))
+        own = [part for part in shapely.get_parts(ways) if part.distance(start) < self.slack]
+        return max((part.length for part in own), default=0.0)
+
+    def _stop(self, me: Robot, mass: Any) -> tuple[float, float] | None:
+        """Where the robot comes to rest if it brakes as hard as it can; ``None``: never."""
+        spot = []
+        for place, velocity, wind in (
+            (me.x, me.vx, self.wind_x), (me.y, me.vy, self.wind_y)
+        ):
+            place, velocity = float(place), float(velocity)
+            direction = math.copysign(1.0, velocity)
+            slower = float(self.f_max / mass) - direction * float(wind)
+            if velocity != 0 and slower <= 0:
+                return None
+            while velocity != 0:
+                velocity = direction * max(0.0, abs(velocity) - slower)
+                place += velocity * float(self.tau)
+            spot.append(place)
+        return spot[0], spot[1]
 
     def metrics(self) -> dict[str, Any]:
         """Sums over the episode so far, under the engine's names."""

@@ -54,9 +54,7 @@ def check_outcome(
     assert outcome.team_reward == pytest.approx(step.team_reward, rel=rounding, abs=rounding * 1e5)
     assert np.isfinite(outcome.state).all()
     for robot, observation in enumerate(outcome.observations):
-        expected = oracle.observe(robot)
-        first = expected[len(expected) - 3 * len(oracle.rois) :][:2]
-        expected = np.concatenate([expected, *[[*first, 1.0]] * missing])
+        expected = oracle.observe(robot, missing)
         assert_allclose(observation, expected, rtol=0, atol=SIGHT, err_msg=f"robot_{robot}")
 
 
