@@ -134,8 +134,6 @@ class TrainConfig:
             problems.append("setting: C goes on from a trained policy; name its run with --from")
         elif self.setting != "C" and self.transferred_from is not None:
             problems.append(f"from: setting {self.setting} begins anew; allowed: setting C")
-        if self.device != "cpu" and algorithm.form == "decentralized":
-            problems.append(f"device: {self.algorithm} runs on cpu, not on {self.device}")
         if self.label is not None and not LABEL.fullmatch(self.label):
             problems.append(
                 f"label: {self.label!r}; allowed: letters, digits, _ . + -, the first a letter "

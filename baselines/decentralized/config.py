@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from baselines.decentralized.networks import Sharing
 from baselines.hyperparameters import Hyperparameters, read_block, read_blocks, validate
 
 SOURCE = Path(__file__).with_name("hyperparameters.yaml")
@@ -24,11 +25,12 @@ class MultiAgentPPOConfig(Hyperparameters):
         critic: what the critic sees: ``"centralized"``, all robots' observations (MAPPO), or
             ``"independent"``, the robot's own (IPPO).
         num_worlds: worlds stepped side by side.
-        rollout_steps: steps of every world between two updates.
+        rollout_steps: decisions of every world between two updates.
         epochs: passes over a rollout.
         minibatches: minibatches of a pass.
         hidden: widths of the hidden layers of actor and critic (tanh).
-        share_parameters: one network for all robots, or one for each.
+        sharing: of the networks: ``"full"``, one for all robots; ``"full+id"``, one that is told
+            which robot it acts for (one-hot); ``"none"``, one for each. MAPPO's critic is one.
         learning_rate: of Adam, from and to.
         adam_epsilon: of Adam.
         max_grad_norm: the gradient of actor and critic together is clipped to this norm.
@@ -42,6 +44,12 @@ class MultiAgentPPOConfig(Hyperparameters):
             then falling linearly to the second.
         log_std_cap_from: when the cap begins to fall, as a share of training.
         reward_scale: the learner sees the reward times this.
+        approach_bonus: reward units that the team is paid, while it learns, for each unit of
+            distance that it comes nearer to the unvisited ROIs (see ``shaping``); 0 for the true
+            reward only. Returns that are reported never contain it.
+        action_repeat: env-steps that a decision lasts, from and to, falling linearly (rounded)
+            over ``action_repeat_until``. Evaluations always decide at every step.
+        action_repeat_until: the share of training after which it has its second value.
     """
 
     critic: Literal["centralized", "independent"]
@@ -50,7 +58,7 @@ class MultiAgentPPOConfig(Hyperparameters):
     epochs: Count
     minibatches: Count
     hidden: tuple[Count, ...]
-    share_parameters: bool
+    sharing: Sharing
     learning_rate: tuple[Positive, Positive]
     adam_epsilon: Positive
     max_grad_norm: Positive
@@ -62,10 +70,13 @@ class MultiAgentPPOConfig(Hyperparameters):
     log_std_cap: tuple[float, float]
     log_std_cap_from: Annotated[float, Field(ge=0.0, lt=1.0)]
     reward_scale: Positive
+    approach_bonus: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+    action_repeat: tuple[Count, Count]
+    action_repeat_until: Annotated[float, Field(gt=0.0, le=1.0)]
 
     @property
-    def batch(self) -> int:
-        """Env-steps of a rollout."""
+    def decisions(self) -> int:
+        """Decisions of a rollout, each moving all robots of one world."""
         return self.num_worlds * self.rollout_steps
 
     def cap_at(self, progress: float) -> float:
@@ -73,6 +84,11 @@ class MultiAgentPPOConfig(Hyperparameters):
         start, end = self.log_std_cap
         falling = (progress - self.log_std_cap_from) / (1.0 - self.log_std_cap_from)
         return start + (end - start) * max(0.0, falling)
+
+    def repeat_at(self, progress: float) -> int:
+        """The env-steps of a decision at ``progress``, in [0, 1]."""
+        start, end = self.action_repeat
+        return round(start + (end - start) * min(1.0, progress / self.action_repeat_until))
 
     def learning_rate_at(self, progress: float) -> float:
         """The learning rate at ``progress``, in [0, 1]."""
@@ -107,4 +123,6 @@ def load(
         recorded = read_block(file, setting)
     given = {"num_worlds": num_envs} if num_envs is not None else {}
     place = f"hyperparameters of {algorithm}" if file is None else str(file)
-    return validate(MultiAgentPPOConfig, {**recorded, **overrides, **given}, place)
+    config = validate(MultiAgentPPOConfig, {**recorded, **overrides, **given}, place)
+    environment = {**config.environment, "one_hot": config.sharing == "full+id"}
+    return config.model_copy(update={"environment": environment})

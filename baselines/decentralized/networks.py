@@ -1,18 +1,19 @@
-"""Actor and critic: TorchRL's multi-agent networks behind a running normalisation."""
+"""Actor and critic of a team: one set of layers for all robots or one for each, normalised input.
+
+TorchRL's ``MultiAgentMLP`` computes the same; its ``vmap`` over stacked parameters takes longer
+than the arithmetic of networks this small, so the layers here are batched products instead.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
-from tensordict.nn import InteractionType, TensorDictModule
 from torch import nn
-from torchrl.modules import IndependentNormal, MultiAgentMLP, ProbabilisticActor, RunningValueNorm
+from torchrl.modules import RunningValueNorm
 
-OBSERVATION = ("robots", "observation")
-ACTION = ("robots", "action")
-LOG_PROB = ("robots", "action_log_prob")
-VALUE = ("robots", "state_value")
+Sharing = Literal["full", "full+id", "none"]
 
 CLIP = 10.0
 """Normalised observations are clipped to +-CLIP, as is usual (a bit that was rarely set)."""
@@ -26,13 +27,19 @@ class TeamShape:
         obs_size: numbers of a robot's observation.
         n_robots: robots of a world.
         hidden: widths of the hidden layers (tanh).
-        share_parameters: one network for all robots, or one for each.
+        sharing: ``"full"``, one network for all robots; ``"full+id"``, one whose observation says
+            which robot it is; ``"none"``, a network for each robot.
     """
 
     obs_size: int
     n_robots: int
     hidden: tuple[int, ...]
-    share_parameters: bool
+    sharing: Sharing
+
+    @property
+    def networks(self) -> int:
+        """How many networks the robots have: 1 or ``n_robots``."""
+        return self.n_robots if self.sharing == "none" else 1
 
 
 class ObservationNorm(nn.Module):
@@ -41,12 +48,12 @@ class ObservationNorm(nn.Module):
     Until the first update it passes observations on unchanged.
 
     Args:
-        shape: with shared parameters the normalisation is shared too.
+        shape: robots that share a network share the normalisation too.
     """
 
     def __init__(self, shape: TeamShape) -> None:
         super().__init__()
-        robots = () if shape.share_parameters else (shape.n_robots,)
+        robots = (shape.n_robots,) if shape.networks > 1 else ()
         self.statistics = RunningValueNorm(shape=(*robots, shape.obs_size))
 
     def update(self, observations: torch.Tensor) -> None:
@@ -58,7 +65,44 @@ class ObservationNorm(nn.Module):
         if self.statistics.count == 0:
             return observations
         normalized: torch.Tensor = self.statistics.normalize(observations)
-        return normalized.clamp(-CLIP, CLIP)
+        return normalized.clamp_(-CLIP, CLIP)
+
+
+class TeamMLP(nn.Module):
+    """A tanh network for all rows of a batch, or one for each of k groups of rows.
+
+    Orthogonal initial weights; biases start at zero.
+
+    Args:
+        networks: k, how many.
+        sizes: inputs, widths of the hidden layers, outputs.
+        last_gain: gain of the last layer.
+    """
+
+    def __init__(self, networks: int, sizes: tuple[int, ...], *, last_gain: float) -> None:
+        super().__init__()
+        self.weights = nn.ParameterList()
+        self.biases = nn.ParameterList()
+        for layer, (inputs, outputs) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+            last = layer == len(sizes) - 2
+            gain = last_gain if last else nn.init.calculate_gain("tanh")
+            weight = torch.empty(networks, inputs, outputs)
+            for matrix in weight:
+                nn.init.orthogonal_(matrix, gain)
+            self.weights.append(nn.Parameter(weight))
+            self.biases.append(nn.Parameter(torch.zeros(networks, 1, outputs)))
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        """Outputs (..., n, outputs) of ``rows`` (..., n, inputs); n is k, or any if k is 1."""
+        *batch, n, inputs = rows.shape
+        networks = len(self.weights[0])
+        together = rows.reshape(1, -1, inputs)
+        flow = together if networks == 1 else together.view(-1, n, inputs).transpose(0, 1)
+        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            flow = torch.baddbmm(bias, flow.tanh_() if layer else flow, weight)
+        if networks > 1:
+            flow = flow.transpose(0, 1)
+        return flow.reshape(*batch, n, -1)
 
 
 class GaussianPolicy(nn.Module):
@@ -66,15 +110,15 @@ class GaussianPolicy(nn.Module):
 
     Args:
         shape: of the team.
-        log_std: initial logarithm of the standard deviation.
+        log_std: initial logarithm of the standard deviation (state-independent, one per axis).
     """
 
     def __init__(self, shape: TeamShape, log_std: float = 0.0) -> None:
         super().__init__()
         self.shape = shape
         self.norm = ObservationNorm(shape)
-        self.mean = team_mlp(shape, 2, last_gain=0.01)
-        self.log_std = nn.Parameter(torch.full((2,), log_std))
+        self.mean = TeamMLP(shape.networks, (shape.obs_size, *shape.hidden, 2), last_gain=0.01)
+        self.log_std = nn.Parameter(torch.full((shape.networks, 2), log_std))
 
     def forward(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean and standard deviation, (..., n, 2) each, from observations (..., n, obs_size)."""
@@ -87,62 +131,32 @@ class GaussianPolicy(nn.Module):
         self.log_std.clamp_(max=cap)
 
 
-def make_actor(policy: GaussianPolicy) -> ProbabilisticActor:
-    """The policy as a TorchRL actor that writes actions and their log-probabilities."""
-    module = TensorDictModule(
-        policy, in_keys=[OBSERVATION], out_keys=[("robots", "loc"), ("robots", "scale")]
-    )
-    return ProbabilisticActor(
-        module,
-        in_keys=[("robots", "loc"), ("robots", "scale")],
-        out_keys=[ACTION],
-        distribution_class=IndependentNormal,
-        default_interaction_type=InteractionType.RANDOM,
-        return_log_prob=True,
-        log_prob_key=LOG_PROB,
-    )
+class CentralizedCritic(nn.Module):
+    """A value for every robot, all from the observations of all robots (MAPPO)."""
+
+    def __init__(self, shape: TeamShape) -> None:
+        super().__init__()
+        sizes = (shape.n_robots * shape.obs_size, *shape.hidden, shape.n_robots)
+        self.values = TeamMLP(1, sizes, last_gain=1.0)
+
+    def forward(self, normalized: torch.Tensor) -> torch.Tensor:
+        """Values (..., n) of normalised observations (..., n, obs_size)."""
+        values: torch.Tensor = self.values(normalized.flatten(-2).unsqueeze(-2))
+        return values.squeeze(-2)
 
 
-def make_critic(policy: GaussianPolicy, *, centralized: bool) -> TensorDictModule:
-    """A critic with a value for every robot.
+class IndependentCritic(nn.Module):
+    """A value for every robot, each from its own observation (IPPO)."""
 
-    Args:
-        policy: the actor, whose shape and normalisation it shares.
-        centralized: it sees the observations of all robots (MAPPO), or each its own (IPPO).
-    """
-    network = team_mlp(policy.shape, 1, last_gain=1.0, centralized=centralized)
-    return TensorDictModule(
-        nn.Sequential(policy.norm, network), in_keys=[OBSERVATION], out_keys=[VALUE]
-    )
+    def __init__(self, shape: TeamShape) -> None:
+        super().__init__()
+        sizes = (shape.obs_size, *shape.hidden, 1)
+        self.values = TeamMLP(shape.networks, sizes, last_gain=1.0)
+
+    def forward(self, normalized: torch.Tensor) -> torch.Tensor:
+        """Values (..., n) of normalised observations (..., n, obs_size)."""
+        values: torch.Tensor = self.values(normalized)
+        return values.squeeze(-1)
 
 
-def team_mlp(
-    shape: TeamShape, outputs: int, *, last_gain: float, centralized: bool = False
-) -> MultiAgentMLP:
-    """TorchRL's multi-agent network, tanh, initialised orthogonally.
-
-    Args:
-        shape: of the team.
-        outputs: numbers for each robot.
-        last_gain: gain of the last layer.
-        centralized: every robot's outputs depend on all observations, or on its own.
-    """
-    network = MultiAgentMLP(
-        n_agent_inputs=shape.obs_size,
-        n_agent_outputs=outputs,
-        n_agents=shape.n_robots,
-        centralized=centralized,
-        share_params=shape.share_parameters,
-        num_cells=list(shape.hidden),
-        activation_class=nn.Tanh,
-    )
-    linear = [
-        layer for layer in network.get_stateful_net().modules() if isinstance(layer, nn.Linear)
-    ]
-    for layer in linear:
-        gain = last_gain if layer is linear[-1] else nn.init.calculate_gain("tanh")
-        matrices = layer.weight if layer.weight.ndim == 3 else [layer.weight]
-        for matrix in matrices:
-            nn.init.orthogonal_(matrix, gain)
-        nn.init.zeros_(layer.bias)
-    return network
+CRITICS = {"centralized": CentralizedCritic, "independent": IndependentCritic}

@@ -35,7 +35,9 @@ class DecentralizedPolicy:
     @torch.no_grad()
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         """Actions (worlds, n, 2) for observations (worlds, n, obs_size)."""
-        mean, std = self.network(torch.from_numpy(seen))
+        device = self.network.log_std.device
+        mean, std = self.network(torch.from_numpy(seen).to(device))
+        mean, std = mean.cpu(), std.cpu()  # the noise is the same, whatever the device
         actions = mean if deterministic else torch.normal(mean, std)
         return actions.numpy()
 
