@@ -18,6 +18,7 @@ class Report:
     Attributes:
         run: the name of the run.
         env_steps: env-steps taken; an env-step moves every robot of one world once.
+        finished: whether the run has come to its end, of the budget or before.
         steps_per_second: env-steps per second of training, evaluations excluded.
         return_mean: mean true team return of the last fresh evaluation, if there was one.
         success_rate: share of its episodes that visited every ROI, in [0, 1].
@@ -25,6 +26,7 @@ class Report:
 
     run: str
     env_steps: int
+    finished: bool
     steps_per_second: float
     return_mean: float | None
     success_rate: float | None
@@ -71,12 +73,12 @@ class ProgressDisplay:
         self._progress.stop()
 
     def __call__(self, report: Report) -> None:
-        """Show a report; the one that reaches the total closes the run's bar."""
+        """Show a report; that of a finished run closes its bar."""
         task = self._tasks[report.run]
         self._progress.start_task(task)
         status = describe(report)
         self._progress.update(task, completed=min(report.env_steps, self._total), status=status)
-        if report.env_steps >= self._total:
+        if report.finished:
             self._progress.stop_task(task)
             if not self._progress.console.is_terminal:
                 self._progress.console.print(f"{report.run}: {report.env_steps:,} steps, {status}")

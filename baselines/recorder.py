@@ -14,6 +14,7 @@ from baselines.loggers import Logger, TensorBoard, WeightsAndBiases
 from baselines.policies import TrainedPolicy
 from baselines.progress import Listener, Report
 from baselines.runs import RunFolder, Task
+from baselines.statistics import passes
 from baselines.storage import read_json, replacing_folder, write_json
 
 
@@ -78,6 +79,8 @@ class Recorder:
     Attributes:
         episodes: the training episodes since the last row.
         checkpoint: the checkpoint that the trainer has to go on from, or ``None``.
+        passed: whether a fresh evaluation met the run's criterion for stopping early; the trainer
+            then goes straight to :meth:`finish`.
         checkpoint_due: whether the trainer should call :meth:`save_checkpoint` as soon as it is
             between two updates.
     """
@@ -88,6 +91,7 @@ class Recorder:
         self.episodes = EpisodeWindow()
         self.checkpoint = folder.checkpoint
         self.checkpoint_due = False
+        self.passed = False
         self._folder = folder
         self._task = task
         self._listener = listener
@@ -138,10 +142,13 @@ class Recorder:
         self._write_row(env_steps)
         if evaluation_due:
             number = 1 + len(self._evaluations)
-            stochastic = self._fresh(policy, deterministic=False, number=number)
-            self._note(env_steps, stochastic, self._glance(policy, number))
+            sampled = self._fresh(policy, deterministic=False, number=number)
+            mean = self._glance(policy, number)
+            self._note(env_steps, sampled, mean)
+            self.passed = self._passes(sampled, mean)
         slow = self._seconds - self._saved_at >= CHECKPOINT_SECONDS
-        self.checkpoint_due = not last and (self.checkpoint_due or evaluation_due or slow)
+        due = self.checkpoint_due or evaluation_due or slow
+        self.checkpoint_due = due and not (last or self.passed)
         if not last:
             self._tell(env_steps)
         self.start()
@@ -194,7 +201,7 @@ class Recorder:
         }
         write_json(self._folder.path / "evaluation.json", result)
         self._folder.drop_checkpoints()
-        self._tell(env_steps)
+        self._tell(env_steps, finished=True)
 
     def scalars(self, env_steps: int, values: Mapping[str, float]) -> None:
         """Write numbers to the loggers alone, not to ``progress.csv``."""
@@ -257,12 +264,20 @@ class Recorder:
             seed=EVALUATION_SEED + number,
         )
 
-    def _tell(self, env_steps: int) -> None:
+    def _passes(self, sampled: Evaluation, mean: Evaluation) -> bool:
+        """Whether evaluations meet the run's ``stop_at``."""
+        stop_at = self._task.config.stop_at
+        return stop_at is not None and passes(
+            sampled.summary(), mean.summary()["success_rate"], stop_at
+        )
+
+    def _tell(self, env_steps: int, *, finished: bool = False) -> None:
         last = self._evaluations[-1] if self._evaluations else {}
         self._listener(
             Report(
                 run=self._task.config.name,
                 env_steps=env_steps,
+                finished=finished,
                 steps_per_second=env_steps / self._seconds if self._seconds else 0.0,
                 return_mean=last.get("return_mean"),
                 success_rate=last.get("success_rate"),

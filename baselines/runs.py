@@ -86,10 +86,13 @@ class TrainConfig:
         steps: the budget in env-steps (> 0), rounded up to whole updates of the learner.
         evaluate_every: env-steps between two fresh evaluations (> 0).
         episodes: stochastic episodes of an evaluation (> 0).
+        stop_at: stop before the end of the budget, at the first fresh evaluation whose mean true
+            return is at least this, if at least 99 % of its episodes succeed and all of those
+            with mean actions. ``None``: train to the end.
         num_envs: worlds side by side; ``None`` for the setting's own number.
         hyperparams: a YAML file whose block of the setting takes the place of the recorded one.
         transferred_from: under setting C, the folder of the run whose policy it begins with.
-        device: what the networks run on, ``"cpu"`` or (centralised algorithms) ``"cuda"``.
+        device: what the networks run on, ``"cpu"`` or ``"cuda"``.
         label: what tables and figures call it; ``None`` for :func:`default_label`.
         environment: settings of the environment that differ from the algorithm's own.
         hyperparameters: hyperparameters that differ from the algorithm's own.
@@ -106,6 +109,7 @@ class TrainConfig:
     steps: int = 655_360
     evaluate_every: int = 32_768
     episodes: int = 100
+    stop_at: float | None = None
     num_envs: int | None = None
     hyperparams: Path | None = None
     transferred_from: Path | None = None
@@ -159,6 +163,7 @@ class TrainConfig:
             "--steps": self.steps,
             "--evaluate-every": self.evaluate_every,
             "--episodes": self.episodes,
+            "--stop-at": self.stop_at,
             "--num-envs": self.num_envs,
             "--hyperparams": self.hyperparams,
             "--from": self.transferred_from,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,27 @@ from scipy import stats
 
 RETURN_THRESHOLD = 100_000.0
 """A mean return at or above this needs the success of nearly every episode (r_inf = 100 000)."""
+
+SUCCESS_THRESHOLD = 0.99
+"""Share of the episodes with sampled actions that have to succeed for a policy to pass."""
+
+
+def passes(
+    sampled: Mapping[str, Any], mean_success_rate: float, threshold: float = RETURN_THRESHOLD
+) -> bool:
+    """Whether a fresh evaluation says that a policy does its task.
+
+    Args:
+        sampled: summary of the episodes with sampled actions: their ``return_mean`` has to be at
+            least ``threshold``, their ``success_rate`` at least 0.99.
+        mean_success_rate: share of the episodes with mean actions that succeed: all have to.
+        threshold: of the mean true return.
+    """
+    return bool(
+        sampled["return_mean"] >= threshold
+        and sampled["success_rate"] >= SUCCESS_THRESHOLD
+        and mean_success_rate == 1.0
+    )
 
 
 @dataclass(frozen=True)

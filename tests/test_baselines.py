@@ -16,11 +16,12 @@ from baselines.centralized import config as centralized_config
 from baselines.centralized.policy import Normalization
 from baselines.decentralized import config as decentralized_config
 from baselines.decentralized.networks import (
+    CRITICS,
     GaussianPolicy,
     ObservationNorm,
+    Sharing,
+    TeamMLP,
     TeamShape,
-    make_critic,
-    team_mlp,
 )
 from baselines.decentralized.policy import DecentralizedPolicy, load_policy
 from baselines.evaluate import evaluate
@@ -155,7 +156,7 @@ def test_the_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
 
 
 def test_observation_norm_passes_on_until_it_has_seen_something() -> None:
-    norm = ObservationNorm(TeamShape(2, 1, (8,), share_parameters=True))
+    norm = ObservationNorm(TeamShape(2, 1, (8,), "full"))
     assert norm(torch.tensor([3.0, 5.0])).tolist() == [3.0, 5.0]
     norm.update(torch.tensor([[[0.0, 1.0]], [[2.0, 5.0]]]))  # means 1 and 3, variances 1 and 4
     assert norm(torch.tensor([2.0, 5.0])).tolist() == [1.0, 1.0]
@@ -163,45 +164,60 @@ def test_observation_norm_passes_on_until_it_has_seen_something() -> None:
 
 
 def test_robots_with_networks_of_their_own_are_normalised_apart() -> None:
-    norm = ObservationNorm(TeamShape(1, 2, (8,), share_parameters=False))
+    norm = ObservationNorm(TeamShape(1, 2, (8,), "none"))
     norm.update(torch.tensor([[[0.0], [10.0]], [[2.0], [30.0]]]))  # means 1, 20; deviations 1, 10
     assert norm(torch.tensor([[2.0], [10.0]])).tolist() == [[1.0], [-1.0]]
 
 
-@pytest.mark.parametrize("shared", [True, False])
-def test_shared_parameters_treat_robots_alike(shared: bool) -> None:
+@pytest.mark.parametrize("sharing", ["full", "none"])
+def test_a_shared_network_treats_robots_alike(sharing: Sharing) -> None:
     torch.manual_seed(0)
-    network = team_mlp(TeamShape(4, 3, (8,), shared), 2, last_gain=1.0)
-    outputs = network(torch.ones(5, 3, 4))
-    assert torch.equal(outputs[:, 0], outputs[:, 1]) == shared
+    shape = TeamShape(4, 3, (8,), sharing)
+    outputs = TeamMLP(shape.networks, (4, 8, 2), last_gain=1.0)(torch.ones(5, 3, 4))
+    assert torch.equal(outputs[:, 0], outputs[:, 1]) == (sharing == "full")
 
 
-@pytest.mark.parametrize("shared", [True, False])
-@pytest.mark.parametrize("centralized", [True, False])
-def test_only_the_centralized_critic_sees_the_other_robots(centralized: bool, shared: bool) -> None:
+@pytest.mark.parametrize("networks", [1, 3])
+def test_team_networks_compute_what_separate_layers_do(networks: int) -> None:
     torch.manual_seed(0)
-    policy = GaussianPolicy(TeamShape(4, 3, (8,), shared))
-    critic = make_critic(policy, centralized=centralized).module
+    network = TeamMLP(networks, (4, 8, 6, 2), last_gain=1.0)
+    rows = torch.randn(7, 5, 3, 4)
+    outputs = network(rows)
+    for robot in range(3):
+        flow = rows[:, :, robot]
+        for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+            own = robot if networks > 1 else 0
+            flow = (flow.tanh() if layer else flow) @ weight[own] + bias[own]
+        assert torch.allclose(outputs[:, :, robot], flow, atol=1e-6)
+
+
+@pytest.mark.parametrize("sharing", ["full", "none"])
+@pytest.mark.parametrize("critic", CRITICS)
+def test_only_the_centralized_critic_sees_the_other_robots(critic: str, sharing: Sharing) -> None:
+    torch.manual_seed(0)
+    network = CRITICS[critic](TeamShape(4, 3, (8,), sharing))
     before = torch.randn(5, 3, 4)
     after = before.clone()
     after[:, 2] += 1.0
-    changed = (critic(after) - critic(before)).abs().amax(dim=(0, 2)) > 1e-6
-    assert changed.tolist() == ([True] * 3 if centralized else [False, False, True])
+    changed = (network(after) - network(before)).abs().amax(dim=0) > 1e-6
+    assert changed.tolist() == ([True] * 3 if critic == "centralized" else [False, False, True])
 
 
-@pytest.mark.parametrize("shared", [True, False])
-def test_networks_start_orthogonal(shared: bool) -> None:
-    network = team_mlp(TeamShape(8, 3, (8,), shared), 2, last_gain=0.01)
-    weights = network.params["0", "weight"].reshape(-1, 8, 8)
+@pytest.mark.parametrize("networks", [1, 3])
+def test_networks_start_orthogonal(networks: int) -> None:
+    network = TeamMLP(networks, (8, 8, 2), last_gain=0.01)
     gain = (5.0 / 3.0) ** 2  # of tanh, squared
-    for weight in weights:
+    assert len(network.weights[0]) == networks
+    for weight in network.weights[0]:
         assert torch.allclose(weight @ weight.T, gain * torch.eye(8), atol=1e-5)
+    for weight in network.weights[1]:
+        assert torch.allclose(weight.T @ weight, 1e-4 * torch.eye(2), atol=1e-8)
 
 
-@pytest.mark.parametrize("shared", [True, False])
-def test_a_saved_policy_acts_as_before(tmp_path: Path, shared: bool) -> None:
+@pytest.mark.parametrize("sharing", ["full", "full+id", "none"])
+def test_a_saved_policy_acts_as_before(tmp_path: Path, sharing: Sharing) -> None:
     torch.manual_seed(0)
-    network = GaussianPolicy(TeamShape(4, 3, (8, 8), shared), log_std=-0.5)
+    network = GaussianPolicy(TeamShape(4, 3, (8, 8), sharing), log_std=-0.5)
     network.norm.update(torch.randn(100, 3, 4) * 3.0)
     policy = DecentralizedPolicy(network)
     policy.save(tmp_path)
@@ -216,7 +232,7 @@ def test_a_saved_policy_acts_as_before(tmp_path: Path, shared: bool) -> None:
 
 
 def test_a_damaged_policy_is_named(tmp_path: Path) -> None:
-    DecentralizedPolicy(GaussianPolicy(TeamShape(4, 3, (8,), True))).save(tmp_path)
+    DecentralizedPolicy(GaussianPolicy(TeamShape(4, 3, (8,), "full"))).save(tmp_path)
     (tmp_path / "policy.safetensors").write_bytes(b"nonsense")
     with pytest.raises(RunError, match=r"policy\.safetensors cannot be read"):
         load_policy(tmp_path)
@@ -256,7 +272,7 @@ def test_evaluations_are_reproducible_and_leave_torch_alone() -> None:
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
-    network = GaussianPolicy(TeamShape(4 + 4 + 2 * 3, 2, (8,), share_parameters=True))
+    network = GaussianPolicy(TeamShape(4 + 4 + 2 * 3, 2, (8,), "full"))
     torch.manual_seed(5)
     runs = [
         evaluate(DecentralizedPolicy(network), SQUARE, {"max_steps": 20}, episodes=4).returns

@@ -274,7 +274,6 @@ def test_targets_are_looked_at_before_the_source_is_trained(
         (["train", "ppo", "field_02", "--setting", "C", "--from", "x"], "x is not a run folder"),
         (["train", "ppo", "field_02", "--from", "x"], "from: setting N begins anew"),
         (["train", "mappo", "field_02", "--setting", "B"], "setting: mappo has N, not B"),
-        (["train", "mappo", "field_02", "--device", "cuda"], "device: mappo runs on cpu"),
         (["train", "ppo", "field_02", "--num-envs", "0"], "num_envs: must be at least 1"),
         (["train", "ppo", "field_02", "--hyperparams", "x.yaml"], "x.yaml: 1 problem"),
         (["train", "ppo", "field_02", "--resume", "--force"], "force and resume"),

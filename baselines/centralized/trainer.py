@@ -80,7 +80,7 @@ class Reporter(BaseCallback):
             )
 
     def _on_step(self) -> bool:
-        return True
+        return not self._recorder.passed
 
     def _on_rollout_end(self) -> None:
         self._recorder.update(self._env_steps, self._keeping.policy_of(self.model), {})

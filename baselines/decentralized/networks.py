@@ -7,6 +7,7 @@ than the arithmetic of networks this small, so the layers here are batched produ
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import torch
@@ -83,7 +84,7 @@ class TeamMLP(nn.Module):
         super().__init__()
         self.weights = nn.ParameterList()
         self.biases = nn.ParameterList()
-        for layer, (inputs, outputs) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+        for layer, (inputs, outputs) in enumerate(pairwise(sizes)):
             last = layer == len(sizes) - 2
             gain = last_gain if last else nn.init.calculate_gain("tanh")
             weight = torch.empty(networks, inputs, outputs)

@@ -24,7 +24,7 @@ class Approach:
 
     def __init__(self, field: Field, n_robots: int, device: torch.device) -> None:
         self._robots = n_robots
-        self._rois = torch.as_tensor(field.rois, dtype=torch.float32, device=device)
+        self._rois = torch.tensor(field.rois, dtype=torch.float32, device=device)
         count = len(field.rois)
         self._shifts = torch.arange(count - 1, -1, -1, device=device)  # first ROI: highest bit
 

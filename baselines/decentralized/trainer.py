@@ -72,12 +72,12 @@ class Trainer:
         )
 
     def run(self) -> None:
-        """Train to the end of the budget."""
+        """Train to the end of the budget, or until an evaluation passes."""
         env_steps = 0
         if self.recorder.checkpoint is not None:
             env_steps = self._restore(self.recorder.checkpoint)
         self.recorder.start()
-        while env_steps < self.steps:
+        while env_steps < self.steps and not self.recorder.passed:
             progress = env_steps / self.steps
             repeat = self.config.repeat_at(progress)
             for group in self.optimizer.param_groups:

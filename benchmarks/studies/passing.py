@@ -10,10 +10,8 @@ from typing import Any
 from baselines.algorithms import SETTINGS
 from baselines.paper import published
 from baselines.results import Result
-from baselines.statistics import RETURN_THRESHOLD
+from baselines import statistics
 
-SUCCESS = 0.99
-"""Share of sampled episodes that have to succeed for a run to pass."""
 NEVER = float("inf")
 
 
@@ -36,7 +34,7 @@ class Passing:
     def of(cls, result: Result) -> Passing:
         """The first of a run's evaluations that passes."""
         for entry in result.evaluations:
-            if _passes(entry, entry["deterministic_success_rate"]):
+            if statistics.passes(entry, entry["deterministic_success_rate"]):
                 return cls(entry["env_steps"], entry["wall_seconds"])
         return cls(NEVER, NEVER)
 
@@ -44,15 +42,7 @@ class Passing:
 def passes(result: Result) -> bool:
     """Whether the final policy of a run passes."""
     final = result.evaluation
-    return _passes(final["stochastic"], final["deterministic"]["success_rate"])
-
-
-def _passes(sampled: Mapping[str, Any], deterministic_success_rate: float) -> bool:
-    return bool(
-        sampled["return_mean"] >= RETURN_THRESHOLD
-        and sampled["success_rate"] >= SUCCESS
-        and deterministic_success_rate == 1.0
-    )
+    return statistics.passes(final["stochastic"], final["deterministic"]["success_rate"])
 
 
 @dataclass(frozen=True)

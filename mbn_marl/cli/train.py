@@ -33,11 +33,15 @@ class Train:
     source: Annotated[Path | None, arg(name="from", metavar="RUN")] = None
     """Under C: the folder of the run whose policy it begins with; `mbn transfer` does it all."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """What the networks of a centralised algorithm run on; worth it for crossq and tqc."""
+    """What the networks run on, and under mappo and ippo the worlds too; of the centralised ones,
+    worth it for crossq and tqc."""
     evaluate_every: int = 32_768
     """Env-steps between two fresh evaluations; after each one a checkpoint is written."""
     episodes: int = 100
     """Episodes of an evaluation."""
+    stop_at: float | None = None
+    """Stop before the end of the budget, at the first fresh evaluation with this mean return and
+    99 % success, of sampled and of mean actions."""
     set: tuple[str, ...] = ()
     """NAME=VALUE: hyperparameters, or environment.NAME=VALUE settings of the environment, instead
     of the recorded ones; a value is JSON or a word, for example entropy=0.01 model.gamma=0.9."""
@@ -74,6 +78,7 @@ class Train:
             steps=protocol.steps if self.steps is None else self.steps,
             evaluate_every=self.evaluate_every,
             episodes=self.episodes,
+            stop_at=self.stop_at,
             num_envs=self.num_envs,
             hyperparams=self.hyperparams,
             transferred_from=self.source,
