@@ -268,9 +268,7 @@ class Oracle:
     def _stop(self, me: Robot, mass: Any) -> tuple[float, float] | None:
         """Where the robot comes to rest if it brakes as hard as it can; ``None``: never."""
         spot = []
-        for place, velocity, wind in (
-            (me.x, me.vx, self.wind_x), (me.y, me.vy, self.wind_y)
-        ):
+        for place, velocity, wind in ((me.x, me.vx, self.wind_x), (me.y, me.vy, self.wind_y)):
             place, velocity = float(place), float(velocity)
             direction = math.copysign(1.0, velocity)
             slower = float(self.f_max / mass) - direction * float(wind)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
-from typing import Any
 
+from baselines import statistics
 from baselines.algorithms import SETTINGS
 from baselines.paper import published
 from baselines.results import Result
-from baselines import statistics
 
 NEVER = float("inf")
 
