@@ -109,5 +109,7 @@ def test_train_config_names_unknown_algorithms_and_fields() -> None:
 
 
 def test_the_speed_of_a_slow_learner_is_shown() -> None:
-    words = [describe(Report("run", 1, speed, None, None)) for speed in (42.4, 9_960.0, 123_456.0)]
+    words = [
+        describe(Report("run", 1, False, speed, None, None)) for speed in (42.4, 9_960.0, 123_456.0)
+    ]
     assert words == ["  42/s", "9,960/s", "123k/s"]
