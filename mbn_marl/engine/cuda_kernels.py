@@ -120,6 +120,7 @@ def geometry_of(g, w):
         g.codes[f:end],
         g.boxes[:, f:end],
         g.masses,
+        g.rays,
     )
 
 

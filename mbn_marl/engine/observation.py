@@ -16,7 +16,7 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.compiling import compiled
 from mbn_marl.engine.rules import clip, cross_edge, within
 from mbn_marl.engine.transpose import SIDE, transpose
-from mbn_marl.engine.walls import COSINES, RAYS, SINES, braking_path, distance_squared, reading
+from mbn_marl.engine.walls import RAYS, braking_path, distance_squared, reading
 
 RELATIVE, STATE, LOCAL, LIDAR = 0, 1, 2, 3
 FIRST = np.uint64(0)
@@ -80,7 +80,7 @@ def _lidar_rows(n: int, m: int) -> list[Row]:
         rows += [(f"roi_{j}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
         rows += [(f"roi_{j}_u{a}", -1.0, 1.0, "soft unit vector") for a in "xy"]
         rows += [(f"roi_{j}_visited", 0.0, 1.0, "flag")]
-    rows += [(f"ray_{k}", 0.0, 1.0, radii) for k in range(RAYS)]
+    rows += [(f"ray_{k}", 0.0, 1.0, radii) for k in range(RAYS.shape[1])]
     rows += [("time_to_wall", 0.0, 1.0, f"{radii} at the speed limit")]
     rows += [("brake_inside", 0.0, 1.0, "flag"), ("wall_distance", 0.0, 1.0, radii)]
     return rows
@@ -235,10 +235,10 @@ def put_direction(p, g, ep, lo, hi, i, j, tile, k):
 
 
 @compiled
-def put_rays(p, g, ep, lo, hi, i, tile, k):
+def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
     """``lidar``: how far robot i can go in each of the directions, up to the sensing radius."""
-    for ray in range(RAYS):
-        row, dx, dy = k + ray, COSINES[ray], SINES[ray]
+    for ray in range(rays.shape[1]):
+        row, dx, dy = k + ray, rays[0, ray], rays[1, ray]
         for w in range(lo, hi):
             tile[row, w - lo] = p.one
         for e in range(g.edges.shape[1]):
@@ -289,7 +289,7 @@ def put_brake(p, g, ep, lo, hi, i, tile, k):
 
 
 @compiled
-def put_lidar(p, g, ep, lo, hi, i, tile):
+def put_lidar(p, g, rays, ep, lo, hi, i, tile):
     """The entries of ``lidar`` for robot i; how many there are."""
     put_own(p, ep, lo, hi, i, tile)
     put_centred(p, g, ep, lo, hi, i, tile)
@@ -303,25 +303,34 @@ def put_lidar(p, g, ep, lo, hi, i, tile):
         put_roi(p, g, ep, lo, hi, i, j, tile, k)
         put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)
         k += 5
-    put_rays(p, g, ep, lo, hi, i, tile, k)
-    put_margins(p, g, ep, lo, hi, i, tile, k + RAYS)
-    put_brake(p, g, ep, lo, hi, i, tile, k + RAYS + 1)
-    return k + RAYS + 3
+    put_rays(p, g, rays, ep, lo, hi, i, tile, k)
+    k += rays.shape[1]
+    put_margins(p, g, ep, lo, hi, i, tile, k)
+    put_brake(p, g, ep, lo, hi, i, tile, k + 1)
+    return k + 3
+
+
+@compiled
+def put_chosen(p, g, rays, ep, lo, hi, i, tile):
+    """The entries of the engine's observation but the one-hot ones; how many there are.
+
+    The first condition is one on types: the code of lidar, which takes seconds to compile, is only
+    compiled for those who use it, and then without the others'.
+    """
+    if rays.ndim == 2:
+        return put_lidar(p, g, rays, ep, lo, hi, i, tile)
+    if p.observation == STATE:
+        put_state(g, ep, lo, hi, i, tile)
+        return 4 * ep.x.shape[0] + 1
+    return put_relative(p, g, ep, lo, hi, i, tile)
 
 
 @compiled
 def describe(p, g, ep, lo, hi, i, tile):
     """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side."""
-    n = ep.x.shape[0]
-    if p.observation == STATE:
-        put_state(g, ep, lo, hi, i, tile)
-        k = 4 * n + 1
-    elif p.observation == LIDAR:
-        k = put_lidar(p, g, ep, lo, hi, i, tile)
-    else:
-        k = put_relative(p, g, ep, lo, hi, i, tile)
+    k = put_chosen(p, g, g.rays, ep, lo, hi, i, tile)
     if p.one_hot:
-        for j in range(n):
+        for j in range(ep.x.shape[0]):
             for w in range(lo, hi):
                 tile[k + j, w - lo] = p.one if i == j else p.zero
 

@@ -14,12 +14,9 @@ from mbn_marl.engine.compiling import compiled
 from mbn_marl.engine.rules import clip, select
 
 HALF = np.float32(0.5)
-DIAGONAL = np.float32(math.sqrt(0.5))
-ZERO, ONE = np.float32(0.0), np.float32(1.0)
-COSINES = (ONE, DIAGONAL, ZERO, -DIAGONAL, -ONE, -DIAGONAL, ZERO, DIAGONAL)
-SINES = COSINES[-2:] + COSINES[:-2]
-"""The directions of the rays, counter-clockwise from +x."""
-RAYS = len(COSINES)
+S = math.sqrt(0.5)
+RAYS = np.array([[1, S, 0, -S, -1, -S, 0, S], [0, S, 1, S, 0, -S, -1, -S]])
+"""The directions of the rays, (2, 8): unit vectors, counter-clockwise from +x."""
 
 
 @compiled
