@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from baselines.loggers import find_wandb
 from baselines.parallel import Job, train_all
 from baselines.progress import Listener
 from baselines.results import Result, Results
@@ -114,8 +115,11 @@ def train_all_runs(
         RunError: ``out`` already holds something, or another process compares there, or a run
             failed.
         ConfigError: with ``resume``, naming every entry of the configuration that differs.
-        MbnError: a hyperparameter or a setting of a variant is not valid.
+        MbnError: a hyperparameter or a setting of a variant is not valid, or Weights & Biases is
+            asked for and not installed.
     """
+    if wandb is not None:
+        find_wandb()
     for run in config.runs():
         prepare(run)
     if resume:

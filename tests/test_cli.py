@@ -128,7 +128,6 @@ def test_compare_writes_table_and_figures(
         (["compare", "--force", "--resume"], "force and resume: allowed is one of them"),
         (["compare", "--resume", "--out", "none"], "none is not the folder of a comparison"),
         (["train", "ippo", "field_03", "--set", "gamma"], "gamma: must be NAME=VALUE"),
-        (["train", "ippo", "field_03", "--wandb", "it"], "wandb: the package is not installed"),
         (["evaluate", "nowhere"], "nowhere is not a run folder"),
         (["render", "field_03", "-o", "picture.bmp"], ".png"),
     ],

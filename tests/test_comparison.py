@@ -34,8 +34,8 @@ OPTIMA = {"field_01": 158_800.0, "field_03": 159_490.0}
 
 
 def test_the_interquartile_mean_cuts_a_quarter_at_both_ends() -> None:
-    # Eight runs: two go at each end, and 2, 3, 4, 5 stay. Of five runs one goes at each end.
-    scores = np.array([[0.0, 100.0, 3.0, 5.0], [1.0, 4.0, 2.0, -50.0]])
+    # Eight runs: two go at each end, and 1, 2, 3, 4 stay. Of five runs one goes at each end.
+    scores = np.array([[0.0, 100.0, 3.0, 9.0], [1.0, 4.0, 2.0, -50.0]])
     assert stratified.interquartile_mean(scores).value == np.mean([1.0, 2.0, 3.0, 4.0])
     assert stratified.interquartile_mean(np.array([[9.0, 1.0, 2.0, 3.0, 70.0]])).value == 14.0 / 3.0
 

@@ -13,7 +13,7 @@ from baselines.progress import Report
 from baselines.runs import TrainConfig
 from baselines.storage import read_json
 from baselines.train import train
-from mbn_marl.errors import ConfigError
+from mbn_marl.cli import main
 
 CONFIG = TrainConfig(
     "ippo",
@@ -85,13 +85,17 @@ def test_an_interrupted_run_goes_on_in_the_same_one(runs: list[FakeRun], tmp_pat
     assert runs[1].finished
 
 
+@pytest.mark.parametrize("command", [["train", "ippo", "field_03"], ["compare"]])
 def test_without_the_package_nothing_is_begun(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    command: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(ConfigError, match="wandb: the package is not installed; pip install wandb"):
-        train(CONFIG, tmp_path / "run", wandb="robots")
-    assert not (tmp_path / "run").exists()
+    assert main([*command, "--wandb", "robots", "--out", str(tmp_path / "out")]) == 2
+    assert "wandb: the package is not installed; pip install wandb" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_nothing_is_logged_unless_asked_for(runs: list[FakeRun], tmp_path: Path) -> None:
