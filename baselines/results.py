@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,11 +22,6 @@ from mbn_marl.field import Field
 
 Kind = Literal["stochastic", "deterministic"]
 """Of a final evaluation: with sampled actions, or with mean ones."""
-
-EQUAL_EVERYWHERE = ("steps", "evaluate_every", "episodes")
-"""What all runs of a comparison have in common: budget and evaluations."""
-EQUAL_IN_A_LABEL = ("algorithm", "setting", "environment", "hyperparameters")
-"""What runs of one label have in common: they differ in field and seed alone."""
 
 
 @dataclass(frozen=True)
@@ -112,17 +107,16 @@ class Results:
             cells[result.label, result.field.name].append(result)
         problems = [
             *_unequal_seeds(cells),
-            *_differences(results, EQUAL_EVERYWHERE, "all runs"),
+            *_differences(results, "all runs", _everywhere),
             *(
                 problem
                 for label in labels
                 for problem in _differences(
                     [result for result in results if result.label == label],
-                    EQUAL_IN_A_LABEL,
                     f"runs labelled {label}",
+                    _in_a_label,
                 )
             ),
-            *_different_worlds(results),
             *_different_fields(results),
         ]
         if problems:
@@ -200,36 +194,45 @@ def _unequal_seeds(cells: Mapping[tuple[str, str], Sequence[Result]]) -> list[st
     return problems
 
 
-def _differences(results: Sequence[Result], names: Iterable[str], whose: str) -> list[str]:
-    """The entries of the configuration in which a result differs from the first one."""
+def _differences(
+    results: Sequence[Result], whose: str, values_of: Callable[[Result], Mapping[str, Any]]
+) -> list[str]:
+    """The values in which a result differs from the first one, each named once."""
     first = results[0]
-    return [
-        f"{name}: must be the same in {whose}; {first.run.path.name} has {first.config[name]!r}, "
-        f"{other.run.path.name} {other.config[name]!r}"
-        for name in names
-        for other in [next((r for r in results if r.config[name] != first.config[name]), None)]
-        if other is not None
-    ]
+    values = values_of(first)
+    problems = []
+    for name, value in values.items():
+        for other in results:
+            theirs = values_of(other).get(name)
+            if theirs != value:
+                problems.append(
+                    f"{name}: must be the same in {whose}; {first.run.path} has {value!r}, "
+                    f"{other.run.path} {theirs!r}"
+                )
+                break
+    return problems
 
 
-def _different_worlds(results: Sequence[Result]) -> list[str]:
-    """Settings of the environment, but for those of a learner's view, that are not the same."""
-    first = results[0]
-    return [
-        f"environment.{name}: must be the same in all runs; {first.run.path.name} has {value!r}, "
-        f"{other.run.path.name} {other.config['environment'].get(name)!r}"
-        for name, value in first.config["environment"].items()
-        if name not in VIEW
-        for other in results
-        if other.config["environment"].get(name) != value
-    ][:1]
+def _everywhere(result: Result) -> dict[str, Any]:
+    """What all runs of a comparison have in common: budget, evaluations, and what is to reach."""
+    world = result.config["environment"]
+    return {
+        **{name: result.config[name] for name in ("steps", "evaluate_every", "episodes")},
+        **{f"environment.{name}": world[name] for name in world if name not in VIEW},
+    }
+
+
+def _in_a_label(result: Result) -> dict[str, Any]:
+    """What runs of one label have in common: they differ in field and seed alone."""
+    names = ("algorithm", "setting", "environment", "hyperparameters")
+    return {name: result.config[name] for name in names}
 
 
 def _different_fields(results: Sequence[Result]) -> list[str]:
     """Names that two fields have."""
     firsts: dict[str, Result] = {}
     return [
-        f"fields: {first.run.path.name} and {result.run.path.name} have different fields of the "
+        f"fields: {first.run.path} and {result.run.path} have different fields of the "
         f"name {result.field.name}"
         for result in results
         if (first := firsts.setdefault(result.field.name, result)).field != result.field
