@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from rich import box
-from rich.console import Console
+from rich.console import Console, JustifyMethod
 from rich.table import Table
 
 from baselines.paper.grid import Grid
@@ -38,8 +38,8 @@ def overall_grids(comparison: Comparison) -> dict[str, Grid]:
     grids = {}
     if comparison.aggregates:
         first = comparison.aggregates[0]
-        fields = f"{first.fields} field{'' if first.fields == 1 else 's'}"
-        grids[f"Over {fields}, {first.seeds} seeds each"] = _aggregates(comparison)
+        title = f"Over {_counted(first.fields, 'field')}, {_counted(first.seeds, 'seed')} each"
+        grids[title] = _aggregates(comparison)
     if len(comparison.improvement) > 1:
         grids["Probability of improvement"] = _improvement(comparison)
     return grids
@@ -152,10 +152,12 @@ def _interval(estimate: Estimate) -> str:
 
 
 def _title(rows: Sequence[Row]) -> str:
-    steps, seeds = max(row.env_steps for row in rows), rows[0].seeds
-    return (
-        f"{rows[0].field}: {steps:,} env-steps a run, {seeds} seed{'' if seeds == 1 else 's each'}"
-    )
+    steps = max(row.env_steps for row in rows)
+    return f"{rows[0].field}: {steps:,} env-steps a run, {_counted(rows[0].seeds, 'seed')} each"
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _shown(value: float | None, form: str) -> str:
@@ -166,7 +168,8 @@ def rich_table(title: str, grid: Grid) -> Table:
     """A table for a terminal."""
     table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for index, heading in enumerate(grid.headings):
-        table.add_column(heading, justify="left" if index < grid.words else "right")
+        side: JustifyMethod = "left" if index < grid.words else "right"
+        table.add_column(heading, justify=side, overflow="fold")
     for line in grid.lines:
         table.add_row(*line)
     return table
