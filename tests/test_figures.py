@@ -310,11 +310,12 @@ def test_estimates_are_marked_within_their_intervals() -> None:
     figure = figures.intervals_figure(panels, rule=0.5)
     mean, gap = figure.axes
     assert [label.get_text() for label in mean.get_yticklabels()] == ["ppo", "mappo"]
-    rule, interval, *values = (line.get_xydata().tolist() for line in mean.lines)
+    rule, *values = (line.get_xydata().tolist() for line in mean.lines)
     assert [x for x, _ in rule] == [0.5, 0.5]
-    assert interval == [[0.25, 0], [0.75, 0]]
     assert values == [[[0.5, 0]], [[0.9, 1]]]
-    assert len(gap.lines) == 5
+    (interval,) = mean.collections
+    assert interval.get_segments()[0].tolist() == [[0.25, 0], [0.75, 0]]
+    assert len(gap.collections) == 2
     with pytest.raises(MbnError, match="nothing to draw"):
         figures.intervals_figure({"mean": {}})
 

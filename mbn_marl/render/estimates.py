@@ -48,7 +48,7 @@ def intervals_figure(
             for place, name in enumerate(names):
                 value, low, high = lines[name]
                 if low is not None and high is not None:
-                    axes.plot([low, high], [place, place], color=style.BLUE, lw=6.0, alpha=0.35)
+                    axes.hlines(place, low, high, color=style.BLUE, lw=6.0, alpha=0.35)
                 axes.plot([value], [place], color=style.BLUE, marker="|", ms=11.0, mew=2.0)
             axes.set_title(title, loc="left", fontsize=9.0)
             axes.xaxis.set_major_locator(MaxNLocator(4))
