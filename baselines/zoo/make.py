@@ -32,8 +32,7 @@ README = """\
 {command}
 ```
 
-All hyperparameters are in `config.json`; it ran with Python {python}, torch {torch}, at revision
-`{revision}`.
+All hyperparameters are in `config.json`, the versions it ran with in `card.json`.
 
 {episodes} fresh episodes each, with sampled and with mean actions, seed {evaluation_seed} \
 (`mbn evaluate {prefix}{name}`):
@@ -144,14 +143,10 @@ def readme(card: Mapping[str, Any]) -> str:
     """The card as Markdown."""
     evaluations = card["stochastic"], card["deterministic"]
     optimum = card["optimum"]
-    versions = card["versions"]
     return README.format(
         **{key: value for key, value in card.items() if key != "optimum"},
         optimum="" if optimum is None else f"The proved optimum is {optimum:,.0f}.",
         prefix=PREFIX,
-        python=versions["python"],
-        torch=versions["packages"]["torch"],
-        revision=versions["git_revision"],
         episodes=evaluations[0]["episodes"],
         evaluation_seed=evaluations[0]["seed"],
         rows="\n".join(map(_row, evaluations)),

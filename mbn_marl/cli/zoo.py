@@ -36,12 +36,21 @@ class Zoo:
 
 
 def print_cards(cards: list[Mapping[str, Any]]) -> None:
-    """Print cards as a table, one a row."""
+    """Print cards as a table, one a row: returns with sampled and with mean actions."""
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(caption="returns of fresh episodes: mean, with sampled and with mean actions")
-    for heading in ("policy", "algorithm", "env-steps", "sampled", "success", "mean", "optimum"):
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for heading in (
+        "policy",
+        "algorithm",
+        "env-steps",
+        "sampled\nactions",
+        "success",
+        "mean\nactions",
+        "optimum",
+    ):
         table.add_column(heading, justify="left" if heading == "policy" else "right")
     for card in cards:
         sampled, optimum = card["stochastic"], card["optimum"]
