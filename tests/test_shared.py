@@ -29,7 +29,7 @@ from mbn_marl.field import load_field
 NAMES = [name for name, entry in ALGORITHMS.items() if entry.package == "shared"]
 BOTH = pytest.mark.parametrize("name", NAMES)
 ROBOTS = 3
-SMALL = {
+SMALL: dict[str, Any] = {
     "num_envs": 4,
     "model": {"n_steps": 16, "batch_size": 64, "policy_kwargs": {"net_arch": [8]}},
 }
@@ -128,6 +128,16 @@ def test_only_supersuit_hides_time_limits() -> None:
         assert dones.all()
         seen.append([info.get("TimeLimit.truncated") for info in infos])
     assert seen == [[True] * 2 * ROBOTS, [None] * 2 * ROBOTS]
+
+
+@pytest.mark.parametrize("max_steps", [1000, 20])
+def test_the_bridges_differ_by_the_time_limits_alone(max_steps: int, tmp_path: Path) -> None:
+    ours, theirs = (
+        weights_of(train(config_of(name, environment={"max_steps": max_steps}), tmp_path / name))
+        for name in NAMES
+    )
+    equal = all(torch.equal(ours[key], theirs[key]) for key in ours)
+    assert equal == (max_steps > 128 // SMALL["num_envs"])
 
 
 @pytest.mark.parametrize("normalized", [True, False])
