@@ -19,7 +19,6 @@ from baselines.shared.policy import SharedPolicy
 from baselines.shared.policy import load_policy as load_shared
 from baselines.shared.worlds import engines, make_env
 from baselines.storage import RunError
-from baselines.table import summarise
 from baselines.tensors import write_tensors
 from baselines.train import train
 from mbn_marl.cli import main
@@ -196,6 +195,6 @@ def test_the_command_line_takes_them(tmp_path: Path) -> None:
     out = tmp_path / "run"
     tiny = ["--steps", "1", "--num-envs", "2", "--episodes", "1", "--out", str(out)]
     assert main(["train", "ppo-supersuit", "field_03", *tiny]) == 0
-    row = summarise([RunFolder.open(out)])
-    assert (row.algorithm, row.form, row.env_steps) == ("ppo-supersuit", "decentralized", 128)
+    run = RunFolder.open(out)
+    assert (run.config["algorithm"], run.evaluation["env_steps"]) == ("ppo-supersuit", 128)
     assert json.loads((out / "versions.json").read_text())["packages"]["supersuit"]
