@@ -16,7 +16,7 @@ from baselines.zoo import entries
 from baselines.zoo.entries import FOLDER, entry_names, read_card
 from baselines.zoo.make import LARGEST, make_entry, plain_command, readme
 from mbn_marl.cli import main
-from mbn_marl.field import load_field, save_field
+from mbn_marl.field import catalogue_names, load_field, save_field
 
 ROOT = Path(__file__).parents[1]
 
@@ -150,6 +150,10 @@ def test_a_command_loses_where_its_files_went() -> None:
 
 
 # The zoo of the package
+
+
+def test_there_is_an_entry_for_every_field() -> None:
+    assert entry_names() == list(catalogue_names())
 
 
 @pytest.mark.parametrize("name", entry_names())

@@ -32,7 +32,8 @@ README = """\
 {command}
 ```
 
-All hyperparameters are in `config.json`, the versions it ran with in `card.json`.
+`config.json` has its hyperparameters and environment, which decide where the package's own differ
+from them; `card.json` has the versions it ran with.
 
 {episodes} fresh episodes each, with sampled and with mean actions, seed {evaluation_seed} \
 (`mbn evaluate {prefix}{name}`):
