@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+
+from tests.wall_senses import WallSenses
 
 TERMS = ("step", "revisit", "wall", "roi", "success", "collision")
 REALS: Mapping[str, Any] = {"float64": float, "float32": np.float32}
@@ -148,7 +150,6 @@ class Oracle:
         self.max_steps = max_steps
         self.observation, self.one_hot = observation, one_hot
         self.sensing_radius = sensing_radius
-        self.slack = 1e-6 * max(self.width, self.height)
         self.reset()
 
     def reset(self, positions: Sequence[Sequence[float]] | None = None) -> None:
@@ -193,22 +194,27 @@ class Oracle:
         self._reward(step)
         return step
 
-    def observe(self, i: int, missing: int = 0) -> NDArray[np.float32]:
-        """What robot i sees, (size,).
+    def observe(
+        self, i: int, missing: int = 0, shift: tuple[float, float] = (0.0, 0.0)
+    ) -> NDArray[np.float32]:
+        """What robot i sees, (size,), or would see if it stood elsewhere by ``shift``.
 
         ``missing`` is by how many ROIs the field has fewer than another of a batch: they are seen
         as visited, and where the first one is.
         """
-        me = self.robots[i]
+        here = self.robots[i]
+        me = replace(here, x=here.x + self.real(shift[0]), y=here.y + self.real(shift[1]))
         rois = [*zip(self.rois, self.visited, strict=True), *[(self.rois[0], True)] * missing]
-        others = [other for other in self.robots if other is not me]
+        others = [other for other in self.robots if other is not here]
         if self.observation == "state":
             seen = [body.position for body in (me, *others)]
             seen += [body.velocity for body in (me, *others)]
             seen.append(np.array([self.visit_code]))
         else:
             half = np.array([self.width, self.height]) / 2
-            centre = half if self.observation != "lidar" else self._centre()
+            low_x, low_y, high_x, high_y = self.polygon.bounds
+            middle = np.array([low_x + high_x, low_y + high_y]) / 2
+            centre = middle if self.observation == "lidar" else half
             seen = [(me.position - centre) / half, me.velocity / self.v_clip]
             for other in others:
                 turn = (other.velocity - me.velocity) / (2 * self.v_clip)
@@ -236,49 +242,11 @@ class Oracle:
         near = math.hypot(*offset) <= self.sensing_radius
         return [np.array([near]), *(near * entry for entry in entries)]
 
-    def _centre(self) -> NDArray[Any]:
-        """The middle of the field's bounding box."""
-        bounds = np.array(self.polygon.bounds)
-        return (bounds[:2] + bounds[2:]) / 2
-
     def _walls(self, me: Robot, mass: Any) -> list[float]:
-        """``lidar``: eight rays, the time to the wall, whether a brake stops, the distance."""
-        radius, speed = self.sensing_radius, math.hypot(me.vx, me.vy)
-        angles = [math.radians(45 * k) for k in range(8)]
-        rays = [self._free(me, (math.cos(a), math.sin(a)), radius) / radius for a in angles]
-        time = 1.0
-        if speed > 0:
-            heading = (float(me.vx) / speed, float(me.vy) / speed)
-            # The horizon is as long as the sensing radius takes at the speed limit.
-            time = self._free(me, heading, radius * speed / self.v_clip)
-            time /= radius * speed / self.v_clip
-        stop = self._stop(me, mass)
-        inside = stop is not None and shapely.intersects_xy(self.polygon, *stop)
-        distance = self.boundary.distance(shapely.Point(me.x, me.y))
-        return [*rays, time, float(inside), min(1.0, distance / radius)]
-
-    def _free(self, me: Robot, heading: tuple[float, float], reach: float) -> float:
-        """How far the robot can go straight ahead before it leaves the field, at most ``reach``."""
-        start = shapely.Point(me.x, me.y)
-        end = (start.x + reach * heading[0], start.y + reach * heading[1])
-        ways = self.polygon.intersection(shapely.LineString([start, end]))
-        own = [part for part in shapely.get_parts(ways) if part.distance(start) < self.slack]
-        return max((part.length for part in own), default=0.0)
-
-    def _stop(self, me: Robot, mass: Any) -> tuple[float, float] | None:
-        """Where the robot comes to rest if it brakes as hard as it can; ``None``: never."""
-        spot = []
-        for place, velocity, wind in ((me.x, me.vx, self.wind_x), (me.y, me.vy, self.wind_y)):
-            place, velocity = float(place), float(velocity)
-            direction = math.copysign(1.0, velocity)
-            slower = float(self.f_max / mass) - direction * float(wind)
-            if velocity != 0 and slower <= 0:
-                return None
-            while velocity != 0:
-                velocity = direction * max(0.0, abs(velocity) - slower)
-                place += velocity * float(self.tau)
-            spot.append(place)
-        return spot[0], spot[1]
+        """What ``lidar`` sees of the walls."""
+        axes = [(self.f_max / mass, wind) for wind in (self.wind_x, self.wind_y)]
+        senses = WallSenses(self.polygon, float(self.v_clip), float(self.tau), self.sensing_radius)
+        return senses.entries(me.position.astype(float), me.velocity.astype(float), axes)
 
     def metrics(self) -> dict[str, Any]:
         """Sums over the episode so far, under the engine's names."""

@@ -64,6 +64,7 @@ def test_entries_are_those_of_the_table() -> None:
         {"n_robots": 1, "dtype": "float64"},
         {"observation": "state", "reward_sharing": "team"},
         {"observation": "local", "one_hot": True, "wind": (0.1, 45.0)},
+        {"observation": "lidar", "one_hot": True},
         {"reward": "formal", "random_starts": True},
     ],
     ids=str,
