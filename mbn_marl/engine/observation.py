@@ -16,7 +16,7 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.compiling import compiled
 from mbn_marl.engine.rules import clip, cross_edge, within
 from mbn_marl.engine.transpose import SIDE, transpose
-from mbn_marl.engine.walls import RAYS, braking_path, distance_squared, reading
+from mbn_marl.engine.walls import RAYS, braking_path, cross, distance_squared, reading
 
 RELATIVE, STATE, LOCAL, LIDAR = 0, 1, 2, 3
 FIRST = np.uint64(0)
@@ -205,7 +205,8 @@ def put_relative(p, g, ep, lo, hi, i, tile):
 
 @compiled
 def put_centred(p, g, ep, lo, hi, i, tile):
-    """``lidar``: robot i's place about the centre of the field's bounding box, two entries."""
+    """``lidar``: robot i's place about the centre of the field's bounding box; its velocity."""
+    put_own(p, ep, lo, hi, i, tile)
     for w in range(lo, hi):
         f = column(g, w)
         x, y = ep.x[i, w] - g.boxes[0, f], ep.y[i, w] - g.boxes[1, f]
@@ -236,19 +237,33 @@ def put_direction(p, g, ep, lo, hi, i, j, tile, k):
 
 @compiled
 def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
-    """``lidar``: how far robot i can go in each of the directions, up to the sensing radius."""
-    for ray in range(rays.shape[1]):
-        row, dx, dy = k + ray, rays[0, ray], rays[1, ray]
+    """``lidar``: how far robot i can go in each of the directions, up to the sensing radius.
+
+    Each half of the directions is the other one turned back.
+    """
+    half = rays.shape[1] // 2
+    for ray in range(half):
+        row, back, dx, dy = k + ray, k + ray + half, rays[0, ray], rays[1, ray]
         for w in range(lo, hi):
             tile[row, w - lo] = p.one
+            tile[back, w - lo] = p.one
         for e in range(g.edges.shape[1]):
             for w in range(lo, hi):
                 f = column(g, w)
-                x, y = ep.x[i, w], ep.y[i, w]
-                ax, ay = g.edges[0, e, f] - x, g.edges[1, e, f] - y
-                bx, by = g.edges[2, e, f] - x, g.edges[3, e, f] - y
-                seen = reading(p, dx, dy, ax, ay, bx, by, p.per_radius)
-                tile[row, w - lo] = min(tile[row, w - lo], seen)
+                ax, ay, bx, by = (
+                    g.edges[0, e, f],
+                    g.edges[1, e, f],
+                    g.edges[2, e, f],
+                    g.edges[3, e, f],
+                )
+                x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
+                turn = cross(dx, dy, ex, ey)
+                a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
+                along = cross(ax - x, ay - y, ex, ey) * (p.per_radius / turn)
+                ahead = reading(p, a_side, b_side, turn, along)
+                behind = reading(p, -a_side, -b_side, -turn, -along)
+                tile[row, w - lo] = min(tile[row, w - lo], ahead)
+                tile[back, w - lo] = min(tile[back, w - lo], behind)
 
 
 @compiled
@@ -260,11 +275,20 @@ def put_margins(p, g, ep, lo, hi, i, tile, k):
     for e in range(g.edges.shape[1]):
         for w in range(lo, hi):
             f = column(g, w)
-            x, y, vx, vy = ep.x[i, w], ep.y[i, w], ep.vx[i, w], ep.vy[i, w]
-            ax, ay = g.edges[0, e, f] - x, g.edges[1, e, f] - y
-            bx, by = g.edges[2, e, f] - x, g.edges[3, e, f] - y
-            seen = reading(p, vx, vy, ax, ay, bx, by, p.per_radius_time)
-            square = distance_squared(p, ax, ay, bx, by)
+            ax, ay, bx, by = g.edges[0, e, f], g.edges[1, e, f], g.edges[2, e, f], g.edges[3, e, f]
+            x, y, ex, ey, dx, dy = (
+                ep.x[i, w],
+                ep.y[i, w],
+                bx - ax,
+                by - ay,
+                ep.vx[i, w],
+                ep.vy[i, w],
+            )
+            turn = cross(dx, dy, ex, ey)
+            a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
+            along = cross(ax - x, ay - y, ex, ey) * (p.per_radius_time / turn)
+            square = distance_squared(p, ax - x, ay - y, ex, ey)
+            seen = reading(p, a_side, b_side, turn, along)
             tile[k, w - lo] = min(tile[k, w - lo], seen)
             tile[k + 2, w - lo] = min(tile[k + 2, w - lo], square)
     for w in range(lo, hi):
@@ -274,24 +298,27 @@ def put_margins(p, g, ep, lo, hi, i, tile, k):
 
 @compiled
 def put_brake(p, g, ep, lo, hi, i, tile, k):
-    """``lidar``: whether robot i would stop in the field if it braked from now on."""
+    """``lidar``: whether robot i would stop in the field if it braked from now on.
+
+    The entry holds the bits of ``cross_edge`` until all edges have been seen.
+    """
     brake = p.f_max / g.masses[i]
     for w in range(lo, hi):
-        f = column(g, w)
-        x = ep.x[i, w] + braking_path(p, ep.vx[i, w], brake, p.wind_x, p.arena_x)
-        y = ep.y[i, w] + braking_path(p, ep.vy[i, w], brake, p.wind_y, p.arena_y)
-        seen = 0
-        for e in range(g.edges.shape[1]):
-            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
-            bx, by = g.edges[2, e, f], g.edges[3, e, f]
-            seen = cross_edge(seen, x, y, ax, ay, bx, by)
-        tile[k, w - lo] = p.one if seen != 0 else p.zero
+        tile[k, w - lo] = p.zero
+    for e in range(g.edges.shape[1]):
+        for w in range(lo, hi):
+            f = column(g, w)
+            ax, ay, bx, by = g.edges[0, e, f], g.edges[1, e, f], g.edges[2, e, f], g.edges[3, e, f]
+            x = ep.x[i, w] + braking_path(p, ep.vx[i, w], brake, p.wind_x, p.arena_x)
+            y = ep.y[i, w] + braking_path(p, ep.vy[i, w], brake, p.wind_y, p.arena_y)
+            tile[k, w - lo] = cross_edge(np.int32(tile[k, w - lo]), x, y, ax, ay, bx, by)
+    for w in range(lo, hi):
+        tile[k, w - lo] = min(tile[k, w - lo], p.one)
 
 
 @compiled
 def put_lidar(p, g, rays, ep, lo, hi, i, tile):
     """The entries of ``lidar`` for robot i; how many there are."""
-    put_own(p, ep, lo, hi, i, tile)
     put_centred(p, g, ep, lo, hi, i, tile)
     k = 4
     for j in range(ep.x.shape[0]):

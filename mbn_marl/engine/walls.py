@@ -1,7 +1,7 @@
 """What ``lidar`` senses of the walls, one scalar function each, written like those of ``rules``.
 
-An edge is given by the offsets of its ends a and b from the robot; the field lies to the left of
-a-b. ``p`` are the MDP's constants. Only operations that every processor rounds alike are used.
+An edge goes from a to b, and the field lies to its left; its ends are given as seen from the robot.
+Only operations that every processor rounds alike are used.
 """
 
 from __future__ import annotations
@@ -20,27 +20,30 @@ RAYS = np.array([[1, S, 0, -S, -1, -S, 0, S], [0, S, 1, S, 0, -S, -1, -S]])
 
 
 @compiled
-def reading(p, dx, dy, ax, ay, bx, by, scale):
-    """Where a ray along (dx, dy) leaves the field through the edge: 0 here to 1 at ``1 / scale``.
-
-    1 where it does not. A ray through a corner leaves by both of its edges, so none slips between
-    them; along an edge it leaves by the next one. A robot that rounding has put behind the edge it
-    stands on, by less than ``p.slack``, is at the edge.
-    """
-    a_right = dx * ay - dy * ax <= 0
-    b_left = dx * by - dy * bx >= 0
-    turn = dx * (by - ay) - dy * (bx - ax)
-    ahead = (ax * by - ay * bx) / turn * scale
-    leaves = a_right & b_left & (turn > 0) & (ahead >= -p.slack)
-    return select(leaves, clip(ahead, p.zero, p.one), p.one)
+def cross(ax, ay, bx, by):
+    """The cross product of a and b: positive if b points to the left of a."""
+    return ax * by - ay * bx
 
 
 @compiled
-def distance_squared(p, ax, ay, bx, by):
-    """From the robot to the nearest point of the edge, squared."""
-    ex, ey = bx - ax, by - ay
+def reading(p, a_side, b_side, turn, along):
+    """Where a ray leaves the field by an edge, 0 here to 1 a sensing radius away; 1 elsewhere.
+
+    ``a_side``, ``b_side`` and ``turn`` are the ray's direction crossed with the edge's ends and
+    with the edge; ``along`` is where the ray meets the line of the edge. A ray through a corner
+    leaves by both of its edges, so none slips between them; one along an edge leaves by the next.
+    A robot that rounding has put behind the edge it stands on, by less than ``p.slack``, is at it.
+    """
+    leaves = (a_side <= 0) & (b_side >= 0) & (turn > 0) & (along >= -p.slack)
+    return select(leaves, max(along, p.zero), p.one)
+
+
+@compiled
+def distance_squared(p, ax, ay, ex, ey):
+    """From the robot to the nearest point of the edge, squared; (ex, ey) is the edge b - a."""
     square = ex * ex + ey * ey
-    along = select(square > 0, clip(-(ax * ex + ay * ey) / square, p.zero, p.one), p.zero)
+    per_square = select(square > 0, p.one / square, p.zero)
+    along = clip(-(ax * ex + ay * ey) * per_square, p.zero, p.one)
     x, y = ax + along * ex, ay + along * ey
     return x * x + y * y
 
@@ -55,7 +58,7 @@ def braking_path(p, velocity, brake, wind, beyond):
     """
     speed = abs(velocity)
     slower = brake - select(velocity > 0, wind, -wind)
-    count = math.floor(speed / slower)
+    count = np.floor(speed / slower)
     path = count * ((speed - slower) + (speed - slower * count)) * HALF * p.tau
     path = select(slower > 0, path, select(speed > 0, beyond, p.zero))
     return select(velocity > 0, path, -path)
