@@ -57,14 +57,14 @@ def test_cuda_that_is_not_to_be_had_is_one_error_that_says_what_is_missing() -> 
         assert part in str(caught.value)
 
 
-def compiled_kernels(dtype: Any, rules: Any) -> dict[str, str]:
+def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     """The PTX of every kernel for three robots, by name."""
     from numba import cuda, typeof, types
 
     from mbn_marl.engine import cuda_kernels as kernels
 
     field = load_field("field_01")
-    config = make_config({"dtype": dtype, "n_robots": 3, "reward": rules})
+    config = make_config({"dtype": dtype, "n_robots": 3, **settings})
     real = np.dtype(dtype)
     record = make_record(config, 3, field.arena, "same_step", 0)
     values = (v if isinstance(v, int) else real.type(v) for v in record[0].item())
@@ -94,10 +94,10 @@ def compiled_kernels(dtype: Any, rules: Any) -> dict[str, str]:
     return made
 
 
-@pytest.mark.parametrize("rules", ["released", "formal"])
+@pytest.mark.parametrize("settings", [{}, {"reward": "formal"}, {"observation": "lidar"}], ids=str)
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_the_kernels_compile_for_a_gpu(
-    dtype: str, rules: str, monkeypatch: pytest.MonkeyPatch
+    dtype: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without one: PTX for compute capability 9.0."""
     if importlib.util.find_spec("numba_cuda") is None:
@@ -112,7 +112,7 @@ def test_the_kernels_compile_for_a_gpu(
         pytest.skip(f"no CUDA compiler: {str(error).splitlines()[0]}")
     h100 = SimpleNamespace(compute_capability=(9, 0))
     monkeypatch.setattr(dispatcher, "get_current_device", lambda: h100)
-    for name, ptx in compiled_kernels(dtype, rules).items():
+    for name, ptx in compiled_kernels(dtype, settings).items():
         depots = [int(size) for size in re.findall(r"__local_depot\d+\[(\d+)\]", ptx)]
         assert sum(depots) <= MOST_LOCAL_BYTES, name  # else arrays have left the registers
         assert not re.search(r"\.func|\bcall", ptx), name  # all is inlined

@@ -13,7 +13,7 @@ import numpy as np
 from mbn_marl.engine.compiling import compiled
 from mbn_marl.engine.rules import clip, select
 
-HALF = np.float32(0.5)
+HALF, MANY = np.float32(0.5), np.float32(1e6)
 S = math.sqrt(0.5)
 RAYS = np.array([[1, S, 0, -S, -1, -S, 0, S], [0, S, 1, S, 0, -S, -1, -S]])
 """The directions of the rays, (2, 8): unit vectors, counter-clockwise from +x."""
@@ -58,7 +58,8 @@ def braking_path(p, velocity, brake, wind, beyond):
     """
     speed = abs(velocity)
     slower = brake - select(velocity > 0, wind, -wind)
-    count = np.floor(speed / slower)
+    ratio = speed / slower
+    count = np.float32(np.int32(select(ratio < MANY, ratio, MANY)))  # also where it is no number
     path = count * ((speed - slower) + (speed - slower * count)) * HALF * p.tau
     path = select(slower > 0, path, select(speed > 0, beyond, p.zero))
     return select(velocity > 0, path, -path)
