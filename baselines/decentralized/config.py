@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,6 +17,10 @@ SOURCE = Path(__file__).with_name("hyperparameters.yaml")
 Count = Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Until = Annotated[float, Field(gt=0.0, le=1.0)]
+
+ROI_STAGES = 10
+"""Sizes of ROIs on the way; for each one the worlds begin anew."""
 
 
 class MultiAgentPPOConfig(Hyperparameters):
@@ -50,6 +55,11 @@ class MultiAgentPPOConfig(Hyperparameters):
         action_repeat: env-steps that a decision lasts, from and to, falling linearly (rounded)
             over ``action_repeat_until``. Evaluations always decide at every step.
         action_repeat_until: the share of training after which it has its second value.
+        roi_radius: how many times as large ROIs are while the team learns, from and to: a
+            curriculum, falling by the same factor at each of ten times up to
+            ``roi_radius_until``. Training episodes in ``progress.csv`` are of that size,
+            evaluations of the true one.
+        roi_radius_until: the share of training after which it has its second value.
     """
 
     critic: Literal["centralized", "independent"]
@@ -72,7 +82,9 @@ class MultiAgentPPOConfig(Hyperparameters):
     reward_scale: Positive
     approach_bonus: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
     action_repeat: tuple[Count, Count]
-    action_repeat_until: Annotated[float, Field(gt=0.0, le=1.0)]
+    action_repeat_until: Until
+    roi_radius: tuple[Positive, Positive]
+    roi_radius_until: Until
 
     @property
     def decisions(self) -> int:
@@ -81,19 +93,28 @@ class MultiAgentPPOConfig(Hyperparameters):
 
     def cap_at(self, progress: float) -> float:
         """The upper limit of log-std at ``progress``, the share of training done, in [0, 1]."""
-        start, end = self.log_std_cap
         falling = (progress - self.log_std_cap_from) / (1.0 - self.log_std_cap_from)
-        return start + (end - start) * max(0.0, falling)
+        return between(self.log_std_cap, falling)
 
     def repeat_at(self, progress: float) -> int:
         """The env-steps of a decision at ``progress``, in [0, 1]."""
-        start, end = self.action_repeat
-        return round(start + (end - start) * min(1.0, progress / self.action_repeat_until))
+        return round(between(self.action_repeat, progress / self.action_repeat_until))
+
+    def roi_radius_at(self, progress: float) -> float:
+        """The size of ROIs at ``progress``, in [0, 1], as a multiple of the true one."""
+        stage = math.floor(ROI_STAGES * progress / self.roi_radius_until)
+        start, end = map(math.log, self.roi_radius)
+        return math.exp(between((start, end), stage / ROI_STAGES))
 
     def learning_rate_at(self, progress: float) -> float:
         """The learning rate at ``progress``, in [0, 1]."""
-        start, end = self.learning_rate
-        return start + (end - start) * progress
+        return between(self.learning_rate, progress)
+
+
+def between(ends: tuple[float, float], share: float) -> float:
+    """The number that lies a ``share`` of the way from one end to the other; 0 to 1 counts."""
+    start, end = ends
+    return start + (end - start) * min(1.0, max(0.0, share))
 
 
 def load(

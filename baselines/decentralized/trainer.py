@@ -19,6 +19,7 @@ from baselines.decentralized.shaping import Approach
 from baselines.recorder import Recorder
 from baselines.runs import Task
 from baselines.storage import read_arrays, read_json, write_arrays, write_json
+from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 
 LEARNER = "learner.safetensors"
@@ -46,20 +47,12 @@ class Trainer:
         torch.manual_seed(task.config.seed)
         self.config = config
         self.recorder = recorder
-        self.steps = task.config.steps
+        self.task = task
         device = torch.device(task.config.device)
         self.generator = torch.Generator(device).manual_seed(task.config.seed)
-        engine = BatchEngine(
-            task.field,
-            config.num_worlds,
-            seed=task.config.seed,
-            device=task.config.device,
-            threads=1,
-            **task.settings,
-        )
-        self.worlds = Worlds(
-            engine, config.rollout_steps, device, self.generator, recorder.episodes
-        )
+        self.roi_radius = config.roi_radius_at(0.0)
+        self.worlds = self._make_worlds()
+        engine = self.worlds.engine
         self.approach = Approach(task.field, engine.n_robots, device)
         self.team_reward = engine.config.reward_sharing == "team"
         shape = TeamShape(engine.obs_size, engine.n_robots, config.hidden, config.sharing)
@@ -77,12 +70,15 @@ class Trainer:
         if self.recorder.checkpoint is not None:
             env_steps = self._restore(self.recorder.checkpoint)
         self.recorder.start()
-        while env_steps < self.steps and not self.recorder.passed:
-            progress = env_steps / self.steps
+        while env_steps < self.task.config.steps and not self.recorder.passed:
+            progress = env_steps / self.task.config.steps
             repeat = self.config.repeat_at(progress)
             for group in self.optimizer.param_groups:
                 group["lr"] = self.config.learning_rate_at(progress)
             self.network.cap_log_std(self.config.cap_at(progress))
+            if self.roi_radius != self.config.roi_radius_at(progress):
+                self.roi_radius = self.config.roi_radius_at(progress)
+                self.worlds = self._make_worlds()
             started = time.perf_counter()
             rollout = self.worlds.roll_out(self.network, repeat)
             collected = time.perf_counter()
@@ -99,6 +95,25 @@ class Trainer:
                 save = partial(self._save, env_steps)
                 self.recorder.save_checkpoint(env_steps, self.policy, save)
         self.recorder.finish(env_steps, self.policy)
+
+    def _make_worlds(self) -> Worlds:
+        """Worlds at the start of their episodes, with ROIs of the current size."""
+        config, settings = self.task.config, make_config(self.task.settings)
+        engine = BatchEngine(
+            self.task.field,
+            self.config.num_worlds,
+            seed=config.seed,
+            device=config.device,
+            threads=1,
+            **{**self.task.settings, "roi_radius": settings.roi_radius * self.roi_radius},
+        )
+        return Worlds(
+            engine,
+            self.config.rollout_steps,
+            torch.device(config.device),
+            self.generator,
+            self.recorder.episodes,
+        )
 
     def _update(self, rollout: Rollout, repeat: int) -> dict[str, float]:
         """Learn from a rollout; then take its observations into the normalisation.
@@ -184,7 +199,7 @@ class Trainer:
         }
         safetensors_torch.save_file(tensors, folder / LEARNER)
         write_arrays(folder / WORLDS, self.worlds.engine.save_state(), compress=True)
-        write_json(folder / COUNTERS, {"env_steps": env_steps})
+        write_json(folder / COUNTERS, {"env_steps": env_steps, "roi_radius": self.roi_radius})
 
     def _restore(self, folder: Path) -> int:
         """Take up the learner of a checkpoint at exactly the same point.
@@ -206,8 +221,11 @@ class Trainer:
         self.critic.load_state_dict(group("critic"))
         moments = {index: group(f"optimizer.{index}") for index in range(len(self.parameters))}
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": moments})
+        counters = read_json(folder / COUNTERS)
+        self.roi_radius = counters["roi_radius"]
+        self.worlds = self._make_worlds()
         self.worlds.observations.copy_(tensors["worlds.observations"])
         self.worlds.engine.load_state(read_arrays(folder / WORLDS))
         self.generator.set_state(tensors["generator.state"])
-        env_steps: int = read_json(folder / COUNTERS)["env_steps"]
+        env_steps: int = counters["env_steps"]
         return env_steps
