@@ -251,8 +251,8 @@ def test_rois_shrink_to_their_true_size_in_ten_stages() -> None:
     config = load("mappo", "N", {"roi_radius": [32.0, 1.0], "roi_radius_until": 0.5})
     sizes = [config.roi_radius_at(share) for share in (0.0, 0.049, 0.101, 0.201, 0.5, 1.0)]
     assert sizes == pytest.approx([32.0, 32.0, 16.0, 8.0, 1.0, 1.0])
-    recorded = load("mappo", "N", {})
-    assert recorded.roi_radius_at(0.0) == recorded.roi_radius_at(1.0) == 1.0
+    constant = load("mappo", "N", {"roi_radius": [1.0, 1.0]})
+    assert constant.roi_radius_at(0.0) == constant.roi_radius_at(1.0) == 1.0
 
 
 @pytest.mark.parametrize(("sharing", "told"), [("full", False), ("full+id", True), ("none", False)])

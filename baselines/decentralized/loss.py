@@ -1,8 +1,7 @@
 """PPO's losses for a team.
 
-TorchRL's ``MAPPOLoss`` and ``IPPOLoss`` compute the same numbers (a test compares them). Their
-tensordicts, distribution objects and parameter swaps cost about as much again as the networks of
-64 units do, several times a second, hence this form: tensors in, tensors out.
+TorchRL's ``MAPPOLoss`` and ``IPPOLoss`` compute the same numbers (a test compares them) from
+tensordicts and distribution objects; here it is tensors in, tensors out (see ``trainer``).
 """
 
 from __future__ import annotations

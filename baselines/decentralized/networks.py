@@ -1,7 +1,7 @@
 """Actor and critic of a team: one set of layers for all robots or one for each, normalised input.
 
-TorchRL's ``MultiAgentMLP`` computes the same; its ``vmap`` over stacked parameters takes longer
-than the arithmetic of networks this small, so the layers here are batched products instead.
+TorchRL's ``MultiAgentMLP`` computes the same, with ``vmap`` over stacked parameters; the layers
+here are batched products instead (see ``trainer`` for what that saves).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Rollouts: the policy acts in many worlds of one engine, and every quantity has its buffer.
 
-TorchRL's ``step_and_maybe_reset`` on ``NavigationEnv`` gives the same transitions. The tensordicts
-of a step take longer than the step and the policy together, so this loop fills tensors directly.
+TorchRL's ``step_and_maybe_reset`` on ``NavigationEnv`` gives the same transitions in tensordicts;
+this loop fills tensors directly (see ``trainer`` for what that saves).
 """
 
 from __future__ import annotations

@@ -30,11 +30,13 @@ class Approach:
 
     def remaining(self, states: torch.Tensor) -> torch.Tensor:
         """The measure (...) of the paper's states (..., 4n + 1)."""
-        positions = states[..., : 2 * self._robots].float().unflatten(-1, (self._robots, 2))
+        positions = states[..., : 2 * self._robots].float()
+        positions = positions.reshape(*states.shape[:-1], self._robots, 2)
         offsets = positions.unsqueeze(-2) - self._rois  # (..., n, m, 2)
         nearest = offsets.square().sum(-1).amin(-2).sqrt()
         visited = (states[..., -1:].long() >> self._shifts) & 1
-        return (nearest * (1 - visited)).sum(-1)
+        measure: torch.Tensor = (nearest * (1 - visited)).sum(-1)
+        return measure
 
     def __call__(self, before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
         """The decrease (...) of the measure, in units, from states to those they led to.

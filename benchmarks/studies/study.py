@@ -51,7 +51,7 @@ class Study:
 STUDIES: Mapping[str, Study] = {
     study.name: study
     for study in (
-        Study("learning", seeds=(0, 1, 2, 3, 4), steps=1_310_720),
+        Study("learning", seeds=(0, 1, 2, 3, 4), steps=1_441_792),
         Study("sharing", seeds=(0, 1, 2, 3, 4), steps=655_360),
     )
 }

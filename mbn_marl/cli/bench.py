@@ -22,7 +22,7 @@ class Bench:
     seeds: tuple[int, ...] = ()
     """learning, sharing: one run per variant, field and seed; by default 0 1 2 3 4."""
     steps: int | None = None
-    """learning, sharing: env-steps of every run; by default 1,310,720 and 655,360."""
+    """learning, sharing: env-steps of every run; by default 1,441,792 and 655,360."""
     processes: int | None = None
     """learning, sharing: runs at a time, each on one core; by default as many as there are."""
     out: Path | None = None
