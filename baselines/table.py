@@ -152,8 +152,8 @@ def _interval(estimate: Estimate) -> str:
 
 
 def _title(rows: Sequence[Row]) -> str:
-    steps = max(row.env_steps for row in rows)
-    return f"{rows[0].field}: {steps:,} env-steps a run, {_counted(rows[0].seeds, 'seed')} each"
+    steps = " or ".join(f"{steps:,}" for steps in sorted({row.env_steps for row in rows}))
+    return f"{rows[0].field}: {steps} env-steps a run, {_counted(rows[0].seeds, 'seed')} each"
 
 
 def _counted(number: int, noun: str) -> str:

@@ -202,6 +202,7 @@ def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
     print_comparison(comparison, console)
     text = console.export_text()
     assert "…" not in text
+    assert "field_03: 400 env-steps a run, 2 seeds each" in text
     line = next(line for line in text.splitlines() if "25.0..50.0" in line)
     assert " ".join(line.split()) == "mappo 37.5% 25.0..50.0 62.50% 25.00% 75.0% 0k 1/2 3.0"
     encoded = json.loads(json.dumps(comparison.to_json(), allow_nan=False))
