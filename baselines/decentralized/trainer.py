@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import torch as safetensors_torch
@@ -183,8 +184,9 @@ class Trainer:
             samples,
             config.clip,
         )
+        total: Any = losses.objective + losses.critic - config.entropy * losses.entropy
         self.optimizer.zero_grad()
-        (losses.objective + losses.critic - config.entropy * losses.entropy).backward()
+        total.backward()  # which has no types
         torch.nn.utils.clip_grad_norm_(self.parameters, config.max_grad_norm)
         self.optimizer.step()
         return Losses(*(loss.detach() for loss in losses))
