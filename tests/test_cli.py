@@ -46,7 +46,8 @@ def test_train_records_the_run(run: Path) -> None:
     assert command == f"mbn train ippo field_03 {' '.join(TINY)} --seed 7 --out {run}\n"
     with (run / "progress.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [row["env_steps"] for row in rows] == ["8192"]
+    # One rollout: 128 worlds, 64 decisions, each at first of four steps.
+    assert [row["env_steps"] for row in rows] == ["32768"]
     final = json.loads((run / "evaluation.json").read_text())
     assert len(final["stochastic"]["per_episode"]["returns"]) == 2
     assert (run / "policy" / "policy.safetensors").is_file()
