@@ -12,9 +12,6 @@ from mbn_marl.engine.compiling import compiled
 from mbn_marl.engine.observation import OBSERVATIONS
 from mbn_marl.engine.rewards import RULES
 
-ROUNDING = 1e-6
-"""Of a position, in arenas: a little more than float32's."""
-
 AUTORESET_MODES = ("disabled", "same_step", "next_step")
 
 
@@ -48,9 +45,6 @@ class Constants(NamedTuple):
     per_half_arena_y: Any
     per_speed: Any
     per_speed_range: Any
-    per_radius: Any  # of the sensing radius; and of the time to go it at the speed limit
-    per_radius_time: Any
-    slack: Any  # rounding of positions, in sensing radii
     max_steps: Any
     rules: Any
     team_sharing: Any
@@ -100,9 +94,6 @@ def make_record(
         per_half_arena_y=_reciprocal(height / 2, real),
         per_speed=_reciprocal(config.v_clip, real),
         per_speed_range=_reciprocal(2 * config.v_clip, real),
-        per_radius=_reciprocal(config.sensing_radius, real),
-        per_radius_time=config.v_clip / config.sensing_radius,
-        slack=ROUNDING * max(arena) / config.sensing_radius,
         max_steps=config.max_steps,
         rules=RULES[profile.rules],
         team_sharing=config.reward_sharing == "team",
@@ -161,9 +152,6 @@ def unpack(record):
         r.per_half_arena_y,
         r.per_speed,
         r.per_speed_range,
-        r.per_radius,
-        r.per_radius_time,
-        r.slack,
         r.max_steps,
         r.rules,
         r.team_sharing,

@@ -16,7 +16,7 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.compiling import compiled
 from mbn_marl.engine.rules import clip, cross_edge, within
 from mbn_marl.engine.transpose import SIDE, transpose
-from mbn_marl.engine.walls import RAYS, braking_path, cross, distance_squared, reading
+from mbn_marl.engine.walls import RAYS, braking_path, cross, distance_squared, reading, slack
 
 RELATIVE, STATE, LOCAL, LIDAR = 0, 1, 2, 3
 FIRST = np.uint64(0)
@@ -215,12 +215,13 @@ def put_centred(p, g, ep, lo, hi, i, tile):
 
 
 @compiled
-def put_near(p, ep, lo, hi, i, j, tile, k):
+def put_near(p, rays, ep, lo, hi, i, j, tile, k):
     """``lidar``: how near robot j is: 1 here, 0 from the sensing radius on."""
+    per_radius = p.one / rays[0, 0]
     for w in range(lo, hi):
         dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
         distance = math.sqrt(dx * dx + dy * dy)
-        tile[k, w - lo] = max(p.one - distance * p.per_radius, p.zero)
+        tile[k, w - lo] = max(p.one - distance * per_radius, p.zero)
 
 
 @compiled
@@ -241,7 +242,7 @@ def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
 
     Each half of the directions is the other one turned back.
     """
-    half = rays.shape[1] // 2
+    half, behind = rays.shape[1] // 2, slack(p, rays)
     for ray in range(half):
         row, back, dx, dy = k + ray, k + ray + half, rays[0, ray], rays[1, ray]
         for w in range(lo, hi):
@@ -259,16 +260,18 @@ def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
                 x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
                 turn = cross(dx, dy, ex, ey)
                 a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
-                along = cross(ax - x, ay - y, ex, ey) * (p.per_radius / turn)
-                ahead = reading(p, a_side, b_side, turn, along)
-                behind = reading(p, -a_side, -b_side, -turn, -along)
-                tile[row, w - lo] = min(tile[row, w - lo], ahead)
-                tile[back, w - lo] = min(tile[back, w - lo], behind)
+                along = cross(ax - x, ay - y, ex, ey) * (p.one / turn)
+                there = reading(p, behind, a_side, b_side, turn, along)
+                opposite = reading(p, behind, -a_side, -b_side, -turn, -along)
+                tile[row, w - lo] = min(tile[row, w - lo], there)
+                tile[back, w - lo] = min(tile[back, w - lo], opposite)
 
 
 @compiled
-def put_margins(p, g, ep, lo, hi, i, tile, k):
+def put_margins(p, g, rays, ep, lo, hi, i, tile, k):
     """``lidar``: when robot i would reach the wall, and how far the nearest wall is."""
+    per_radius, behind = p.one / rays[0, 0], slack(p, rays)
+    per_time = p.v_clip * per_radius
     for w in range(lo, hi):
         tile[k, w - lo] = p.one
         tile[k + 2, w - lo] = FAR
@@ -286,13 +289,13 @@ def put_margins(p, g, ep, lo, hi, i, tile, k):
             )
             turn = cross(dx, dy, ex, ey)
             a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
-            along = cross(ax - x, ay - y, ex, ey) * (p.per_radius_time / turn)
+            along = cross(ax - x, ay - y, ex, ey) * (per_time / turn)
             square = distance_squared(p, ax - x, ay - y, ex, ey)
-            seen = reading(p, a_side, b_side, turn, along)
+            seen = reading(p, behind, a_side, b_side, turn, along)
             tile[k, w - lo] = min(tile[k, w - lo], seen)
             tile[k + 2, w - lo] = min(tile[k + 2, w - lo], square)
     for w in range(lo, hi):
-        distance = math.sqrt(tile[k + 2, w - lo]) * p.per_radius
+        distance = math.sqrt(tile[k + 2, w - lo]) * per_radius
         tile[k + 2, w - lo] = min(distance, p.one)
 
 
@@ -324,7 +327,7 @@ def put_lidar(p, g, rays, ep, lo, hi, i, tile):
     for j in range(ep.x.shape[0]):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k)
-            put_near(p, ep, lo, hi, i, j, tile, k + 4)
+            put_near(p, rays, ep, lo, hi, i, j, tile, k + 4)
             k += 5
     for j in range(g.rois.shape[1]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k)
@@ -332,7 +335,7 @@ def put_lidar(p, g, rays, ep, lo, hi, i, tile):
         k += 5
     put_rays(p, g, rays, ep, lo, hi, i, tile, k)
     k += rays.shape[1]
-    put_margins(p, g, ep, lo, hi, i, tile, k)
+    put_margins(p, g, rays, ep, lo, hi, i, tile, k)
     put_brake(p, g, ep, lo, hi, i, tile, k + 1)
     return k + 3
 

@@ -32,7 +32,7 @@ class Geometry(NamedTuple):
     codes: Array  # (F,) int32: the visit code with all ROIs visited; bits above it are padding
     boxes: Array  # (4, F) real: lowest x, lowest y, width and height of each field
     masses: Array  # (n,) real
-    rays: Array  # (2, 8) real: lidar's directions; (0,) without it, whose code is then left out
+    rays: Array  # (2, 8) real: lidar's rays, units; (0,) without it, whose code is then left out
 
 
 class Episode(NamedTuple):
@@ -115,8 +115,8 @@ def make_geometry(
         own_field = np.arange(worlds) % count
         tables = tuple(np.take(table, own_field, axis=-1) for table in tables)
     masses = np.broadcast_to(np.asarray(config.mass, real), (n,)).copy()
-    rays = RAYS.astype(real) if config.observation == "lidar" else np.zeros(0, real)
-    return Geometry._make([*tables, masses, rays])
+    rays = RAYS * config.sensing_radius if config.observation == "lidar" else np.zeros(0)
+    return Geometry._make([*tables, masses, rays.astype(real)])
 
 
 def _directed_edges(field: Field) -> Array:

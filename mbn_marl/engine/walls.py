@@ -14,6 +14,8 @@ from mbn_marl.engine.compiling import compiled
 from mbn_marl.engine.rules import clip, select
 
 HALF, MANY = np.float32(0.5), np.float32(1e6)
+ROUNDING = np.float32(1e-6)
+"""Of a position, in arenas: a little more than float32's."""
 S = math.sqrt(0.5)
 RAYS = np.array([[1, S, 0, -S, -1, -S, 0, S], [0, S, 1, S, 0, -S, -1, -S]])
 """The directions of the rays, (2, 8): unit vectors, counter-clockwise from +x."""
@@ -26,15 +28,21 @@ def cross(ax, ay, bx, by):
 
 
 @compiled
-def reading(p, a_side, b_side, turn, along):
-    """Where a ray leaves the field by an edge, 0 here to 1 a sensing radius away; 1 elsewhere.
+def slack(p, rays):
+    """By how much, in sensing radii, rounding may have put a robot beyond a wall."""
+    return max(p.arena_x, p.arena_y) * ROUNDING / rays[0, 0]
+
+
+@compiled
+def reading(p, behind, a_side, b_side, turn, along):
+    """Where a ray leaves the field by an edge, 0 at its start to 1 at its end; 1 elsewhere.
 
     ``a_side``, ``b_side`` and ``turn`` are the ray's direction crossed with the edge's ends and
     with the edge; ``along`` is where the ray meets the line of the edge. A ray through a corner
     leaves by both of its edges, so none slips between them; one along an edge leaves by the next.
-    A robot that rounding has put behind the edge it stands on, by less than ``p.slack``, is at it.
+    A robot that rounding has put beyond the edge, by less than ``behind``, is at it.
     """
-    leaves = (a_side <= 0) & (b_side >= 0) & (turn > 0) & (along >= -p.slack)
+    leaves = (a_side <= 0) & (b_side >= 0) & (turn > 0) & (along >= -behind)
     return select(leaves, max(along, p.zero), p.one)
 
 
