@@ -173,7 +173,7 @@ def hand_out(p, g, ep, w, is_world, tile, rows):
     count = min(threads, rows.shape[0] - first)
     for i in range(rows.shape[1]):
         if is_world:
-            describe(p, g, ep, w, w + ONE, i, tile[:, thread : thread + 1])
+            describe(p, g, g.rays, ep, w, w + ONE, i, tile[:, thread : thread + 1])
         cuda.syncthreads()
         world, entry = thread // size, thread % size
         while world < count:
@@ -267,7 +267,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
                 fate = conclude(p, memory, given, ZERO)
             if fate == ENDED | RESTARTS:
                 for i in range(n):
-                    describe(p, own, one, ZERO, ONE, i, mine)
+                    describe(p, own, own.rays, one, ZERO, ONE, i, mine)
                     for entry in range(obs_size):
                         given.final_observations[0, i, entry] = mine[entry, 0]
             save_episode(one, now, w)

@@ -251,12 +251,8 @@ def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
         for e in range(g.edges.shape[1]):
             for w in range(lo, hi):
                 f = column(g, w)
-                ax, ay, bx, by = (
-                    g.edges[0, e, f],
-                    g.edges[1, e, f],
-                    g.edges[2, e, f],
-                    g.edges[3, e, f],
-                )
+                ax, ay = g.edges[0, e, f], g.edges[1, e, f]
+                bx, by = g.edges[2, e, f], g.edges[3, e, f]
                 x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
                 turn = cross(dx, dy, ex, ey)
                 a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
@@ -278,15 +274,10 @@ def put_margins(p, g, rays, ep, lo, hi, i, tile, k):
     for e in range(g.edges.shape[1]):
         for w in range(lo, hi):
             f = column(g, w)
-            ax, ay, bx, by = g.edges[0, e, f], g.edges[1, e, f], g.edges[2, e, f], g.edges[3, e, f]
-            x, y, ex, ey, dx, dy = (
-                ep.x[i, w],
-                ep.y[i, w],
-                bx - ax,
-                by - ay,
-                ep.vx[i, w],
-                ep.vy[i, w],
-            )
+            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
+            bx, by = g.edges[2, e, f], g.edges[3, e, f]
+            x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
+            dx, dy = ep.vx[i, w], ep.vy[i, w]
             turn = cross(dx, dy, ex, ey)
             a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
             along = cross(ax - x, ay - y, ex, ey) * (per_time / turn)
@@ -311,7 +302,8 @@ def put_brake(p, g, ep, lo, hi, i, tile, k):
     for e in range(g.edges.shape[1]):
         for w in range(lo, hi):
             f = column(g, w)
-            ax, ay, bx, by = g.edges[0, e, f], g.edges[1, e, f], g.edges[2, e, f], g.edges[3, e, f]
+            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
+            bx, by = g.edges[2, e, f], g.edges[3, e, f]
             x = ep.x[i, w] + braking_path(p, ep.vx[i, w], brake, p.wind_x, p.arena_x)
             y = ep.y[i, w] + braking_path(p, ep.vy[i, w], brake, p.wind_y, p.arena_y)
             tile[k, w - lo] = cross_edge(np.int32(tile[k, w - lo]), x, y, ax, ay, bx, by)
@@ -341,26 +333,22 @@ def put_lidar(p, g, rays, ep, lo, hi, i, tile):
 
 
 @compiled
-def put_chosen(p, g, rays, ep, lo, hi, i, tile):
-    """The entries of the engine's observation but the one-hot ones; how many there are.
+def describe(p, g, rays, ep, lo, hi, i, tile):
+    """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side.
 
-    The first condition is one on types: the code of lidar, which takes seconds to compile, is only
-    compiled for those who use it, and then without the others'.
+    ``rays`` are those of ``g``. The first condition is one on their type: the code of lidar, which
+    takes seconds to compile, is only compiled for those who use it, and without the others'.
     """
+    n = ep.x.shape[0]
     if rays.ndim == 2:
-        return put_lidar(p, g, rays, ep, lo, hi, i, tile)
-    if p.observation == STATE:
+        k = put_lidar(p, g, rays, ep, lo, hi, i, tile)
+    elif p.observation == STATE:
         put_state(g, ep, lo, hi, i, tile)
-        return 4 * ep.x.shape[0] + 1
-    return put_relative(p, g, ep, lo, hi, i, tile)
-
-
-@compiled
-def describe(p, g, ep, lo, hi, i, tile):
-    """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side."""
-    k = put_chosen(p, g, g.rays, ep, lo, hi, i, tile)
+        k = 4 * n + 1
+    else:
+        k = put_relative(p, g, ep, lo, hi, i, tile)
     if p.one_hot:
-        for j in range(ep.x.shape[0]):
+        for j in range(n):
             for w in range(lo, hi):
                 tile[k + j, w - lo] = p.one if i == j else p.zero
 
@@ -391,6 +379,7 @@ def observe(p, g, ep, lo, hi, tile, rows):
     They are made entry by entry in ``tile`` (size, at least hi - lo), where worlds lie side by
     side, and then turned over: faster than writing each entry to its far-apart places at once.
     """
+    rays = g.rays
     for i in range(ep.x.shape[0]):
-        describe(p, g, ep, lo, hi, i, tile)
+        describe(p, g, rays, ep, lo, hi, i, tile)
         turn_over(tile, lo, hi, np.uint64(i), rows)
