@@ -341,7 +341,12 @@ def test_variants_in_a_file_have_labels(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- going on
 
 
-TINY: Mapping[str, Any] = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8]}
+TINY: Mapping[str, Any] = {
+    "num_worlds": 4,
+    "rollout_steps": 16,
+    "hidden": [8],
+    "action_repeat": [1, 1],
+}
 CONFIG = CompareConfig(
     variants=tuple(
         Variant(algorithm=name, label=f"{name}-tiny", hyperparameters=dict(TINY))

@@ -21,7 +21,7 @@ CONFIG = TrainConfig(
     steps=320,
     evaluate_every=128,
     episodes=2,
-    hyperparameters={"num_worlds": 4, "rollout_steps": 16, "hidden": [8]},
+    hyperparameters={"num_worlds": 4, "rollout_steps": 16, "hidden": [8], "action_repeat": [1, 1]},
 )
 
 

@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """A finished run of one update."""
-    small = {"num_worlds": 2, "rollout_steps": 8, "hidden": [8]}
+    small = {"num_worlds": 2, "rollout_steps": 8, "hidden": [8], "action_repeat": [1, 1]}
     config = TrainConfig(
         "mappo",
         "field_03",

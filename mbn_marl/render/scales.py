@@ -33,18 +33,22 @@ def scale_returns(
     decades = float(np.log10(-bottom / turn))
     linear = 1.5 * max(decades, 1.0) if top > 0.0 else 1.0
     set_scale("symlog", linthresh=turn, linscale=linear)
-    axis.set_ticks(_ticks(bottom, top, ticks))
+    axis.set_ticks(_ticks(bottom, top, ticks, every=2 if which == "x" else 1))
     axes.minorticks_off()
     axis.set_major_formatter(EngFormatter(sep=" "))
     set_limits(1.3 * bottom, 1.15 * top if top > 0.0 else 0.8 * top)
 
 
-def _ticks(bottom: float, top: float, count: int) -> list[float]:
-    """Powers of ten below, and round numbers between minus ``top`` and ``top`` above."""
+def _ticks(bottom: float, top: float, count: int, *, every: int) -> list[float]:
+    """Powers of ten below, and round numbers between minus ``top`` and ``top`` above.
+
+    Of the powers, those from the largest on that are a multiple of ``every`` away from it: words
+    side by side take more room than words below each other.
+    """
     if top < 0.0:
         exponents = np.arange(np.floor(np.log10(-top)), np.floor(np.log10(-bottom)) + 1)
         rounds = -np.outer(10.0**exponents, [1.0, 3.0]).ravel()
         return [float(value) for value in rounds if 1.3 * bottom <= value <= 0.8 * top]
     inner = np.asarray(MaxNLocator(count, steps=[1, 2, 5, 10]).tick_values(-top, top))
     exponents = np.arange(np.ceil(np.log10(1.5 * top)), np.floor(np.log10(-bottom)) + 1)
-    return [*-(10.0**exponents), *inner[np.abs(inner) <= top]]
+    return [*-(10.0 ** exponents[::-every]), *inner[np.abs(inner) <= top]]
