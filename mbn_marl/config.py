@@ -28,9 +28,14 @@ class RewardProfile(BaseModel):
         name: how the profile is called.
         rules: ``"released"`` (the authors' released code) or ``"formal"`` (the paper's section 3).
         small: r_s, the charge of a step on new ground (reward units, >= 0).
-        medium: r_m, the charge of a step on known ground (>= 0).
-        large: r_l, for a visited ROI, and against leaving the field (>= 0).
-        infinite: r_inf, the finite stand-in for infinity: success and collision (>= 0).
+        medium: r_m, the charge of a step on known ground (reward units, >= 0).
+        large: r_l, for a visited ROI, and against leaving the field (reward units, >= 0).
+        infinite: r_inf, the finite stand-in for infinity: success and collision (reward units,
+            >= 0).
+
+    Source:
+        Choton, Woods, Hsu, section 3 (``"formal"``) and the authors' released code
+        (``"released"``).
     """
 
     model_config = _STRICT
@@ -67,7 +72,7 @@ class NavigationConfig(BaseModel):
         f_max: force of a full-scale action, mass x units/step^2.
         v_clip: per-axis speed limit, units/step.
         tau: time of one step.
-        mass: M_i, one number for all robots or one per robot.
+        mass: M_i, one number for all robots or one per robot, > 0.
         safety_distance: C; two robots closer than this (strictly) have collided, in units.
         roi_radius: rho; an ROI within this distance of a robot is visited, in units.
         random_starts: start at random points of the field, at least C apart, instead of the
@@ -75,6 +80,9 @@ class NavigationConfig(BaseModel):
 
     Raises:
         ConfigError: through :func:`make_config`, listing every problem.
+
+    Source:
+        Choton, Woods, Hsu, sections 3 and 4: symbols, dynamics and default numbers.
     """
 
     model_config = _STRICT
@@ -139,7 +147,7 @@ class Settings(FixedSettings, total=False):
 
 
 def make_config(settings: Mapping[str, Any]) -> NavigationConfig:
-    """Validate ``settings`` into a configuration.
+    """Validate ``settings``, values by name, into a configuration.
 
     Raises:
         ConfigError: naming every unknown or invalid setting and what is allowed.
@@ -151,7 +159,12 @@ def make_config(settings: Mapping[str, Any]) -> NavigationConfig:
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
-    """One line for each problem that pydantic found: the place, what is wrong, what is allowed."""
+    """One line for each problem that pydantic found: the place, what is wrong, what is allowed.
+
+    Args:
+        error: what pydantic raised.
+        model: what was to be made; its fields are the known names.
+    """
     lines = []
     for problem in error.errors():
         place = ".".join(map(str, problem["loc"])) or model.__name__

@@ -14,7 +14,7 @@ from mbn_marl.field import catalogue_names
 
 
 def environment_id(field_name: str) -> str:
-    """The id of a catalogue field in both registries, for example ``mbn/field_03-v0``."""
+    """The id in both registries of the catalogue field ``field_name``: ``mbn/field_03-v0``."""
     return f"mbn/{field_name}-v0"
 
 

@@ -46,7 +46,11 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
     Raises:
-        FieldError, ConfigError: listing every problem with the field or the settings.
+        FieldError: listing every problem with the field.
+        ConfigError: listing every problem with the settings.
+
+    Source:
+        Choton, Woods, Hsu, section 3: state, action and reward of the single MDP.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - the base class declares an instance attribute
@@ -83,7 +87,7 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
             options: not read, there are none.
 
         Returns:
-            The state and the info.
+            The state, ``(4n+1,)`` in raw units, and the info.
         """
         super().reset(seed=seed)
         self._world.reset(seed)
@@ -96,7 +100,8 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
             action: finite numbers, ``(n, 2)``; what lies outside [-1, 1] is clipped.
 
         Returns:
-            State, reward, terminated (success or collision), truncated (``max_steps``), info.
+            State ``(4n+1,)``, reward, terminated (success or collision), truncated
+            (``max_steps``), info.
 
         Raises:
             ActionError: wrong shape or not finite; nothing has moved.
@@ -138,7 +143,8 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
     Raises:
-        FieldError, ConfigError: listing every problem with the fields or the settings.
+        FieldError: listing every problem with the fields.
+        ConfigError: listing every problem with the settings.
     """
 
     def __init__(
@@ -236,7 +242,7 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         return None if self.render_mode is None else frames
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Release the viewer."""
+        """Release the viewer; ``**kwargs`` is Gymnasium's and not read."""
         self._viewer.close()
 
     def _reset_some(self, mask: Any, seed: int | None) -> None:

@@ -28,12 +28,15 @@ TEAM_WIDE = slice(0, INFO_KEYS.index("wall_hits"))
 
 
 def robot_infos(engine: BatchEngine) -> list[dict[str, float]]:
-    """One info for each robot of the engine's first world, as of the last step."""
+    """One info for each robot of the first world of ``engine``, as of the last step."""
     return [dict(zip(INFO_KEYS, row, strict=True)) for row in engine.infos()[0].tolist()]
 
 
 def team_rows(engine: BatchEngine) -> NDArray[np.float64]:
-    """The info of every world's team as of the last step, ``(W, 12)``, ordered as the keys."""
+    """The infos of the teams of ``engine`` as of the last step, ``(W, 12)``, ordered as the keys.
+
+    Units are those of the keys.
+    """
     robots = engine.infos()
     team: NDArray[np.float64] = robots.sum(axis=1)
     team[:, TEAM_WIDE] = robots[:, 0, TEAM_WIDE]

@@ -27,7 +27,8 @@ class OneWorld:
         started: whether there has been a reset.
 
     Raises:
-        FieldError, ConfigError: listing every problem with the field or the settings.
+        FieldError: listing every problem with the field.
+        ConfigError: listing every problem with the settings.
     """
 
     def __init__(

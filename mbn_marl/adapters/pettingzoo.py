@@ -53,7 +53,11 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
     Raises:
-        FieldError, ConfigError: listing every problem with the field or the settings.
+        FieldError: listing every problem with the field.
+        ConfigError: listing every problem with the settings.
+
+    Source:
+        Choton, Woods, Hsu, section 3, made multi-agent: ``docs/mdp.md``, "The decentralised form".
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - the base class declares an instance attribute
@@ -97,12 +101,22 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
         return self._world.engine
 
     def observation_space(self, agent: str) -> spaces.Space[Observation]:
-        """The agent's observation space, the same object each time; MbnError if unknown."""
+        """The space of ``agent``'s observations, ``(obs_size,)`` float32, the same object each time.
+
+        Its bounds have the units of ``engine.observation_table``.
+
+        Raises:
+            MbnError: there is no such agent.
+        """
         self._check_known(agent)
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Action]:
-        """The agent's action space, the same object each time; MbnError if unknown."""
+        """The space of ``agent``'s actions, ``(2,)`` in [-1, 1], the same object each time.
+
+        Raises:
+            MbnError: there is no such agent.
+        """
         self._check_known(agent)
         return self.action_spaces[agent]
 
@@ -117,7 +131,11 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
             options: not read, there are none.
 
         Returns:
-            Each agent's observation and info.
+            Each agent's observation, ``(obs_size,)`` float32 in the units of
+            ``engine.observation_table``, and info.
+
+        Raises:
+            ConfigError: the seed is not allowed.
         """
         observations = self._world.reset(seed)
         self.agents = list(self.possible_agents)
@@ -128,11 +146,12 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
         """Move all robots.
 
         Args:
-            actions: two finite numbers for each agent; what lies outside [-1, 1] is clipped.
+            actions: two finite numbers ``(2,)`` for each agent; what lies outside [-1, 1] is
+                clipped.
 
         Returns:
-            By agent: observations, rewards, terminated, truncated, infos. Five empty dicts when
-            the episode has ended and there are no actions.
+            By agent: observations ``(obs_size,)`` float32, rewards, terminated, truncated, infos.
+            Five empty dicts when the episode has ended and there are no actions.
 
         Raises:
             ActionError: naming every missing or unknown agent and wrong action; nothing has moved.
@@ -153,7 +172,7 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
         )
 
     def state(self) -> NDArray[Any]:
-        """The paper's state, ``(4n+1,)`` in the engine's dtype, a fresh array.
+        """The paper's state, ``(4n+1,)`` in the engine's dtype, raw units, a fresh array.
 
         Raises:
             StepError: before the first reset.
@@ -219,7 +238,9 @@ class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
     """
 
     def step(self, action: Action | None) -> None:
-        """Hand in the action of ``agent_selection``; ``None`` once the episode has ended.
+        """Hand in the ``action`` of ``agent_selection``: two numbers ``(2,)`` in [-1, 1].
+
+        Once the episode has ended it is ``None``.
 
         Raises:
             ActionError: not two finite numbers, or not ``None`` after the end; nothing has changed.

@@ -46,6 +46,12 @@ class NavigationVecEnv(VecEnv):
     (or read the engine), and ``env_method(name, ..., indices=rows)`` calls this object's method
     once for each row, with the row's index as the first argument.
 
+    Args:
+        engine: the worlds.
+        rows_per_world: 1 for the single MDP, n for a row for each robot.
+        observation_space: of a row.
+        action_space: of a row.
+
     Attributes:
         engine: the engine; look at it, but let only this object step and reset it.
     """
@@ -89,7 +95,8 @@ class NavigationVecEnv(VecEnv):
         """Start a new episode in every world.
 
         Returns:
-            The observations, ``(num_envs, *observation_space.shape)``, a fresh array.
+            The observations, ``(num_envs, *observation_space.shape)``, a fresh array in the units
+            of the class.
         """
         observations = self.engine.reset(seed=self._seeds[0])
         self._reset_seeds()
@@ -161,11 +168,11 @@ class NavigationVecEnv(VecEnv):
         """Nothing to release: the engine holds memory only."""
 
     def snapshot(self, row: int) -> Snapshot:
-        """What can be seen of the row's world now (see ``BatchEngine.snapshot``)."""
+        """What can be seen now of the world of ``row`` (see ``BatchEngine.snapshot``)."""
         return self.engine.snapshot(row // self._rows_per_world)
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The attribute of this object, or else of the engine, once for each row in ``indices``.
+        """``attr_name`` of this object, or else of the engine, once for each row in ``indices``.
 
         Raises:
             AttributeError: neither has it.
@@ -174,7 +181,7 @@ class NavigationVecEnv(VecEnv):
         return [getattr(owner, attr_name)] * len(self._rows(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of this object, for all rows.
+        """Set the attribute ``attr_name`` of this object to ``value``, for all rows.
 
         Raises:
             MbnError: ``indices`` leaves rows out; all rows live in one object.
@@ -190,7 +197,14 @@ class NavigationVecEnv(VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Call ``self.method_name(row, *method_args, **method_kwargs)`` for each row."""
+        """Call ``self.method_name(row, *method_args, **method_kwargs)`` for each row.
+
+        Args:
+            method_name: of a method of this object.
+            *method_args: handed to it after the row's index.
+            indices: the rows; ``None`` for all.
+            **method_kwargs: handed to it.
+        """
         method = getattr(self, method_name)
         return [method(row, *method_args, **method_kwargs) for row in self._rows(indices)]
 
@@ -199,7 +213,7 @@ class NavigationVecEnv(VecEnv):
         wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]],
         indices: VecEnvIndices = None,
     ) -> list[bool]:
-        """True for ``Monitor`` alone: the infos follow its convention.
+        """True for each of ``indices`` if ``wrapper_class`` is ``Monitor``: the infos follow it.
 
         So ``evaluate_policy`` reads the true returns from them, under reward scaling too.
         """

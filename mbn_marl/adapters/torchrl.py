@@ -68,6 +68,9 @@ class NavigationEnv(EnvBase):
     Raises:
         FieldError: the field is not valid.
         ConfigError: a setting is not valid.
+
+    Source:
+        Choton, Woods, Hsu, section 3: ``"state"`` and ``"team_reward"``.
     """
 
     def __init__(
@@ -165,7 +168,10 @@ class NavigationEnv(EnvBase):
         return self._entries(observations, {}, *self._running)
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Reset the worlds that are done, in place; ``step_and_maybe_reset`` calls it.
+        """Reset the worlds that ``tensordict`` says are done, in place.
+
+        ``step_and_maybe_reset`` calls it with the entries of the class's table, ``(W, 1)`` flags
+        among them.
 
         The result is that of TorchRL's own ``maybe_reset``, which would merge every entry row by
         row; the engine already has the current rows of all worlds side by side.

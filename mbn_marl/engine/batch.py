@@ -64,6 +64,10 @@ class BatchEngine:
         FieldError: a field is invalid or unknown.
         ConfigError: a setting is invalid; all problems are listed. Or CUDA is not to be had: what
             is missing is said.
+
+    Source:
+        Choton, Woods, Hsu, sections 3 and 4, and the authors' released code: the rules are those
+        of ``docs/mdp.md``.
     """
 
     def __init__(
@@ -114,12 +118,12 @@ class BatchEngine:
 
     @property
     def state_low(self) -> Array:
-        """Lower bounds of :meth:`state`, (4n + 1,) real."""
+        """Lower bounds of :meth:`state`, (4n + 1,) real, raw units."""
         return -self._state_bound(0.0, 0.0)
 
     @property
     def state_high(self) -> Array:
-        """Upper bounds of :meth:`state`, (4n + 1,) real."""
+        """Upper bounds of :meth:`state`, (4n + 1,) real, raw units."""
         return self._state_bound(1.0, float(2**self.n_rois - 1))
 
     def _state_bound(self, arena: float, code: float) -> Array:
@@ -138,7 +142,10 @@ class BatchEngine:
                 seed and goes on to the next episode.
 
         Returns:
-            Observations, (W, n, obs_size) float32.
+            Observations, (W, n, obs_size) float32; :attr:`observation_table` has their units.
+
+        Raises:
+            ConfigError: the seed is not allowed.
         """
         if seed is not None:
             if problems := seed_problems(seed):
@@ -220,7 +227,7 @@ class BatchEngine:
         return rows
 
     def state(self) -> Array:
-        """The paper's state of every world now, (W, 4n + 1) real, a fresh array.
+        """The paper's state of every world now, (W, 4n + 1) real, raw units, a fresh array.
 
         All positions ``x1, y1, x2, y2, ...``, then all velocities, then the visit code, whose most
         significant bit is the first ROI.
@@ -229,7 +236,10 @@ class BatchEngine:
         return states
 
     def final_state(self) -> Array:
-        """:meth:`state` at the end of the last finished episodes (autoreset same-step only)."""
+        """:meth:`state` at the end of the last finished episodes, (W, 4n + 1) real, raw units.
+
+        With autoreset same-step only.
+        """
         states: Array = self._backend.states(final=True)
         return states
 
@@ -265,12 +275,18 @@ class BatchEngine:
         return actions
 
     def save_state(self) -> dict[str, NDArray[Any]]:
-        """Copies of everything that changes, by name: NumPy arrays, to be kept in a file."""
+        """Copies of everything that changes, by name: NumPy arrays, to be kept in a file.
+
+        Each has the shape and the units that the engine works with, such as (n, W) for ``now.x``.
+        """
         self._backend.raise_fault()
         return save_worlds(self._backend)
 
     def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
-        """Go on exactly where the engine that :meth:`save_state` was called on would.
+        """Go on exactly where the engine that ``saved`` came from would.
+
+        Args:
+            saved: what :meth:`save_state` gave: arrays of its shapes, such as (n, W), and units.
 
         Raises:
             MbnError: it was an engine of other settings or sizes; this one is left as it was.
@@ -278,7 +294,7 @@ class BatchEngine:
         restore_worlds(self._backend, saved)
 
     def snapshot(self, world: int = 0) -> Snapshot:
-        """What a picture of one world needs, copied.
+        """What a picture of the world with index ``world`` needs, copied.
 
         Raises:
             IndexError: no such world.

@@ -28,7 +28,15 @@ Row = tuple[str, float, float, str]
 
 
 class Entry(NamedTuple):
-    """One number of an observation: its name, place, bounds and unit."""
+    """One number of an observation.
+
+    Attributes:
+        name: such as ``own_x`` or ``roi_0_visited``.
+        offset: its place in the observation, from 0.
+        low: the least value, in ``unit``.
+        high: the greatest value, in ``unit``.
+        unit: what 1 stands for, in words.
+    """
 
     name: str
     offset: int

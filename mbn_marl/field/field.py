@@ -29,14 +29,15 @@ class Field:
     Fields compare and hash by value, and pickle.
 
     Args:
-        vertices: corners of the outline in order, either direction, not repeated at the end;
-            at least 3, and 500 with those of the holes.
-        rois: the regions of interest, 1 to 24, inside the field.
-        starts: where robots start, 1 to 64, inside the field, at least 10 units apart. A field
-            with s starts holds up to s robots.
-        holes: obstacles, at most 64; each a list of corners, inside the outline, touching neither
-            it nor another hole.
-        arena: width and height of the arena ``[0, width] x [0, height]`` that holds everything.
+        vertices: corners of the outline in order, (k, 2) in units, either direction, not repeated
+            at the end; at least 3, and 500 with those of the holes.
+        rois: the regions of interest, (m, 2) in units, 1 to 24, inside the field.
+        starts: where robots start, (s, 2) in units, 1 to 64, inside the field, at least 10 units
+            apart. A field with s starts holds up to s robots.
+        holes: obstacles, at most 64; each a list of corners, (k, 2) in units, inside the outline,
+            touching neither it nor another hole.
+        arena: width and height, in units, of the arena ``[0, width] x [0, height]`` that holds
+            everything.
         name: 1 to 64 letters, digits, ``_``, ``.`` or ``-``.
         optimal_makespan: the proved least number of steps in which robots on all the starts visit
             every ROI, with the default dynamics and no wind; ``None`` when unknown.

@@ -53,7 +53,7 @@ def load_field(source: str | os.PathLike[str] | Field) -> Field:
 
 
 def save_field(field: Field, path: str | os.PathLike[str]) -> None:
-    """Write ``field`` to ``path`` in the format ``mbn-field/1``, whole or not at all.
+    """Write ``field`` to the file ``path`` in the format ``mbn-field/1``, whole or not at all.
 
     Raises:
         OSError: when the file cannot be written; one that was there before stays as it was.
