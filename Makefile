@@ -1,12 +1,13 @@
 # make demo   set up .venv, train PPO, MAPPO and IPPO on field_03, print the comparison
 # make test   set up .venv, lint, type-check, run the tests
-# make clean  remove what the two above made, but not runs/
+# make docs   set up .venv, build the documentation site into build/docs, warnings as errors
+# make clean  remove what the others made, but not runs/
 
 PYTHON ?= python3
 BIN := .venv/bin
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint docs clean
 .DELETE_ON_ERROR:
 
 .venv/installed: pyproject.toml constraints.txt
@@ -27,6 +28,9 @@ lint: .venv/installed
 
 test: lint
 	$(BIN)/pytest -n 2
+
+docs: .venv/installed
+	$(BIN)/sphinx-build -q -W --keep-going -d build/doctrees docs build/docs
 
 clean:
 	rm -rf .venv .numba_cache .mypy_cache .ruff_cache .pytest_cache *.egg-info build

@@ -101,7 +101,7 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
         return self._world.engine
 
     def observation_space(self, agent: str) -> spaces.Space[Observation]:
-        """The space of ``agent``'s observations, ``(obs_size,)`` float32, the same object each time.
+        """The space of ``agent``'s observations, ``(obs_size,)`` float32, always the same object.
 
         Its bounds have the units of ``engine.observation_table``.
 
@@ -112,7 +112,7 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Action]:
-        """The space of ``agent``'s actions, ``(2,)`` in [-1, 1], the same object each time.
+        """The space of ``agent``'s actions, ``(2,)`` in [-1, 1], always the same object.
 
         Raises:
             MbnError: there is no such agent.

@@ -28,17 +28,17 @@ class NavigationEnv(EnvBase):
 
     Batch size ``[W]``, one group ``robots`` of ``n``. ``D`` is the engine's dtype.
 
-    ============================================  ==================  =======  ==================
-    entry                                         shape               dtype    range
-    ============================================  ==================  =======  ==================
-    ``("robots", "action")``                      ``(W, n, 2)``       float32  [-1, 1]
-    ``("robots", "observation")``                 ``(W, n, obs)``     float32  see the engine
-    ``("robots", "reward")`` (in ``"next"``)      ``(W, n, 1)``       D
-    ``"state"``, the paper's vector               ``(W, 4n + 1)``     D        see the engine
-    ``"team_reward"``, the centralised reward     ``(W, 1)``          D
-    ``("metrics", name)``, name of ``METRICS``    ``(W, 1)``          float32
-    ``"terminated"``, ``"truncated"``, ``"done"`` ``(W, 1)``          bool
-    ============================================  ==================  =======  ==================
+    =============================================  ===============  =======  ==============
+    entry                                          shape            dtype    range
+    =============================================  ===============  =======  ==============
+    ``("robots", "action")``                       ``(W, n, 2)``    float32  [-1, 1]
+    ``("robots", "observation")``                  ``(W, n, obs)``  float32  see the engine
+    ``("robots", "reward")`` (in ``"next"``)       ``(W, n, 1)``    D        reward units
+    ``"state"``, the paper's vector                ``(W, 4n + 1)``  D        see the engine
+    ``"team_reward"``, the centralised reward      ``(W, 1)``       D        reward units
+    ``("metrics", name)``, name of ``METRICS``     ``(W, 1)``       float32
+    ``"terminated"``, ``"truncated"``, ``"done"``  ``(W, 1)``       bool
+    =============================================  ===============  =======  ==============
 
     - ``terminated`` is success or collision, ``truncated`` is the step limit, ``done`` is either.
       The robots of a world end together, so these are at the root, as in TorchRL's VMAS

@@ -1,0 +1,50 @@
+"""Running the notebooks: ``python -m docs.extensions.notebooks`` renews the outputs they keep."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+from nbformat import NotebookNode
+
+FOLDER = Path(__file__).parents[1] / "notebooks"
+SECONDS = 300
+"""The longest that a cell may take."""
+
+
+def notebooks() -> list[Path]:
+    """The notebooks of the site."""
+    return sorted(FOLDER.glob("*.ipynb"))
+
+
+def run(path: Path) -> NotebookNode:
+    """The notebook at ``path``, run from top to bottom, with its new outputs.
+
+    Raises:
+        CellExecutionError: a cell raised an error.
+    """
+    notebook = nbformat.read(path, as_version=4)
+    client = NotebookClient(notebook, timeout=SECONDS, record_timing=False, coalesce_streams=True)
+    client.execute(cwd=FOLDER)
+    notebook.metadata = {"kernelspec": notebook.metadata["kernelspec"]}
+    return notebook
+
+
+def texts(notebook: NotebookNode) -> list[list[str]]:
+    """What each code cell prints and returns, as text; nothing for cells tagged ``varies``."""
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    return [
+        []
+        if "varies" in cell.metadata.get("tags", ())
+        else [
+            output.get("text") or output.get("data", {}).get("text/plain", "")
+            for output in cell.outputs
+        ]
+        for cell in cells
+    ]
+
+
+if __name__ == "__main__":
+    for path in notebooks():
+        nbformat.write(run(path), path)

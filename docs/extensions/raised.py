@@ -1,0 +1,90 @@
+"""Which errors of the suite a function is seen to raise, from its source."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mbn_marl.errors import MbnError
+
+Function = Callable[..., Any]
+
+
+def is_subclass(value: Any, kind: type) -> bool:
+    """Whether ``value`` is a class derived from ``kind``."""
+    return inspect.isclass(value) and issubclass(value, kind)
+
+
+def raised_by(
+    function: Function, owner: Any = None, seen: frozenset[Function] = frozenset()
+) -> set[str]:
+    """The errors of the suite that a function is seen to raise.
+
+    By itself, or through the functions and classes of this package that it calls by name and the
+    methods of its own object; calls through other objects are not followed.
+    """
+    function = inspect.unwrap(function)
+    if function in seen or not _has_source(function):
+        return set()
+    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    caller = _Caller(function, owner, seen | {function})
+    return caller.errors_in(tree)
+
+
+def _has_source(function: Function) -> bool:
+    """Whether it is a function of this package that somebody wrote (a dataclass's are made)."""
+    return inspect.isfunction(function) and Path(function.__code__.co_filename).is_file()
+
+
+@dataclass(frozen=True)
+class _Caller:
+    """A function whose statements are looked at."""
+
+    function: Function
+    owner: Any
+    seen: frozenset[Function]
+
+    def errors_in(self, node: ast.AST) -> set[str]:
+        """The errors that leave a statement."""
+        if isinstance(node, ast.Try):
+            inner = set().union(*map(self.errors_in, node.body))
+            caught = {
+                name.id
+                for handler in node.handlers
+                for name in ast.walk(handler.type or node)
+                if isinstance(name, ast.Name)
+            }
+            rest = [*node.handlers, *node.orelse, *node.finalbody]
+            return (inner - caught).union(*map(self.errors_in, rest))
+        own = self._raised(node) if isinstance(node, ast.Raise) else set()
+        called = self._called(node) if isinstance(node, ast.Call) else set()
+        return (own | called).union(*map(self.errors_in, ast.iter_child_nodes(node)))
+
+    def _raised(self, node: ast.Raise) -> set[str]:
+        what = node.exc.func if isinstance(node.exc, ast.Call) else node.exc
+        value = self._named(what)
+        return {value.__name__} if is_subclass(value, MbnError) else set()
+
+    def _called(self, node: ast.Call) -> set[str]:
+        value = self._named(node.func)
+        if not getattr(value, "__module__", "").startswith("mbn_marl"):
+            return set()
+        if inspect.isclass(value):
+            return raised_by(value.__init__, value, self.seen)
+        owner = self.owner if isinstance(node.func, ast.Attribute) else None
+        return raised_by(value, owner, self.seen)
+
+    def _named(self, node: ast.expr | None) -> Any:
+        """What a name or a method of ``self`` stands for, if that can be seen."""
+        match node:
+            case ast.Name(id=name):
+                return self.function.__globals__.get(name)
+            case ast.Attribute(value=ast.Name(id="self"), attr=method):
+                return inspect.getattr_static(self.owner, method, None)
+            case _:
+                return None
