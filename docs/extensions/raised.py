@@ -72,7 +72,8 @@ class _Caller:
 
     def _called(self, node: ast.Call) -> set[str]:
         value = self._named(node.func)
-        if not getattr(value, "__module__", "").startswith("mbn_marl"):
+        home = getattr(value, "__module__", "")
+        if not (home.startswith("mbn_marl") or home == self.function.__module__):
             return set()
         if inspect.isclass(value):
             return raised_by(value.__init__, value, self.seen)

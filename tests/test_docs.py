@@ -1,0 +1,183 @@
+"""Pages, notebooks, docstrings: their code runs, their names exist, they say what they should."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import ArrayLike, NDArray
+
+import mbn_marl
+from docs.extensions import docstrings, notebooks
+from mbn_marl import parallel_env
+from mbn_marl.errors import ActionError, MbnError
+from tests.pages import (
+    EXTENDING,
+    PAGES,
+    README,
+    ROOT,
+    TINY,
+    blocks_of,
+    commands_of,
+    run_page,
+    write_file,
+)
+
+TEXT = README.read_text(encoding="utf-8")
+RUN = [page for page in PAGES if page != EXTENDING and blocks_of(page)]
+CODE = re.compile(r"`(?!mbn_marl)(\w+)\.(\w+)`")
+
+
+@pytest.mark.parametrize("page", RUN, ids=lambda page: str(page.relative_to(ROOT)))
+def test_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "envs_catalog" / "field_03.yaml", "my_field.yaml")  # the reader's own
+    run_page(page, tmp_path)
+
+
+def test_recipes_fit_the_code(tmp_path: Path) -> None:
+    for package in ("mbn_marl", "baselines", "envs_catalog"):
+        shutil.copytree(ROOT / package, tmp_path / package)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(tmp_path),
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+    }
+
+    def run(*command: str, text: str | None = None) -> None:
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, input=text, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+
+    languages = set()
+    for block in blocks_of(EXTENDING):
+        languages.add(block.language)
+        match block.language:
+            case "diff":
+                run("git", "apply", "-C1", "-", text=block.text)
+            case "yaml":
+                write_file(block, tmp_path)
+            case "python":
+                run(sys.executable, "-c", block.text)
+            case "sh":
+                for words in commands_of(block):
+                    tiny = TINY[words[1]].split()
+                    run(sys.executable, "-m", "mbn_marl", *words[1:], *tiny)
+    assert languages == {"diff", "yaml", "python", "sh"}
+
+
+@pytest.mark.parametrize("path", notebooks.notebooks(), ids=lambda path: path.stem)
+def test_notebook_prints_what_it_keeps(path: Path) -> None:
+    kept = nbformat.read(path, as_version=4)
+    assert notebooks.texts(notebooks.run(path)) == notebooks.texts(kept)
+    assert any(text for cell in notebooks.texts(kept) for text in cell)
+
+
+def test_the_example_has_twelve_lines() -> None:
+    block = next(block for block in blocks_of(README) if block.language == "python")
+    assert len([line for line in block.text.splitlines() if line]) <= 12
+
+
+def test_shapes() -> None:
+    env = parallel_env()
+    env.reset()
+    shapes = {
+        "action": env.action_space("robot_0").shape,
+        "observation": env.observation_space("robot_0").shape,
+        "state": env.state().shape,
+    }
+    for name, shape in shapes.items():
+        row = next(line for line in TEXT.splitlines() if line.startswith(f"| {name} shape"))
+        assert f"`{shape}`" in row, (name, shape)
+    env.close()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_linked_files_exist(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
+        if not target.startswith("http"):
+            assert (page.parent / target).is_file(), target
+
+
+def test_the_code_of_the_equations_exists() -> None:
+    page = (ROOT / "docs" / "mdp.md").read_text(encoding="utf-8")
+    section = page.split("## The equations")[1].split("\n## ")[0]
+    named = CODE.findall(section)
+    assert len(named) > 15
+    for module, name in named:
+        assert hasattr(importlib.import_module(f"mbn_marl.engine.{module}"), name), (module, name)
+
+
+# -- docstrings ------------------------------------------------------------------------------------
+
+
+def test_docstrings_say_what_they_should() -> None:
+    assert docstrings.all_problems() == {}
+
+
+def test_public_names_are_found() -> None:
+    found = {public.name for public in docstrings.public_names()}
+    assert {f"mbn_marl.{name}" for name in mbn_marl.__all__} <= found
+    assert {"mbn_marl.BatchEngine.step", "mbn_marl.adapters.sb3.CentralizedVecEnv"} <= found
+
+
+def _push(force: float, actions: ArrayLike, count: int) -> NDArray[np.float32]:
+    """Move something as the paper says; ``actions`` moves the rest.
+
+    Args:
+        force: how hard.
+        other: nothing.
+
+    Raises:
+        NoSuchError: never.
+    """
+    _refuse(force)
+    return np.zeros(count, np.float32) * np.asarray(actions)
+
+
+def _refuse(force: float) -> None:
+    try:
+        raise MbnError
+    except MbnError:
+        raise ActionError(f"{force}") from None
+
+
+def test_a_poor_docstring_is_told_everything() -> None:
+    assert docstrings.find_problems(docstrings.Public("push", _push)) == [
+        "argument force: without unit or range",
+        "argument actions: an array without a shape",
+        "argument count: not described",
+        "argument other: there is none of this name",
+        "returns: an array without a shape",
+        "returns: an array without unit or range",
+        "raises NoSuchError: no error of Python or of mbn_marl.errors",
+        "raises ActionError: not listed",
+        "source: speaks of the paper without a section 'Source:'",
+    ]
+
+
+# -- what a public project has ---------------------------------------------------------------------
+
+
+def test_citation_is_of_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {"cff-version", "message", "title", "authors"} <= set(citation)
+    assert str(citation["version"]) == mbn_marl.__version__
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / ".github").rglob("*.yml")), ids=lambda p: p.stem)
+def test_issue_forms_are_complete(path: Path) -> None:
+    form = yaml.safe_load(path.read_text(encoding="utf-8"))
+    if path.stem != "config":
+        assert {"name", "description", "body"} <= set(form)
+        assert all({"type", "attributes"} <= set(entry) for entry in form["body"])
