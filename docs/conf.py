@@ -25,6 +25,8 @@ exclude_patterns = ["extensions"]
 
 html_math_renderer = "mathml"
 html_theme = "furo"
+pygments_style = "friendly"  # tells added from removed lines
+pygments_dark_style = "monokai"
 html_title = f"mbn_marl {release}"
 html_copy_source = False
 html_show_copyright = False

@@ -138,6 +138,9 @@ def _push(force: float, actions: ArrayLike, count: int) -> NDArray[np.float32]:
         force: how hard.
         other: nothing.
 
+    Returns:
+        What moved: all of it.
+
     Raises:
         NoSuchError: never.
     """
@@ -158,6 +161,7 @@ def test_a_poor_docstring_is_told_everything() -> None:
         "argument actions: an array without a shape",
         "argument count: not described",
         "argument other: there is none of this name",
+        "returns: what precedes a colon on the first line reads as a type",
         "returns: an array without a shape",
         "returns: an array without unit or range",
         "raises NoSuchError: no error of Python or of mbn_marl.errors",

@@ -50,10 +50,18 @@ UNIT = re.compile(
 PAPER = re.compile(r"\bpaper\b|\b(?:r_\w+|T_max|v_a|beta_a|M_i|v_clip|rho)\b")
 """A docstring that speaks of the paper, or of one of its symbols."""
 
+TYPE_LIKE = re.compile(r"Returns:\n.*:( |$)", re.MULTILINE)
+"""A first line of ``Returns:`` with a colon, before which Sphinx expects a type."""
+
 SAME_AS = re.compile(r"arguments(?: and errors)? (?:as|of) :class:`([\w.~]+)`")
 """A docstring that leaves its arguments to that of a class."""
 ARRAY = re.compile(r"ndarray|\bTensor\b|\bArrayLike\b|\bNDArray\b")
 MEASURED = re.compile(rf"{ARRAY.pattern}|\bfloat\b")
+
+STARS: Mapping[Any, str] = {
+    inspect.Parameter.VAR_POSITIONAL: "*",
+    inspect.Parameter.VAR_KEYWORD: "**",
+}
 
 Function = Callable[..., Any]
 
@@ -155,17 +163,18 @@ def _arguments(public: Public) -> dict[str, str]:
         return {
             name: str(getattr(one, "__forward_arg__", one)) for name, one in annotations.items()
         }
-    stars = {inspect.Parameter.VAR_POSITIONAL: "*", inspect.Parameter.VAR_KEYWORD: "**"}
     parameters = list(inspect.signature(public.function).parameters.values())
     if inspect.isclass(public.value) or public.owner is not None:
         parameters = parameters[1:]
-    return {stars.get(one.kind, "") + one.name: str(one.annotation) for one in parameters}
+    return {STARS.get(one.kind, "") + one.name: str(one.annotation) for one in parameters}
 
 
 def _return_problems(public: Public, document: Docstring) -> Iterator[str]:
     """What comes back is described; arrays with shape and unit."""
     if inspect.isclass(public.value) or _refers_to_another(public):
         return
+    if TYPE_LIKE.search(public.text):
+        yield "returns: what precedes a colon on the first line reads as a type"
     annotation = str(inspect.signature(public.value).return_annotation)
     if _is(ARRAY, annotation, public):
         place = document.returns.description if document.returns else public.text

@@ -16,7 +16,7 @@ from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from mbn_marl.config import NavigationConfig
+from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.engine import Entry
 from mbn_marl.engine.observation import observation_table
 from mbn_marl.field import catalogue_names, load_field
@@ -44,7 +44,7 @@ class Table(SphinxDirective):
         ]
         container = nodes.Element()
         self.state.nested_parse(StringList(text, self.get_source_info()[0]), 0, container)
-        return container.children
+        return list(container.children)
 
 
 class ObservationTable(Table):
@@ -56,7 +56,7 @@ class ObservationTable(Table):
     def rows(self) -> Rows:
         """A row for each run of entries of the same thing with the same bounds and unit."""
         field = load_field(FIELD)
-        config = NavigationConfig(observation=self.arguments[0])
+        config = make_config({"observation": self.arguments[0]})
         table = observation_table(config, len(field.starts), len(field.rois), field.arena)
         return list(_runs(table))
 
@@ -82,7 +82,7 @@ class SettingsTable(Table):
 
     def rows(self) -> Rows:
         """A row for each field of the configuration."""
-        meanings = {one.arg_name: one.description for one in parse(_docstring()).params}
+        meanings = {one.arg_name: one.description or "" for one in parse(_docstring()).params}
         fields: dict[str, Any] = NavigationConfig.model_fields
         return [
             [f"`{name}`", _default(field.default), " ".join(meanings[name].split())]

@@ -150,8 +150,8 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
                 clipped.
 
         Returns:
-            By agent: observations ``(obs_size,)`` float32, rewards, terminated, truncated, infos.
-            Five empty dicts when the episode has ended and there are no actions.
+            Observations ``(obs_size,)`` float32, rewards, terminated, truncated and infos, each a
+            dict by agent. Five empty dicts when the episode has ended and there are no actions.
 
         Raises:
             ActionError: naming every missing or unknown agent and wrong action; nothing has moved.

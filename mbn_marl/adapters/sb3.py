@@ -124,9 +124,9 @@ class NavigationVecEnv(VecEnv):
         """Step every world; worlds that end are reset at once.
 
         Returns:
-            ``(observations, rewards, dones, infos)``: rewards float32 and dones bool, each
-            ``(num_envs,)``; where a row is done its observation is the next episode's first one
-            and its info has the last one. All of it is fresh: the caller may keep or change it.
+            The four ``(observations, rewards, dones, infos)``, with rewards float32 and dones bool,
+            each ``(num_envs,)``. Where a row is done its observation is the next episode's first
+            one and its info has the last one. All of it is fresh: the caller may keep or change it.
 
         Raises:
             ActionError: an action is not finite; nothing has moved.

@@ -177,8 +177,8 @@ class BatchEngine:
                 ended may be left out: they stay as they are, with reward 0 and no flag set.
 
         Returns:
-            ``(observations, rewards, terminated, truncated)``: (W, n, obs_size) float32, (W, n)
-            real, and two (W,) bool. A time limit is a truncation, never a termination.
+            The four ``(observations, rewards, terminated, truncated)``, (W, n, obs_size) float32,
+            (W, n) real, and two (W,) bool. A time limit is a truncation, never a termination.
 
         Raises:
             ActionError: wrong shape, not numeric, or not finite. No world has moved.
@@ -208,10 +208,11 @@ class BatchEngine:
         """What is known of each agent as of the last step, before any automatic reset.
 
         Returns:
-            A fresh array (W, n, 12); the last axis is ordered as ``INFO_COLUMNS``: ``success``,
-            ``rois_visited`` and ``collision`` of the team; the agent's own ``wall_hits``,
-            ``path_length`` (units) and ``impulse`` (``|sum over steps of u tau|``, mass x
-            units/step) of this episode; and the six terms of its own reward in the last step.
+            A fresh array (W, n, 12), whose last axis is ordered as ``INFO_COLUMNS``. These are
+            ``success``, ``rois_visited`` and ``collision`` of the team; the agent's own
+            ``wall_hits``, ``path_length`` (units) and ``impulse`` (``|sum over steps of u tau|``,
+            mass x units/step) of this episode; and the six terms of its own reward in the last
+            step.
         """
         rows: NDArray[np.float64] = self._backend.infos()
         return rows
