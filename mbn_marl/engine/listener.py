@@ -1,0 +1,20 @@
+"""What an engine tells those who follow its worlds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from mbn_marl.engine.batch import BatchEngine
+
+
+class Listener(Protocol):
+    """Is told of everything that happens to the worlds of an engine, after it has happened."""
+
+    def was_reset(self, engine: BatchEngine, mask: Any) -> None:
+        """The worlds of a mask (W,) bool, or all if it is ``None``, have another state."""
+
+    def stepped(self, engine: BatchEngine, actions: Any, ended: Any) -> None:
+        """The worlds moved by ``actions`` (W, n, 2), as given; in those of ``ended`` (W,) bool
+        the episode ended with that. Worlds that waited for a reset did not move.
+        """
