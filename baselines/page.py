@@ -122,11 +122,10 @@ def _draw_field(groups: Mapping[str, Sequence[Result]], out: Path) -> dict[str, 
         path=out / (curves := f"learning_curves_{field.name}.png"),
     )
     best = best_result(results)
-    snapshots = record_episode(load_policy(best.run), field, best.config["environment"])
-    last = snapshots[-1]
-    title = f"{best.run.path.name}: return {last.team_return:,.0f}, {last.step} steps"
-    write_trajectories(last, out / f"trajectories_{field.name}.png", title)
-    write_animation(snapshots, out / f"episode_{field.name}.gif")
+    episode = record_episode(load_policy(best.run), field, best.config["environment"])
+    title = f"{best.run.path.name}: return {episode.team_return:,.0f}, {episode.steps} steps"
+    write_trajectories(episode, out / f"trajectories_{field.name}.png", title)
+    write_animation(episode, out / f"episode_{field.name}.gif")
     return {f"Learning curves, {field.name}": curves}
 
 

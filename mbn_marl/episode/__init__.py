@@ -1,7 +1,7 @@
 """Episodes as values: recorded from any form of the environment, kept as JSON, replayed exactly."""
 
 from mbn_marl.episode.episode import Episode, Outcome
-from mbn_marl.episode.files import load_episode, save_episode
+from mbn_marl.episode.files import is_episode_file, load_episode, save_episode
 from mbn_marl.episode.play import check_episode, play
 from mbn_marl.episode.recorder import EpisodeRecorder
 
@@ -10,6 +10,7 @@ __all__ = [
     "EpisodeRecorder",
     "Outcome",
     "check_episode",
+    "is_episode_file",
     "load_episode",
     "play",
     "save_episode",

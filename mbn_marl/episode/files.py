@@ -73,6 +73,15 @@ def load_episode(path: str | Path) -> Episode:
         raise EpisodeError(str(path), error.problems) from None
 
 
+def is_episode_file(path: str | Path) -> bool:
+    """Whether a file begins as an episode's does, of whatever version."""
+    path = Path(path)
+    if path.suffix.lower() != ".json" or not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return b'"mbn-episode/' in stream.read(100)
+
+
 def to_file(episode: Episode) -> EpisodeFile:
     """The content of the file of ``episode``."""
     config = episode.config.model_dump(mode="json", exclude={"wind"})
