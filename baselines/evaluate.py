@@ -136,9 +136,7 @@ def record_evaluation(
                 recorder = EpisodeRecorder(engine, world, source=f"{source}, sampled actions")
                 recorders.append(stack.enter_context(recorder))
 
-        evaluation = evaluate(
-            policy, field, settings, episodes=episodes, seed=seed, attach=attach
-        )
+        evaluation = evaluate(policy, field, settings, episodes=episodes, seed=seed, attach=attach)
     order = np.argsort(evaluation.returns, kind="stable")
     worlds = {"best": order[-1], "median": order[len(order) // 2], "worst": order[0]}
     return {name: recorders[world].episodes[0] for name, world in worlds.items()}

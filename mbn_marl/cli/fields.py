@@ -51,7 +51,9 @@ class Fields:
             from mbn_marl.render.files import claim_file
 
             drawn = (
-                figures.field_figure(fields[0]) if len(fields) == 1 else figures.fields_figure(fields)
+                figures.field_figure(fields[0])
+                if len(fields) == 1
+                else figures.fields_figure(fields)
             )
             place = claim_file(figures.check_name(self.figure), force=self.force)
             print(f"written to {figures.save(drawn, place)}")

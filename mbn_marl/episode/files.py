@@ -171,4 +171,3 @@ def _place(content: EpisodeFile) -> tuple[Field, NavigationConfig]:
         return field, make_config({**content.config, "wind": content.wind})
     except MbnError as error:
         raise EpisodeError("episode", [f"config: {error}"]) from None
-

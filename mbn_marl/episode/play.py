@@ -97,9 +97,7 @@ def check_episode(episode: Episode, name: str = "episode") -> None:
         EpisodeError: naming the first step in which the engine does something else.
         ConfigError: its field and configuration do not fit together.
     """
-    again = play(
-        episode.field, episode.config, episode.actions, starts=episode.positions[0]
-    )
+    again = play(episode.field, episode.config, episode.actions, starts=episode.positions[0])
     for what in COMPARED:
         ours, theirs = getattr(episode, what), getattr(again, what)
         if not np.array_equal(ours, theirs):
