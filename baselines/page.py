@@ -140,9 +140,8 @@ def _draw_field(groups: Mapping[str, Sequence[Result]], out: Path) -> dict[str, 
 
     results = list(itertools.chain(*groups.values()))
     field = results[0].field
-    figures.save(
-        draw_learning_curves(groups), out / (curves := f"learning_curves_{field.name}.png")
-    )
+    curves = f"learning_curves_{field.name}.png"
+    figures.save(draw_learning_curves(groups), out / curves)
     best = best_result(results)
     episode = record_episode(load_policy(best.run), field, best.config["environment"])
     title = f"{best.run.path.name}: return {episode.team_return:,.0f}, {episode.steps} steps"

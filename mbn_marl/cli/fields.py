@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from mbn_marl.field import Field
 
 
 @dataclass(frozen=True)
@@ -47,13 +51,13 @@ class Fields:
             )
         Console().print(table)
         if self.figure is not None:
-            from mbn_marl.render import figures
-            from mbn_marl.render.files import claim_file
+            self._draw(fields, self.figure)
 
-            drawn = (
-                figures.field_figure(fields[0])
-                if len(fields) == 1
-                else figures.fields_figure(fields)
-            )
-            place = claim_file(figures.check_name(self.figure), force=self.force)
-            print(f"written to {figures.save(drawn, place)}")
+    def _draw(self, fields: Sequence[Field], path: Path) -> None:
+        from mbn_marl.render import figures
+        from mbn_marl.render.files import claim_file
+
+        alone = len(fields) == 1
+        figure = figures.field_figure(fields[0]) if alone else figures.fields_figure(fields)
+        place = claim_file(figures.check_name(path), force=self.force)
+        print(f"written to {figures.save(figure, place)}")

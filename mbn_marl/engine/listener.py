@@ -15,6 +15,7 @@ class Listener(Protocol):
         """The worlds of a mask (W,) bool, or all if it is ``None``, have another state."""
 
     def stepped(self, engine: BatchEngine, actions: Any, ended: Any) -> None:
-        """The worlds moved by ``actions`` (W, n, 2), as given; in those of ``ended`` (W,) bool
-        the episode ended with that. Worlds that waited for a reset did not move.
+        """The worlds moved by ``actions`` (W, n, 2), as given; in ``ended`` (W,) an episode ended.
+
+        Worlds that waited for a reset did not move.
         """

@@ -119,7 +119,7 @@ def from_file(content: EpisodeFile) -> Episode:
     steps, robots, rois = content.steps, content.robots, len(field.rois)
     arrays: dict[str, Any] = {}
     problems = []
-    packed = {
+    packed: dict[str, tuple[PackedArray | CodedArray, tuple[int, ...]]] = {
         "positions": (content.positions, (steps + 1, robots, 2)),
         "actions": (content.actions, (steps, robots, 2)),
         "rewards.robots": (content.rewards.robots, (steps, robots, len(REWARD_TERMS))),

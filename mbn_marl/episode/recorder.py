@@ -1,4 +1,4 @@
-"""Records the episodes of a world of any engine, whatever form of the environment it stands behind."""
+"""Records the episodes of one world, whatever form of the environment it belongs to."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ class _Tape:
 
 
 class EpisodeRecorder:
-    """Follows one world of an environment from reset to reset. Use it in a ``with`` block::
+    """Follows one world of an environment from reset to reset, in a ``with`` block.
+
+    For example::
 
         with EpisodeRecorder(env, source="my policy") as recorder:
             env.reset(seed=0)

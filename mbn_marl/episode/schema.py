@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from annotated_types import Len
@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from mbn_marl.config import MAX_ROBOTS, MAX_ROIS
 from mbn_marl.episode.episode import Outcome
 
-FORMAT = "mbn-episode/1"
+FORMAT: Final = "mbn-episode/1"
 MAX_SOURCE = 200
 _LITTLE = {"float32": "<f4", "float64": "<f8", "uint8": "<u1", "uint16": "<u2"}
 
