@@ -193,7 +193,7 @@ class BatchEngine:
         self._backend.step(actions, active)
         out = self._backend.output
         for listener in self.listeners:
-            listener.stepped(self, actions, out.terminated | out.truncated)
+            listener.stepped(actions, out.terminated | out.truncated)
         return out.observations, out.rewards, out.terminated, out.truncated
 
     # -- what happened -----------------------------------------------------------------------------
@@ -294,7 +294,7 @@ class BatchEngine:
 
     def _tell_reset(self, mask: ArrayLike | None) -> None:
         for listener in self.listeners:
-            listener.was_reset(self, mask)
+            listener.was_reset(mask)
 
     @property
     def seed(self) -> int:

@@ -83,14 +83,14 @@ class EpisodeRecorder:
         """
         return [self._episode(tape) for tape in self._tapes if tape.actions]
 
-    def was_reset(self, engine: BatchEngine, mask: Any) -> None:
+    def was_reset(self, mask: Any) -> None:
         """See :class:`mbn_marl.engine.listener.Listener`."""
         if mask is None or mask[self._world]:
             self._begin()
 
-    def stepped(self, engine: BatchEngine, actions: Any, ended: Any) -> None:
+    def stepped(self, actions: Any, ended: Any) -> None:
         """See :class:`mbn_marl.engine.listener.Listener`."""
-        world = self._world
+        engine, world = self._engine, self._world
         if not self._going_on:
             if engine.autoreset == "next_step":
                 self._begin()
