@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -311,3 +312,17 @@ def test_a_name_that_does_not_end_in_json(document: dict[str, Any], tmp_path: Pa
     episode = load_episode(tmp_path / "whole.json")
     with pytest.raises(MbnError, match=r"\.json"):
         save_episode(episode, tmp_path / "episode.txt")
+
+
+def test_the_code_of_the_documentation_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (ROOT / "docs" / "replay.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert len(blocks) == 2
+    for block in blocks:
+        exec(compile(block, "replay.md", "exec"), names)
+    (recorded,) = names["recorder"].episodes
+    assert np.array_equal(names["positions"], recorded.positions)
