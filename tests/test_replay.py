@@ -391,6 +391,12 @@ def test_a_report_is_refused_before_the_work(
     assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
     error = capsys.readouterr().err
     assert "unfinished/evaluations.json is missing" in error
+    (unfinished / "evaluations.json").write_text("[]")
+    assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
+    assert "evaluations.json is empty" in capsys.readouterr().err
+    (unfinished / "config.json").write_text('{"algorithm": "ppo"}')
+    assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
+    assert "config.json has no setting, seed" in capsys.readouterr().err
     assert main(["report", str(runs), "--paper", "-o", str(tmp_path / "new.html")]) == 2
     assert main(["report", str(runs), "-o", str(tmp_path / "folder")]) == 2
     assert not (tmp_path / "new.html").exists()
