@@ -251,6 +251,8 @@ def _move_a_robot(content: dict[str, Any]) -> None:
 
 BAD: dict[str, tuple[Callable[[str], str], str]] = {
     "cut off": (lambda text: text[: len(text) // 2], "not JSON, or cut off"),
+    "nested": (lambda text: "[" * 100_000, "not JSON, or cut off"),
+    "not text": (lambda text: "\udc80", "not JSON, or cut off"),
     "empty": (lambda text: "", "not JSON, or cut off"),
     "foreign": (lambda text: '{"a": 1}', "format: there is none; expected an episode"),
     "a list": (lambda text: "[1, 2]", "format: there is none; expected an episode"),
@@ -287,7 +289,7 @@ def test_a_file_that_is_no_episode_is_named(
 ) -> None:
     change, message = BAD[case]
     path = tmp_path / "bad.json"
-    path.write_text(change(json.dumps(document)))
+    path.write_text(change(json.dumps(document)), "utf-8", "surrogateescape")
     with pytest.raises(EpisodeError) as caught:
         load_episode(path)
     assert str(path) in str(caught.value) and message in str(caught.value)

@@ -26,8 +26,8 @@ class Render:
     """Sample the policy's actions instead of taking their mean."""
     seed: int = 0
     """Of the world and of the sampled actions."""
-    steps: int = 300
-    """Stop after so many steps."""
+    steps: int | None = None
+    """Stop after so many steps; by default at the end of the episode."""
     force: bool = False
     """If the file exists, move it aside (to OUT.1, OUT.2, ...)."""
 
@@ -37,7 +37,7 @@ class Render:
         from mbn_marl.errors import ConfigError
         from mbn_marl.render.files import claim_file
 
-        if self.steps < 1:
+        if self.steps is not None and self.steps < 1:
             raise ConfigError("render", [f"steps: at least 1, not {self.steps}"])
         check_ending(self.out)
         episode = self._episode()

@@ -57,7 +57,7 @@ def load_episode(path: str | Path) -> Episode:
     path = Path(path)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # UnicodeDecodeError and JSONDecodeError
+    except (ValueError, RecursionError) as error:  # not text, not JSON, or nested without end
         problem = f"file: not JSON, or cut off ({error}); expected {EXPECTED}"
         raise EpisodeError(str(path), [problem]) from None
     found = document.get("format") if isinstance(document, Mapping) else None
