@@ -373,6 +373,9 @@ def test_the_report_is_one_page_with_everything(
     )
     assert links and browser.run("document.querySelector('[data-replay] .panel') !== null")
     browser.press("End")
+    assert fact(browser, 0, "ROIs") == "0/6", "keys are the page's until a player is touched"
+    browser.run("document.querySelector('[data-replay] .scrub').focus()")
+    browser.press("End")
     assert fact(browser, 0, "ROIs") == fact(browser, 1, "ROIs") == "6/6"
     browser.size(390, 844, phone=True)
     browser.wait_for("document.documentElement.scrollWidth <= 390")

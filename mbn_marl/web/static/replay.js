@@ -175,18 +175,22 @@ class Replay {
   }
 }
 
-/** Every replay of the page; keys go to the one that was last touched. */
+/**
+ * Every replay of the page. Keys go to the one that was last touched; before that, and after a touch
+ * beside them all, to the one that is marked with data-keys, or to none.
+ */
 function mount() {
   const colours = Number(document.documentElement.dataset.colours);
   const replays = [...document.querySelectorAll("[data-replay]")].map((root) => {
     const files = JSON.parse(document.getElementById(root.dataset.replay).textContent);
     return { root, replay: new Replay(root, files, colours) };
   });
-  let [current] = replays;
-  for (const one of replays) {
-    for (const event of ["pointerdown", "focusin"]) {
-      one.root.addEventListener(event, () => { current = one; });
-    }
+  const first = replays.find(({ root }) => "keys" in root.dataset);
+  let current = first;
+  for (const kind of ["pointerdown", "focusin"]) {
+    document.addEventListener(kind, (event) => {
+      current = replays.find(({ root }) => root.contains(event.target)) ?? first;
+    });
   }
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || !current) return;
