@@ -32,6 +32,7 @@ MODULES = (
     "mbn_marl.adapters.torchrl",
     "mbn_marl.config",
     "mbn_marl.engine",
+    "mbn_marl.episode",
     "mbn_marl.errors",
     "mbn_marl.field",
     "mbn_marl.registration",

@@ -26,6 +26,9 @@ class Evaluate:
     """Of the episodes; by default the seed that every run's final evaluation has."""
     json: Path | None = None
     """Write every episode to this file; with --wind-speeds by default RUN/wind.json."""
+    record: Path | None = None
+    """A new folder for the best, the median and the worst episode with sampled actions, as files
+    for `mbn replay`."""
     wind_speeds: str | None = None
     """Wind speeds to evaluate at, such as 0,0.1,..,0.5 (units/step per step)."""
     wind_angle: float = 30.0
@@ -44,6 +47,8 @@ class Evaluate:
             raise ConfigError("evaluation", [f"episodes: at least 1, not {self.episodes}"])
         if self.figure is not None and self.wind_speeds is None:
             raise ConfigError("evaluation", ["figure: allowed with --wind-speeds"])
+        if self.record is not None and self.wind_speeds is not None:
+            raise ConfigError("evaluation", ["record: allowed without --wind-speeds"])
         files = (self.json, self.figure)
         if self.wind_speeds is not None and self.source.startswith(PREFIX) and None in files:
             raise ConfigError("evaluation", ["json, figure: of a zoo policy in wind, name both"])
@@ -56,9 +61,12 @@ class Evaluate:
 
     def _evaluate(self, run: RunFolder, policy: Policy, seed: int, command_line: str) -> None:
         """Evaluate as the run was trained."""
-        from baselines.evaluate import evaluate_both
-        from baselines.storage import write_json
+        from baselines.evaluate import evaluate_both, record_evaluation
+        from baselines.storage import claim_folder, write_json
+        from mbn_marl.episode import save_episode
 
+        if self.record is not None:
+            claim_folder(self.record)
         results = evaluate_both(
             policy, run.field, run.config["environment"], episodes=self.episodes, seed=seed
         )
@@ -66,6 +74,19 @@ class Evaluate:
         if self.json is not None:
             episodes = {name: result.to_json() for name, result in results.items()}
             write_json(self.json, {"command": command_line, **episodes})
+        if self.record is None:
+            return
+        recorded = record_evaluation(
+            policy,
+            run.field,
+            run.config["environment"],
+            episodes=self.episodes,
+            seed=seed,
+            source=self.source,
+        )
+        for name, episode in recorded.items():
+            save_episode(episode, self.record / f"{name}.json")
+        print(f"recorded: {', '.join(recorded)} in {self.record}")
 
     def _evaluate_in_wind(
         self, run: RunFolder, policy: Policy, seed: int, command_line: str, speeds: str

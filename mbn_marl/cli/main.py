@@ -16,10 +16,12 @@ from mbn_marl.cli.compare import Compare
 from mbn_marl.cli.evaluate import Evaluate
 from mbn_marl.cli.fields import Fields
 from mbn_marl.cli.render import Render
+from mbn_marl.cli.replay import Replay
 from mbn_marl.cli.report import Report
 from mbn_marl.cli.train import Train
 from mbn_marl.cli.transfer import Transfer
 from mbn_marl.cli.tune import Tune
+from mbn_marl.cli.watch import Play, Watch
 from mbn_marl.cli.zoo import Zoo
 from mbn_marl.errors import MbnError
 
@@ -32,6 +34,9 @@ Command = (
     | Annotated[Tune, subcommand("tune")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Render, subcommand("render")]
+    | Annotated[Replay, subcommand("replay")]
+    | Annotated[Watch, subcommand("watch")]
+    | Annotated[Play, subcommand("play")]
     | Annotated[Zoo, subcommand("zoo")]
     | Annotated[Bench, subcommand("bench")]
 )
