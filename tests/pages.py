@@ -31,6 +31,7 @@ TINY: Mapping[str, str] = {
     "tune": f"{BUDGET} --trials 1 --processes 1",
     "evaluate": "--episodes 2",
     "render": "--steps 5",
+    "watch": "--episodes 1 --speed 1000",
 }
 """What the reader adds to a command, so that it takes a moment."""
 

@@ -18,7 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 import mbn_marl
 from docs.extensions import docstrings, notebooks
-from mbn_marl import parallel_env
+from mbn_marl import load_field, parallel_env
+from mbn_marl.config import NavigationConfig
+from mbn_marl.episode import play, save_episode
 from mbn_marl.errors import ActionError, MbnError
 from tests.pages import (
     EXTENDING,
@@ -40,7 +42,11 @@ CODE = re.compile(r"`(?!mbn_marl)(\w+)\.(\w+)`")
 @pytest.mark.parametrize("page", RUN, ids=lambda page: str(page.relative_to(ROOT)))
 def test_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    shutil.copy(ROOT / "envs_catalog" / "field_03.yaml", "my_field.yaml")  # the reader's own
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # a window that nobody sees
+    # What the reader is taken to have.
+    shutil.copy(ROOT / "envs_catalog" / "field_03.yaml", "my_field.yaml")
+    episode = play(load_field("field_03"), NavigationConfig(), np.zeros((2, 3, 2)))
+    save_episode(episode, "other.json")
     run_page(page, tmp_path)
 
 

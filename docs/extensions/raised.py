@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import ast
+import builtins
 import inspect
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 from mbn_marl.errors import MbnError
 
 Function = Callable[..., Any]
+Errors = set[type[MbnError]]
 
 
 def is_subclass(value: Any, kind: type) -> bool:
@@ -22,7 +24,7 @@ def is_subclass(value: Any, kind: type) -> bool:
 
 def raised_by(
     function: Function, owner: Any = None, seen: frozenset[Function] = frozenset()
-) -> set[str]:
+) -> Errors:
     """The errors of the suite that a function is seen to raise.
 
     By itself, or through the functions and classes of this package that it calls by name and the
@@ -49,28 +51,33 @@ class _Caller:
     owner: Any
     seen: frozenset[Function]
 
-    def errors_in(self, node: ast.AST) -> set[str]:
+    def errors_in(self, node: ast.AST) -> Errors:
         """The errors that leave a statement."""
         if isinstance(node, ast.Try):
-            inner = set().union(*map(self.errors_in, node.body))
-            caught = {
-                name.id
-                for handler in node.handlers
-                for name in ast.walk(handler.type or node)
-                if isinstance(name, ast.Name)
-            }
             rest = [*node.handlers, *node.orelse, *node.finalbody]
-            return (inner - caught).union(*map(self.errors_in, rest))
+            caught = tuple(kind for handler in node.handlers for kind in self._caught(handler))
+            leaving = {error for error in self._in_all(node.body) if not issubclass(error, caught)}
+            return leaving | self._in_all(rest)
         own = self._raised(node) if isinstance(node, ast.Raise) else set()
         called = self._called(node) if isinstance(node, ast.Call) else set()
-        return (own | called).union(*map(self.errors_in, ast.iter_child_nodes(node)))
+        return own | called | self._in_all(ast.iter_child_nodes(node))
 
-    def _raised(self, node: ast.Raise) -> set[str]:
+    def _in_all(self, statements: Iterable[ast.AST]) -> Errors:
+        return set().union(*map(self.errors_in, statements))
+
+    def _caught(self, handler: ast.ExceptHandler) -> list[type]:
+        """The errors that a handler names; all of them if it names none."""
+        if handler.type is None:
+            return [Exception]
+        found = [self._named(part) for part in ast.walk(handler.type) if isinstance(part, ast.expr)]
+        return [kind for kind in found if is_subclass(kind, Exception)]
+
+    def _raised(self, node: ast.Raise) -> Errors:
         what = node.exc.func if isinstance(node.exc, ast.Call) else node.exc
         value = self._named(what)
-        return {value.__name__} if is_subclass(value, MbnError) else set()
+        return {value} if is_subclass(value, MbnError) else set()
 
-    def _called(self, node: ast.Call) -> set[str]:
+    def _called(self, node: ast.Call) -> Errors:
         value = self._named(node.func)
         home = getattr(value, "__module__", "")
         if not (home.startswith("mbn_marl") or home == self.function.__module__):
@@ -84,7 +91,7 @@ class _Caller:
         """What a name or a method of ``self`` stands for, if that can be seen."""
         match node:
             case ast.Name(id=name):
-                return self.function.__globals__.get(name)
+                return self.function.__globals__.get(name, getattr(builtins, name, None))
             case ast.Attribute(value=ast.Name(id="self"), attr=method):
                 return inspect.getattr_static(self.owner, method, None)
             case _:

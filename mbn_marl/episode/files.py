@@ -30,7 +30,7 @@ EXPECTED = f"an episode in the format {FORMAT}, as `mbn render -o episode.json` 
 
 
 def save_episode(episode: Episode, path: str | Path) -> Path:
-    """Write ``episode`` as JSON; a file is replaced only once the new one is complete.
+    """Write ``episode`` to ``path`` as JSON; a file is replaced only once the new one is complete.
 
     Returns:
         The path.
@@ -48,7 +48,7 @@ def save_episode(episode: Episode, path: str | Path) -> Path:
 
 
 def load_episode(path: str | Path) -> Episode:
-    """Read what :func:`save_episode` wrote, without the engine; see ``check_episode``.
+    """Read what :func:`save_episode` wrote to ``path``, without the engine; see ``check_episode``.
 
     Raises:
         EpisodeError: naming the file and everything that keeps it from being an episode.
@@ -74,7 +74,7 @@ def load_episode(path: str | Path) -> Episode:
 
 
 def is_episode_file(path: str | Path) -> bool:
-    """Whether a file begins as an episode's does, of whatever version."""
+    """Whether the file at ``path`` begins as an episode's does, of whatever version."""
     path = Path(path)
     if path.suffix.lower() != ".json" or not path.is_file():
         return False

@@ -84,12 +84,12 @@ class EpisodeRecorder:
         return [self._episode(tape) for tape in self._tapes if tape.actions]
 
     def was_reset(self, mask: Any) -> None:
-        """See :class:`mbn_marl.engine.listener.Listener`."""
+        """Begin a new episode if ``mask`` has the world; the engine calls it."""
         if mask is None or mask[self._world]:
             self._begin()
 
     def stepped(self, actions: Any, ended: Any) -> None:
-        """See :class:`mbn_marl.engine.listener.Listener`."""
+        """Note the world's part of ``actions`` and of ``ended``; the engine calls it."""
         engine, world = self._engine, self._world
         if not self._going_on:
             if engine.autoreset == "next_step":
