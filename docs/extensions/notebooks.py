@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import nbformat
@@ -11,6 +12,8 @@ from nbformat import NotebookNode
 FOLDER = Path(__file__).parents[1] / "notebooks"
 SECONDS = 300
 """The longest that a cell may take."""
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+"""On a busy machine, several threads mostly wait for each other."""
 
 
 def notebooks() -> list[Path]:
@@ -26,7 +29,7 @@ def run(path: Path) -> NotebookNode:
     """
     notebook = nbformat.read(path, as_version=4)
     client = NotebookClient(notebook, timeout=SECONDS, record_timing=False, coalesce_streams=True)
-    client.execute(cwd=FOLDER)
+    client.execute(cwd=FOLDER, env={**os.environ, **ONE_THREAD})
     notebook.metadata = {"kernelspec": notebook.metadata["kernelspec"]}
     return notebook
 
