@@ -137,6 +137,15 @@ def test_public_names_are_found() -> None:
     assert {"mbn_marl.BatchEngine.step", "mbn_marl.adapters.sb3.CentralizedVecEnv"} <= found
 
 
+def test_the_api_pages_have_every_public_name() -> None:
+    pages = [path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "api").glob("*.md")]
+    documented = set(re.findall(r"auto\w+:: (\S+)", "\n".join(pages)))
+    last = {name.rpartition(".")[2] for name in documented}
+    for public in docstrings.public_names():
+        if public.owner is None and public.value.__module__ not in documented:
+            assert public.value.__name__ in last, public.name
+
+
 def _push(force: float, actions: ArrayLike, count: int) -> NDArray[np.float32]:
     """Move something as the paper says; ``actions`` moves the rest.
 
