@@ -2,17 +2,37 @@
 
 from __future__ import annotations
 
+import bisect
+import time
 from dataclasses import dataclass
 
 import highspy
 import numpy as np
 
 from mbn_marl.planning.problem import Drive, Floats
-from mbn_marl.planning.relaxation import PER_STOP, TIME, VX, Region, Relaxation, Stop
+from mbn_marl.planning.relaxation import (
+    TIME,
+    VX,
+    Disc,
+    Region,
+    Relaxation,
+    Solved,
+    Windows,
+    at_steps,
+    velocities,
+)
 
 ROOM = 0.02
 """Discs passed with this much to spare, in units, are good enough to stop looking for better."""
+BETTER = 1e-3
+"""By how much more room another choice has to have to be worth finding."""
+OUTSIDE = 1e-4
+"""A path may leave the region by this much, in units."""
 MOST_VIAS = 60
+
+
+class OutOfTimeError(Exception):
+    """The time limit struck."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +60,7 @@ class Search:
         region: the convex set that it must not leave.
         slack: discs may be missed by this much, in units: what rounding can do.
         highs: the solver.
+        deadline: when to give up, on the clock ``time.monotonic``.
     """
 
     start: tuple[float, float]
@@ -47,79 +68,80 @@ class Search:
     region: Region
     slack: float
     highs: highspy.Highs
+    deadline: float
 
-    def possible(self, stops: tuple[Stop, ...]) -> bool:
+    def possible(self, discs: tuple[Disc, ...], windows: Windows) -> bool:
         """Whether the relaxation allows the windows; ``False`` is a proof that none can."""
-        gaps = [stop.gap for stop in stops]
-        tight = _propagate([(stop.first, stop.last) for stop in stops], gaps)
+        tight = windows.tightened()
         if tight is None:
             return False
-        relaxation = self._relaxation(stops).within(tight)
-        return relaxation.solve(self.highs, self.slack).bound <= self.slack
+        relaxation = Relaxation(self.start, self.drive, self.region, discs)
+        solved = relaxation.solve(self.highs, tight, relaxation.tangents(), self.slack)
+        return solved.bound <= self.slack
 
-    def visits(self, stops: tuple[Stop, ...]) -> Visits | None:
-        """Steps for the stops, within their windows; ``None`` is a proof that there are none."""
+    def visits(self, discs: tuple[Disc, ...], windows: Windows) -> Visits | None:
+        """Steps for the discs, within the windows; ``None`` is a proof that there are none.
+
+        Raises:
+            OutOfTimeError: at the deadline.
+        """
         best: Visits | None = None
-        root, gaps = self._relaxation(stops), [stop.gap for stop in stops]
-        nodes = [[(stop.first, stop.last) for stop in stops]]
+        relaxation = Relaxation(self.start, self.drive, self.region, discs)
+        nodes = [(windows, relaxation.tangents())]
         while nodes:
-            windows = _propagate(nodes.pop(), gaps)
-            if windows is None:
+            wide, cuts = nodes.pop()
+            tight = wide.tightened()
+            if tight is None:
                 continue
-            enough = self.slack if best is None else min(self.slack, best.inflation - 1e-3)
-            relaxation = root.within(windows)
-            solved = relaxation.solve(self.highs, enough)
+            if time.monotonic() > self.deadline:
+                raise OutOfTimeError
+            enough = self.slack if best is None else min(self.slack, best.inflation - BETTER)
+            solved = relaxation.solve(self.highs, tight, cuts, enough)
             if solved.bound > enough:
                 continue
-            if all(first == last for first, last in windows):
-                found = self._follow(relaxation, enough)
-                if found is not None:
-                    best = found
-                    if best.inflation <= -ROOM:
-                        return best
+            if tight.fixed:
+                best = self._follow(relaxation, tight, solved, enough) or best
+                if best is not None and best.inflation <= -ROOM:
+                    return best
             else:
-                nodes.extend(_split(windows, solved.points[:, TIME]))
+                nodes.extend((part, solved.cuts) for part in _branch(relaxation, tight, solved))
         return best
 
-    def _relaxation(self, stops: tuple[Stop, ...]) -> Relaxation:
-        return Relaxation(self.start, self.drive, self.region, stops)
-
-    def _follow(self, relaxation: Relaxation, enough: float) -> Visits | None:
+    def _follow(
+        self, relaxation: Relaxation, windows: Windows, solved: Solved, enough: float
+    ) -> Visits | None:
         """With all times fixed: keep the whole path in the region, step by step where needed."""
-        steps = tuple(stop.first for stop in relaxation.stops)
+        steps, stops = windows.first, list(windows.first)
         for _ in range(MOST_VIAS):
-            solved = relaxation.solve(self.highs, enough)
-            if solved.bound > enough:
-                return None
             path = interpolate(self.start, self.drive, solved.points)
             outside = (path @ self.region.normals.T - self.region.offsets).max(axis=1, initial=-1.0)
             worst = int(outside.argmax()) if len(outside) else 0
-            if len(outside) == 0 or outside[worst] <= 1e-4:
+            if len(outside) == 0 or outside[worst] <= OUTSIDE or worst + 1 in stops:
                 break
-            relaxation = relaxation.with_via(worst + 1)
+            place = bisect.bisect(stops, worst + 1)
+            stops.insert(place, worst + 1)
+            relaxation = relaxation.with_via(place)
+            solved = relaxation.solve(
+                self.highs, at_steps(stops), relaxation.tangents(), enough
+            )
+            if solved.bound > enough:
+                return None
         return Visits(steps, solved.inflation, path)
 
 
-def _propagate(windows: list[tuple[int, int]], gaps: list[int]) -> list[tuple[int, int]] | None:
-    """The windows as narrow as their order and the gaps make them; ``None`` if one is empty."""
-    offsets = np.cumsum(gaps)
-    firsts = np.maximum.accumulate([first for first, _ in windows] - offsets) + offsets
-    lasts = np.array([last for _, last in windows]) - offsets
-    lasts = np.minimum.accumulate(lasts[::-1])[::-1] + offsets
-    if np.any(firsts > lasts):
-        return None
-    return list(zip(firsts.tolist(), lasts.tolist(), strict=True))
-
-
-def _split(windows: list[tuple[int, int]], times: Floats) -> list[list[tuple[int, int]]]:
-    """Two halves of the widest window; the one where the relaxation has its time comes last."""
-    widths = [last - first for first, last in windows]
-    k = int(np.argmax(widths))
-    first, last = windows[k]
-    middle = min(max(int(np.floor(times[k] + 0.5)), first), last - 1)
-    low, high = list(windows), list(windows)
-    low[k], high[k] = (first, middle), (middle + 1, last)
-    return [high, low] if times[k] <= middle + 0.5 else [low, high]
+def _branch(relaxation: Relaxation, windows: Windows, solved: Solved) -> tuple[Windows, Windows]:
+    """Two halves of the windows, neither of which allows the solution; the likelier one last."""
+    ends = solved.points[:, TIME]
+    lengths = np.diff(ends, prepend=0.0)
+    least, most = np.array(windows.least), np.array(windows.most)
+    whole = np.clip(np.floor(lengths + 0.5).astype(int), least, most)
+    choice = most > least
+    excess = relaxation.excess(solved.points, whole.tolist())
+    if not np.any(excess[choice] > 1e-9):
+        excess = np.abs(lengths - whole) + 1e-3 * (most - least)
+    leg = int(np.argmax(np.where(choice, excess, -1.0)))
+    fewer, more = windows.split(leg, max(int(whole[leg]), int(least[leg]) + 1))
+    return (fewer, more) if whole[leg] > least[leg] else (more, fewer)
 
 
 def interpolate(start: tuple[float, float], drive: Drive, points: Floats) -> Floats:
@@ -137,15 +159,8 @@ def interpolate(start: tuple[float, float], drive: Drive, points: Floats) -> Flo
 
 def _moves(drive: Drive, axis: int, length: int, before: Floats, now: Floats) -> Floats:
     """Velocities of one axis in a leg, between the fastest and the slowest of its ends."""
-    s = np.arange(1, length + 1)
-    v, w = before[VX + axis], now[VX + axis]
-    rise, fall, top = drive.rise[axis], drive.fall[axis], drive.top
-    most = np.minimum(np.minimum(v + rise * s, w + fall * (length - s)), top)
-    least = np.maximum(np.maximum(v - fall * s, w - rise * (length - s)), -top)
+    least, most = velocities(drive, axis, length, before[VX + axis], now[VX + axis])
     wanted = (now[axis] - before[axis]) / drive.tau
     spread = float((most - least).sum())
     share = (wanted - float(least.sum())) / spread if spread > 1e-12 else 0.0
     return least + min(max(share, 0.0), 1.0) * (most - least)
-
-
-assert PER_STOP == TIME + 1

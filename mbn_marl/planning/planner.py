@@ -15,12 +15,13 @@ from mbn_marl.engine import FieldLike
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, load_field
 from mbn_marl.planning.coordination import Verified, coordinate
+from mbn_marl.planning.orders import OutOfTimeError
 from mbn_marl.planning.partition import least_makespan
 from mbn_marl.planning.problem import Floats, Problem, make_problem
 from mbn_marl.planning.replay import Stage
-from mbn_marl.planning.team import OutOfTimeError, Team
+from mbn_marl.planning.team import Team
 
-BOUND_SHARE = 0.5
+BOUND_SHARE = 0.8
 """Of the time limit, for raising the bound."""
 PARTITIONS = 6
 """Ways to share the ROIs out that are tried at one makespan."""

@@ -8,6 +8,7 @@ robots can wait at their starts, a robot may be taken to make its last visit exa
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -18,18 +19,14 @@ import numpy as np
 
 from mbn_marl.planning import legs
 from mbn_marl.planning.legs import NEVER, Ints
-from mbn_marl.planning.orders import Search, Visits
+from mbn_marl.planning.orders import OutOfTimeError, Search, Visits
 from mbn_marl.planning.partition import cheapest_partition, least_makespan
 from mbn_marl.planning.problem import Problem
-from mbn_marl.planning.relaxation import Region, Stop, make_solver
+from mbn_marl.planning.relaxation import Disc, Region, Windows, make_solver
 
 
 USED = 100
 """What it costs to use a robot's set again in another partition."""
-
-
-class OutOfTimeError(Exception):
-    """The time limit struck."""
 
 
 @dataclass(frozen=True)
@@ -163,18 +160,19 @@ class Team:
             if total > makespan:
                 break
             longer, left = (*order, j), rest & ~(1 << j)
-            stops = self._stops(i, longer, makespan - tail)
+            discs, windows = self._discs(longer), self._windows(i, longer, makespan - tail)
             search = Search(
                 (float(self.problem.starts[i, 0]), float(self.problem.starts[i, 1])),
                 self.problem.drives[i],
                 self.region,
                 self.slack,
                 self.highs,
+                self.deadline,
             )
             if left == 0:
-                if (visits := search.visits(stops)) is not None:
+                if (visits := search.visits(discs, windows)) is not None:
                     return Route(longer, visits)
-            elif len(longer) == 1 or search.possible(stops):
+            elif len(longer) == 1 or search.possible(discs, windows):
                 if (route := self._extend(i, longer, left, makespan)) is not None:
                     return route
                 continue
@@ -189,16 +187,21 @@ class Team:
             least = self._reached(i, order[:-1]) + int(self.between[order[-2], order[-1]])
         return max(least, self._earliest.get((i, order), 0))
 
-    def _stops(self, i: int, order: tuple[int, ...], last: int) -> tuple[Stop, ...]:
-        """The stops of an order that ends at step ``last``, with all that is known of when."""
-        stops: list[Stop] = []
-        for k in range(len(order) - 1, -1, -1):
-            x, y = self.problem.rois[order[k]].tolist()
-            gap = int(self.between[order[k - 1], order[k]] if k else self.first[i, order[0]])
-            first = self._reached(i, order[: k + 1])
-            stops.insert(0, Stop((x, y), self.problem.config.roi_radius, first, last, gap))
-            last -= gap
-        return tuple(stops)
+    def _discs(self, order: tuple[int, ...]) -> tuple[Disc, ...]:
+        radius = self.problem.config.roi_radius
+        centres = self.problem.rois[list(order)].tolist()
+        return tuple(Disc((x, y), radius) for x, y in centres)
+
+    def _windows(self, i: int, order: tuple[int, ...], last: int) -> Windows:
+        """The windows of an order that ends by step ``last``, with all that is known of when."""
+        legs = [int(self.between[j, k]) for j, k in itertools.pairwise(order)]
+        count = len(order)
+        return Windows(
+            first=tuple(self._reached(i, order[: k + 1]) for k in range(count)),
+            last=(last,) * count,
+            least=(int(self.first[i, order[0]]), *legs),
+            most=(last,) * count,
+        )
 
 
 def _nothing() -> Visits:
