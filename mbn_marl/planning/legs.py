@@ -18,7 +18,10 @@ NEVER = 1 << 40
 
 
 def first_steps(problem: Problem, slack: float, most: int) -> Ints:
-    """(n, m): the least steps in which each robot, at rest at first, reaches each ROI's disc."""
+    """(n, m): the least steps in which each robot, at rest at first, reaches each ROI's disc.
+
+    At least one: ROIs are visited after steps, not at the start.
+    """
     steps = np.empty((problem.n, problem.m), np.int64)
     for i, (start, drive) in enumerate(zip(problem.starts, problem.drives, strict=True)):
         for j, roi in enumerate(problem.rois):
@@ -37,7 +40,7 @@ def _first(offset: Floats, drive: Drive, radius: float, most: int) -> int:
             gaps.append(max(abs(float(offset[axis])) - reach, 0.0))
         return math.hypot(*gaps) <= radius
 
-    return _least(meets, most)
+    return max(_least(meets, most), 1)
 
 
 def steps_between(problem: Problem, slack: float, most: int) -> Ints:

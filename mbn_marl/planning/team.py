@@ -100,13 +100,17 @@ class Team:
         used: Counter[tuple[int, int]] = Counter()
         seen = set()
         while (masks := self._partition(makespan, used)) is not None:
-            found = [self.route(i, mask, makespan) for i, mask in enumerate(masks)]
             if tuple(masks) in seen:
                 return
-            if all(route is not None for route in found):
+            routes = {}
+            for i in sorted(range(len(masks)), key=lambda i: -self.bounds[i, masks[i]]):
+                routes[i] = self.route(i, masks[i], makespan)
+                if routes[i] is None:
+                    break
+            else:
                 seen.add(tuple(masks))
                 used.update(enumerate(masks))
-                yield [route for route in found if route is not None]
+                yield [route for _, route in sorted(routes.items()) if route is not None]
 
     def _partition(self, makespan: int, used: Counter[tuple[int, int]]) -> list[int] | None:
         """The easiest partition whose bounds all are within ``makespan``.
