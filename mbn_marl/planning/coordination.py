@@ -10,9 +10,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.planning.motion import PAIR_ROOM, HalfPlanes, Motion, Separation, solve_motion
+from mbn_marl.planning.motion import PAIR_ROOM, Motion, Separation, solve_motion
 from mbn_marl.planning.problem import Floats, Problem
 from mbn_marl.planning.replay import Replay, Stage
+from mbn_marl.planning.surroundings import surroundings
+from mbn_marl.planning.team import Route
 
 ROUNDS = 12
 """Linearisations of the distances before an attempt is given up."""
@@ -20,9 +22,6 @@ WATCH = 1.5
 """Pairs closer than this many safety distances are kept apart from the next round on."""
 GRIDS = (0.0, 1e-6, 1e-4, 1e-2)
 """A force so close to none or to all of it is rounded to that: such motions are exact."""
-
-Visits = Sequence[Sequence[tuple[int, int]]]
-
 
 @dataclass(frozen=True)
 class Verified:
@@ -33,17 +32,21 @@ class Verified:
 
 
 def coordinate(
-    problem: Problem,
-    stage: Stage,
-    steps: int,
-    visits: Visits,
-    places: Sequence[Sequence[HalfPlanes]],
-    deadline: float,
+    problem: Problem, stage: Stage, steps: int, routes: Sequence[Route], deadline: float
 ) -> Verified | None:
-    """Motions in which every ROI is visited when it should be, verified, or ``None``."""
+    """Motions of ``steps`` steps along the routes, verified, or ``None`` if none was found.
+
+    The distances between robots, and the field where it is not convex, are linearised about the
+    last round's motions.
+    """
     separations: dict[tuple[int, int, int], Separation] = {}
     random = np.random.default_rng(0)
+    visits = [list(zip(route.visits.steps, route.order, strict=True)) for route in routes]
+    paths = np.stack(
+        [_padded(start, route, steps) for start, route in zip(problem.starts, routes, strict=True)]
+    )
     for _ in range(ROUNDS):
+        places = surroundings(problem, paths)
         motion = solve_motion(problem, steps, visits, places, list(separations.values()))
         if motion is None:
             return None
@@ -51,10 +54,17 @@ def coordinate(
         if verified is not None:
             return verified
         close = list(close_pairs(problem, motion.paths, random))
-        if not close or time.monotonic() > deadline:
+        if problem.convex and not close or time.monotonic() > deadline:
             return None
+        paths = motion.paths
         separations.update({(pair.i, pair.j, pair.step): pair for pair in close})
     return None
+
+
+def _padded(start: Floats, route: Route, steps: int) -> Floats:
+    """(steps, 2): the route's path, and its last point from then on."""
+    path = np.concatenate([start[None], route.visits.path])[: steps + 1]
+    return np.concatenate([path[1:], np.repeat(path[-1:], steps + 1 - len(path), axis=0)])
 
 
 def verify(stage: Stage, motion: Motion) -> Verified | None:

@@ -51,6 +51,7 @@ class Greedy:
             velocities: (n, 2), units/step.
             visited: (m,), which ROIs have been visited.
         """
+        positions, velocities = positions.astype(float), velocities.astype(float)
         plans = [self._coast(i, positions[i], velocities[i]) for i in range(self.problem.n)]
         actions = np.zeros((self.problem.n, 2), np.float32)
         for i in range(self.problem.n):

@@ -6,11 +6,15 @@ Sets of ROIs are bit masks: ROI j is the bit ``1 << j``.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from mbn_marl.planning.problem import Drive, Floats, Problem, reach_from_rest
+from mbn_marl.planning.roadmap import Roadmap, make_roadmap
 
 Ints = NDArray[np.int64]
 NEVER = 1 << 40
@@ -60,9 +64,8 @@ def steps_between(problem: Problem, slack: float, most: int) -> Ints:
     return steps
 
 
-def _least(meets: object, most: int) -> int:
+def _least(meets: Callable[[int], bool], most: int) -> int:
     """The least count in [0, most] for which ``meets`` holds, from there on always; or NEVER."""
-    assert callable(meets)
     if not meets(most):
         return NEVER
     low, high = -1, most
@@ -95,3 +98,80 @@ def set_bounds(first: Ints, tail: Ints) -> Ints:
         after = np.array([tail[mask & ~(1 << k), k] for k in chosen])
         bounds[:, mask] = np.minimum((first[:, chosen] + after).min(axis=1), NEVER)
     return bounds
+
+
+@dataclass(frozen=True, eq=False)
+class Legs:
+    """Least steps of single legs.
+
+    Attributes:
+        first: (n, m), from each robot's start, at rest, to each ROI's disc; at least 1.
+        between: (m, m), from disc to disc, with any velocities at both.
+    """
+
+    first: Ints
+    between: Ints
+
+
+def proved_legs(problem: Problem, slack: float, most: int) -> Legs:
+    """Least steps that hold in the engine: by the dynamics, and by the shape of the field.
+
+    Args:
+        problem: the instance.
+        slack: what rounding may do, in units.
+        most: entries above this are :data:`NEVER`.
+    """
+    first = first_steps(problem, slack, most)
+    between = steps_between(problem, slack, most)
+    if problem.convex:
+        return Legs(first, between)
+    area = _steppable(problem, slack)
+    radius = problem.config.roi_radius + slack
+    around = way_legs(problem, make_roadmap(area, _places(problem), largest=True), radius, most)
+    return Legs(np.maximum(first, around.first), np.maximum(between, around.between))
+
+
+def way_legs(problem: Problem, roadmap: Roadmap, radius: float, most: int) -> Legs:
+    """Least steps if no way between two places is shorter than the roadmap's.
+
+    Args:
+        problem: the instance.
+        roadmap: of the starts and the ROIs, in this order, by larger coordinates.
+        radius: of the discs.
+        most: entries above this are :data:`NEVER`.
+    """
+    n, m = problem.n, problem.m
+    first, between = np.empty((n, m), np.int64), np.zeros((m, m), np.int64)
+    for i, drive in enumerate(problem.drives):
+        rate = max(*drive.rise, *drive.fall)
+        for j in range(m):
+            far = roadmap.lengths[i, n + j] - radius
+
+            def reaches(steps: int, far: float = far, rate: float = rate) -> bool:
+                top, tau = problem.config.v_clip, problem.config.tau
+                return far <= reach_from_rest(rate, top, tau, steps)
+
+            first[i, j] = max(_least(reaches, most), 1)
+    stride = problem.config.v_clip * problem.config.tau
+    steps = np.ceil((roadmap.lengths[n : n + m, n : n + m] - 2.0 * radius) / stride - 1e-9)
+    between = np.where(steps <= most, np.maximum(steps, 0.0), NEVER).astype(np.int64)
+    np.fill_diagonal(between, 0)
+    return Legs(first, between)
+
+
+def _places(problem: Problem) -> Floats:
+    return np.concatenate([problem.starts, problem.rois])
+
+
+def _steppable(problem: Problem, slack: float) -> shapely.Geometry:
+    """What the straight lines between a robot's positions after its steps cannot leave.
+
+    Only these positions have to be in the field. Each point of the line between two of them is
+    within half a step of one. The ROIs' discs belong to it, so that each is one place.
+    """
+    config = problem.config
+    half = math.hypot(0.5, 0.5) * config.v_clip * config.tau + slack
+    grown = problem.field.polygon.buffer(half, join_style="mitre")
+    outer = (config.roi_radius + slack) / math.cos(math.pi / 16.0)
+    discs = shapely.buffer(shapely.points(problem.rois), outer, quad_segs=4)
+    return shapely.union_all([grown, *discs])

@@ -15,6 +15,9 @@ from mbn_marl.engine import FieldLike
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, load_field
 from mbn_marl.planning.coordination import Verified, coordinate
+from mbn_marl.planning.greedy import Greedy
+from mbn_marl.planning.guide import make_guide
+from mbn_marl.planning.legs import proved_legs
 from mbn_marl.planning.orders import OutOfTimeError
 from mbn_marl.planning.partition import least_makespan
 from mbn_marl.planning.problem import Floats, Problem, make_problem
@@ -81,45 +84,82 @@ def plan(field: FieldLike, *, time_limit: float = 60.0, **settings: Unpack[Setti
     began = time.monotonic()
     problem = make_problem(load_field(field), make_config(settings))
     stage = Stage(problem)
-    team = make_team(problem, began + BOUND_SHARE * time_limit)
+    best = drive_greedily(problem, stage)
+    team = prove(problem, began + BOUND_SHARE * time_limit)
+    most = problem.config.max_steps if best is None else best.replay.steps - 1
+    shorter = _search(problem, stage, team, most, began + time_limit)
+    return _report(problem, team.bound, shorter or best, time.monotonic() - began)
+
+
+def prove(problem: Problem, deadline: float) -> Team:
+    """The team with its bound raised as far as the deadline allows.
+
+    Raises:
+        UnsolvableError: the bound is above the length of an episode.
+    """
+    limit = problem.config.max_steps
+    slack = problem.slack(limit)
+    team = Team(problem, proved_legs(problem, slack, limit), slack, limit, deadline)
+    horizon = min(2 * least_makespan(team.bounds) + 20, limit)
+    while True:
+        slack = problem.slack(horizon)
+        team = Team(problem, proved_legs(problem, slack, horizon), slack, horizon, deadline)
+        try:
+            if team.raise_bound():
+                return team
+        except OutOfTimeError:
+            return team
+        if horizon == limit:
+            raise UnsolvableError(_reason(problem, team))
+        horizon = limit
+
+
+def _search(
+    problem: Problem, stage: Stage, team: Team, most: int, deadline: float
+) -> Verified | None:
+    """A verified plan of at most ``most`` steps, or ``None``: the first one, from below."""
+    guide = team if problem.convex else make_guide(problem, team.horizon, deadline)
+    guide.deadline = deadline
     try:
-        known = team.raise_bound()
+        if not guide.raise_bound():
+            return None
+        for steps in range(max(team.bound, guide.bound), most + 1):
+            for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
+                verified = coordinate(problem, stage, steps, routes, deadline)
+                if verified is not None:
+                    return verified
+                if time.monotonic() > deadline:
+                    return None
     except OutOfTimeError:
-        known = False
-    best = None
-    team.deadline = began + time_limit
-    if known:
-        best = _shortest(problem, stage, team, began + time_limit)
+        pass
+    return None
+
+
+def drive_greedily(problem: Problem, stage: Stage) -> Verified | None:
+    """The greedy controller's episode, if it is a clean success."""
+    greedy = Greedy(problem, problem.starts)
+    replay, actions = stage.drive(greedy.act)
+    return Verified(actions, replay) if replay.success and not replay.wall_hits else None
+
+
+def _reason(problem: Problem, team: Team) -> str:
+    """Why no team can do it."""
+    limit = problem.config.max_steps
+    nearest = team.legs.first.min(axis=0)
+    far = [j for j in range(problem.m) if nearest[j] > limit]
+    what = f"rois {far}: no robot can be" if far else "the ROIs: the robots cannot be at all"
+    return f"{problem.field.name}: {what} there by step {limit}, the end of an episode (max_steps)"
+
+
+def _report(problem: Problem, bound: int, best: Verified | None, seconds: float) -> Plan:
+    n = problem.n
     return Plan(
         field=problem.field,
-        makespan=best and best.replay.steps,
-        makespan_lower_bound=team.bound,
-        actions=np.zeros((0, problem.n, 2), np.float32) if best is None else best.actions,
-        return_=best and best.replay.return_,
-        assignment=(),
-        trail=np.zeros((0, problem.n, 2)) if best is None else best.replay.trail,
-        seconds=time.monotonic() - began,
+        makespan=None if best is None else best.replay.steps,
+        makespan_lower_bound=bound,
+        actions=np.zeros((0, n, 2), np.float32) if best is None else best.actions,
+        return_=None if best is None else best.replay.return_,
+        assignment=((),) * n if best is None else best.replay.assignment,
+        trail=problem.starts[None] if best is None else best.replay.trail,
+        seconds=seconds,
     )
-
-
-def make_team(problem: Problem, deadline: float) -> Team:
-    """The team with a horizon that its bounds will hardly exceed, so that rounding stays small."""
-    team = Team(problem, problem.config.max_steps, deadline)
-    horizon = 2 * least_makespan(team.bounds) + 20
-    return Team(problem, min(horizon, problem.config.max_steps), deadline)
-
-
-def _shortest(problem: Problem, stage: Stage, team: Team, deadline: float) -> Verified | None:
-    """The first verified plan, from the bound on."""
-    for steps in range(team.bound, team.horizon + 1):
-        for routes in itertools.islice(team.solutions(steps), PARTITIONS):
-            visits = [
-                list(zip(route.visits.steps, route.order, strict=True)) for route in routes
-            ]
-            places = [[problem.half_planes]] * problem.n
-            verified = coordinate(problem, stage, steps, visits, places, deadline)
-            if verified is not None:
-                return verified
-            if time.monotonic() > deadline:
-                return None
-    return None

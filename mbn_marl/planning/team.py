@@ -8,17 +8,15 @@ robots can wait at their starts, a robot may be taken to make its last visit exa
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import highspy
 import numpy as np
 
-from mbn_marl.planning import legs
-from mbn_marl.planning.legs import NEVER, Ints
+from mbn_marl.planning.legs import NEVER, Ints, Legs, set_bounds, tails
 from mbn_marl.planning.orders import OutOfTimeError, Search, Visits
 from mbn_marl.planning.partition import cheapest_partition, least_makespan
 from mbn_marl.planning.problem import Problem
@@ -42,20 +40,30 @@ class Route:
     visits: Visits
 
 
+NO_GATES: Mapping[tuple[int, int], tuple[Disc, ...]] = {}
+
+
 @dataclass
 class Team:
     """Finds the least makespan for which every robot's share has been verified.
 
     Attributes:
         problem: the instance.
-        horizon: the makespans of interest end here; the allowance for rounding grows with it.
+        legs: least steps of single legs.
+        slack: discs and hull may be missed by this much, in units: what rounding can do.
+        horizon: makespans of interest end here.
         deadline: when to give up, on the clock ``time.monotonic``.
-        bound: a proved lower bound of the makespan, rising.
+        gates: discs to pass on the way from one place to another; places are the starts, then the
+            ROIs. Gates guide the search round corners; with them the bound is none.
+        bound: a lower bound of the makespan, rising.
     """
 
     problem: Problem
+    legs: Legs
+    slack: float
     horizon: int
     deadline: float
+    gates: Mapping[tuple[int, int], tuple[Disc, ...]] = field(default_factory=lambda: NO_GATES)
     bound: int = 0
     highs: highspy.Highs = field(default_factory=make_solver)
     _routes: dict[tuple[int, int], tuple[int, Route]] = field(default_factory=dict)
@@ -63,20 +71,16 @@ class Team:
 
     def __post_init__(self) -> None:
         """Find the closed-form bounds."""
-        most = self.horizon
-        self.slack = self.problem.slack(most)
-        self.first = legs.first_steps(self.problem, self.slack, most)
-        self.between = legs.steps_between(self.problem, self.slack, most)
-        self.tail = legs.tails(self.between)
-        self.bounds: Ints = legs.set_bounds(self.first, self.tail)
+        self.tail = tails(self.legs.between)
+        self.bounds: Ints = set_bounds(self.legs.first, self.tail)
         self.masks = np.arange(self.bounds.shape[1])
         normals, offsets = self.problem.half_planes
-        corners = self.problem.field.vertices
+        low_x, low_y, high_x, high_y = self.problem.field.polygon.bounds
         self.region = Region(
             normals,
             offsets + self.slack,
-            tuple((corners.min(axis=0) - self.slack).tolist()),
-            tuple((corners.max(axis=0) + self.slack).tolist()),
+            (low_x - self.slack, low_y - self.slack),
+            (high_x + self.slack, high_y + self.slack),
         )
 
     def raise_bound(self) -> bool:
@@ -164,7 +168,7 @@ class Team:
             if total > makespan:
                 break
             longer, left = (*order, j), rest & ~(1 << j)
-            discs, windows = self._discs(longer), self._windows(i, longer, makespan - tail)
+            stops = self._stops(i, longer, makespan - tail)
             search = Search(
                 (float(self.problem.starts[i, 0]), float(self.problem.starts[i, 1])),
                 self.problem.drives[i],
@@ -174,9 +178,9 @@ class Team:
                 self.deadline,
             )
             if left == 0:
-                if (visits := search.visits(discs, windows)) is not None:
-                    return Route(longer, visits)
-            elif len(longer) == 1 or search.possible(discs, windows):
+                if (visits := search.visits(stops.discs, stops.windows)) is not None:
+                    return Route(longer, stops.of_rois(visits))
+            elif len(longer) == 1 or search.possible(stops.discs, stops.windows):
                 if (route := self._extend(i, longer, left, makespan)) is not None:
                     return route
                 continue
@@ -186,26 +190,47 @@ class Team:
     def _reached(self, i: int, order: tuple[int, ...]) -> int:
         """A lower bound of the step at which robot i can visit the last ROI of ``order``."""
         if len(order) == 1:
-            least = int(self.first[i, order[0]])
+            least = int(self.legs.first[i, order[0]])
         else:
-            least = self._reached(i, order[:-1]) + int(self.between[order[-2], order[-1]])
+            least = self._reached(i, order[:-1]) + int(self.legs.between[order[-2], order[-1]])
         return max(least, self._earliest.get((i, order), 0))
 
-    def _discs(self, order: tuple[int, ...]) -> tuple[Disc, ...]:
-        radius = self.problem.config.roi_radius
-        centres = self.problem.rois[list(order)].tolist()
-        return tuple(Disc((x, y), radius) for x, y in centres)
+    def _stops(self, i: int, order: tuple[int, ...], last: int) -> _Stops:
+        """The stops of an order that ends by step ``last``, with all that is known of when."""
+        n, radius = self.problem.n, self.problem.config.roi_radius
+        discs: list[Disc] = []
+        first: list[int] = []
+        least: list[int] = []
+        rois = []
+        reached, place = 0, i
+        for k, j in enumerate(order):
+            gates = self.gates.get((place, n + j), ())
+            leg = int(self.legs.between[order[k - 1], j] if k else self.legs.first[i, j])
+            discs += gates
+            first += [reached] * len(gates)
+            least += [0] * len(gates)
+            reached, place = self._reached(i, order[: k + 1]), n + j
+            rois.append(len(discs))
+            x, y = self.problem.rois[j].tolist()
+            discs.append(Disc((x, y), radius))
+            first.append(reached)
+            least.append(0 if gates else leg)
+        count = len(discs)
+        windows = Windows(tuple(first), (last,) * count, tuple(least), (last,) * count)
+        return _Stops(tuple(discs), windows, tuple(rois))
 
-    def _windows(self, i: int, order: tuple[int, ...], last: int) -> Windows:
-        """The windows of an order that ends by step ``last``, with all that is known of when."""
-        legs = [int(self.between[j, k]) for j, k in itertools.pairwise(order)]
-        count = len(order)
-        return Windows(
-            first=tuple(self._reached(i, order[: k + 1]) for k in range(count)),
-            last=(last,) * count,
-            least=(int(self.first[i, order[0]]), *legs),
-            most=(last,) * count,
-        )
+
+@dataclass(frozen=True)
+class _Stops:
+    """Stops of a route; ``rois`` are the places of the ROIs among them."""
+
+    discs: tuple[Disc, ...]
+    windows: Windows
+    rois: tuple[int, ...]
+
+    def of_rois(self, visits: Visits) -> Visits:
+        """The visits of the ROIs alone."""
+        return replace(visits, steps=tuple(visits.steps[k] for k in self.rois))
 
 
 def _nothing() -> Visits:
