@@ -100,15 +100,18 @@ class _Program:
         self.speed, self.change = _differences(steps)
 
     def drive(self, i: int) -> None:
-        """Limits of velocity and force; the rooms' limits."""
+        """Limits of velocity and force; the rooms' limits.
+
+        Against a wind that is stronger than the force, a robot at the speed limit keeps its speed.
+        """
         problem, tau = self.problem, self.problem.config.tau
         top = np.full(self.block, problem.config.v_clip * tau)
         force = np.repeat(problem.forces[i], self.steps) * tau
         push = np.repeat(problem.wind, self.steps) * tau
         self._add(i, self.speed, top)
         self._add(i, -self.speed, top)
-        self._add(i, self.change, force + push)
-        self._add(i, -self.change, force - push)
+        self._add(i, self.change, np.maximum(force + push, 0.0))
+        self._add(i, -self.change, np.maximum(force - push, 0.0))
         pick = sp.csr_matrix(([1.0, 1.0], ([0, 1], self._rooms(i))), (2, self.width))
         self.linear.append(pick)
         self.limits.append(np.array([DISC_ROOM, FIELD_ROOM]))

@@ -83,12 +83,26 @@ def plan(field: FieldLike, *, time_limit: float = 60.0, **settings: Unpack[Setti
         raise ConfigError("plan", [f"time_limit: expected more than 0 seconds, got {time_limit}"])
     began = time.monotonic()
     problem = make_problem(load_field(field), make_config(settings))
+    refuse_unsolvable(problem)
     stage = Stage(problem)
     best = drive_greedily(problem, stage)
     team = prove(problem, began + BOUND_SHARE * time_limit)
     most = problem.config.max_steps if best is None else best.replay.steps - 1
     shorter = _search(problem, stage, team, most, began + time_limit)
     return _report(problem, team.bound, shorter or best, time.monotonic() - began)
+
+
+def refuse_unsolvable(problem: Problem) -> None:
+    """Raise an error if single legs already show that an episode is too short."""
+    limit = problem.config.max_steps
+    legs = proved_legs(problem, problem.slack(limit), limit)
+    far = np.flatnonzero(legs.first.min(axis=0) > limit).tolist()
+    if far:
+        places = ", ".join(f"rois[{j}]" for j in far)
+        raise UnsolvableError(
+            f"{problem.field.name}: no robot can reach {places} by step {limit}, the end of an "
+            "episode (max_steps), even on the shortest way"
+        )
 
 
 def prove(problem: Problem, deadline: float) -> Team:
@@ -98,20 +112,24 @@ def prove(problem: Problem, deadline: float) -> Team:
         UnsolvableError: the bound is above the length of an episode.
     """
     limit = problem.config.max_steps
-    slack = problem.slack(limit)
-    team = Team(problem, proved_legs(problem, slack, limit), slack, limit, deadline)
-    horizon = min(2 * least_makespan(team.bounds) + 20, limit)
-    while True:
-        slack = problem.slack(horizon)
-        team = Team(problem, proved_legs(problem, slack, horizon), slack, horizon, deadline)
+    short = 2 * least_makespan(_team(problem, limit, deadline).bounds) + 20
+    for horizon in sorted({min(short, limit), limit}):
+        team = _team(problem, horizon, deadline)
         try:
             if team.raise_bound():
                 return team
         except OutOfTimeError:
             return team
-        if horizon == limit:
-            raise UnsolvableError(_reason(problem, team))
-        horizon = limit
+    raise UnsolvableError(
+        f"{problem.field.name}: the robots cannot visit all ROIs by step {limit}, the end of an "
+        "episode (max_steps)"
+    )
+
+
+def _team(problem: Problem, horizon: int, deadline: float) -> Team:
+    """The team whose bound is proved; the allowance for rounding grows with the horizon."""
+    slack = problem.slack(horizon)
+    return Team(problem, proved_legs(problem, slack, horizon), slack, horizon, deadline)
 
 
 def _search(
@@ -140,15 +158,6 @@ def drive_greedily(problem: Problem, stage: Stage) -> Verified | None:
     greedy = Greedy(problem, problem.starts)
     replay, actions = stage.drive(greedy.act)
     return Verified(actions, replay) if replay.success and not replay.wall_hits else None
-
-
-def _reason(problem: Problem, team: Team) -> str:
-    """Why no team can do it."""
-    limit = problem.config.max_steps
-    nearest = team.legs.first.min(axis=0)
-    far = [j for j in range(problem.m) if nearest[j] > limit]
-    what = f"rois {far}: no robot can be" if far else "the ROIs: the robots cannot be at all"
-    return f"{problem.field.name}: {what} there by step {limit}, the end of an episode (max_steps)"
 
 
 def _report(problem: Problem, bound: int, best: Verified | None, seconds: float) -> Plan:

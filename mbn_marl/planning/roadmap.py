@@ -98,9 +98,8 @@ def _corners(area: shapely.Geometry) -> Floats:
     """The corners that stick into the area: those of holes, and the outline's reflex ones."""
     found = [np.zeros((0, 2))]
     for polygon in shapely.get_parts(area):
-        for ring in (polygon.exterior, *polygon.interiors):
-            outer = ring is polygon.exterior
-            found.append(_reflex(np.array(ring.coords)[:-1], outer))
+        found.append(_reflex(np.array(polygon.exterior.coords)[:-1], True))
+        found += [_reflex(np.array(hole.coords)[:-1], False) for hole in polygon.interiors]
     return np.concatenate(found)
 
 

@@ -91,6 +91,8 @@ class Team:
         """
         while self.bound <= self.horizon:
             self.bound = max(self.bound, least_makespan(self.bounds))
+            if self.bound > self.horizon:
+                break
             if next(self.solutions(self.bound), None) is not None:
                 return True
             self.bound = max(self.bound + 1, least_makespan(self.bounds))
@@ -136,7 +138,7 @@ class Team:
         known = self._routes.get((i, mask))
         if known is not None and known[0] <= makespan:
             return self._later(i, known[1], makespan - known[0])
-        if self.bounds[i, mask] > makespan:
+        if self.bounds[i, mask] > min(makespan, self.horizon):
             return None
         found = self._extend(i, (), mask, makespan) if mask else Route((), _nothing())
         if found is None:
@@ -168,7 +170,7 @@ class Team:
             if total > makespan:
                 break
             longer, left = (*order, j), rest & ~(1 << j)
-            stops = self._stops(i, longer, makespan - tail)
+            stops = self._stops(i, longer, makespan - tail, ends=left == 0)
             search = Search(
                 (float(self.problem.starts[i, 0]), float(self.problem.starts[i, 1])),
                 self.problem.drives[i],
@@ -195,8 +197,11 @@ class Team:
             least = self._reached(i, order[:-1]) + int(self.legs.between[order[-2], order[-1]])
         return max(least, self._earliest.get((i, order), 0))
 
-    def _stops(self, i: int, order: tuple[int, ...], last: int) -> _Stops:
-        """The stops of an order that ends by step ``last``, with all that is known of when."""
+    def _stops(self, i: int, order: tuple[int, ...], last: int, ends: bool) -> _Stops:
+        """The stops of an order that is made by step ``last``, with all that is known of when.
+
+        If the route ``ends`` there and robots can wait, it ends at that very step.
+        """
         n, radius = self.problem.n, self.problem.config.roi_radius
         discs: list[Disc] = []
         first: list[int] = []
@@ -215,6 +220,8 @@ class Team:
             discs.append(Disc((x, y), radius))
             first.append(reached)
             least.append(0 if gates else leg)
+        if ends and self.problem.can_wait:
+            first[-1] = last
         count = len(discs)
         windows = Windows(tuple(first), (last,) * count, tuple(least), (last,) * count)
         return _Stops(tuple(discs), windows, tuple(rois))
