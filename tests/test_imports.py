@@ -17,6 +17,7 @@ LAYERS = [
     {"mbn_marl.config"},
     {"mbn_marl.field"},
     {"mbn_marl.engine"},
+    {"mbn_marl.planning"},
     {"mbn_marl.render"},
     {"mbn_marl.adapters", "mbn_marl.registration"},
     {"mbn_marl.navigation_v0"},

@@ -23,6 +23,7 @@ WATCH = 1.5
 GRIDS = (0.0, 1e-6, 1e-4, 1e-2)
 """A force so close to none or to all of it is rounded to that: such motions are exact."""
 
+
 @dataclass(frozen=True)
 class Verified:
     """Actions (T, n, 2) float32 that end in success, and the episode that they make."""
@@ -54,7 +55,7 @@ def coordinate(
         if verified is not None:
             return verified
         close = list(close_pairs(problem, motion.paths, random))
-        if problem.convex and not close or time.monotonic() > deadline:
+        if (problem.convex and not close) or time.monotonic() > deadline:
             return None
         paths = motion.paths
         separations.update({(pair.i, pair.j, pair.step): pair for pair in close})

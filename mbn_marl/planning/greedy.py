@@ -13,6 +13,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.planning.problem import Floats, Problem
 from mbn_marl.planning.roadmap import Roadmap, make_roadmap
 
@@ -42,7 +43,7 @@ class Greedy:
         shapely.prepare(self.polygon)
 
     def act(
-        self, positions: Floats, velocities: Floats, visited: NDArray[np.bool_]
+        self, positions: FloatArray, velocities: FloatArray, visited: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
         """Actions (n, 2) in [-1, 1].
 

@@ -43,5 +43,5 @@ def _gates(roadmap: Roadmap, a: int, b: int) -> list[Disc]:
 def _aside(back: Floats, on: Floats) -> Floats:
     """The unit vector from a corner into the open: away from the inner side of the bend."""
     inner = back / np.hypot(*back) + on / np.hypot(*on)
-    length = float(np.hypot(*inner))
-    return -inner / length if length > 1e-9 else np.array([-back[1], back[0]]) / np.hypot(*back)
+    aside: Floats = -inner if np.hypot(*inner) > 1e-9 else np.array([-back[1], back[0]])
+    return np.asarray(aside / np.hypot(*aside))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import clarabel
 import numpy as np
@@ -25,6 +26,9 @@ PRICE = 100.0
 """Of a unit of missing room; effort is priced per squared full force and step."""
 DRIFT = 0.03
 """Robots with nothing to do still stir by so much of their force: standing costs a revisit."""
+
+Sparse = Any
+"""A sparse matrix in rows."""
 
 HalfPlanes = tuple[Floats, Floats]
 """``normals @ p <= offsets``: (k, 2) and (k,)."""
@@ -92,9 +96,9 @@ class _Program:
         self.block = 2 * steps
         self.rooms = problem.n * self.block
         self.width = self.rooms + 2 * problem.n
-        self.linear: list[sp.spmatrix] = []
+        self.linear: list[Sparse] = []
         self.limits: list[Floats] = []
-        self.cones: list[sp.spmatrix] = []
+        self.cones: list[Sparse] = []
         self.cone_limits: list[Floats] = []
         self.shortfalls = 0
         self.speed, self.change = _differences(steps)
@@ -214,7 +218,7 @@ class _Program:
             missing=missing,
         )
 
-    def _cost(self, total: int) -> tuple[sp.csc_matrix, Floats]:
+    def _cost(self, total: int) -> tuple[Sparse, Floats]:
         """Effort about a small random drift, and the prices."""
         problem = self.problem
         random = np.random.default_rng(0)
@@ -232,7 +236,7 @@ class _Program:
         linear[self.width :] = PRICE
         return sp.triu(square, format="csc"), linear
 
-    def _add(self, i: int, rows: sp.spmatrix, limits: Floats) -> None:
+    def _add(self, i: int, rows: Sparse, limits: Floats) -> None:
         self.linear.append(_shift(rows, i * self.block, self.width))
         self.limits.append(limits)
 
@@ -245,16 +249,16 @@ class _Program:
 
 
 @functools.lru_cache(maxsize=8)
-def _differences(steps: int) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+def _differences(steps: int) -> tuple[Sparse, Sparse]:
     """First and second differences of offsets from rest at 0, for both axes, (2T, 2T)."""
-    one = sp.diags([np.ones(steps), -np.ones(steps - 1)], [0, -1], format="csr")
+    one: Sparse = sp.eye_array(steps, format="csr") - sp.eye_array(steps, k=-1, format="csr")
     return sp.block_diag([one, one], format="csr"), sp.block_diag([one @ one] * 2, format="csr")
 
 
-def _shift(rows: sp.spmatrix, first: int, width: int) -> sp.csr_matrix:
+def _shift(rows: Sparse, first: int, width: int) -> Sparse:
     csr = rows.tocsr()
     return sp.csr_matrix((csr.data, csr.indices + first, csr.indptr), (csr.shape[0], width))
 
 
-def _widen(rows: sp.csr_matrix, width: int) -> sp.csr_matrix:
+def _widen(rows: Sparse, width: int) -> Sparse:
     return sp.csr_matrix((rows.data, rows.indices, rows.indptr), (rows.shape[0], width))

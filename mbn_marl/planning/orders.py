@@ -1,4 +1,4 @@
-"""Whether one robot can pass discs in a given order: branch and bound on the steps of its visits."""
+"""Whether one robot can pass discs in a given order: branch and bound on the steps of visits."""
 
 from __future__ import annotations
 
@@ -121,9 +121,7 @@ class Search:
             place = bisect.bisect(stops, worst + 1)
             stops.insert(place, worst + 1)
             relaxation = relaxation.with_via(place)
-            solved = relaxation.solve(
-                self.highs, at_steps(stops), relaxation.tangents(), enough
-            )
+            solved = relaxation.solve(self.highs, at_steps(stops), relaxation.tangents(), enough)
             if solved.bound > enough:
                 return None
         return Visits(steps, solved.inflation, path)

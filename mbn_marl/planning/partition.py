@@ -38,10 +38,10 @@ def cheapest_partition(costs: Ints) -> list[int] | None:
     return masks
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _bottleneck(bounds: Ints) -> Ints:
     """(2^m,): the least bottleneck with which all robots together have exactly each set."""
-    best = bounds[0].copy()
+    best: Ints = bounds[0].copy()
     for i in range(1, len(bounds)):
         now = np.empty_like(best)
         for whole in range(len(best)):
@@ -56,7 +56,7 @@ def _bottleneck(bounds: Ints) -> Ints:
     return best
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _cheapest(costs: Ints) -> tuple[Ints, Ints]:
     """(n, 2^m) twice: least costs of the first robots having exactly a set; the last one's part."""
     total = np.empty_like(costs)

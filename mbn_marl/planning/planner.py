@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Unpack
 
@@ -137,11 +138,11 @@ def _search(
 ) -> Verified | None:
     """A verified plan of at most ``most`` steps, or ``None``: the first one, from below."""
     guide = team if problem.convex else make_guide(problem, team.horizon, deadline)
-    guide.deadline = deadline
     try:
-        if not guide.raise_bound():
-            return None
-        for steps in range(max(team.bound, guide.bound), most + 1):
+        guide.deadline = 0.5 * (time.monotonic() + deadline)
+        steps_to_try = _every_step(guide, team.bound, most)
+        guide.deadline = deadline
+        for steps in steps_to_try:
             for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
                 verified = coordinate(problem, stage, steps, routes, deadline)
                 if verified is not None:
@@ -151,6 +152,16 @@ def _search(
     except OutOfTimeError:
         pass
     return None
+
+
+def _every_step(guide: Team, bound: int, most: int) -> Sequence[int]:
+    """The makespans to try: from the guide's bound on, or in growing strides if that is open."""
+    try:
+        guide.raise_bound()
+        return range(max(bound, guide.bound), most + 1)
+    except OutOfTimeError:
+        first = max(bound, guide.bound)
+        return [first + 2**k for k in range(1, 10) if first + 2**k <= most]
 
 
 def drive_greedily(problem: Problem, stage: Stage) -> Verified | None:

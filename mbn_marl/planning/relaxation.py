@@ -6,9 +6,10 @@ image of that. So for all integers ``a, b >= 0`` with ``a + b <= L`` the displac
 
     tau * (a v + b v' + rise a (a+1) / 2 + fall b (b-1) / 2 + top (L - a - b)),
 
-which is linear in v, v' **and L**, and with all such a, b exactly the maximum. Positions, velocities
-and times at the stops are therefore the variables of a small linear program whose cuts hold as long
-as ``a + b`` is at most the least length of the leg, and which is exact once the times are fixed.
+which is linear in v, v' **and L**, and with all such a, b exactly the maximum. Positions,
+velocities and times at the stops are therefore the variables of a small linear program whose cuts
+hold as long as ``a + b`` is at most the least length of the leg, and which is exact once the times
+are fixed.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from dataclasses import dataclass, replace
 
 import highspy
 import numpy as np
-from numpy.typing import NDArray
 
 from mbn_marl.planning.problem import Drive, Floats
 
@@ -92,11 +92,11 @@ class Windows:
         if any(one > other for one, other in zip(first, last, strict=True)):
             return None
         ends, starts = [0, *last], [0, *first]
-        least = tuple(max(a, f - e) for a, f, e in zip(self.least, first, ends, strict=False))
-        most = tuple(min(b, e - f) for b, e, f in zip(self.most, last, starts, strict=False))
-        if any(one > other for one, other in zip(least, most, strict=True)):
+        fewest = tuple(max(a, f - e) for a, f, e in zip(self.least, first, ends, strict=False))
+        longest = tuple(min(b, e - f) for b, e, f in zip(self.most, last, starts, strict=False))
+        if any(one > other for one, other in zip(fewest, longest, strict=True)):
             return None
-        return Windows(tuple(first), tuple(last), least, most)
+        return Windows(tuple(first), tuple(last), fewest, longest)
 
     def split(self, leg: int, least: int) -> tuple[Windows, Windows]:
         """The choices with fewer than ``least`` steps in a leg, and those with as many or more."""
@@ -316,9 +316,7 @@ class Relaxation:
         return (a, b) if moved > self.drive.tau * most + OFF else None
 
 
-def velocities(
-    drive: Drive, axis: int, length: int, v: float, w: float
-) -> tuple[Floats, Floats]:
+def velocities(drive: Drive, axis: int, length: int, v: float, w: float) -> tuple[Floats, Floats]:
     """The lowest and the highest velocities after each step of a leg from velocity v to w."""
     s = np.arange(1, length + 1)
     rise, fall, top = drive.rise[axis], drive.fall[axis], drive.top
@@ -416,12 +414,12 @@ class _Matrix:
 
     def weighted(self, weights: Floats, width: int) -> Floats:
         """The sum of the rows, weighted."""
-        return np.bincount(self.index, weights[self.row] * self.value, width)
+        return np.asarray(np.bincount(self.index, weights[self.row] * self.value, width), float)
 
 
 def make_solver() -> highspy.Highs:
     """A quiet simplex solver on one thread."""
-    highs = highspy.Highs()
+    highs = highspy.Highs()  # type: ignore[no-untyped-call]
     for name, value in (
         ("output_flag", False),
         ("presolve", "off"),

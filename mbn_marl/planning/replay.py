@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import BatchEngine, Snapshot
+from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.planning.problem import Floats, Problem
 
 
@@ -34,7 +35,7 @@ class Replay:
     assignment: tuple[tuple[int, ...], ...]
 
 
-Controller = Callable[[Floats, Floats, NDArray[np.bool_]], NDArray[np.float32] | None]
+Controller = Callable[[FloatArray, FloatArray, NDArray[np.bool_]], NDArray[np.float32] | None]
 """Actions (n, 2) from positions (n, 2), velocities (n, 2) and visited ROIs (m,)."""
 
 
@@ -66,8 +67,8 @@ class Stage:
             _, _, terminated, truncated = engine.step(action[None])
             ended = bool(terminated[0] or truncated[0])
             now = engine.snapshot()
-            for j in np.flatnonzero(now.visited & ~seen.visited):
-                visits[_visitor(now, j)].append(int(j))
+            for j in np.flatnonzero(now.visited & ~seen.visited).tolist():
+                visits[_visitor(now, j)].append(j)
             seen = now
         metrics = engine.metrics()
         return Replay(

@@ -36,7 +36,7 @@ class Roadmap:
 
     def way(self, a: int, b: int) -> Floats:
         """(r, 2): the shortest way from place a to place b, both included; empty if none."""
-        points = np.concatenate([self.places, self.corners])
+        points: Floats = np.concatenate([self.places, self.corners])
         if not np.isfinite(self.lengths[a, b]):
             return np.zeros((0, 2))
         chain = [b]
@@ -46,14 +46,14 @@ class Roadmap:
 
     def toward(self, point: Floats, place: int) -> Floats:
         """The next point to go to straight from ``point``, on the way to a place."""
-        goal = self.places[place]
+        goal: Floats = self.places[place]
         count = len(self.places)
-        targets = np.concatenate([goal[None], self.corners])
+        targets: Floats = np.concatenate([goal[None], self.corners])
         rest = np.concatenate([[0.0], self.lengths[place, count:]])
         total = rest + np.hypot(*(targets - point).T)
         for k in np.argsort(total):
             if np.isfinite(total[k]) and sees(self.area, point, targets[k][None])[0]:
-                return targets[k]
+                return np.asarray(targets[k])
         return goal
 
 
@@ -88,9 +88,7 @@ def make_roadmap(area: shapely.Geometry, places: Floats, *, largest: bool = Fals
 def sees(area: shapely.Geometry, point: Floats, targets: Floats) -> NDArray[np.bool_]:
     """(k,): whether the straight ways to the targets (k, 2) stay in the area."""
     ends = np.stack([np.broadcast_to(point, targets.shape), targets], axis=1)
-    seen: NDArray[np.bool_] = shapely.covers(
-        shapely.buffer(area, TOUCH), shapely.linestrings(ends)
-    )
+    seen: NDArray[np.bool_] = shapely.covers(shapely.buffer(area, TOUCH), shapely.linestrings(ends))
     return seen
 
 

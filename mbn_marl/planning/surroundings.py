@@ -46,7 +46,8 @@ def _piece(edges: Floats, centre: Floats) -> HalfPlanes:
         centre: (2,), not on a wall.
     """
     starts, ends = edges[:, :2] - centre, edges[:, 2:] - centre
-    normals, offsets = [], []
+    normals: list[Floats] = []
+    offsets: list[float] = []
     while len(starts) and len(normals) < MOST_PLANES:
         along = ends - starts
         square = np.maximum(np.einsum("ij,ij->i", along, along), 1e-18)
@@ -56,15 +57,13 @@ def _piece(edges: Floats, centre: Floats) -> HalfPlanes:
         k = int(np.argmin(distance))
         normal = nearest[k] / max(distance[k], 1e-12)
         normals.append(normal)
-        offsets.append(distance[k])
+        offsets.append(float(distance[k]))
         starts, ends = _in_front(starts, ends, normal, float(distance[k]))
     found = np.array(normals)
     return found, np.array(offsets) + found @ centre
 
 
-def _in_front(
-    starts: Floats, ends: Floats, normal: Floats, offset: float
-) -> tuple[Floats, Floats]:
+def _in_front(starts: Floats, ends: Floats, normal: Floats, offset: float) -> tuple[Floats, Floats]:
     """The parts of the walls on the near side of a plane."""
     a, b = starts @ normal - offset, ends @ normal - offset
     kept = np.minimum(a, b) < -1e-7

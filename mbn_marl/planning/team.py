@@ -2,8 +2,8 @@
 
 The relaxed problem asks that every ROI be visited by step T, each robot staying in the convex hull
 of the field until its last visit. A plan of the real problem solves it, and who solves it by T
-solves it by T + 1, so a set of ROIs that a robot cannot visit by T bounds all larger sets too. Where
-robots can wait at their starts, a robot may be taken to make its last visit exactly at T.
+solves it by T + 1, so a set of ROIs that a robot cannot visit by T bounds all larger sets too.
+Where robots can wait at their starts, a robot may be taken to make its last visit exactly at T.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from mbn_marl.planning.orders import OutOfTimeError, Search, Visits
 from mbn_marl.planning.partition import cheapest_partition, least_makespan
 from mbn_marl.planning.problem import Problem
 from mbn_marl.planning.relaxation import Disc, Region, Windows, make_solver
-
 
 USED = 100
 """What it costs to use a robot's set again in another partition."""
