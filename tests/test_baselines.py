@@ -25,7 +25,7 @@ from baselines.decentralized.networks import (
 )
 from baselines.decentralized.policy import DecentralizedPolicy, load_policy
 from baselines.evaluate import evaluate
-from baselines.optimum import optimal_return
+from mbn_marl.optimum import optimal_return
 from baselines.policies import RandomPolicy
 from baselines.recorder import EpisodeWindow
 from baselines.storage import RunError

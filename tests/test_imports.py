@@ -16,6 +16,7 @@ LAYERS = [
     {"mbn_marl.errors"},
     {"mbn_marl.config"},
     {"mbn_marl.field"},
+    {"mbn_marl.optimum"},
     {"mbn_marl.engine"},
     {"mbn_marl.planning"},
     {"mbn_marl.render"},

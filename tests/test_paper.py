@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from baselines.optimum import optimal_return
+from mbn_marl.optimum import optimal_return
 from baselines.paper import figures, glance, published
 from baselines.paper.grid import Grid
 from baselines.paper.summary import first_reach, moving_mean

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from baselines.optimum import optimal_return
+from mbn_marl.optimum import optimal_return
 from baselines.paper import published
 from baselines.paper.summary import Summary, moving_mean, of_moving_means
 from baselines.paper.tables import algorithms_of, fields_of

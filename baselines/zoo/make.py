@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.evaluate import EVALUATION_SEED, evaluate_both
-from baselines.optimum import optimal_return
+from mbn_marl.optimum import optimal_return
 from baselines.policies import load_policy
 from baselines.runs import RunFolder
 from baselines.storage import RunError, read_json, replacing_folder, write_json, write_text

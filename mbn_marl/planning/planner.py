@@ -48,6 +48,7 @@ class Plan:
         actions: (T, n, 2) float32 in [-1, 1], verified in the engine; (0, n, 2) without a plan.
         return_: the team's return with these actions, as replayed; ``None`` without a plan.
         assignment: for each robot the ROIs that it visits, in order.
+        visit_steps: the steps at which ROIs are visited, rising.
         trail: (T + 1, n, 2): the replayed positions, the starts first.
         seconds: how long it took.
     """
@@ -58,6 +59,7 @@ class Plan:
     actions: NDArray[np.float32]
     return_: float | None
     assignment: tuple[tuple[int, ...], ...]
+    visit_steps: tuple[int, ...]
     trail: Floats
     seconds: float
 
@@ -180,6 +182,7 @@ def _report(problem: Problem, bound: int, best: Verified | None, seconds: float)
         actions=np.zeros((0, n, 2), np.float32) if best is None else best.actions,
         return_=None if best is None else best.replay.return_,
         assignment=((),) * n if best is None else best.replay.assignment,
+        visit_steps=() if best is None else best.replay.visit_steps,
         trail=problem.starts[None] if best is None else best.replay.trail,
         seconds=seconds,
     )

@@ -25,6 +25,7 @@ class Replay:
         wall_hits: steps of any robot that pushed outside the field.
         trail: (steps + 1, n, 2): the positions, the starts first.
         assignment: for each robot the ROIs that it visited, in order.
+        visit_steps: the steps at which ROIs were visited, rising.
     """
 
     success: bool
@@ -33,6 +34,7 @@ class Replay:
     wall_hits: int
     trail: Floats
     assignment: tuple[tuple[int, ...], ...]
+    visit_steps: tuple[int, ...]
 
 
 Controller = Callable[[FloatArray, FloatArray, NDArray[np.bool_]], NDArray[np.float32] | None]
@@ -58,6 +60,7 @@ class Stage:
         engine.reset()
         seen = engine.snapshot()
         visits: list[list[int]] = [[] for _ in range(engine.n_robots)]
+        steps: list[int] = []
         ended = False
         while not ended:
             action = controller(seen.positions, seen.velocities, seen.visited)
@@ -69,6 +72,7 @@ class Stage:
             now = engine.snapshot()
             for j in np.flatnonzero(now.visited & ~seen.visited).tolist():
                 visits[_visitor(now, j)].append(j)
+                steps.append(now.step)
             seen = now
         metrics = engine.metrics()
         return Replay(
@@ -78,6 +82,7 @@ class Stage:
             wall_hits=int(metrics["wall_hits"].sum()),
             trail=np.asarray(seen.trail, np.float64),
             assignment=tuple(map(tuple, visits)),
+            visit_steps=tuple(steps),
         ), np.array(actions, np.float32).reshape(-1, engine.n_robots, 2)
 
 
