@@ -12,7 +12,7 @@ from baselines.policies import Policy
 from mbn_marl.config import make_config
 from mbn_marl.errors import MbnError
 from mbn_marl.field import Field
-from mbn_marl.planning import plan
+from mbn_marl.planning import Plan, plan
 from mbn_marl.planning.greedy import Greedy
 from mbn_marl.planning.problem import Floats, Problem, make_problem
 from mbn_marl.planning.tracking import Tracker
@@ -92,6 +92,19 @@ def make_classical(
     if name != "planner":
         raise MbnError(f"unknown policy {name!r}; known: {', '.join(CLASSICAL)}")
     found = plan(field, time_limit=time_limit, **settings)
+    return ControllerPolicy(problem, lambda _: make_tracker(found, settings))
+
+
+def make_tracker(found: Plan, settings: Mapping[str, Any]) -> Tracker:
+    """What follows a plan for one episode.
+
+    Args:
+        found: the plan.
+        settings: of the environment that it was made for.
+
+    Raises:
+        MbnError: no plan was found.
+    """
     if found.makespan is None:
-        raise MbnError(f"{field.name}: no plan was found within {time_limit:g} s")
-    return ControllerPolicy(problem, lambda _: Tracker(problem, found))
+        raise MbnError(f"{found.field.name}: no plan was found within the time limit")
+    return Tracker(make_problem(found.field, make_config(settings)), found)

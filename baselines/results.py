@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from baselines.algorithms import Form, find_algorithm
 from baselines.folders import run_folders
-from mbn_marl.optimum import VIEW, optimal_return
 from baselines.runs import RunFolder, default_label
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
+from mbn_marl.optimum import VIEW, optimal_return
 
 Kind = Literal["stochastic", "deterministic"]
 """Of a final evaluation: with sampled actions, or with mean ones."""

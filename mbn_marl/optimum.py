@@ -9,6 +9,11 @@ VIEW = ("reward_sharing", "observation", "one_hot", "sensing_radius", "dtype")
 """Settings that change what a learner sees, but not what there is to reach."""
 
 
+def optimality_gap(return_: float, optimum: float | None) -> float | None:
+    """How far a return falls short of the optimum, as a share of it; ``None`` without one."""
+    return None if optimum is None else 1.0 - return_ / optimum
+
+
 def optimal_return(field: Field, config: NavigationConfig | None = None) -> float | None:
     """The best possible team return, ``m r_l + r_inf - n r_s T*``, or ``None`` if not proved.
 

@@ -18,6 +18,7 @@ from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.errors import ActionError, ConfigError
+from mbn_marl.optimum import optimal_return
 
 State = NDArray[Any]
 Actions = NDArray[np.float32]
@@ -71,6 +72,11 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
     def engine(self) -> BatchEngine:
         """The engine with this environment's world; look at it, but do not step it."""
         return self._world.engine
+
+    @property
+    def optimal_return(self) -> float | None:
+        """The proved best team return here, see :func:`mbn_marl.optimum.optimal_return`."""
+        return optimal_return(self.engine.field, self.engine.config)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

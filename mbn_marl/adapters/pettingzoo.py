@@ -18,6 +18,7 @@ from mbn_marl.adapters.rendering import RENDER_FPS
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
+from mbn_marl.optimum import optimal_return
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32]
@@ -95,6 +96,11 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
     def engine(self) -> BatchEngine:
         """The engine with this environment's world; look at it, but do not step it."""
         return self._world.engine
+
+    @property
+    def optimal_return(self) -> float | None:
+        """The proved best team return here, see :func:`mbn_marl.optimum.optimal_return`."""
+        return optimal_return(self.engine.field, self.engine.config)
 
     def observation_space(self, agent: str) -> spaces.Space[Observation]:
         """The agent's observation space, the same object each time; MbnError if unknown."""

@@ -6,7 +6,7 @@ import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,19 @@ class Plan:
     def optimal(self) -> bool:
         """Whether the plan is proved to be a shortest one."""
         return self.makespan == self.makespan_lower_bound
+
+    def to_json(self) -> dict[str, Any]:
+        """All but the arrays, as JSON values; ROIs and robots are numbered from 0."""
+        return {
+            "field": self.field.to_dict(),
+            "makespan": self.makespan,
+            "makespan_lower_bound": self.makespan_lower_bound,
+            "optimal": self.optimal,
+            "return": self.return_,
+            "assignment": [list(rois) for rois in self.assignment],
+            "visit_steps": list(self.visit_steps),
+            "seconds": self.seconds,
+        }
 
 
 def plan(field: FieldLike, *, time_limit: float = 60.0, **settings: Unpack[Settings]) -> Plan:

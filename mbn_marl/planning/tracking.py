@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ class Tracker:
 
     Args:
         problem: the instance, with the wind that the plan was made for.
-        plan: the plan, with a makespan.
+        plan: a plan with a makespan.
     """
 
     def __init__(self, problem: Problem, plan: Plan) -> None:
@@ -56,8 +57,8 @@ class Tracker:
         tau = problem.config.tau
         change = self.speeds[k + 1] - self.speeds[k]
         change += POSITION_GAIN * lag / tau + VELOCITY_GAIN * slip
-        actions = (change - problem.wind) / problem.forces
-        return np.clip(actions, -1.0, 1.0).astype(np.float32)
+        actions = np.clip((change - problem.wind) / problem.forces, -1.0, 1.0)
+        return np.asarray(actions, np.float32)
 
     def _follow(self, times: Floats) -> None:
         """Take the plan's positions at these times, in steps of the plan, as the reference."""
@@ -83,7 +84,7 @@ class Tracker:
         """The plan's times from step 1 on, slower, with a step at each visit."""
         marks = np.unique([0, 1, *self.plan.visit_steps, len(self.plan.trail) - 1])
         times = [np.array([0.0])]
-        for first, last in zip(marks[:-1], marks[1:], strict=True):
+        for first, last in itertools.pairwise(marks.tolist()):
             count = int(np.ceil((last - first) / (1.0 if first == 0 else pace)))
             times.append(np.linspace(first, last, count + 1)[1:])
         return np.concatenate(times)
