@@ -17,6 +17,9 @@ def optimality_gap(return_: float, optimum: float | None) -> float | None:
 def optimal_return(field: Field, config: NavigationConfig | None = None) -> float | None:
     """The best possible team return, ``m r_l + r_inf - n r_s T*``, or ``None`` if not proved.
 
+    Nothing is better: leaving the field, which stops a robot at once, costs ``r_l``, more than all
+    the steps of a proved makespan; where it does not, nothing is claimed.
+
     It holds for the default dynamics, the released rewards and the field's own starts and team;
     for any other configuration nothing is proved and the answer is ``None``.
     """
@@ -31,4 +34,6 @@ def optimal_return(field: Field, config: NavigationConfig | None = None) -> floa
         return None
     reward = config.reward
     team_charge = len(field.starts) * reward.small * field.optimal_makespan
+    if team_charge > reward.large:
+        return None
     return len(field.rois) * reward.large + reward.infinite - team_charge

@@ -39,6 +39,7 @@ class Tracker:
         self.step = 0
         self.rest: Greedy | None = None
         self._follow(np.arange(len(plan.trail), dtype=float))
+        self.actions = plan.actions.astype(float)
 
     def act(
         self, positions: FloatArray, velocities: FloatArray, visited: NDArray[np.bool_]
@@ -54,11 +55,9 @@ class Tracker:
             return self.rest.act(positions, velocities, visited)
         lag, slip = self.path[k] - positions, self.speeds[k] - velocities
         lag, slip = (np.where(np.abs(one) < EXACT, 0.0, one) for one in (lag, slip))
-        tau = problem.config.tau
-        change = self.speeds[k + 1] - self.speeds[k]
-        change += POSITION_GAIN * lag / tau + VELOCITY_GAIN * slip
-        actions = np.clip((change - problem.wind) / problem.forces, -1.0, 1.0)
-        return np.asarray(actions, np.float32)
+        change = POSITION_GAIN * lag / problem.config.tau + VELOCITY_GAIN * slip
+        actions = self.actions[k] + change / problem.forces
+        return np.clip(actions, -1.0, 1.0).astype(np.float32)
 
     def _follow(self, times: Floats) -> None:
         """Take the plan's positions at these times, in steps of the plan, as the reference."""
@@ -66,6 +65,8 @@ class Tracker:
         self.path: Floats = CubicSpline(steps, self.plan.trail)(times)
         moved = np.diff(self.path, axis=0, prepend=self.path[:1])
         self.speeds: Floats = moved / self.problem.config.tau
+        changes = np.diff(self.speeds, axis=0) - self.problem.wind
+        self.actions: Floats = changes / self.problem.forces
 
     def _notice_wind(self, velocities: Floats) -> None:
         """From the first step, made from rest: what the wind really is."""
