@@ -39,7 +39,7 @@ class Tracker:
         self.step = 0
         self.rest: Greedy | None = None
         self._follow(np.arange(len(plan.trail), dtype=float))
-        self.actions = plan.actions.astype(float)
+        self.actions: Floats = plan.actions.astype(float)
 
     def act(
         self, positions: FloatArray, velocities: FloatArray, visited: NDArray[np.bool_]
@@ -56,8 +56,8 @@ class Tracker:
         lag, slip = self.path[k] - positions, self.speeds[k] - velocities
         lag, slip = (np.where(np.abs(one) < EXACT, 0.0, one) for one in (lag, slip))
         change = POSITION_GAIN * lag / problem.config.tau + VELOCITY_GAIN * slip
-        actions = self.actions[k] + change / problem.forces
-        return np.clip(actions, -1.0, 1.0).astype(np.float32)
+        actions = np.clip(self.actions[k] + change / problem.forces, -1.0, 1.0)
+        return np.asarray(actions, np.float32)
 
     def _follow(self, times: Floats) -> None:
         """Take the plan's positions at these times, in steps of the plan, as the reference."""
@@ -66,7 +66,7 @@ class Tracker:
         moved = np.diff(self.path, axis=0, prepend=self.path[:1])
         self.speeds: Floats = moved / self.problem.config.tau
         changes = np.diff(self.speeds, axis=0) - self.problem.wind
-        self.actions: Floats = changes / self.problem.forces
+        self.actions = changes / self.problem.forces
 
     def _notice_wind(self, velocities: Floats) -> None:
         """From the first step, made from rest: what the wind really is."""
