@@ -13,6 +13,7 @@ import pytest
 import shapely
 
 from baselines.classical import make_classical
+from baselines.cloning import clone
 from baselines.demonstrations import record_demonstrations
 from baselines.evaluate import evaluate
 from mbn_marl import BatchEngine, centralized_env, parallel_env
@@ -349,3 +350,31 @@ def test_mbn_evaluate_takes_classical_policies(
     assert result["optimality_gap"] == {"stochastic": 0.0, "deterministic": 0.0}
     assert main(["evaluate", "greedy"]) == 2
     assert "field" in capsys.readouterr().err
+
+
+def test_infos_report_the_gap_at_the_end() -> None:
+    found = plan("field_03")
+    env = parallel_env("field_03")
+    env.reset(seed=0)
+    gaps = []
+    for actions in found.actions:
+        infos = env.step(dict(zip(env.agents, actions, strict=True)))[-1]
+        gaps.append({info["optimality_gap"] for info in infos.values()})
+    assert gaps == [{0.0}] * 17
+    team = centralized_env("field_03")
+    team.reset(seed=0)
+    gaps = [team.step(np.zeros((3, 2)))[-1]["optimality_gap"] for _ in range(1000)]
+    # Of each robot's 1000 steps the first costs 10, the others, on known ground, 100; only the ROI
+    # within reach of robot 0 is visited.
+    total = 10_000 - 3 * (10 + 999 * 100)
+    assert gaps == [0.0] * 999 + [pytest.approx(1.0 - total / 159_490)]
+    assert "optimality_gap" not in centralized_env("field_03", wind=(0.1, 0.0)).reset()[1]
+
+
+def test_behaviour_cloning_comes_close_to_the_planner() -> None:
+    field = load_field("field_03")
+    arrays = record_demonstrations(plan(field), {}, episodes=20, noise=0.2)
+    policy = clone(arrays["observations"], arrays["actions"], updates=600, hidden=64)
+    summary = evaluate(policy, field, {}, episodes=1, deterministic=True).summary()
+    assert summary["success_rate"] == 1.0
+    assert summary["makespan"] < 30

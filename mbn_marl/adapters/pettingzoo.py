@@ -12,7 +12,6 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from mbn_marl.adapters.infos import robot_infos
 from mbn_marl.adapters.one_world import RENDER_MODES, OneWorld
 from mbn_marl.adapters.rendering import RENDER_FPS
 from mbn_marl.config import FixedSettings
@@ -127,7 +126,7 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
         """
         observations = self._world.reset(seed)
         self.agents = list(self.possible_agents)
-        infos = {agent: self._world.no_info() for agent in self.agents}
+        infos = {agent: self._world.infos.nothing() for agent in self.agents}
         return dict(zip(self.agents, observations, strict=True)), infos
 
     def step(self, actions: Mapping[str, ArrayLike]) -> StepResult:
@@ -155,7 +154,7 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
             dict(zip(agents, rewards.tolist(), strict=True)),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
-            dict(zip(agents, robot_infos(self.engine), strict=True)),
+            dict(zip(agents, self._world.infos.of_robots(not self.agents), strict=True)),
         )
 
     def state(self) -> NDArray[Any]:
