@@ -364,9 +364,9 @@ def test_infos_report_the_gap_at_the_end() -> None:
     team = centralized_env("field_03")
     team.reset(seed=0)
     gaps = [team.step(np.zeros((3, 2)))[-1]["optimality_gap"] for _ in range(1000)]
-    # Of each robot's 1000 steps the first costs 10, the others, on known ground, 100; only the ROI
-    # within reach of robot 0 is visited.
-    total = 10_000 - 3 * (10 + 999 * 100)
+    # Of each robot's 1000 steps the first costs 10, the others, on known ground, 100; two ROIs lie
+    # exactly 10 units from starts.
+    total = 2 * 10_000 - 3 * (10 + 999 * 100)
     assert gaps == [0.0] * 999 + [pytest.approx(1.0 - total / 159_490)]
     assert "optimality_gap" not in centralized_env("field_03", wind=(0.1, 0.0)).reset()[1]
 
@@ -378,3 +378,26 @@ def test_behaviour_cloning_comes_close_to_the_planner() -> None:
     summary = evaluate(policy, field, {}, episodes=1, deterministic=True).summary()
     assert summary["success_rate"] == 1.0
     assert summary["makespan"] < 30
+
+
+def test_the_bound_allows_for_steps_across_thin_walls() -> None:
+    # Only positions after steps have to be in the field: at full force a robot strides across.
+    wall = [(140.0, 110.0), (142.0, 110.0), (142.0, 290.0), (140.0, 290.0)]
+    field = Field(SQUARE, [(160.0, 200.0)], [(120.0, 200.0)], holes=[wall])
+    engine = BatchEngine(field, 1, autoreset="disabled", threads=1)
+    engine.reset()
+    ended = False
+    while not ended:
+        ended = bool(engine.step(np.array([[[1.0, 0.0]]]))[2][0])
+    metrics = engine.metrics()
+    assert metrics["success"][0] and metrics["wall_hits"].sum() == 0
+    assert prove(make_problem(field, NavigationConfig()), LATER).bound <= metrics["steps"][0]
+
+
+def test_many_rois_have_a_plan_and_a_bound() -> None:
+    rng = np.random.default_rng(0)
+    rois = [(x, y) for x, y in rng.uniform(110.0, 290.0, (16, 2))]
+    found = plan(Field(SQUARE, rois, [(120, 120), (280, 280)]), time_limit=10.0)
+    assert found.makespan is not None
+    assert 20 < found.makespan_lower_bound <= found.makespan
+    assert sorted(itertools.chain(*found.assignment)) == list(range(16))

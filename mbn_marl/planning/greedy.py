@@ -2,7 +2,7 @@
 
 Each robot goes straight to the next corner or ROI on its way, as fast as it can while it can still
 stop there. An action is taken only if the robot could brake to rest after it without leaving the
-field or coming too close to the others, should they brake too.
+field or coming too close to the others, should they brake too. The wind shows in the first step.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ class Greedy:
         self.problem = problem
         self.roadmap = free_ways(problem, positions)
         self.queues = assign(self.roadmap, problem.n, problem.m)
+        self.steps = 0
+        self.from_rest: NDArray[np.float32] | None = None
         self.random = np.random.default_rng(0)
         self.polygon = problem.field.polygon
         shapely.prepare(self.polygon)
@@ -53,6 +55,9 @@ class Greedy:
             visited: (m,), which ROIs have been visited.
         """
         positions, velocities = positions.astype(float), velocities.astype(float)
+        if self.from_rest is not None:
+            self.problem = self.problem.with_wind(velocities, self.from_rest)
+            self.from_rest = None
         plans = [self._coast(i, positions[i], velocities[i]) for i in range(self.problem.n)]
         actions = np.zeros((self.problem.n, 2), np.float32)
         for i in range(self.problem.n):
@@ -70,6 +75,9 @@ class Greedy:
             plans[i] = path
             force = (change - self.problem.wind) / self.problem.forces[i]
             actions[i] = np.clip(force, -1.0, 1.0)
+        if self.steps == 0 and not velocities.any():
+            self.from_rest = actions
+        self.steps += 1
         return actions
 
     def _wishes(

@@ -27,6 +27,8 @@ from mbn_marl.planning.team import Team
 
 BOUND_SHARE = 0.8
 """Of the time limit, for raising the bound."""
+MOST_ROIS = 11
+"""With more ROIs the bound is that of some of them, and the plan is the greedy controller's."""
 PARTITIONS = 6
 """Ways to share the ROIs out that are tried at one makespan."""
 
@@ -102,10 +104,28 @@ def plan(field: FieldLike, *, time_limit: float = 60.0, **settings: Unpack[Setti
     refuse_unsolvable(problem)
     stage = Stage(problem)
     best = drive_greedily(problem, stage)
-    team = prove(problem, began + BOUND_SHARE * time_limit)
-    most = problem.config.max_steps if best is None else best.replay.steps - 1
-    shorter = _search(problem, stage, team, most, began + time_limit)
-    return _report(problem, team.bound, shorter or best, time.monotonic() - began)
+    part = _hardest(problem)
+    team = prove(part, began + BOUND_SHARE * time_limit)
+    if part is problem:
+        most = problem.config.max_steps if best is None else best.replay.steps - 1
+        best = _search(problem, stage, team, most, began + time_limit) or best
+    return _report(problem, team.bound, best, time.monotonic() - began)
+
+
+def _hardest(problem: Problem) -> Problem:
+    """The instance with as many ROIs as can be shared out exactly, those far from each other.
+
+    What bounds these bounds all.
+    """
+    if problem.m <= MOST_ROIS:
+        return problem
+    apart = np.hypot(*(problem.rois[:, None] - problem.rois[None]).transpose(2, 0, 1))
+    near = np.hypot(*(problem.rois[:, None] - problem.starts[None]).transpose(2, 0, 1)).min(axis=1)
+    chosen = [int(near.argmax())]
+    while len(chosen) < MOST_ROIS:
+        near = np.minimum(near, apart[chosen[-1]])
+        chosen.append(int(near.argmax()))
+    return problem.only(chosen)
 
 
 def refuse_unsolvable(problem: Problem) -> None:

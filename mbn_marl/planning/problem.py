@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,11 +12,14 @@ import shapely
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
+from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
 Floats = NDArray[np.float64]
 
+CALM = 1e-3
+"""Wind that differs by less than this, units/step per step, is taken to be the same."""
 FLOAT32 = 2.0**-24
 """Relative error of a rounding to float32."""
 
@@ -84,6 +88,22 @@ class Problem:
     def can_wait(self) -> bool:
         """Whether every robot can rest: its force holds it against the wind on both axes."""
         return bool(np.all(np.abs(self.wind) <= self.forces))
+
+    def with_wind(self, velocities: FloatArray, actions: FloatArray) -> Problem:
+        """The same in the wind that shows in the first step.
+
+        Args:
+            velocities: (n, 2), after one step from rest.
+            actions: (n, 2), what the step's actions were.
+        """
+        wind = (velocities - actions * self.forces).mean(axis=0)
+        if np.abs(wind - self.wind).max() < CALM:
+            return self
+        return replace(self, wind=wind)
+
+    def only(self, rois: Sequence[int]) -> Problem:
+        """The same with these ROIs alone."""
+        return replace(self, rois=self.rois[list(rois)])
 
     def slack(self, steps: int) -> float:
         """By how much rounding may move a robot within so many steps, in units.

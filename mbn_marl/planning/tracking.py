@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 
 import numpy as np
@@ -48,7 +47,7 @@ class Tracker:
         problem, k = self.problem, self.step
         self.step += 1
         if k == 1:
-            self._notice_wind(velocities.astype(float))
+            self._notice_wind(velocities)
         if k + 1 >= len(self.path):
             if self.rest is None:
                 self.rest = Greedy(problem, positions.astype(float))
@@ -68,15 +67,14 @@ class Tracker:
         changes = np.diff(self.speeds, axis=0) - self.problem.wind
         self.actions = changes / self.problem.forces
 
-    def _notice_wind(self, velocities: Floats) -> None:
-        """From the first step, made from rest: what the wind really is."""
-        forces = self.problem.forces
-        wind = (velocities - self.plan.actions[0] * forces).mean(axis=0)
-        if np.abs(wind - self.problem.wind).max() < EXACT:
+    def _notice_wind(self, velocities: FloatArray) -> None:
+        """From the first step on: follow the plan as fast as the wind allows."""
+        planned = self.problem
+        self.problem = planned.with_wind(velocities, self.plan.actions[0])
+        if self.problem is planned:
             return
-        self.problem = dataclasses.replace(self.problem, wind=wind)
         used = np.abs(np.diff(self.speeds, axis=0)).max(axis=0)
-        left = RESERVE * (forces - np.abs(wind))
+        left = RESERVE * (planned.forces - np.abs(self.problem.wind))
         share = float(np.min(left / np.maximum(used, 1e-9)))
         pace = min(max(share, 0.0) ** 0.5, 1.0)
         self._follow(self._times(max(pace, SLOWEST)))
