@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import math
@@ -16,6 +17,7 @@ from baselines.classical import make_classical
 from baselines.cloning import clone
 from baselines.demonstrations import record_demonstrations
 from baselines.evaluate import evaluate
+from benchmarks.planning.study import Attempt, study_planning, target_rows
 from mbn_marl import BatchEngine, centralized_env, parallel_env
 from mbn_marl.cli import main
 from mbn_marl.config import NavigationConfig, make_config
@@ -300,7 +302,17 @@ def test_unknown_classical_policy() -> None:
         make_classical("magic", load_field("field_03"), {})
 
 
-# Demonstrations and the command line
+# Benchmark, demonstrations and the command line
+
+
+def test_the_study_counts_what_was_proved() -> None:
+    seen: list[None] = []
+    rows, instances = study_planning(lambda: seen.append(None), convex=2, winding=1)
+    assert len(seen) == 13
+    assert [len(instances[name]) for name in ("catalogue", "convex", "winding")] == [10, 2, 1]
+    assert [row.value for row in rows[:1] + rows[2:3] + rows[5:6] + rows[-1:]] == [10, 2, 1, 0]
+    wrong = [dataclasses.replace(Attempt(**instances["convex"][0]), bound=99)]
+    assert target_rows(wrong, wrong, wrong)[-1].value == 3
 
 
 def test_demonstrations_are_the_plan() -> None:
