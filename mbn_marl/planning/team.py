@@ -38,6 +38,11 @@ class Route:
     order: tuple[int, ...]
     visits: Visits
 
+    @property
+    def sure(self) -> bool:
+        """Whether no disc has to be inflated; otherwise only rounding might allow the route."""
+        return self.visits.inflation <= 0.0
+
 
 NO_GATES: Mapping[tuple[int, int], tuple[Disc, ...]] = {}
 
@@ -124,8 +129,8 @@ class Team:
         """
         sizes = np.array([mask.bit_count() for mask in self.masks.tolist()])
         costs = np.where(self.bounds <= makespan, 1 + sizes**2, NEVER)
-        for (i, mask), (step, _) in self._routes.items():
-            if step <= makespan:
+        for (i, mask), (step, route) in self._routes.items():
+            if step <= makespan and route.sure:
                 costs[i, mask] = 0
         costs[:, 0] = 0
         for (i, mask), times in used.items():
@@ -135,7 +140,7 @@ class Team:
     def route(self, i: int, mask: int, makespan: int) -> Route | None:
         """A way for robot i to visit the set by ``makespan``; ``None`` raises its bound."""
         known = self._routes.get((i, mask))
-        if known is not None and known[0] <= makespan:
+        if known is not None and (known[0] == makespan or known[0] < makespan and known[1].sure):
             return self._later(i, known[1], makespan - known[0])
         if self.bounds[i, mask] > min(makespan, self.horizon):
             return None
