@@ -140,8 +140,10 @@ class Team:
     def route(self, i: int, mask: int, makespan: int) -> Route | None:
         """A way for robot i to visit the set by ``makespan``; ``None`` raises its bound."""
         known = self._routes.get((i, mask))
-        if known is not None and (known[0] == makespan or known[0] < makespan and known[1].sure):
-            return self._later(i, known[1], makespan - known[0])
+        if known is not None and known[0] <= makespan:
+            later = makespan - known[0]
+            if not later or known[1].sure:
+                return self._later(i, known[1], later)
         if self.bounds[i, mask] > min(makespan, self.horizon):
             return None
         found = self._extend(i, (), mask, makespan) if mask else Route((), _nothing())
