@@ -1,17 +1,25 @@
-"""One episode to look at: its snapshots, and the file that shows them."""
+"""One episode of a policy, and the files that show an episode."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from baselines.policies import Policy
-from mbn_marl.engine import BatchEngine, Snapshot
+from mbn_marl.engine import BatchEngine
+from mbn_marl.episode import Episode, EpisodeRecorder, save_episode
+from mbn_marl.errors import MbnError
 from mbn_marl.field import Field
-from mbn_marl.render import Viewer, write_gif
+from mbn_marl.render import Viewer, write_gif, write_mp4
+
+ANIMATIONS = {".gif": write_gif, ".mp4": write_mp4}
+FIGURES = (".png", ".pdf", ".svg")
+FORMATS = (*ANIMATIONS, *FIGURES, ".json")
+REST = 20
+"""Frames that an animation rests on its end."""
 
 
 def record_episode(
@@ -22,8 +30,9 @@ def record_episode(
     deterministic: bool = True,
     seed: int = 0,
     limit: int | None = None,
-) -> list[Snapshot]:
-    """Snapshots of an episode: after the reset and after every step.
+    source: str = "",
+) -> Episode:
+    """An episode of a policy.
 
     Args:
         policy: what acts.
@@ -32,53 +41,70 @@ def record_episode(
         deterministic: take the mean action instead of a sampled one.
         seed: of the world and of the sampled actions.
         limit: stop after so many steps; ``None`` for the whole episode.
+        source: what the policy is, in words.
     """
     engine = BatchEngine(field, 1, seed=seed, autoreset="disabled", threads=1, **settings)
-    observations = engine.reset()
-    snapshots = [engine.snapshot()]
-    ended = False
-    with torch.random.fork_rng(devices=[]):
+    steps, ended = 0, False
+    with torch.random.fork_rng(devices=[]), EpisodeRecorder(engine, source=source) as recorder:
         torch.manual_seed(seed)
-        while not ended and (limit is None or len(snapshots) <= limit):
+        observations = engine.reset()
+        while not ended and (limit is None or steps < limit):
             seen = engine.state() if policy.observes == "state" else observations
             actions = policy.act(seen, deterministic=deterministic)
             observations, _, terminated, truncated = engine.step(actions)
-            snapshots.append(engine.snapshot())
             ended = bool(terminated[0] or truncated[0])
-    return snapshots
+            steps += 1
+    return recorder.episodes[0]
 
 
-def write_animation(snapshots: Sequence[Snapshot], path: Path) -> None:
-    """Write the episode as a GIF that rests on its last frame.
+def write_episode(episode: Episode, path: Path) -> None:
+    """Write an episode as the end of ``path`` says: the episode, an animation, or its paths.
 
     Raises:
-        MbnError: ``path`` does not end in ``.gif``.
+        MbnError: another ending, naming those allowed.
     """
+    check_ending(path)
+    ending = path.suffix.lower()
+    if ending == ".json":
+        save_episode(episode, path)
+    elif ending in ANIMATIONS:
+        write_animation(episode, path)
+    else:
+        write_trajectories(episode, path)
+
+
+def check_ending(path: Path) -> Path:
+    """``path``, if an episode can be written there as far as its name goes.
+
+    Raises:
+        MbnError: naming the path and the endings allowed.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
+    return path
+
+
+def write_animation(episode: Episode, path: Path) -> None:
+    """Write the episode as a GIF or an MP4 that rests on its last frame."""
     viewer = Viewer("rgb_array")
-    frames = [viewer.draw(snapshot) for snapshot in snapshots]
+    frames = [viewer.draw(snapshot) for snapshot in episode.snapshots()]
     pictures = [frame for frame in frames if frame is not None]
-    write_gif([*pictures, *pictures[-1:] * 20], path)
+    ANIMATIONS[path.suffix.lower()]([*pictures, *pictures[-1:] * REST], path)
 
 
-def show(snapshots: Sequence[Snapshot]) -> None:
-    """Play the episode in a window, until it ends or the window is closed."""
-    viewer = Viewer("human")
-    for snapshot in snapshots:
-        viewer.draw(snapshot)
-        if viewer.closed:
-            break
-    viewer.close()
-
-
-def write_trajectories(last: Snapshot, path: Path, title: str | None = None) -> None:
-    """Write the paths up to the snapshot ``last`` as a figure (png, pdf or svg).
-
-    Raises:
-        MbnError: for another format.
-    """
+def write_trajectories(episode: Episode, path: Path, title: str | None = None) -> None:
+    """Write the robots' paths as a figure (png, pdf or svg)."""
     from mbn_marl.render import figures
 
-    figure = figures.trajectory_figure(
+    figures.save(draw_trajectories(episode, title), path)
+
+
+def draw_trajectories(episode: Episode, title: str | None = None) -> Any:
+    """The robots' paths as a matplotlib figure."""
+    from mbn_marl.render import figures
+
+    last = episode.snapshot(episode.steps)
+    return figures.trajectory_figure(
         last.field,
         last.trail,
         visited=last.visited,
@@ -87,4 +113,3 @@ def write_trajectories(last: Snapshot, path: Path, title: str | None = None) -> 
         roi_radius=last.roi_radius,
         title=title,
     )
-    figures.save(figure, path)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ import torch
 from baselines.policies import Policy
 from baselines.statistics import mean_of_known
 from mbn_marl.engine import BatchEngine
+from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.field import Field
 
 EVALUATION_SEED = 1_000_003
@@ -73,6 +75,7 @@ def evaluate(
     episodes: int = 100,
     deterministic: bool = False,
     seed: int = EVALUATION_SEED,
+    attach: Callable[[BatchEngine], None] = lambda engine: None,
 ) -> Evaluation:
     """Run ``episodes`` fresh episodes side by side, one world each.
 
@@ -83,8 +86,10 @@ def evaluate(
         episodes: how many (> 0).
         deterministic: take the mean action instead of a sampled one.
         seed: of the worlds and of the sampled actions.
+        attach: is given the engine before the first reset, to follow it.
     """
     engine = BatchEngine(field, episodes, seed=seed, threads=1, **settings)
+    attach(engine)
     open_worlds = np.ones(episodes, dtype=bool)
     results: dict[str, np.ndarray] = {}
     observations = engine.reset()
@@ -108,6 +113,33 @@ def evaluate(
         rois_visited=[int(value) for value in results["rois_visited"]],
         wall_hits=[int(value) for value in results["wall_hits"]],
     )
+
+
+def record_evaluation(
+    policy: Policy,
+    field: Field,
+    settings: Mapping[str, Any],
+    *,
+    episodes: int,
+    seed: int,
+    source: str,
+) -> dict[str, Episode]:
+    """The ``best``, the ``median`` and the ``worst`` episode with sampled actions, by return.
+
+    Arguments as for :func:`evaluate`, which sees the same episodes; ``source`` says what acts.
+    """
+    recorders: list[EpisodeRecorder] = []
+    with ExitStack() as stack:
+
+        def attach(engine: BatchEngine) -> None:
+            for world in range(episodes):
+                recorder = EpisodeRecorder(engine, world, source=f"{source}, sampled actions")
+                recorders.append(stack.enter_context(recorder))
+
+        evaluation = evaluate(policy, field, settings, episodes=episodes, seed=seed, attach=attach)
+    order = np.argsort(evaluation.returns, kind="stable")
+    worlds = {"best": order[-1], "median": order[len(order) // 2], "worst": order[0]}
+    return {name: recorders[world].episodes[0] for name, world in worlds.items()}
 
 
 def evaluate_both(

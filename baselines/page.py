@@ -5,20 +5,30 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from baselines.episode import record_episode, write_animation, write_trajectories
 from baselines.place import Place
 from baselines.policies import load_policy
-from baselines.results import Result, Results, find_results
+from baselines.results import Kind, Result, Results, find_results
 from baselines.runs import write_provenance
 from baselines.statistics import RETURN_THRESHOLD
 from baselines.storage import write_json, write_text
 from baselines.summary import THRESHOLDS, Comparison, summarise
 from baselines.table import field_grids, markdown, overall_grids
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 PAGE = "comparison.md"
+STATISTICS = {
+    "Aggregates": "aggregates.png",
+    "Performance profiles": "profiles.png",
+    "Probability of improvement": "improvement.png",
+}
+"""Files of the figures over all fields, by title."""
 
 
 def report_comparison(
@@ -58,7 +68,7 @@ def write_comparison(results: Results, place: Place) -> Comparison:
     comparison, out = summarise(results), place.folder
     write_json(out / "comparison.json", comparison.to_json())
     write_text(out / "table.csv", comparison.csv())
-    pictures = _draw_statistics(comparison, out)
+    pictures = _save_statistics(comparison, out)
     for field in results.fields:
         pictures |= _draw_field(
             {label: results.cells[label, field] for label in results.labels}, out
@@ -75,8 +85,8 @@ def _page(comparison: Comparison, pictures: Mapping[str, str], place: Place) -> 
     return "\n\n".join(["# Comparison", *overall, *fields, "## Figures", *images]) + "\n"
 
 
-def _draw_statistics(comparison: Comparison, out: Path) -> dict[str, str]:
-    """Draw what is over all fields; the files' names by what they show."""
+def draw_statistics(comparison: Comparison) -> dict[str, Figure]:
+    """Figures of what is over all fields, by title."""
     from mbn_marl.render import figures
 
     drawn = {}
@@ -92,21 +102,36 @@ def _draw_statistics(comparison: Comparison, out: Path) -> dict[str, str]:
         }
         profiles = {entry.label: entry.profile for entry in comparison.aggregates}
         score = "return as a share of the proved optimum"
-        drawn["Aggregates"] = ("aggregates.png", figures.intervals_figure(panels))
-        drawn["Performance profiles"] = (
-            "profiles.png",
-            figures.profiles_figure(profiles, THRESHOLDS, score),
-        )
+        drawn["Aggregates"] = figures.intervals_figure(panels)
+        drawn["Performance profiles"] = figures.profiles_figure(profiles, THRESHOLDS, score)
     pairs = list(itertools.combinations(comparison.improvement, 2))
     if pairs:
         chances = {f"{x} > {y}": comparison.improvement[x][y] for x, y in pairs}
-        drawn["Probability of improvement"] = (
-            "improvement.png",
-            figures.intervals_figure({"probability of improvement": chances}, rule=0.5),
-        )
-    for name, figure in drawn.values():
-        figures.save(figure, out / name)
-    return {title: name for title, (name, _) in drawn.items()}
+        panels = {"probability of improvement": chances}
+        drawn["Probability of improvement"] = figures.intervals_figure(panels, rule=0.5)
+    return drawn
+
+
+def draw_learning_curves(groups: Mapping[str, Sequence[Result]]) -> Figure:
+    """The learning curves of one field's runs, by label."""
+    from mbn_marl.render import figures
+
+    first = next(iter(groups.values()))[0]
+    return figures.learning_curves(
+        {label: [_curve(result) for result in group] for label, group in groups.items()},
+        threshold=RETURN_THRESHOLD,
+        optimum=first.optimum,
+    )
+
+
+def _save_statistics(comparison: Comparison, out: Path) -> dict[str, str]:
+    """The files' names by what they show."""
+    from mbn_marl.render import figures
+
+    drawn = draw_statistics(comparison)
+    for title, figure in drawn.items():
+        figures.save(figure, out / STATISTICS[title])
+    return {title: STATISTICS[title] for title in drawn}
 
 
 def _draw_field(groups: Mapping[str, Sequence[Result]], out: Path) -> dict[str, str]:
@@ -115,30 +140,26 @@ def _draw_field(groups: Mapping[str, Sequence[Result]], out: Path) -> dict[str, 
 
     results = list(itertools.chain(*groups.values()))
     field = results[0].field
-    figures.learning_curves(
-        {label: [_curve(result) for result in group] for label, group in groups.items()},
-        threshold=RETURN_THRESHOLD,
-        optimum=results[0].optimum,
-        path=out / (curves := f"learning_curves_{field.name}.png"),
-    )
+    curves = f"learning_curves_{field.name}.png"
+    figures.save(draw_learning_curves(groups), out / curves)
     best = best_result(results)
-    snapshots = record_episode(load_policy(best.run), field, best.config["environment"])
-    last = snapshots[-1]
-    title = f"{best.run.path.name}: return {last.team_return:,.0f}, {last.step} steps"
-    write_trajectories(last, out / f"trajectories_{field.name}.png", title)
-    write_animation(snapshots, out / f"episode_{field.name}.gif")
+    episode = record_episode(load_policy(best.run), field, best.config["environment"])
+    title = f"{best.run.path.name}: return {episode.team_return:,.0f}, {episode.steps} steps"
+    write_trajectories(episode, out / f"trajectories_{field.name}.png", title)
+    write_animation(episode, out / f"episode_{field.name}.gif")
     return {f"Learning curves, {field.name}": curves}
 
 
 def best_result(results: Sequence[Result]) -> Result:
     """The one with the best return with mean actions; of equal ones with sampled actions."""
-
-    def rank(result: Result) -> tuple[float, float]:
-        kinds = ("deterministic", "stochastic")
-        mean, sampled = (result.final(kind, "return_mean") for kind in kinds)
-        return mean, sampled
-
     return max(results, key=rank)
+
+
+def rank(result: Result) -> tuple[float, float]:
+    """What results are ordered by: the return with mean actions, then with sampled ones."""
+    kinds: tuple[Kind, Kind] = ("deterministic", "stochastic")
+    mean, sampled = (result.final(kind, "return_mean") for kind in kinds)
+    return mean, sampled
 
 
 def _curve(result: Result) -> tuple[np.ndarray, np.ndarray]:

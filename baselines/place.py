@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from baselines.storage import claim_file, claim_folder
+from baselines.storage import claim_folder
+from mbn_marl.render.files import claim_file
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Place:
         """Make the folder.
 
         Raises:
-            RunError: something is there already and ``force``, which moves it aside, is not set.
+            MbnError: something is there already and ``force``, which moves it aside, is not set.
         """
         if self.page.parent != self.folder:
             claim_file(self.page, force=force)

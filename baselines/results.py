@@ -15,10 +15,18 @@ from numpy.typing import NDArray
 from baselines.algorithms import Form, find_algorithm
 from baselines.folders import run_folders
 from baselines.runs import RunFolder, default_label
+from baselines.storage import RunError
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 from mbn_marl.optimum import VIEW, optimal_return
+
+CONFIG = (
+    *("algorithm", "setting", "seed", "steps", "evaluate_every", "episodes"),
+    *("environment", "hyperparameters"),
+)
+EVALUATION = ("env_steps", "seconds", "stochastic", "deterministic")
+"""What a run's files have to have to be compared."""
 
 Kind = Literal["stochastic", "deterministic"]
 """Of a final evaluation: with sampled actions, or with mean ones."""
@@ -47,9 +55,19 @@ class Result:
         """Read a run.
 
         Raises:
-            RunError: it is not finished, or a file cannot be read.
+            RunError: it is not finished, a file cannot be read, or lacks what runs record now.
         """
-        return cls(run, run.config, run.field, run.evaluations, run.evaluation)
+        result = cls(run, run.config, run.field, run.evaluations, run.evaluation)
+        for name, entries, needed in (
+            ("config.json", result.config, CONFIG),
+            ("evaluation.json", result.evaluation, EVALUATION),
+        ):
+            if missing := [entry for entry in needed if entry not in entries]:
+                problem = f"has no {', '.join(missing)}: it is not a run of this version"
+                raise RunError(f"{run.path / name} {problem}")
+        if not result.evaluations:
+            raise RunError(f"{run.path / 'evaluations.json'} is empty: the run was never evaluated")
+        return result
 
     @property
     def label(self) -> str:

@@ -16,7 +16,7 @@ from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError
-from mbn_marl.render.files import replacing
+from mbn_marl.render.files import free_name, replacing
 
 LOCK = ".lock"
 
@@ -47,7 +47,7 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
         for lock in path.rglob(LOCK):
             with alone(lock.parent, "mbn"):
                 pass
-        path.rename(_free_name(path))
+        path.rename(free_name(path))
     path.mkdir(parents=True, exist_ok=True)
     return path
 
@@ -75,36 +75,9 @@ def alone(folder: Path, command: str, hint: str = "") -> Iterator[None]:
         lock.release()
 
 
-def claim_file(path: Path, *, force: bool = False) -> None:
-    """Make sure that no file is at ``path``.
-
-    Args:
-        path: where a new file is to be.
-        force: a file that is already there is moved aside, as :func:`claim_folder` does.
-
-    Raises:
-        RunError: ``path`` is a folder, or a file and ``force`` is not set.
-    """
-    if path.is_dir():
-        raise RunError(f"{path} is a folder; the output must be a file")
-    if path.exists():
-        if not force:
-            raise RunError(
-                f"{path} already exists; choose another --out, or pass --force to move it aside"
-            )
-        path.rename(_free_name(path))
-
-
 def moved_aside(path: Path) -> bool:
     """Whether ``path`` has a name that ``force`` gives, and what took its place is there."""
     return path.suffix[1:].isdecimal() and path.with_suffix("").exists()
-
-
-def _free_name(path: Path) -> Path:
-    number = 1
-    while (candidate := path.with_name(f"{path.name}.{number}")).exists():
-        number += 1
-    return candidate
 
 
 def write_text(path: Path, text: str) -> None:

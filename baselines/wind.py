@@ -140,8 +140,9 @@ def write_panels(
     """
     from mbn_marl.render import figures
 
-    lasts = {
-        f"wind {speed:g}": record_episode(policy, field, {**settings, "wind": (speed, angle)})[-1]
+    episodes = {
+        f"wind {speed:g}": record_episode(policy, field, {**settings, "wind": (speed, angle)})
         for speed in speeds
     }
+    lasts = {name: episode.snapshot(episode.steps) for name, episode in episodes.items()}
     figures.save(figures.trajectory_panels(lasts), path)

@@ -10,14 +10,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from mbn_marl.registration import register_environments
+from mbn_marl.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from mbn_marl.adapters.gymnasium import centralized_env
     from mbn_marl.engine import BatchEngine
     from mbn_marl.field import Field, load_field
     from mbn_marl.navigation_v0 import env, parallel_env, raw_env
-
-__version__ = "0.1.0"
 
 __all__ = [
     "BatchEngine",

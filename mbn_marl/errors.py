@@ -33,6 +33,14 @@ class ConfigError(ProblemsError):
     """A setting of the environment is not valid."""
 
 
+class EpisodeError(ProblemsError):
+    """An episode, or a file that should hold one, is not valid or does not replay."""
+
+
+class DisplayError(MbnError, RuntimeError):
+    """There is no display to open a window on."""
+
+
 class ActionError(MbnError):
     """An action is missing, of the wrong shape, not finite, or for an unknown agent.
 

@@ -286,3 +286,23 @@ def test_the_simulator_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     with pytest.raises(ConfigError, match=r"an NVIDIA GPU.*mbn_marl\[cuda\].*CUDASIM"):
         BatchEngine("field_03", 2, device="cuda")
+
+
+def test_recorders_note_the_same() -> None:
+    """Starts, actions and rewards of every episode of a world, and what the engines tell of it."""
+    from mbn_marl.episode import EpisodeRecorder
+
+    cpu, gpu = pair(**{**SETTINGS, "max_steps": 3})
+    with EpisodeRecorder(cpu, 1) as ours, EpisodeRecorder(gpu, 1) as theirs:
+        for engine in (cpu, gpu):
+            engine.reset(5)
+        for _ in range(8):
+            actions = cpu.sample_actions()
+            cpu.step(actions)
+            gpu.step(torch.from_numpy(actions.copy()))
+            assert cpu.running.all() and gpu.running.all()
+    assert cpu.seed == gpu.seed == 5
+    assert len(ours._tapes) == len(theirs._tapes) >= 3
+    for tape, other in zip(ours._tapes, theirs._tapes, strict=True):
+        assert np.array_equal(tape.starts, other.starts) and tape.rewards == other.rewards
+        assert np.array_equal(tape.actions, other.actions)

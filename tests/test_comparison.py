@@ -361,7 +361,7 @@ CONFIG = CompareConfig(
 
 
 def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("baselines.page.write_animation", lambda snapshots, path: None)
+    monkeypatch.setattr("baselines.page.write_animation", lambda episode, path: None)
     out = tmp_path / "comparison"
     second = out / CONFIG.runs()[1].name
 

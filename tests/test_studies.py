@@ -154,7 +154,7 @@ def test_the_benchmark_of_learning_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("benchmarks.studies.study.read_variants", lambda path: CONFIG.variants)
-    monkeypatch.setattr("baselines.page.write_animation", lambda snapshots, path: None)
+    monkeypatch.setattr("baselines.page.write_animation", lambda episode, path: None)
     out = tmp_path / "bench"
     size = ("--fields", "field_03", "--seeds", "0", "--steps", "1", "--processes", "1")
     assert main(["bench", "learning", *size, "--out", str(out)]) == 0

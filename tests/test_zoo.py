@@ -105,12 +105,12 @@ def test_an_entry_is_made_anew_and_nothing_else_is_replaced(
     assert [path.name for path in mine.iterdir()] == ["dear"]
 
 
-@pytest.mark.parametrize("command", ["evaluate", "render"])
+@pytest.mark.parametrize("command", [["evaluate"], ["render", "-o", "a.gif"], ["watch"]])
 def test_an_unknown_name_lists_the_known_ones(
-    command: str, zoo: Path, capsys: pytest.CaptureFixture[str]
+    command: list[str], zoo: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(zoo / "tiny", zoo / "other")
-    assert main([command, "zoo:../tiny"]) == 2
+    assert main([*command, "zoo:../tiny"]) == 2
     error = capsys.readouterr().err
     assert error == "mbn: error: unknown policy 'zoo:../tiny'; in the zoo: other, tiny\n"
 

@@ -31,6 +31,9 @@ class Evaluate:
     """Of the episodes; by default the seed that every run's final evaluation has."""
     json: Path | None = None
     """Write every episode to this file; with --wind-speeds by default RUN/wind.json."""
+    record: Path | None = None
+    """A new folder for the best, the median and the worst episode with sampled actions, as files
+    for `mbn replay`."""
     wind_speeds: str | None = None
     """Wind speeds to evaluate at, such as 0,0.1,..,0.5 (units/step per step)."""
     wind_angle: float = 30.0
@@ -48,6 +51,8 @@ class Evaluate:
             raise ConfigError("evaluation", [f"episodes: at least 1, not {self.episodes}"])
         if self.figure is not None and self.wind_speeds is None:
             raise ConfigError("evaluation", ["figure: allowed with --wind-speeds"])
+        if self.record is not None and self.wind_speeds is not None:
+            raise ConfigError("evaluation", ["record: allowed without --wind-speeds"])
         files = (self.json, self.figure)
         homeless = self.field is not None or self.source.startswith(PREFIX)
         if self.wind_speeds is not None and homeless and None in files:
@@ -80,10 +85,12 @@ class Evaluate:
     def _evaluate(self, subject: _Subject, seed: int, command_line: str) -> None:
         """Evaluate as the policy was trained."""
         from baselines.evaluate import evaluate_both
-        from baselines.storage import write_json
+        from baselines.storage import claim_folder, write_json
         from mbn_marl.config import make_config
         from mbn_marl.optimum import optimal_return
 
+        if self.record is not None:
+            claim_folder(self.record)
         results = evaluate_both(
             subject.policy, subject.field, subject.settings, episodes=self.episodes, seed=seed
         )
@@ -98,6 +105,25 @@ class Evaluate:
             }
             heading = {"command": command_line, "optimum": optimum, "optimality_gap": gaps}
             write_json(self.json, {**heading, **episodes})
+        if self.record is not None:
+            self._record(subject, seed, self.record)
+
+    def _record(self, subject: _Subject, seed: int, folder: Path) -> None:
+        """Write the most telling episodes as recordings."""
+        from baselines.evaluate import record_evaluation
+        from mbn_marl.episode import save_episode
+
+        recorded = record_evaluation(
+            subject.policy,
+            subject.field,
+            subject.settings,
+            episodes=self.episodes,
+            seed=seed,
+            source=self.source,
+        )
+        for name, episode in recorded.items():
+            save_episode(episode, folder / f"{name}.json")
+        print(f"recorded: {', '.join(recorded)} in {folder}")
 
     def _evaluate_in_wind(
         self, subject: _Subject, seed: int, command_line: str, speeds: str

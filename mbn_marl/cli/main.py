@@ -17,10 +17,12 @@ from mbn_marl.cli.evaluate import Evaluate
 from mbn_marl.cli.fields import Fields
 from mbn_marl.cli.plan import Plan
 from mbn_marl.cli.render import Render
+from mbn_marl.cli.replay import Replay
 from mbn_marl.cli.report import Report
 from mbn_marl.cli.train import Train
 from mbn_marl.cli.transfer import Transfer
 from mbn_marl.cli.tune import Tune
+from mbn_marl.cli.watch import Play, Watch
 from mbn_marl.cli.zoo import Zoo
 from mbn_marl.errors import MbnError
 
@@ -34,6 +36,9 @@ Command = (
     | Annotated[Report, subcommand("report")]
     | Annotated[Plan, subcommand("plan")]
     | Annotated[Render, subcommand("render")]
+    | Annotated[Replay, subcommand("replay")]
+    | Annotated[Watch, subcommand("watch")]
+    | Annotated[Play, subcommand("play")]
     | Annotated[Zoo, subcommand("zoo")]
     | Annotated[Bench, subcommand("bench")]
 )

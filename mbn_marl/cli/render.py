@@ -1,56 +1,67 @@
-"""``mbn render``: an episode as a GIF, as a figure of its paths, or in a window."""
+"""``mbn render``: an episode as JSON, GIF or video, or as a figure of its paths."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from mbn_marl.episode import Episode
 
 
 @dataclass(frozen=True)
 class Render:
-    """Show an episode: the policy of a run, or random actions in a field."""
+    """Write an episode to a file: of the policy of a run, of random actions, or a recorded one."""
 
-    source: Positional[Annotated[str, arg(metavar="RUN|FIELD")]]
-    """The folder of a run, zoo:NAME (see `mbn zoo`), a name of `mbn fields`, or a field file."""
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """A .gif for the episode, .png, .pdf or .svg for its paths; without it a window opens."""
+    source: Positional[Annotated[str, arg(metavar="RUN|FIELD|EPISODE")]]
+    """The folder of a run, zoo:NAME (see `mbn zoo`), a name of `mbn fields`, a field file, or an
+    episode's file."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """A .json for the episode itself (see `mbn replay`), .gif or .mp4 for an animation, .png, .pdf
+    or .svg for its paths."""
     sampled: bool = False
     """Sample the policy's actions instead of taking their mean."""
     seed: int = 0
     """Of the world and of the sampled actions."""
-    steps: int = 300
-    """Stop after so many steps."""
+    steps: int | None = None
+    """Stop after so many steps; by default at the end of the episode."""
+    force: bool = False
+    """If the file exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Run the episode and show it."""
-        from baselines.episode import record_episode, show, write_animation, write_trajectories
-        from baselines.policies import Policy, RandomPolicy, load_policy
-        from baselines.zoo.entries import PREFIX, open_run
+        """Run the episode and write it."""
+        from baselines.episode import check_ending, write_episode
         from mbn_marl.errors import ConfigError
-        from mbn_marl.field import load_field
+        from mbn_marl.render.files import claim_file
 
-        if self.steps < 1:
+        if self.steps is not None and self.steps < 1:
             raise ConfigError("render", [f"steps: at least 1, not {self.steps}"])
-        policy: Policy = RandomPolicy(self.seed)
-        if self.source.startswith(PREFIX) or Path(self.source).is_dir():
-            run = open_run(self.source)
-            field, settings, policy = run.field, run.config["environment"], load_policy(run)
-        else:
-            field, settings = load_field(self.source), {}
-        snapshots = record_episode(
-            policy,
-            field,
-            settings,
+        check_ending(self.out)
+        episode = self._episode()
+        write_episode(episode, claim_file(self.out, force=self.force))
+        print(f"{episode.outcome}, {episode.steps} steps, return {episode.team_return:,.0f}")
+        print(f"written to {self.out}")
+
+    def _episode(self) -> Episode:
+        from baselines.acting import find_actor
+        from baselines.episode import record_episode
+        from mbn_marl.episode import check_episode, is_episode_file, load_episode
+
+        if is_episode_file(self.source):
+            episode = load_episode(self.source)
+            check_episode(episode, self.source)
+            return episode
+        actor = find_actor(self.source, seed=self.seed)
+        kind = ", sampled actions" if self.sampled else ""
+        return record_episode(
+            actor.policy,
+            actor.field,
+            actor.settings,
             deterministic=not self.sampled,
             seed=self.seed,
             limit=self.steps,
+            source=f"{actor.name}{kind}",
         )
-        if self.out is None:
-            show(snapshots)
-        elif self.out.suffix.lower() == ".gif":
-            write_animation(snapshots, self.out)
-        else:
-            write_trajectories(snapshots[-1], self.out)

@@ -17,8 +17,8 @@ class Report:
     """Run folders, or folders that hold some; studies and what --force moved aside are left out
     there, with --paper comparisons too."""
     out: Annotated[Path, arg(aliases=["-o"])]
-    """The folder to write, with the page paper.md or comparison.md in it; or NAME.md for the page,
-    beside its folder NAME."""
+    """The folder to write, with the page paper.md or comparison.md in it; NAME.md for the page,
+    beside its folder NAME; or NAME.html for a comparison on one self-contained page."""
     paper: bool = False
     """The paper's experiments: its tables as Markdown, CSV and LaTeX, and its figures."""
     comparison: bool = False
@@ -36,15 +36,19 @@ class Report:
 
         from rich.console import Console
 
+        from baselines.html_page import SUFFIX, write_html_report
         from baselines.page import report_comparison
         from baselines.paper.report import write_report
         from baselines.table import print_comparison
         from mbn_marl.errors import ConfigError
 
+        one_page = self.out.suffix.lower() == SUFFIX
         problems = []
-        if self.paper == self.comparison:
-            problems.append("kind: --paper or --comparison, one of them is needed")
-        if self.comparison and (self.study is not None or self.notes is not None):
+        if one_page and self.paper:
+            problems.append(f"out: --paper writes a folder or .md, not {self.out}")
+        elif not one_page and self.paper == self.comparison:
+            problems.append("kind: --paper or --comparison is needed, or an out that ends in .html")
+        if not self.paper and (self.study is not None or self.notes is not None):
             problems.append("study and notes: allowed with --paper")
         if not self.runs:
             problems.append("RUNS: at least one folder is needed")
@@ -52,6 +56,13 @@ class Report:
             raise ConfigError("report", problems)
         console = Console()
         note = partial(console.print, soft_wrap=True, highlight=False)
+        if one_page:
+            comparison = write_html_report(
+                self.runs, self.out, command=command_line, force=self.force, note=note
+            )
+            print_comparison(comparison, console)
+            console.print(f"written to {self.out}")
+            return
         if self.paper:
             place = write_report(
                 self.runs,

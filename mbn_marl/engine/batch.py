@@ -15,6 +15,7 @@ from mbn_marl.engine.checks import Autoreset, Device, autoreset_mode, check_setu
 from mbn_marl.engine.constants import make_record
 from mbn_marl.engine.cpu import CpuBackend
 from mbn_marl.engine.kernels import INFO_COLUMNS
+from mbn_marl.engine.listener import Listener
 from mbn_marl.engine.observation import observation_table
 from mbn_marl.engine.rewards import COLLISION, REWARD_TERMS, SUCCESS
 from mbn_marl.engine.saved import restore_worlds, save_worlds
@@ -51,7 +52,13 @@ class BatchEngine:
             it can be captured in a CUDA graph (after a first step outside). See *Faults*.
         threads: how many threads share the worlds on the CPU; ``None`` takes one per core, but one
             for small batches. The result does not depend on it.
+        starts: where the robots start in every world, (n, 2) units, instead of the field's own
+            starts: in the field, and no two closer than the safety distance.
         **settings: see :class:`mbn_marl.config.NavigationConfig`.
+
+    Attributes:
+        listeners: what to tell of every reset and step, such as a recorder of episodes; empty at
+            first. To stop telling one, remove it.
 
     Faults:
         On the CPU, an action that is not finite and a step of a world that has ended are errors
@@ -75,6 +82,7 @@ class BatchEngine:
         autoreset: Autoreset = True,
         device: Device = "cpu",
         threads: int | None = None,
+        starts: ArrayLike | None = None,
         **settings: Unpack[Settings],
     ) -> None:
         fields: Sequence[FieldLike] = field if _is_several(field) else [field]  # type: ignore[list-item]
@@ -83,7 +91,8 @@ class BatchEngine:
         n = config.n_robots or min((len(one.starts) for one in self.fields), default=1)
         self.config = config.model_copy(update={"n_robots": n})
         self.autoreset = autoreset_mode(autoreset)
-        check_setup(self.fields, self.config, n, num_worlds, threads, seed, device)
+        given = None if starts is None else np.asarray(starts)
+        check_setup(self.fields, self.config, n, num_worlds, threads, seed, device, given)
         self.num_worlds, self.n_robots, self.device = num_worlds, n, device
         self.n_rois = max(len(one.rois) for one in self.fields)
         self.dtype = np.dtype(config.dtype)
@@ -92,6 +101,7 @@ class BatchEngine:
         self.observation_low = np.array([entry.low for entry in table], np.float32)
         self.observation_high = np.array([entry.high for entry in table], np.float32)
         self.obs_size = len(table)
+        self.listeners: list[Listener] = []
         self._backend = _make_backend(
             device,
             Plan(
@@ -100,7 +110,7 @@ class BatchEngine:
                 obs_size=self.obs_size,
                 autoreset=self.autoreset,
                 threads=threads,
-                geometry=make_geometry(self.fields, self.config, n, num_worlds),
+                geometry=make_geometry(self.fields, self.config, n, num_worlds, given),
                 constants=make_record(self.config, n, self.field.arena, self.autoreset, seed),
             ),
         )
@@ -145,6 +155,7 @@ class BatchEngine:
                 raise ConfigError("reset", problems)
             self._backend.reseed(seed)
         self._backend.reset(None)
+        self._tell_reset(None)
         return self._backend.output.observations
 
     def reset_worlds(self, mask: ArrayLike) -> Floats:
@@ -157,6 +168,7 @@ class BatchEngine:
             ActionError: the mask has another shape or type.
         """
         self._backend.reset(mask)
+        self._tell_reset(mask)
         return self._backend.output.observations
 
     def step(
@@ -180,6 +192,8 @@ class BatchEngine:
         """
         self._backend.step(actions, active)
         out = self._backend.output
+        for listener in self.listeners:
+            listener.stepped(actions, out.terminated | out.truncated)
         return out.observations, out.rewards, out.terminated, out.truncated
 
     # -- what happened -----------------------------------------------------------------------------
@@ -276,6 +290,25 @@ class BatchEngine:
             MbnError: it was an engine of other settings or sizes; this one is left as it was.
         """
         restore_worlds(self._backend, saved)
+        self._tell_reset(None)
+
+    def _tell_reset(self, mask: ArrayLike | None) -> None:
+        for listener in self.listeners:
+            listener.was_reset(mask)
+
+    @property
+    def seed(self) -> int:
+        """The key of the random numbers."""
+        return int(self._backend.counters["seed"][0])
+
+    @property
+    def running(self) -> Flags:
+        """Which worlds are in an episode, (W,) bool, a fresh NumPy array.
+
+        A world is not before its first reset, nor after its end until it is reset, by itself or
+        by :meth:`reset_worlds`.
+        """
+        return ~self._backend.host(self._backend.memory.pending)
 
     def snapshot(self, world: int = 0) -> Snapshot:
         """What a picture of one world needs, copied.

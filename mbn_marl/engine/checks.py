@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
+from shapely import Point
 
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.constants import AUTORESET_MODES
@@ -14,6 +16,9 @@ from mbn_marl.field import Field
 
 Autoreset = bool | Literal["disabled", "same_step", "next_step"]
 Device = Literal["cpu", "cuda"]
+
+ROUNDING = 1e-3
+"""Units by which a start that was once rounded to float32 may miss what is allowed."""
 
 
 def autoreset_mode(value: Autoreset) -> str:
@@ -37,6 +42,7 @@ def check_setup(
     threads: int | None,
     seed: int,
     device: str,
+    starts: NDArray[Any] | None,
 ) -> None:
     """Check how fields, team and batch fit together.
 
@@ -54,8 +60,10 @@ def check_setup(
         problems.append(f"mass: {len(config.mass)} values; allowed: one number, or {n} of them")
     if not fields:
         problems.append("field: an empty sequence; allowed: at least one field")
+    if starts is not None and (wrong := _given_starts_problems(starts, config, n)):
+        problems, starts = [*problems, *wrong], None
     for field in fields:
-        problems += _field_problems(field, config, n, fields[0].arena)
+        problems += _field_problems(field, config, n, fields[0].arena, starts)
     if problems:
         raise ConfigError("configuration", problems)
 
@@ -71,8 +79,22 @@ def _positive(value: object) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
 
 
+def _given_starts_problems(starts: NDArray[Any], config: NavigationConfig, n: int) -> list[str]:
+    """What is wrong with starts that are to take the place of the fields' own."""
+    if starts.shape != (n, 2) or starts.dtype.kind not in "fiu" or not np.isfinite(starts).all():
+        wrong = f"shape {starts.shape} of {starts.dtype}"
+        return [f"starts: {wrong}; allowed: finite numbers of shape ({n}, 2)"]
+    if config.random_starts:
+        return ["starts: allowed without random_starts"]
+    return []
+
+
 def _field_problems(
-    field: Field, config: NavigationConfig, n: int, arena: tuple[float, float]
+    field: Field,
+    config: NavigationConfig,
+    n: int,
+    arena: tuple[float, float],
+    given_starts: NDArray[Any] | None,
 ) -> list[str]:
     """What keeps this field from being played with this configuration."""
     problems = []
@@ -81,11 +103,13 @@ def _field_problems(
         problems.append(f"n_robots: {n}; allowed: {allowed}")
     if field.arena != arena:
         problems.append(f"field: {field.name} has arena {field.arena}; allowed: {arena}")
-    starts = field.starts[:n]
+    starts = field.starts[:n] if given_starts is None else given_starts.astype(np.float64)
     for i in range(len(starts)):
+        if given_starts is not None and field.polygon.distance(Point(starts[i])) > ROUNDING:
+            problems.append(f"starts[{i}]: {starts[i].tolist()}; allowed: in {field.name}")
         for j in range(i):
             apart = float(np.hypot(*(starts[i] - starts[j])))
-            if apart < config.safety_distance:
+            if apart < config.safety_distance - (0.0 if given_starts is None else ROUNDING):
                 problems.append(
                     f"safety_distance: {config.safety_distance}; allowed: at most {apart:g}, "
                     f"the distance of starts {j} and {i} of {field.name}"

@@ -82,12 +82,17 @@ class Output(NamedTuple):
 
 
 def make_geometry(
-    fields: Sequence[Field], config: NavigationConfig, n: int, worlds: int
+    fields: Sequence[Field],
+    config: NavigationConfig,
+    n: int,
+    worlds: int,
+    given_starts: Array | None = None,
 ) -> Geometry:
     """Tables of one field for all worlds, or of each world's own: world w has ``w % len(fields)``.
 
     ROIs and edges are padded to the largest field. A table for each world takes more memory than
     one for each field, but is read as it lies; looking fields up took a third of a step.
+    ``given_starts`` (n, 2) take the place of all the fields' own.
     """
     real = np.dtype(config.dtype)
     count = len(fields)
@@ -105,7 +110,7 @@ def make_geometry(
         edges[:, : len(field.edges), f] = _directed_edges(field)
         rois[:, :, f] = field.rois[0][:, None]
         rois[:, :own, f] = field.rois.T
-        starts[:, :, f] = field.starts[:n].T
+        starts[:, :, f] = (field.starts[:n] if given_starts is None else given_starts).T
         roi_bits[:, f] = [1 << (own - 1 - j) if j < own else 1 << j for j in range(m)]
         codes[f] = (1 << own) - 1
         boxes[:2, f] = field.vertices.min(axis=0)

@@ -5,6 +5,7 @@ They are matplotlib figures without pyplot: no display, no global state, nothing
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -45,6 +46,7 @@ __all__ = [
     "profiles_figure",
     "save",
     "study_figure",
+    "svg",
     "trajectory_figure",
     "trajectory_panels",
 ]
@@ -142,3 +144,11 @@ def save(figure: Figure, path: str | Path) -> Path:
     with replacing(path) as temporary, matplotlib.rc_context(style.MATPLOTLIB):
         figure.savefig(temporary)
     return path
+
+
+def svg(figure: Figure) -> bytes:
+    """``figure`` as an SVG picture."""
+    stream = io.BytesIO()
+    with matplotlib.rc_context(style.MATPLOTLIB):
+        figure.savefig(stream, format="svg")
+    return stream.getvalue()

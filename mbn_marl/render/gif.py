@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError
 from mbn_marl.render.files import replacing
+from mbn_marl.render.frames import checked_frames
 
 SLOWEST, FASTEST = 0.01, 50.0
 """Frames per second; a GIF counts hundredths of a second, and viewers slow a delay of one down."""
@@ -41,7 +42,7 @@ def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.
         raise MbnError(f"{path}: the file name has to end in .gif")
     if not SLOWEST <= fps <= FASTEST:
         raise MbnError(f"{path}: fps has to be {SLOWEST:g} to {FASTEST:g}, not {fps}")
-    pictures = _checked(frames, path)
+    pictures = checked_frames(frames, path)
     try:
         from PIL import Image
     except ModuleNotFoundError as error:
@@ -59,18 +60,3 @@ def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.
     with replacing(path) as temporary:
         first.save(temporary, save_all=True, append_images=others, duration=delay, loop=0)
     return path
-
-
-def _checked(frames: Iterable[NDArray[Any]], path: Path) -> list[NDArray[np.uint8]]:
-    pictures: list[NDArray[np.uint8]] = []
-    for index, frame in enumerate(map(np.asarray, frames)):
-        shape = pictures[0].shape if pictures else frame.shape
-        if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
-            wrong = f"{frame.dtype} {frame.shape}"
-            raise MbnError(f"{path}: frame {index} is {wrong}, not uint8 (height, width, 3)")
-        if frame.shape != shape:
-            raise MbnError(f"{path}: frame {index} has shape {frame.shape}, the first has {shape}")
-        pictures.append(frame)
-    if not pictures:
-        raise MbnError(f"{path}: there are no frames to write")
-    return pictures

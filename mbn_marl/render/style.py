@@ -65,6 +65,57 @@ MATPLOTLIB: Final[dict[Any, Any]] = {
 """Matplotlib settings of every figure, for ``matplotlib.rc_context``, which types its own keys."""
 
 
+class PagePalette(NamedTuple):
+    """The colours of a page in a browser; robots have theirs in the order of their numbers."""
+
+    page: str
+    ground: str
+    obstacle: str
+    outline: str
+    line: str
+    ink: str
+    faint_ink: str
+    accent: str
+    visited: str
+    success: str
+    collision: str
+    wind: str
+    robots: tuple[str, ...]
+
+
+LIGHT_PAGE: Final = PagePalette(
+    page="#F7F9FB",
+    ground=GROUND,
+    obstacle=OBSTACLE,
+    outline=OUTLINE,
+    line="#C3CBD3",
+    ink=INK,
+    faint_ink="#55606B",
+    accent=BLUE,
+    visited=ROI_VISITED,
+    success="#00704F",
+    collision="#A84600",
+    wind=WIND,
+    robots=_SERIES,
+)
+DARK_PAGE: Final = PagePalette(
+    page="#12171C",
+    ground="#0B0F13",
+    obstacle="#232B33",
+    outline="#9AA5B0",
+    line="#3A454F",
+    ink="#E8EDF2",
+    faint_ink="#A3AEB9",
+    accent=SKY_BLUE,
+    visited=BLUISH_GREEN,
+    success="#3CC79C",
+    collision="#F08A4B",
+    wind=SKY_BLUE,
+    robots=tuple(WHITE if colour == BLACK else colour for colour in _SERIES),
+)
+"""On dark ground the hues stay; black turns white, and text is lighter."""
+
+
 class SeriesStyle(NamedTuple):
     """How one of several curves is drawn: colour, dash pattern and marker all tell it apart."""
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, DisplayError
 
 if TYPE_CHECKING:
     import pygame
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 RENDER_MODES = ("human", "rgb_array")
 SMALLEST_SIDE = 200
+UNSEEN = "offscreen"
+"""The driver that SDL falls back to where there is no display."""
 
 
 class Viewer:
@@ -27,16 +29,23 @@ class Viewer:
         render_mode: ``"human"`` (a window) or ``"rgb_array"`` (arrays; opens no display).
         size: width and height of the picture, pixels, each at least 200.
         frame_rate: frames per second at most, in a window; above 0.
+        caption: of the window.
 
     Attributes:
         closed: whether the window was closed, by its button, by Escape or by :meth:`close`.
+        pressed: the names of the keys that were pressed since the frame before, in order.
+        held: the names of the keys that are held down.
 
     Raises:
         ConfigError: for an argument that is not one of those.
     """
 
     def __init__(
-        self, render_mode: str, size: tuple[int, int] = (400, 400), frame_rate: float = 30.0
+        self,
+        render_mode: str,
+        size: tuple[int, int] = (400, 400),
+        frame_rate: float = 30.0,
+        caption: str = "mbn_marl",
     ) -> None:
         problems = []
         if render_mode not in RENDER_MODES:
@@ -54,7 +63,10 @@ class Viewer:
         self.render_mode = render_mode
         self.size = size
         self.frame_rate = frame_rate
+        self.caption = caption
         self.closed = False
+        self.pressed: list[str] = []
+        self.held: set[str] = set()
         self._scene: Scene | None = None
         self._window: pygame.Surface | None = None
 
@@ -67,7 +79,7 @@ class Viewer:
 
         Raises:
             ImportError: if pygame is not installed.
-            RuntimeError: in ``"human"`` mode, if there is no display.
+            DisplayError: in ``"human"`` mode, if there is no display.
         """
         if self._scene is None:
             self._scene = _load_scene(self.size)
@@ -91,15 +103,21 @@ class Viewer:
         import pygame
 
         if self._window is None:
-            self._window = _open_window(self.size)
+            self._window = _open_window(self.size, self.caption)
             self._clock = pygame.time.Clock()
         self._window.blit(frame, (0, 0))
         pygame.display.flip()
+        self.pressed = []
         for event in pygame.event.get():
             escape = event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE
             if escape or event.type == pygame.QUIT:
                 self.close()
                 return
+            if event.type == pygame.KEYDOWN:
+                self.pressed.append(pygame.key.name(event.key))
+                self.held.add(pygame.key.name(event.key))
+            elif event.type == pygame.KEYUP:
+                self.held.discard(pygame.key.name(event.key))
         self._clock.tick(self.frame_rate)
 
 
@@ -116,18 +134,22 @@ def _load_scene(size: tuple[int, int]) -> Scene:
     return Scene(size)
 
 
-def _open_window(size: tuple[int, int]) -> pygame.Surface:
+def _open_window(size: tuple[int, int], caption: str) -> pygame.Surface:
     import pygame
 
     try:
         pygame.display.init()
+        driver = pygame.display.get_driver()
+        if driver == UNSEEN and "SDL_VIDEODRIVER" not in os.environ:
+            pygame.display.quit()
+            raise pygame.error("there is none")
         window = pygame.display.set_mode(size)
     except pygame.error as error:
-        raise RuntimeError(
+        raise DisplayError(
             f"render_mode='human' needs a display ({error}); "
             "render_mode='rgb_array' draws without one"
         ) from error
-    pygame.display.set_caption("mbn_marl")
+    pygame.display.set_caption(caption)
     return window
 
 

@@ -1,0 +1,17 @@
+"""Episodes as values: recorded from any form of the environment, kept as JSON, replayed exactly."""
+
+from mbn_marl.episode.episode import Episode, Outcome
+from mbn_marl.episode.files import is_episode_file, load_episode, save_episode
+from mbn_marl.episode.play import check_episode, play
+from mbn_marl.episode.recorder import EpisodeRecorder
+
+__all__ = [
+    "Episode",
+    "EpisodeRecorder",
+    "Outcome",
+    "check_episode",
+    "is_episode_file",
+    "load_episode",
+    "play",
+    "save_episode",
+]

@@ -1,0 +1,93 @@
+"""One episode of one world, from the reset to its last step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbn_marl.config import NavigationConfig
+from mbn_marl.engine import Snapshot
+from mbn_marl.field import Field
+
+Outcome = Literal["success", "collision", "truncated", "unfinished"]
+"""How an episode ended; ``"unfinished"``: it was still going on after its last step."""
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """What n robots did in T steps, and what came of it. All arrays are to be left as they are.
+
+    Attributes:
+        field: where, with m ROIs.
+        config: the configuration, its team size filled in.
+        actions: (T, n, 2), what the robots were told to do, in [-1, 1], in the engine's dtype.
+        positions: (T + 1, n, 2), units, from the reset on, in the engine's dtype.
+        visits: (m,) int32: the step in which each ROI was visited, from 1 on; 0 for never.
+        terms: (T, n, 6) float64, each robot's own reward by term, ordered as ``REWARD_TERMS``.
+        team_rewards: (T,) float64, the centralised reward of each step.
+        outcome: how it ended.
+        source: what acted, in words.
+        seed: of the world and of what acted; ``None`` if there is none to tell.
+    """
+
+    field: Field
+    config: NavigationConfig
+    actions: Array
+    positions: Array
+    visits: NDArray[np.int32]
+    terms: NDArray[np.float64]
+    team_rewards: NDArray[np.float64]
+    outcome: Outcome
+    source: str = ""
+    seed: int | None = None
+
+    @property
+    def steps(self) -> int:
+        """T, how many steps were made."""
+        return len(self.actions)
+
+    @property
+    def team_return(self) -> float:
+        """The sum of all centralised rewards, in reward units."""
+        return self.return_after(self.steps)
+
+    def return_after(self, step: int) -> float:
+        """The sum of the centralised rewards of the first ``step`` steps."""
+        return float(sum(self.team_rewards[:step].tolist()))
+
+    @property
+    def rois_visited(self) -> int:
+        """How many ROIs were visited."""
+        return int(np.count_nonzero(self.visits))
+
+    def snapshot(self, step: int) -> Snapshot:
+        """What there was to see after ``step`` steps, 0 to T.
+
+        Velocities are what the robots moved in that step.
+        """
+        config, trail = self.config, self.positions[: step + 1]
+        last = step == self.steps
+        return Snapshot(
+            field=self.field,
+            positions=trail[-1],
+            velocities=(trail[-1] - trail[-2]) / config.tau if step else np.zeros_like(trail[0]),
+            visited=(self.visits > 0) & (self.visits <= step),
+            trail=trail,
+            step=step,
+            team_return=self.return_after(step),
+            wind=config.wind_increment(),
+            roi_radius=config.roi_radius,
+            safety_distance=config.safety_distance,
+            success=last and self.outcome == "success",
+            collision=last and self.outcome == "collision",
+        )
+
+    def snapshots(self) -> Iterator[Snapshot]:
+        """Those after the reset and after every step, T + 1."""
+        return map(self.snapshot, range(self.steps + 1))

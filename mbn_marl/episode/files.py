@@ -1,0 +1,173 @@
+"""Episodes in files, and back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from mbn_marl.config import NavigationConfig, describe, make_config
+from mbn_marl.engine import REWARD_TERMS
+from mbn_marl.episode.episode import Episode
+from mbn_marl.episode.schema import (
+    FORMAT,
+    MAX_SOURCE,
+    CodedArray,
+    EpisodeFile,
+    PackedArray,
+    Rewards,
+)
+from mbn_marl.errors import EpisodeError, MbnError
+from mbn_marl.field import Field
+from mbn_marl.render.files import replacing
+from mbn_marl.version import __version__
+
+EXPECTED = f"an episode in the format {FORMAT}, as `mbn render -o episode.json` writes it"
+
+
+def save_episode(episode: Episode, path: str | Path) -> Path:
+    """Write ``episode`` as JSON; a file is replaced only once the new one is complete.
+
+    Returns:
+        The path.
+
+    Raises:
+        MbnError: the name does not end in ``.json``.
+        OSError: naming the path, if it cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".json":
+        raise MbnError(f"{path}: the file name has to end in .json")
+    with replacing(path) as temporary:
+        temporary.write_text(to_file(episode).model_dump_json() + "\n", encoding="utf-8")
+    return path
+
+
+def load_episode(path: str | Path) -> Episode:
+    """Read what :func:`save_episode` wrote, without the engine; see ``check_episode``.
+
+    Raises:
+        EpisodeError: naming the file and everything that keeps it from being an episode.
+        OSError: naming the file, if it cannot be read.
+    """
+    path = Path(path)
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:  # not text, not JSON, or nested without end
+        problem = f"file: not JSON, or cut off ({error}); expected {EXPECTED}"
+        raise EpisodeError(str(path), [problem]) from None
+    found = document.get("format") if isinstance(document, Mapping) else None
+    if found != FORMAT:
+        named = "there is none" if found is None else f"{found!r:.80}"
+        problem = f"format: {named}; expected {EXPECTED}"
+        raise EpisodeError(str(path), [problem])
+    try:
+        return from_file(EpisodeFile.model_validate(document))
+    except ValidationError as error:
+        raise EpisodeError(str(path), describe(error, EpisodeFile)) from None
+    except EpisodeError as error:
+        raise EpisodeError(str(path), error.problems) from None
+
+
+def is_episode_file(path: str | Path) -> bool:
+    """Whether a file begins as an episode's does, of whatever version."""
+    path = Path(path)
+    if path.suffix.lower() != ".json" or not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return b'"mbn-episode/' in stream.read(100)
+
+
+def to_file(episode: Episode) -> EpisodeFile:
+    """The content of the file of ``episode``."""
+    config = episode.config.model_dump(mode="json", exclude={"wind"})
+    rewards = Rewards(
+        terms=list(REWARD_TERMS),
+        robots=CodedArray.pack(episode.terms),
+        team=CodedArray.pack(episode.team_rewards),
+    )
+    return EpisodeFile(
+        format=FORMAT,
+        version=__version__,
+        source=episode.source[:MAX_SOURCE],
+        seed=episode.seed,
+        robots=episode.positions.shape[1],
+        steps=episode.steps,
+        outcome=episode.outcome,
+        team_return=episode.team_return,
+        wind=episode.config.wind,
+        field=episode.field.to_dict(),
+        config=config,
+        visits=[int(step) or None for step in episode.visits],
+        positions=PackedArray.pack(episode.positions),
+        actions=PackedArray.pack(episode.actions),
+        rewards=rewards,
+    )
+
+
+def from_file(content: EpisodeFile) -> Episode:
+    """The episode in a file.
+
+    Raises:
+        EpisodeError: naming everything that does not fit together.
+    """
+    field, config = _place(content)
+    steps, robots, rois = content.steps, content.robots, len(field.rois)
+    arrays: dict[str, Any] = {}
+    problems = []
+    packed: dict[str, tuple[PackedArray | CodedArray, tuple[int, ...]]] = {
+        "positions": (content.positions, (steps + 1, robots, 2)),
+        "actions": (content.actions, (steps, robots, 2)),
+        "rewards.robots": (content.rewards.robots, (steps, robots, len(REWARD_TERMS))),
+        "rewards.team": (content.rewards.team, (steps,)),
+    }
+    for name, (array, shape) in packed.items():
+        try:
+            arrays[name] = array.unpack()
+        except ValueError as error:
+            problems.append(f"{name}: {error}")
+            continue
+        if arrays[name].shape != shape:
+            problems.append(f"{name}: shape {arrays[name].shape}; allowed: {shape}")
+        if name in ("positions", "actions") and (
+            arrays[name].dtype != config.dtype or not np.isfinite(arrays[name]).all()
+        ):
+            problems.append(f"{name}: allowed: finite numbers, {config.dtype} as in config")
+    if content.rewards.terms != list(REWARD_TERMS):
+        problems.append(f"rewards.terms: {content.rewards.terms}; allowed: {list(REWARD_TERMS)}")
+    if config.n_robots != robots:
+        problems.append(f"config.n_robots: {config.n_robots}; allowed: {robots}, as in robots")
+    if len(content.visits) != rois:
+        problems.append(f"visits: {len(content.visits)}; allowed: {rois}, one for each ROI")
+    if any(step is not None and not 1 <= step <= steps for step in content.visits):
+        problems.append(f"visits: allowed: null, or a step from 1 to {steps}")
+    if problems:
+        raise EpisodeError("episode", problems)
+    return Episode(
+        field=field,
+        config=config,
+        actions=arrays["actions"],
+        positions=arrays["positions"],
+        visits=np.array([step or 0 for step in content.visits], np.int32),
+        terms=arrays["rewards.robots"],
+        team_rewards=arrays["rewards.team"],
+        outcome=content.outcome,
+        source=content.source,
+        seed=content.seed,
+    )
+
+
+def _place(content: EpisodeFile) -> tuple[Field, NavigationConfig]:
+    """The field and the configuration."""
+    try:
+        field = Field(**content.field)
+    except (TypeError, MbnError) as error:
+        raise EpisodeError("episode", [f"field: {error}"]) from None
+    try:
+        return field, make_config({**content.config, "wind": content.wind})
+    except MbnError as error:
+        raise EpisodeError("episode", [f"config: {error}"]) from None

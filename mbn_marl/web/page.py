@@ -1,0 +1,75 @@
+"""Putting a page together from its template, styles, scripts and data."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
+from typing import Any
+
+from mbn_marl.episode import Episode
+from mbn_marl.episode.files import to_file
+from mbn_marl.render import style
+
+STYLES = ("page.css", "replay.css")
+SCRIPTS = ("dom.js", "episode.js", "stage.js", "chart.js", "replay.js")
+
+
+def static(name: str) -> str:
+    """The text of a file of the package."""
+    return (files("mbn_marl.web") / "static" / name).read_text(encoding="utf-8")
+
+
+def fill(template: str, values: Mapping[str, str]) -> str:
+    """``template`` with every ``{{name}}`` replaced; what is put in is not searched again."""
+    return re.sub(r"{{(\w+)}}", lambda match: values[match[1]], template)
+
+
+def styles(names: Iterable[str] = STYLES) -> str:
+    """The colours as CSS variables, light and dark, and the style sheets."""
+    light, dark = (_variables(palette) for palette in (style.LIGHT_PAGE, style.DARK_PAGE))
+    colours = (
+        f":root {{\n{light}}}\n@media (prefers-color-scheme: dark) {{ :root {{\n{dark}}} }}\n"
+        f"@media print {{ :root {{\n{light}}} }}\n"
+    )
+    return colours + "\n".join(map(static, names))
+
+
+def scripts() -> str:
+    """The player."""
+    return "\n".join(map(static, SCRIPTS))
+
+
+def colours() -> str:
+    """How many colours there are for robots."""
+    return str(len(style.LIGHT_PAGE.robots))
+
+
+def text(plain: str) -> str:
+    """``plain`` so that it can stand in HTML."""
+    return html.escape(plain)
+
+
+def episodes_data(episodes: Sequence[Episode]) -> str:
+    """What the player needs of the episodes, as JSON that can stand in a script element."""
+    documents = [to_file(one).model_dump(mode="json", exclude={"actions"}) for one in episodes]
+    return script_data(documents)
+
+
+def script_data(value: Any) -> str:
+    """``value`` as JSON that can stand in a script element."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _variables(palette: style.PagePalette) -> str:
+    named = {
+        name.replace("_", "-"): colour
+        for name, colour in palette._asdict().items()
+        if name != "robots"
+    }
+    for index, colour in enumerate(palette.robots):
+        named[f"robot-{index}"] = colour
+        named[f"ink-on-robot-{index}"] = style.ink_on(colour)
+    return "".join(f"  --{name}: {colour};\n" for name, colour in named.items())

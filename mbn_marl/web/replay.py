@@ -1,0 +1,36 @@
+"""The page that replays episodes side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mbn_marl.episode import Episode
+from mbn_marl.errors import MbnError
+from mbn_marl.version import __version__
+from mbn_marl.web import page
+
+
+def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
+    """A self-contained HTML page that plays ``episodes`` on one clock.
+
+    Args:
+        episodes: at least one.
+        title: of the page; ``None`` for the names of the fields.
+
+    Raises:
+        MbnError: there is no episode.
+    """
+    if not episodes:
+        raise MbnError("replay: at least one episode is needed")
+    fields = ", ".join(dict.fromkeys(episode.field.name for episode in episodes))
+    return page.fill(
+        page.static("replay.html"),
+        {
+            "title": page.text(f"Replay: {fields}" if title is None else title),
+            "note": page.text(f"Recorded and replayed exactly by mbn_marl {__version__}."),
+            "colours": page.colours(),
+            "styles": page.styles(),
+            "scripts": page.scripts(),
+            "episodes": page.episodes_data(episodes),
+        },
+    )

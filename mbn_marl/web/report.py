@@ -1,0 +1,120 @@
+"""A report as one self-contained page: sections of tables, figures and players."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from mbn_marl.episode import Episode
+from mbn_marl.web import page
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of words.
+
+    Attributes:
+        title: its heading.
+        caption: sentences that stand with it.
+        headings: of the columns; a line break in one stays.
+        lines: each as long as the headings.
+        words: how many columns, from the left, hold words; the others hold numbers.
+    """
+
+    title: str
+    caption: str
+    headings: Sequence[str]
+    lines: Sequence[Sequence[str]]
+    words: int = 1
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a report.
+
+    Attributes:
+        title: its heading, and its name in the table of contents.
+        tables: in order.
+        figures: SVG pictures by what they show.
+        episodes: to play side by side.
+        texts: long texts by title, folded away.
+    """
+
+    title: str
+    tables: Sequence[Table] = ()
+    figures: Mapping[str, bytes] = field(default_factory=dict)
+    episodes: Sequence[Episode] = ()
+    texts: Mapping[str, str] = field(default_factory=dict)
+
+
+def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
+    """A self-contained HTML page of ``sections``, with links to each and to its player.
+
+    Args:
+        title: of the page.
+        summary: a sentence below it.
+        sections: in order.
+    """
+    return page.fill(
+        page.static("report.html"),
+        {
+            "title": page.text(title),
+            "summary": page.text(summary),
+            "contents": "\n".join(_links(sections)),
+            "sections": "\n".join(_section(*numbered) for numbered in enumerate(sections)),
+            "colours": page.colours(),
+            "styles": page.styles((*page.STYLES, "report.css")),
+            "scripts": page.scripts(),
+        },
+    )
+
+
+def _links(sections: Sequence[Section]) -> Iterable[str]:
+    for number, section in enumerate(sections):
+        replay = f' (<a href="#replay-{number}">replay</a>)' if section.episodes else ""
+        link = f'<a href="#section-{number}">{page.text(section.title)}</a>'
+        yield f"<span>{link}{replay}</span>"
+
+
+def _section(number: int, section: Section) -> str:
+    parts = [f"<h2>{page.text(section.title)}</h2>", *map(_table, section.tables)]
+    if section.figures:
+        pictures = "".join(_figure(*named) for named in section.figures.items())
+        parts.append(f'<div class="figures">{pictures}</div>')
+    if section.episodes:
+        data = page.episodes_data(section.episodes)
+        parts += [
+            f'<div id="replay-{number}" data-replay="episodes-{number}"></div>',
+            f'<script type="application/json" id="episodes-{number}">{data}</script>',
+        ]
+    parts += [
+        f"<details><summary>{page.text(name)}</summary><pre>{page.text(text)}</pre></details>"
+        for name, text in section.texts.items()
+    ]
+    body = "\n".join(parts)
+    return f'<section id="section-{number}">\n{body}\n</section>'
+
+
+def _table(table: Table) -> str:
+    def row(tag: str, cells: Sequence[str]) -> str:
+        kinds = [' class="word"' if place < table.words else "" for place in range(len(cells))]
+        made = (
+            f"<{tag}{kind}>{page.text(cell)}</{tag}>"
+            for kind, cell in zip(kinds, cells, strict=True)
+        )
+        return f"<tr>{''.join(made)}</tr>"
+
+    head = row("th", table.headings)
+    body = "".join(row("td", line) for line in table.lines)
+    shown = f"<table><thead>{head}</thead><tbody>{body}</tbody></table>"
+    return (
+        f'<h3>{page.text(table.title)}</h3><div class="table">{shown}</div>'
+        f'<p class="caption">{page.text(table.caption)}</p>'
+    )
+
+
+def _figure(title: str, svg: bytes) -> str:
+    """As an image and not as part of the page: names inside two pictures may be the same."""
+    data = base64.b64encode(svg).decode("ascii")
+    return f'<figure><img alt="{page.text(title)}" src="data:image/svg+xml;base64,{data}"></figure>'

@@ -1,0 +1,89 @@
+// An episode in the format mbn-episode/1 (see docs/replay.md), ready to be looked at at any time.
+// Time is counted in steps and may lie between two of them.
+
+const ARRAYS = {
+  float32: Float32Array,
+  float64: Float64Array,
+  uint8: Uint8Array,
+  uint16: Uint16Array,
+};
+
+/** The numbers of a packed array, flat. */
+function unpack({ dtype, data }) {
+  const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+  return new ARRAYS[dtype](bytes.buffer);
+}
+
+/** The numbers of a coded array, flat. */
+function decode({ values, indices }) {
+  return Float64Array.from(unpack(indices), (index) => values[index]);
+}
+
+/** Running totals of `step(t)`, before the first step and after every one. */
+function totals(steps, step) {
+  const sums = new Float64Array(steps + 1);
+  for (let t = 0; t < steps; t += 1) sums[t + 1] = sums[t] + step(t);
+  return sums;
+}
+
+class Episode {
+  constructor(file) {
+    Object.assign(this, {
+      field: file.field,
+      source: file.source || "episode",
+      seed: file.seed,
+      robots: file.robots,
+      steps: file.steps,
+      outcome: file.outcome,
+      wind: file.wind,
+      visits: file.visits,
+      roiRadius: file.config.roi_radius,
+      safetyDistance: file.config.safety_distance,
+    });
+    this.places = unpack(file.positions);
+    const team = decode(file.rewards.team);
+    this.returns = totals(this.steps, (t) => team[t]);
+    this.terms = this.#termTotals(file.rewards);
+  }
+
+  /** For each term that ever counted, its name and the team's running totals. */
+  #termTotals({ terms, robots }) {
+    const earned = decode(robots);
+    const width = terms.length;
+    const sum = (t, term) => {
+      let value = 0;
+      for (let robot = 0; robot < this.robots; robot += 1) {
+        value += earned[(t * this.robots + robot) * width + term];
+      }
+      return value;
+    };
+    return terms
+      .map((name, term) => ({ name, totals: totals(this.steps, (t) => sum(t, term)) }))
+      .filter(({ totals: sums }) => sums.some((value) => value !== 0));
+  }
+
+  /** Where a robot is: [x, y] in units; between two steps it moves evenly. */
+  position(robot, time) {
+    const before = Math.floor(Math.min(time, this.steps));
+    const share = Math.min(time, this.steps) - before;
+    const at = 2 * (before * this.robots + robot);
+    const next = share > 0 ? at + 2 * this.robots : at;
+    return [0, 1].map((axis) => {
+      const place = this.places[at + axis];
+      return place + share * (this.places[next + axis] - place);
+    });
+  }
+
+  /** The last whole step at `time`. */
+  step(time) {
+    return Math.floor(Math.min(time, this.steps));
+  }
+
+  isVisited(roi, time) {
+    return this.visits[roi] !== null && this.visits[roi] <= time;
+  }
+
+  visitedCount(time) {
+    return this.visits.filter((_, roi) => this.isVisited(roi, time)).length;
+  }
+}
