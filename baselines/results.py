@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from baselines.algorithms import Form, find_algorithm
 from baselines.folders import run_folders
-from baselines.optimum import VIEW, optimal_return
 from baselines.runs import RunFolder, default_label
 from baselines.storage import RunError
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
+from mbn_marl.optimum import VIEW, optimal_return
 
 CONFIG = (
     *("algorithm", "setting", "seed", "steps", "evaluate_every", "episodes"),

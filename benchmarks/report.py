@@ -20,7 +20,7 @@ VERDICTS = {True: "[green]met[/]", False: "[red]missed[/]", None: "-"}
 def print_result(result: Result, console: Console) -> None:
     """Print the machine, the rows, where the time goes, and cost against sizes."""
     console.print(f"{machine_line(dict(result.machine))}\n", highlight=False)
-    console.print(_rows_table(result.rows))
+    console.print(rows_table(result.rows, "3 robots, 6 ROIs, field_01, random actions, float32"))
     console.print(_parts_table(result.parts))
     console.print(_curves_table(result.curves))
     for curve in result.curves:
@@ -41,8 +41,9 @@ def write_result(result: Result, folder: Path) -> None:
         write_figure(result, temporary)
 
 
-def _rows_table(rows: list[Row]) -> Table:
-    table = Table(title="3 robots, 6 ROIs, field_01, random actions, float32")
+def rows_table(rows: list[Row], title: str) -> Table:
+    """The rows with their targets and verdicts."""
+    table = Table(title=title)
     table.add_column("what")
     for heading in ("measured", "target"):
         table.add_column(heading, justify="right", no_wrap=True)

@@ -25,13 +25,13 @@ from baselines.decentralized.networks import (
 )
 from baselines.decentralized.policy import DecentralizedPolicy, load_policy
 from baselines.evaluate import evaluate
-from baselines.optimum import optimal_return
 from baselines.policies import RandomPolicy
 from baselines.recorder import EpisodeWindow
 from baselines.storage import RunError
 from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field
+from mbn_marl.optimum import optimal_return
 
 SQUARE = Field(
     vertices=[(0, 0), (200, 0), (200, 200), (0, 200)],

@@ -179,7 +179,7 @@ def test_a_poor_docstring_is_told_everything() -> None:
         "returns: what precedes a colon on the first line reads as a type",
         "returns: an array without a shape",
         "returns: an array without unit or range",
-        "raises NoSuchError: no error of Python or of mbn_marl.errors",
+        "raises NoSuchError: there is no such error",
         "raises ActionError: not listed",
         "source: speaks of the paper without a section 'Source:'",
     ]

@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from mbn_marl import Field, centralized_env, parallel_env
 from mbn_marl.adapters.gymnasium import CentralizedVectorEnv
-from mbn_marl.adapters.infos import INFO_KEYS
+from mbn_marl.adapters.infos import GAP, INFO_KEYS
 from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
 from mbn_marl.field import catalogue_names
 
@@ -136,7 +136,7 @@ class TestNumbersByHand:
         for _ in range(1000):
             state, reward, terminated, truncated, info = env.step(env.action_space.sample())
             assert env.observation_space.contains(state)
-            assert tuple(info) == INFO_KEYS
+            assert tuple(info) == (INFO_KEYS if env.optimal_return is None else (*INFO_KEYS, GAP))
             assert {type(reward), *map(type, info.values())} == {float}
             terms = [value for key, value in info.items() if "/" in key]
             assert sum(terms) == pytest.approx(reward, rel=1e-6)

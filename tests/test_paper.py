@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from baselines.optimum import optimal_return
 from baselines.paper import figures, glance, published
 from baselines.paper.grid import Grid
 from baselines.paper.summary import first_reach, moving_mean
@@ -22,6 +21,7 @@ from baselines.runs import RunFolder
 from baselines.storage import RunError, write_json
 from mbn_marl.cli import main
 from mbn_marl.field import load_field, save_field
+from mbn_marl.optimum import optimal_return
 
 NOTHING = (0, np.nan, np.nan, np.nan, np.nan)
 Row = tuple[float, float, float, float, float]

@@ -20,7 +20,7 @@ from pettingzoo.test import (
 from pettingzoo.test.state_test import state_test
 
 from mbn_marl import Field, navigation_v0, parallel_env
-from mbn_marl.adapters.infos import INFO_KEYS
+from mbn_marl.adapters.infos import GAP, INFO_KEYS
 from mbn_marl.errors import ActionError, StepError
 from mbn_marl.field import catalogue_names
 
@@ -236,7 +236,9 @@ class TestEveryStep:
             assert list(observations) == list(infos) == env.possible_agents
             for agent, observation in observations.items():
                 assert env.observation_space(agent).contains(observation)
-                assert tuple(infos[agent]) == INFO_KEYS
+                assert tuple(infos[agent]) == (
+                    INFO_KEYS if env.optimal_return is None else (*INFO_KEYS, GAP)
+                )
                 assert all(type(value) is float for value in infos[agent].values())
 
     def test_what_was_returned_stays_as_it_was(self):

@@ -117,7 +117,10 @@ def test_an_unknown_name_lists_the_known_ones(
 
 def test_the_package_is_not_written_to(zoo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", "zoo:tiny", "--wind-speeds", "0", "--json", "x.json"]) == 2
-    assert "json, figure: of a zoo policy in wind, name both" in capsys.readouterr().err
+    assert (
+        "json, figure: of a policy without a run folder in wind, name both"
+        in capsys.readouterr().err
+    )
 
 
 def test_what_makes_no_entry(

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from baselines.evaluate import EVALUATION_SEED, evaluate_both
-from baselines.optimum import optimal_return
 from baselines.policies import load_policy
 from baselines.runs import RunFolder
 from baselines.storage import RunError, read_json, replacing_folder, write_json, write_text
@@ -17,6 +16,7 @@ from baselines.zoo.entries import CARD, PREFIX
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import catalogue_names, save_field
+from mbn_marl.optimum import optimal_return
 
 EPISODES = 100
 LARGEST = 200_000

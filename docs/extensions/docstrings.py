@@ -35,6 +35,8 @@ MODULES = (
     "mbn_marl.episode",
     "mbn_marl.errors",
     "mbn_marl.field",
+    "mbn_marl.optimum",
+    "mbn_marl.planning",
     "mbn_marl.registration",
 )
 """The modules that users import from."""
@@ -204,10 +206,10 @@ def _is(kind: re.Pattern[str], annotation: str, public: Public) -> bool:
 def _error_problems(public: Public, document: Docstring) -> Iterator[str]:
     """Every error of the suite that the code is seen to raise is listed; what is listed exists."""
     listed = {name.strip() for one in document.raises for name in (one.type_name or "").split(",")}
-    known = {**vars(builtins), **vars(errors)}
+    known = {**vars(builtins), **vars(errors), **vars(inspect.getmodule(public.value))}
     for name in sorted(listed):
         if not is_subclass(known.get(name), Exception):
-            yield f"raises {name}: no error of Python or of mbn_marl.errors"
+            yield f"raises {name}: there is no such error"
     if _refers_to_another(public):
         return
     raised = {error.__name__ for error in raised_by(public.function, public.owner or public.value)}

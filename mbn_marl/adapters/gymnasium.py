@@ -12,12 +12,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.adapters.infos import INFO_KEYS, team_rows
+from mbn_marl.adapters.infos import Infos
 from mbn_marl.adapters.one_world import RENDER_MODES, OneWorld
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.errors import ActionError, ConfigError
+from mbn_marl.optimum import optimal_return
 
 State = NDArray[Any]
 Actions = NDArray[np.float32]
@@ -76,6 +77,11 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
         """The engine with this environment's world; look at it, but do not step it."""
         return self._world.engine
 
+    @property
+    def optimal_return(self) -> float | None:
+        """The proved best team return here, see :func:`mbn_marl.optimum.optimal_return`."""
+        return optimal_return(self.engine.field, self.engine.config)
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[State, dict[str, Any]]:
@@ -91,7 +97,7 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
         """
         super().reset(seed=seed)
         self._world.reset(seed)
-        return self._world.state(), self._world.no_info()
+        return self._world.state(), self._world.infos.nothing()
 
     def step(self, action: ArrayLike) -> tuple[State, float, bool, bool, dict[str, Any]]:
         """Move all robots.
@@ -109,7 +115,9 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
         """
         actions = _as_actions(action, (self.engine.n_robots, 2))
         _, _, terminated, truncated = self._world.step(actions)
-        info = dict(zip(INFO_KEYS, team_rows(self.engine)[0].tolist(), strict=True))
+        infos = self._world.infos
+        row = infos.of_teams(np.array([terminated or truncated]))[0]
+        info = dict(zip(infos.keys, row.tolist(), strict=True))
         reward = float(self.engine.team_rewards[0])
         return self._world.state(), reward, terminated, truncated, info
 
@@ -174,6 +182,7 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
             n_robots=n_robots,
             **settings,
         )
+        self._infos = Infos(engine)
         self.num_envs = num_envs
         self.single_observation_space = spaces.Box(
             engine.state_low, engine.state_high, dtype=engine.dtype.type
@@ -205,8 +214,8 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
             mask = np.ones(self.num_envs, np.bool_)
         else:
             self._reset_some(mask, seed)
-        nothing = np.zeros((self.num_envs, len(INFO_KEYS)))
-        return self.engine.state(), _by_key(nothing, mask)
+        nothing = np.zeros((self.num_envs, len(self._infos.keys)))
+        return self.engine.state(), self._by_key(nothing, mask)
 
     def step(
         self, actions: ArrayLike
@@ -227,7 +236,7 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         engine = self.engine
         allowed = (self.num_envs, engine.n_robots, 2)
         _, _, terminated, truncated = engine.step(_as_actions(actions, allowed))
-        infos = self._infos(terminated | truncated)
+        infos = self._step_infos(terminated | truncated)
         return (
             engine.state(),
             engine.team_rewards.copy(),
@@ -257,29 +266,28 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
             raise ConfigError("options", problems)
         self.engine.reset_worlds(mask)
 
-    def _infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
+    def _step_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         """The infos of a step, in the layout of Gymnasium's own vector environments."""
         everywhere = np.ones(self.num_envs, np.bool_)
-        rows = team_rows(self.engine)
+        rows = self._infos.of_teams(ended)
         if self.autoreset_mode is not AutoresetMode.SAME_STEP or not ended.any():
-            return _by_key(rows, everywhere)
+            return self._by_key(rows, everywhere)
         states = np.full(self.num_envs, None, object)
         final_state = self.engine.final_state()
         for world in np.flatnonzero(ended):
             states[world] = final_state[world]
         return {
-            **_by_key(np.where(ended[:, None], 0.0, rows), everywhere),
+            **self._by_key(np.where(ended[:, None], 0.0, rows), everywhere),
             "final_obs": states,
             "_final_obs": ended,
-            "final_info": _by_key(np.where(ended[:, None], rows, 0.0), ended),
+            "final_info": self._by_key(np.where(ended[:, None], rows, 0.0), ended),
             "_final_info": ended,
         }
 
-
-def _by_key(rows: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
-    """Rows of infos ``(W, 12)`` as a column for each key; ``_key`` says where it counts."""
-    infos = dict(zip(INFO_KEYS, rows.T.copy(), strict=True))
-    return {**infos, **{f"_{key}": mask for key in infos}}
+    def _by_key(self, rows: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
+        """Rows of infos ``(W, keys)`` as a column for each key; ``_key`` says where it counts."""
+        infos = dict(zip(self._infos.keys, rows.T.copy(), strict=True))
+        return {**infos, **{f"_{key}": mask for key in infos}}
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mbn_marl.adapters.infos import INFO_KEYS
+from mbn_marl.adapters.infos import Infos
 from mbn_marl.adapters.rendering import LazyViewer
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, FieldLike
@@ -22,6 +22,7 @@ class OneWorld:
 
     Attributes:
         engine: the engine; look at it, but let only the environment step and reset it.
+        infos: makes the infos.
         agents: ``robot_0`` to ``robot_{n-1}``.
         viewer: draws the world.
         started: whether there has been a reset.
@@ -36,6 +37,7 @@ class OneWorld:
     ) -> None:
         self.viewer = LazyViewer(render_mode, RENDER_MODES)
         self.engine = BatchEngine(field, num_worlds=1, autoreset=False, threads=1, **settings)
+        self.infos = Infos(self.engine)
         self.agents = [f"robot_{index}" for index in range(self.engine.n_robots)]
         self.started = False
 
@@ -83,10 +85,6 @@ class OneWorld:
         """The box that :meth:`state` lies in."""
         engine = self.engine
         return spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
-
-    def no_info(self) -> dict[str, float]:
-        """The info of a reset: every key, nothing has happened."""
-        return dict.fromkeys(INFO_KEYS, 0.0)
 
     def _show(self) -> None:
         if self.viewer.render_mode == "human":

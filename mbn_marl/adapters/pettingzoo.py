@@ -12,12 +12,12 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from mbn_marl.adapters.infos import robot_infos
 from mbn_marl.adapters.one_world import RENDER_MODES, OneWorld
 from mbn_marl.adapters.rendering import RENDER_FPS
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
+from mbn_marl.optimum import optimal_return
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32]
@@ -100,6 +100,11 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
         """The engine with this environment's world; look at it, but do not step it."""
         return self._world.engine
 
+    @property
+    def optimal_return(self) -> float | None:
+        """The proved best team return here, see :func:`mbn_marl.optimum.optimal_return`."""
+        return optimal_return(self.engine.field, self.engine.config)
+
     def observation_space(self, agent: str) -> spaces.Space[Observation]:
         """The space of ``agent``'s observations, ``(obs_size,)`` float32, always the same object.
 
@@ -139,7 +144,7 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
         """
         observations = self._world.reset(seed)
         self.agents = list(self.possible_agents)
-        infos = {agent: self._world.no_info() for agent in self.agents}
+        infos = {agent: self._world.infos.nothing() for agent in self.agents}
         return dict(zip(self.agents, observations, strict=True)), infos
 
     def step(self, actions: Mapping[str, ArrayLike]) -> StepResult:
@@ -168,7 +173,7 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
             dict(zip(agents, rewards.tolist(), strict=True)),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
-            dict(zip(agents, robot_infos(self.engine), strict=True)),
+            dict(zip(agents, self._world.infos.of_robots(not self.agents), strict=True)),
         )
 
     def state(self) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""``mbn bench``: how fast the suite is here, and how well it learns, against targets."""
+"""``mbn bench``: how fast the suite is here, how well it learns and plans, against targets."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from tyro.conf import Positional
 class Bench:
     """Measure in one run, print tables with targets, and write them and figures."""
 
-    subject: Positional[Literal["speed", "learning", "sharing"]] = "speed"
+    subject: Positional[Literal["speed", "learning", "sharing", "planning"]] = "speed"
     """speed: the engine, its adapters, the plain loop, and the peers that are installed. learning:
-    one setting on all ten fields against its targets. sharing: the ways to share parameters."""
+    one setting on all ten fields against its targets. sharing: the ways to share parameters.
+    planning: proofs and plans for the ten fields and random ones."""
     fields: tuple[str, ...] = ()
     """learning, sharing: names of `mbn fields`, or paths; by default all ten."""
     seeds: tuple[int, ...] = ()
@@ -38,6 +39,9 @@ class Bench:
         if self.subject == "speed":
             self._refuse_sizes()
             self._measure_speed(out, command_line)
+        elif self.subject == "planning":
+            self._refuse_sizes()
+            self._measure_planning(out, command_line)
         else:
             self._study(out, command_line)
 
@@ -45,7 +49,7 @@ class Bench:
         from mbn_marl.errors import ConfigError
 
         problems = [
-            f"{name}: for learning and sharing, not for speed"
+            f"{name}: for learning and sharing, not for {self.subject}"
             for name in ("fields", "seeds", "steps", "processes", "resume")
             if getattr(self, name)
         ]
@@ -69,6 +73,28 @@ class Bench:
         print_result(result, console)
         write_result(result, folder)
         console.print(f"written to {folder}: speed.json, speed.png")
+
+    def _measure_planning(self, out: Path, command_line: str) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        from baselines.storage import claim_folder, write_json
+        from benchmarks.machine import describe_machine, machine_line
+        from benchmarks.planning.study import CONVEX, WINDING, study_planning
+        from benchmarks.report import rows_table
+        from mbn_marl.field import catalogue_names
+
+        folder = claim_folder(out, force=self.force)
+        console, machine = Console(), describe_machine()
+        with Progress(console=console, transient=True) as progress:
+            task = progress.add_task("planning", total=len(catalogue_names()) + CONVEX + WINDING)
+            rows, instances = study_planning(lambda: progress.advance(task))
+        console.print(f"{machine_line(machine)}\n", highlight=False)
+        console.print(rows_table(rows, "the planner; seconds of processor time on one core"))
+        targets = [row.to_json() for row in rows]
+        result = {"command": command_line, "machine": machine, "targets": targets, **instances}
+        write_json(folder / "planning.json", result)
+        console.print(f"written to {folder}: planning.json")
 
     def _study(self, out: Path, command_line: str) -> None:
         from rich.console import Console

@@ -1,4 +1,4 @@
-"""``mbn evaluate``: fresh episodes of a trained policy."""
+"""``mbn evaluate``: fresh episodes of a trained policy, or of a classical one."""
 
 from __future__ import annotations
 
@@ -9,17 +9,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from mbn_marl.optimum import optimality_gap
+
 if TYPE_CHECKING:
     from baselines.policies import Policy
-    from baselines.runs import RunFolder
+    from mbn_marl.field import Field
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Evaluate the policy of a run on fresh episodes, with sampled and with mean actions."""
+    """Evaluate a policy on fresh episodes, with sampled and with mean actions."""
 
-    source: Positional[Annotated[str, arg(metavar="RUN")]]
-    """The folder of a run, or zoo:NAME, a policy of `mbn zoo`."""
+    source: Positional[Annotated[str, arg(metavar="RUN|greedy|planner")]]
+    """The folder of a run; zoo:NAME, a policy of `mbn zoo`; greedy, nearest ROIs first; or planner,
+    the best plan, followed in closed loop."""
+    field: str | None = None
+    """For greedy and planner: a name of `mbn fields`, or a field file."""
     episodes: int = 100
     """How many episodes."""
     seed: int | None = None
@@ -39,8 +44,7 @@ class Evaluate:
     def run(self, command_line: str) -> None:
         """Evaluate, print the summaries, and write the file if one is asked for."""
         from baselines.evaluate import EVALUATION_SEED
-        from baselines.policies import load_policy
-        from baselines.zoo.entries import PREFIX, open_run
+        from baselines.zoo.entries import PREFIX
         from mbn_marl.errors import ConfigError
 
         if self.episodes < 1:
@@ -50,46 +54,79 @@ class Evaluate:
         if self.record is not None and self.wind_speeds is not None:
             raise ConfigError("evaluation", ["record: allowed without --wind-speeds"])
         files = (self.json, self.figure)
-        if self.wind_speeds is not None and self.source.startswith(PREFIX) and None in files:
-            raise ConfigError("evaluation", ["json, figure: of a zoo policy in wind, name both"])
-        run = open_run(self.source)
+        homeless = self.field is not None or self.source.startswith(PREFIX)
+        if self.wind_speeds is not None and homeless and None in files:
+            problem = "json, figure: of a policy without a run folder in wind, name both"
+            raise ConfigError("evaluation", [problem])
+        subject = self._subject()
         seed = EVALUATION_SEED if self.seed is None else self.seed
         if self.wind_speeds is None:
-            self._evaluate(run, load_policy(run), seed, command_line)
+            self._evaluate(subject, seed, command_line)
         else:
-            self._evaluate_in_wind(run, load_policy(run), seed, command_line, self.wind_speeds)
+            self._evaluate_in_wind(subject, seed, command_line, self.wind_speeds)
 
-    def _evaluate(self, run: RunFolder, policy: Policy, seed: int, command_line: str) -> None:
-        """Evaluate as the run was trained."""
-        from baselines.evaluate import evaluate_both, record_evaluation
+    def _subject(self) -> _Subject:
+        """What is evaluated, and where."""
+        from baselines.classical import CLASSICAL, make_classical
+        from baselines.policies import load_policy
+        from baselines.zoo.entries import open_run
+        from mbn_marl.errors import ConfigError
+        from mbn_marl.field import load_field
+
+        if (self.source in CLASSICAL) != (self.field is not None):
+            names = " and ".join(CLASSICAL)
+            raise ConfigError("evaluation", [f"field: for {names}, which need it, and no other"])
+        if self.field is not None:
+            field = load_field(self.field)
+            return _Subject(make_classical(self.source, field, {}), field, {}, Path())
+        run = open_run(self.source)
+        return _Subject(load_policy(run), run.field, run.config["environment"], run.path)
+
+    def _evaluate(self, subject: _Subject, seed: int, command_line: str) -> None:
+        """Evaluate as the policy was trained."""
+        from baselines.evaluate import evaluate_both
         from baselines.storage import claim_folder, write_json
-        from mbn_marl.episode import save_episode
+        from mbn_marl.config import make_config
+        from mbn_marl.optimum import optimal_return
 
         if self.record is not None:
             claim_folder(self.record)
         results = evaluate_both(
-            policy, run.field, run.config["environment"], episodes=self.episodes, seed=seed
+            subject.policy, subject.field, subject.settings, episodes=self.episodes, seed=seed
         )
-        print_evaluations([result.summary() for result in results.values()], title=self.source)
+        optimum = optimal_return(subject.field, make_config(subject.settings))
+        summaries = [result.summary() for result in results.values()]
+        print_evaluations(summaries, title=self.source, optimum=optimum)
         if self.json is not None:
             episodes = {name: result.to_json() for name, result in results.items()}
-            write_json(self.json, {"command": command_line, **episodes})
-        if self.record is None:
-            return
+            gaps = {
+                name: optimality_gap(result.summary()["return_mean"], optimum)
+                for name, result in results.items()
+            }
+            heading = {"command": command_line, "optimum": optimum, "optimality_gap": gaps}
+            write_json(self.json, {**heading, **episodes})
+        if self.record is not None:
+            self._record(subject, seed, self.record)
+
+    def _record(self, subject: _Subject, seed: int, folder: Path) -> None:
+        """Write the most telling episodes as recordings."""
+        from baselines.evaluate import record_evaluation
+        from mbn_marl.episode import save_episode
+
         recorded = record_evaluation(
-            policy,
-            run.field,
-            run.config["environment"],
+            subject.policy,
+            subject.field,
+            subject.settings,
             episodes=self.episodes,
             seed=seed,
             source=self.source,
         )
         for name, episode in recorded.items():
-            save_episode(episode, self.record / f"{name}.json")
-        print(f"recorded: {', '.join(recorded)} in {self.record}")
+            save_episode(episode, folder / f"{name}.json")
+        print(f"recorded: {', '.join(recorded)} in {folder}")
 
     def _evaluate_in_wind(
-        self, run: RunFolder, policy: Policy, seed: int, command_line: str, speeds: str
+        self, subject: _Subject, seed: int, command_line: str, speeds: str
     ) -> None:
         """Evaluate at several wind speeds; write the episodes and the picture."""
         from baselines.storage import write_json
@@ -97,9 +134,9 @@ class Evaluate:
         from mbn_marl.render.figures import check_name
 
         winds = parse_speeds(speeds), self.wind_angle
-        where = policy, run.field, run.config["environment"]
-        figure = check_name(self.figure or run.path / "wind.png")
-        results = self.json or run.path / "wind.json"
+        where = subject.policy, subject.field, subject.settings
+        figure = check_name(self.figure or subject.home / "wind.png")
+        results = self.json or subject.home / "wind.json"
         rows = evaluate_in_wind(*where, *winds, episodes=self.episodes, seed=seed)
         write_json(results, {"command": command_line, "results": rows})
         write_panels(*where, *winds, figure)
@@ -107,23 +144,47 @@ class Evaluate:
         print(f"written: {results}, {figure}")
 
 
-def print_evaluations(summaries: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print evaluations (as ``Evaluation.summary()`` has them) as a table, one a row."""
+@dataclass(frozen=True)
+class _Subject:
+    """A policy, where it acts, and the folder that its files go to by default."""
+
+    policy: Policy
+    field: Field
+    settings: Mapping[str, Any]
+    home: Path
+
+
+def print_evaluations(
+    summaries: Sequence[Mapping[str, Any]], title: str, optimum: float | None = None
+) -> None:
+    """Print evaluations (as ``Evaluation.summary()`` has them) as a table, one a row.
+
+    Args:
+        summaries: the rows.
+        title: above the table.
+        optimum: the proved best return, from which the gap is measured; ``None`` for no gap.
+    """
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
     table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for heading in ("actions", "episodes", "return", "min", "max", "success", "makespan"):
+    headings = ["actions", "episodes", "return", "min", "max", "success", "makespan"]
+    if optimum is not None:
+        table.caption = f"gap: to the proved optimum, {optimum:,.0f}"
+        headings.append("gap")
+    for heading in headings:
         table.add_column(heading, justify="left" if heading == "actions" else "right")
     for summary in summaries:
         makespan = summary["makespan"]
+        gap = optimality_gap(summary["return_mean"], optimum)
         table.add_row(
             "mean" if summary["deterministic"] else "sampled",
             str(summary["episodes"]),
             *(f"{summary[f'return_{name}']:,.0f}" for name in ("mean", "min", "max")),
             f"{summary['success_rate']:.1%}",
             "-" if makespan is None else f"{makespan:.1f}",
+            *([] if gap is None else [f"{gap:.2%}"]),
         )
     Console().print(table)
 

@@ -29,8 +29,8 @@ class Fields:
         from rich.console import Console
         from rich.table import Table
 
-        from baselines.optimum import optimal_return
         from mbn_marl.field import catalogue_names, load_field
+        from mbn_marl.optimum import optimal_return
 
         table = Table(title="fields (optimum: proved, released rewards, no wind)")
         table.add_column("field")

@@ -15,6 +15,7 @@ from mbn_marl.cli.bench import Bench
 from mbn_marl.cli.compare import Compare
 from mbn_marl.cli.evaluate import Evaluate
 from mbn_marl.cli.fields import Fields
+from mbn_marl.cli.plan import Plan
 from mbn_marl.cli.render import Render
 from mbn_marl.cli.replay import Replay
 from mbn_marl.cli.report import Report
@@ -33,6 +34,7 @@ Command = (
     | Annotated[Compare, subcommand("compare")]
     | Annotated[Tune, subcommand("tune")]
     | Annotated[Report, subcommand("report")]
+    | Annotated[Plan, subcommand("plan")]
     | Annotated[Render, subcommand("render")]
     | Annotated[Replay, subcommand("replay")]
     | Annotated[Watch, subcommand("watch")]

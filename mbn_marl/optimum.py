@@ -9,11 +9,29 @@ VIEW = ("reward_sharing", "observation", "one_hot", "sensing_radius", "dtype")
 """Settings that change what a learner sees, but not what there is to reach."""
 
 
+def optimality_gap(return_: float, optimum: float | None) -> float | None:
+    """How far ``return_`` falls short of ``optimum``, as a share of it; ``None`` without one.
+
+    Both are in reward units.
+    """
+    return None if optimum is None else 1.0 - return_ / optimum
+
+
 def optimal_return(field: Field, config: NavigationConfig | None = None) -> float | None:
     """The best possible team return, ``m r_l + r_inf - n r_s T*``, or ``None`` if not proved.
 
+    Nothing is better: leaving the field, which stops a robot at once, costs ``r_l``, more than all
+    the steps of a proved makespan; where it does not, nothing is claimed.
+
     It holds for the default dynamics, the released rewards and the field's own starts and team;
     for any other configuration nothing is proved and the answer is ``None``.
+
+    Args:
+        field: with its proved makespan, if there is one.
+        config: of the environment; ``None`` for the default one.
+
+    Source:
+        The formula is that of ``docs/mdp.md`` for a clean success, T* the planner's.
     """
     config = config or NavigationConfig()
     comparable = config.model_copy(
@@ -26,4 +44,6 @@ def optimal_return(field: Field, config: NavigationConfig | None = None) -> floa
         return None
     reward = config.reward
     team_charge = len(field.starts) * reward.small * field.optimal_makespan
+    if team_charge > reward.large:
+        return None
     return len(field.rois) * reward.large + reward.infinite - team_charge

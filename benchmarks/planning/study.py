@@ -1,0 +1,128 @@
+"""How often, how fast and how closely the planner solves the catalogue and random instances."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.planning.instances import convex_instance, winding_instance
+from benchmarks.results import Row
+from mbn_marl.field import Field, catalogue_names, load_field
+from mbn_marl.planning import plan
+
+CONVEX, WINDING = 100, 50
+"""How many random instances."""
+CONVEX_LIMIT, WINDING_LIMIT = 10.0, 30.0
+"""Seconds of processor time for each."""
+GRACE = 2.0
+"""Plans may take so many times as long by the clock; what counts is processor time."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One instance.
+
+    Attributes:
+        name: of the field.
+        rois: how many.
+        robots: how many.
+        makespan: steps of the plan, ``None`` if there is none.
+        bound: the proved lower bound, steps.
+        known: the optimum that the catalogue has, ``None`` elsewhere.
+        seconds: processor time.
+    """
+
+    name: str
+    rois: int
+    robots: int
+    makespan: int | None
+    bound: int
+    known: int | None
+    seconds: float
+
+    @property
+    def gap(self) -> float:
+        """How far the bound lies below the makespan, as a share of it; 1 without a plan."""
+        return 1.0 if self.makespan is None else 1.0 - self.bound / self.makespan
+
+
+def attempts(fields: Sequence[Field], limit: float) -> Iterator[Attempt]:
+    """Plan for every field."""
+    for field in fields:
+        began = time.process_time()
+        found = plan(field, time_limit=GRACE * limit)
+        yield Attempt(
+            name=field.name,
+            rois=len(field.rois),
+            robots=len(field.starts),
+            makespan=found.makespan,
+            bound=found.makespan_lower_bound,
+            known=field.optimal_makespan,
+            seconds=time.process_time() - began,
+        )
+
+
+def study_planning(
+    progress: Callable[[], object], convex: int = CONVEX, winding: int = WINDING
+) -> tuple[list[Row], dict[str, Any]]:
+    """The rows of the targets' table, and every attempt as JSON values.
+
+    Args:
+        progress: called after every attempt.
+        convex: how many random convex instances.
+        winding: how many that are not convex or have holes.
+    """
+    plan("field_03")  # loads and compiles
+    sets = {
+        "catalogue": ([load_field(name) for name in catalogue_names()], CONVEX_LIMIT),
+        "convex": ([convex_instance(seed) for seed in range(convex)], CONVEX_LIMIT),
+        "winding": ([winding_instance(seed) for seed in range(winding)], WINDING_LIMIT),
+    }
+    done: dict[str, list[Attempt]] = {name: [] for name in sets}
+    for name, (fields, limit) in sets.items():
+        for attempt in attempts(fields, limit):
+            done[name].append(attempt)
+            progress()
+    return target_rows(**done), {name: [asdict(one) for one in all_] for name, all_ in done.items()}
+
+
+def target_rows(
+    catalogue: Sequence[Attempt], convex: Sequence[Attempt], winding: Sequence[Attempt]
+) -> list[Row]:
+    """The targets, with what was reached."""
+    everything = [*catalogue, *convex, *winding]
+    proved = sum(one.makespan == one.bound == one.known for one in catalogue)
+    optimal = [one.makespan == one.bound and one.seconds <= CONVEX_LIMIT for one in convex]
+    planned = [one.makespan is not None and one.seconds <= WINDING_LIMIT for one in winding]
+    wrong = [one.makespan is not None and one.makespan < one.bound for one in everything]
+    wrong += [one.known is not None and one.known < one.bound for one in everything]
+    slowest = max(one.seconds for one in catalogue)
+    size, names = len(convex), ("the ten fields", "random convex fields", "winding fields")
+    return [
+        Row(f"{names[0]}: proved, equal to the catalogue", proved, "", len(catalogue)),
+        Row(f"{names[0]}: slowest", slowest, "s", 1.0, at_least=False),
+        Row(f"{names[1]}: proved within 10 s", sum(optimal), "", 0.95 * size, note=f"of {size}"),
+        Row(f"{names[1]}: median", float(np.median([one.seconds for one in convex])), "s"),
+        Row(f"{names[1]}: slowest", max(one.seconds for one in convex), "s"),
+        Row(
+            f"{names[2]}: a verified plan within 30 s",
+            sum(planned),
+            "",
+            0.96 * len(winding),
+            note=f"of {len(winding)}; not convex, or with holes",
+        ),
+        Row(
+            f"{names[2]}: median gap",
+            100.0 * float(np.median([one.gap for one in winding])),
+            "%",
+            10.0,
+            at_least=False,
+        ),
+        Row(f"{names[2]}: proved optimal", sum(one.gap == 0.0 for one in winding), ""),
+        Row(f"{names[2]}: slowest", max(one.seconds for one in winding), "s"),
+        Row("plans or optima below their bound", sum(wrong), "", 0.0, at_least=False),
+    ]

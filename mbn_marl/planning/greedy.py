@@ -1,0 +1,172 @@
+"""The classical baseline: greedy assignment and a point-to-point controller that can always brake.
+
+Each robot goes straight to the next corner or ROI on its way, as fast as it can while it can still
+stop there. An action is taken only if the robot could brake to rest after it without leaving the
+field or coming too close to the others, should they brake too. The wind shows in the first step.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from mbn_marl.engine.snapshot import FloatArray
+from mbn_marl.planning.problem import Floats, Problem
+from mbn_marl.planning.roadmap import Roadmap, make_roadmap
+
+CLEARANCES = (4.0, 2.0, 1.0, 0.3, 0.0)
+"""Distances to keep from walls when planning ways, in units: the largest that closes no way."""
+STIR = 0.05
+"""Robots with nothing to do stir by so much of their force: standing costs a revisit."""
+LONGEST_BRAKE = 60
+TURNS = (0.0, 60.0, -60.0, 120.0, -120.0)
+"""Directions to try when the straight way is not free, in degrees from it."""
+
+
+class Greedy:
+    """Drives one team through one episode.
+
+    Args:
+        problem: the instance; it may be in other positions than the field's starts.
+        positions: (n, 2): where the robots are.
+    """
+
+    def __init__(self, problem: Problem, positions: Floats) -> None:
+        self.problem = problem
+        self.roadmap = free_ways(problem, positions)
+        self.queues = assign(self.roadmap, problem.n, problem.m)
+        self.steps = 0
+        self.from_rest: NDArray[np.float32] | None = None
+        self.random = np.random.default_rng(0)
+        self.polygon = problem.field.polygon
+        shapely.prepare(self.polygon)
+
+    def act(
+        self, positions: FloatArray, velocities: FloatArray, visited: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """Actions (n, 2) in [-1, 1].
+
+        Args:
+            positions: (n, 2), units.
+            velocities: (n, 2), units/step.
+            visited: (m,), which ROIs have been visited.
+        """
+        positions, velocities = positions.astype(float), velocities.astype(float)
+        if self.from_rest is not None:
+            self.problem = self.problem.with_wind(velocities, self.from_rest)
+            self.from_rest = None
+        plans = [self._coast(i, positions[i], velocities[i]) for i in range(self.problem.n)]
+        actions = np.zeros((self.problem.n, 2), np.float32)
+        for i in range(self.problem.n):
+            others = plans[:i] + plans[i + 1 :]
+            for wanted in self._wishes(i, positions[i], velocities[i], visited):
+                change = self._within_force(i, wanted - velocities[i])
+                velocity = self._limited(velocities[i] + change)
+                position = positions[i] + velocity * self.problem.config.tau
+                path = np.concatenate([position[None], self._coast(i, position, velocity)])
+                if self._free(path, others):
+                    break
+            else:
+                change = self._within_force(i, -velocities[i])
+                path = plans[i]
+            plans[i] = path
+            force = (change - self.problem.wind) / self.problem.forces[i]
+            actions[i] = np.clip(force, -1.0, 1.0)
+        if self.steps == 0 and not velocities.any():
+            self.from_rest = actions
+        self.steps += 1
+        return actions
+
+    def _wishes(
+        self, i: int, position: Floats, velocity: Floats, visited: NDArray[np.bool_]
+    ) -> list[Floats]:
+        """Velocities that robot i would like to have, the best first."""
+        queue = self.queues[i]
+        while queue and visited[queue[0]]:
+            queue.pop(0)
+        if not queue:
+            stir = self.random.uniform(-STIR, STIR, 2) * self.problem.forces[i]
+            return [stir, -stir]
+        goal = self.problem.n + queue[0]
+        wanted = self._speed(i, self.roadmap.toward(position, goal) - position)
+        turned = [_turn(wanted, math.radians(angle)) for angle in TURNS]
+        return [wanted, 0.5 * wanted, 0.25 * wanted, *(0.5 * one for one in turned[1:])]
+
+    def _speed(self, i: int, offset: Floats) -> Floats:
+        """The highest velocity along ``offset`` from which the robot can stop at its end."""
+        tau = self.problem.config.tau
+        brake = np.maximum(self.problem.forces[i] - np.abs(self.problem.wind), 1e-3)
+        far = np.abs(offset) / tau
+        speed = 0.5 * (np.sqrt(brake**2 + 8.0 * brake * far) - brake)
+        speed = np.minimum(speed, self.problem.config.v_clip)
+        scale = np.min(speed[far > 1e-9] / far[far > 1e-9], initial=1.0)
+        return np.asarray(offset / tau * scale)
+
+    def _within_force(self, i: int, change: Floats) -> Floats:
+        """The change of velocity nearest to ``change`` that force and wind can make."""
+        force, wind = self.problem.forces[i], self.problem.wind
+        return np.clip(change, wind - force, wind + force)
+
+    def _limited(self, velocity: Floats) -> Floats:
+        top = self.problem.config.v_clip
+        return np.clip(velocity, -top, top)
+
+    def _coast(self, i: int, position: Floats, velocity: Floats) -> Floats:
+        """(k, 2): the positions in which robot i brakes to rest, the last one where it rests."""
+        path = []
+        for _ in range(LONGEST_BRAKE):
+            velocity = self._limited(velocity + self._within_force(i, -velocity))
+            position = position + velocity * self.problem.config.tau
+            path.append(position)
+            if not velocity.any():
+                break
+        return np.array(path)
+
+    def _free(self, path: Floats, others: list[Floats]) -> bool:
+        """Whether a path stays in the field and away from the others'."""
+        if not np.all(shapely.intersects_xy(self.polygon, path[:, 0], path[:, 1])):
+            return False
+        least = self.problem.config.safety_distance * 1.01
+        for other in others:
+            steps = np.arange(max(len(path), len(other)))
+            mine = path[np.minimum(steps, len(path) - 1)]
+            apart = mine - other[np.minimum(steps, len(other) - 1)]
+            if np.min(np.hypot(apart[:, 0], apart[:, 1])) < least:
+                return False
+        return True
+
+
+def free_ways(problem: Problem, positions: Floats) -> Roadmap:
+    """The ways between the robots and the ROIs, in this order, clear of walls where possible."""
+    places = np.concatenate([positions, problem.rois])
+    for clearance in CLEARANCES:
+        area = problem.field.polygon.buffer(-clearance, join_style="mitre")
+        if area.is_empty:
+            continue
+        roadmap = make_roadmap(area, places)
+        if np.all(np.isfinite(roadmap.lengths[: len(places), : len(places)])):
+            return roadmap
+    return make_roadmap(problem.field.polygon, places)
+
+
+def assign(roadmap: Roadmap, n: int, m: int) -> list[list[int]]:
+    """A queue of ROIs for each robot: always the visit that can be made the earliest comes next."""
+    at, walked = list(range(n)), np.zeros(n)
+    queues: list[list[int]] = [[] for _ in range(n)]
+    left = set(range(m))
+    while left:
+        total, i, j = min(
+            (walked[i] + roadmap.lengths[at[i], n + j], i, j) for i in range(n) for j in left
+        )
+        queues[i].append(j)
+        at[i], walked[i] = n + j, total
+        left.remove(j)
+    return queues
+
+
+def _turn(vector: Floats, angle: float) -> Floats:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])

@@ -1,0 +1,164 @@
+"""Whether one robot can pass discs in a given order: branch and bound on the steps of visits."""
+
+from __future__ import annotations
+
+import bisect
+import time
+from dataclasses import dataclass
+
+import highspy
+import numpy as np
+
+from mbn_marl.planning.problem import Drive, Floats
+from mbn_marl.planning.relaxation import (
+    TIME,
+    VX,
+    Disc,
+    Region,
+    Relaxation,
+    Solved,
+    Windows,
+    at_steps,
+    velocities,
+)
+
+ROOM = 0.02
+"""Discs passed with this much to spare, in units, are good enough to stop looking for better."""
+BETTER = 1e-3
+"""By how much more room another choice has to have to be worth finding."""
+OUTSIDE = 1e-4
+"""A path may leave the region by this much, in units."""
+MOST_VIAS = 60
+
+
+class OutOfTimeError(Exception):
+    """The time limit struck."""
+
+
+@dataclass(frozen=True)
+class Visits:
+    """Steps at which a robot can visit discs.
+
+    Attributes:
+        steps: one for each disc, in order.
+        inflation: the least inflation of the discs at these steps, units; negative is room.
+        path: (steps[-1], 2): the positions after each step, in the hull.
+    """
+
+    steps: tuple[int, ...]
+    inflation: float
+    path: Floats
+
+
+@dataclass
+class Search:
+    """Decides for one robot whether discs can be passed in order, in windows of steps.
+
+    Attributes:
+        start: where it rests at step 0.
+        drive: what moves it.
+        region: the convex set that it must not leave.
+        slack: discs may be missed by this much, in units: what rounding can do.
+        highs: the solver.
+        deadline: when to give up, on the clock ``time.monotonic``.
+    """
+
+    start: tuple[float, float]
+    drive: Drive
+    region: Region
+    slack: float
+    highs: highspy.Highs
+    deadline: float
+
+    def possible(self, discs: tuple[Disc, ...], windows: Windows) -> bool:
+        """Whether the relaxation allows the windows; ``False`` is a proof that none can."""
+        tight = windows.tightened()
+        if tight is None:
+            return False
+        relaxation = Relaxation(self.start, self.drive, self.region, discs)
+        solved = relaxation.solve(self.highs, tight, relaxation.tangents(), self.slack)
+        return solved.bound <= self.slack
+
+    def visits(self, discs: tuple[Disc, ...], windows: Windows) -> Visits | None:
+        """Steps for the discs, within the windows; ``None`` is a proof that there are none.
+
+        Raises:
+            OutOfTimeError: at the deadline.
+        """
+        best: Visits | None = None
+        relaxation = Relaxation(self.start, self.drive, self.region, discs)
+        nodes = [(windows, relaxation.tangents())]
+        while nodes:
+            wide, cuts = nodes.pop()
+            tight = wide.tightened()
+            if tight is None:
+                continue
+            if time.monotonic() > self.deadline:
+                raise OutOfTimeError
+            enough = self.slack if best is None else min(self.slack, best.inflation - BETTER)
+            solved = relaxation.solve(self.highs, tight, cuts, enough)
+            if solved.bound > enough:
+                continue
+            if tight.fixed:
+                best = self._follow(relaxation, tight, solved, enough) or best
+                if best is not None and best.inflation <= -ROOM:
+                    return best
+            else:
+                nodes.extend((part, solved.cuts) for part in _branch(relaxation, tight, solved))
+        return best
+
+    def _follow(
+        self, relaxation: Relaxation, windows: Windows, solved: Solved, enough: float
+    ) -> Visits | None:
+        """With all times fixed: keep the whole path in the region, step by step where needed."""
+        steps, stops = windows.first, list(windows.first)
+        for _ in range(MOST_VIAS):
+            path = interpolate(self.start, self.drive, solved.points)
+            outside = (path @ self.region.normals.T - self.region.offsets).max(axis=1, initial=-1.0)
+            worst = int(outside.argmax()) if len(outside) else 0
+            if len(outside) == 0 or outside[worst] <= OUTSIDE or worst + 1 in stops:
+                break
+            place = bisect.bisect(stops, worst + 1)
+            stops.insert(place, worst + 1)
+            relaxation = relaxation.with_via(place)
+            solved = relaxation.solve(self.highs, at_steps(stops), relaxation.tangents(), enough)
+            if solved.bound > enough:
+                return None
+        return Visits(steps, solved.inflation, path)
+
+
+def _branch(relaxation: Relaxation, windows: Windows, solved: Solved) -> tuple[Windows, Windows]:
+    """Two halves of the windows, neither of which allows the solution; the likelier one last."""
+    ends = solved.points[:, TIME]
+    lengths = np.diff(ends, prepend=0.0)
+    least, most = np.array(windows.least), np.array(windows.most)
+    whole = np.clip(np.floor(lengths + 0.5).astype(int), least, most)
+    choice = most > least
+    excess = relaxation.excess(solved.points, whole.tolist())
+    if not np.any(excess[choice] > 1e-9):
+        excess = np.abs(lengths - whole) + 1e-3 * (most - least)
+    leg = int(np.argmax(np.where(choice, excess, -1.0)))
+    fewer, more = windows.split(leg, max(int(whole[leg]), int(least[leg]) + 1))
+    return (fewer, more) if whole[leg] > least[leg] else (more, fewer)
+
+
+def interpolate(start: tuple[float, float], drive: Drive, points: Floats) -> Floats:
+    """The positions after every step of a motion through ``points``, (k, 5) as in a relaxation."""
+    path = [np.zeros((0, 2))]
+    before = np.array([*start, 0.0, 0.0, 0.0])
+    for now in points:
+        length = round(now[TIME] - before[TIME])
+        if length > 0:
+            moves = np.stack([_moves(drive, axis, length, before, now) for axis in (0, 1)], axis=1)
+            path.append(before[:2] + drive.tau * np.cumsum(moves, axis=0))
+        before = now
+    return np.concatenate(path)
+
+
+def _moves(drive: Drive, axis: int, length: int, before: Floats, now: Floats) -> Floats:
+    """Velocities of one axis in a leg, between the fastest and the slowest of its ends."""
+    least, most = velocities(drive, axis, length, before[VX + axis], now[VX + axis])
+    wanted = (now[axis] - before[axis]) / drive.tau
+    spread = float((most - least).sum())
+    share = (wanted - float(least.sum())) / spread if spread > 1e-12 else 0.0
+    return least + min(max(share, 0.0), 1.0) * (most - least)

@@ -1,0 +1,222 @@
+"""``plan``: the proved optimum of a field, or the best interval that the time allowed."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbn_marl.config import Settings, make_config
+from mbn_marl.engine import FieldLike
+from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.field import Field, load_field
+from mbn_marl.planning.coordination import Verified, coordinate
+from mbn_marl.planning.greedy import Greedy
+from mbn_marl.planning.guide import make_guide
+from mbn_marl.planning.legs import proved_legs
+from mbn_marl.planning.orders import OutOfTimeError
+from mbn_marl.planning.partition import least_makespan
+from mbn_marl.planning.problem import Floats, Problem, make_problem
+from mbn_marl.planning.replay import Stage
+from mbn_marl.planning.team import Team
+
+BOUND_SHARE = 0.8
+"""Of the time limit, for raising the bound."""
+MOST_ROIS = 11
+"""With more ROIs the bound is that of some of them, and the plan is the greedy controller's."""
+PARTITIONS = 6
+"""Ways to share the ROIs out that are tried at one makespan."""
+
+
+class UnsolvableError(MbnError):
+    """No team can visit every ROI within an episode; the message says which, and why."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What is known of the best that n robots can do in a field with m ROIs.
+
+    Makespans are those of clean plans, in which no robot ever pushes outside the field.
+
+    Attributes:
+        field: where.
+        makespan: T, the steps of the best plan found; ``None`` if none was found.
+        makespan_lower_bound: no clean plan has fewer steps: proved.
+        actions: (T, n, 2) float32 in [-1, 1], verified in the engine; (0, n, 2) without a plan.
+        return_: the team's return with these actions, as replayed, in reward units; ``None``
+            without a plan.
+        assignment: for each robot the ROIs that it visits, in order.
+        visit_steps: the steps at which ROIs are visited, rising.
+        trail: (T + 1, n, 2), units: the replayed positions, the starts first.
+        seconds: how long it took, in seconds.
+    """
+
+    field: Field
+    makespan: int | None
+    makespan_lower_bound: int
+    actions: NDArray[np.float32]
+    return_: float | None
+    assignment: tuple[tuple[int, ...], ...]
+    visit_steps: tuple[int, ...]
+    trail: Floats
+    seconds: float
+
+    @property
+    def optimal(self) -> bool:
+        """Whether the plan is proved to be a shortest one."""
+        return self.makespan == self.makespan_lower_bound
+
+    def to_json(self) -> dict[str, Any]:
+        """All but the arrays, as JSON values; ROIs and robots are numbered from 0."""
+        return {
+            "field": self.field.to_dict(),
+            "makespan": self.makespan,
+            "makespan_lower_bound": self.makespan_lower_bound,
+            "optimal": self.optimal,
+            "return": self.return_,
+            "assignment": [list(rois) for rois in self.assignment],
+            "visit_steps": list(self.visit_steps),
+            "seconds": self.seconds,
+        }
+
+
+def plan(field: FieldLike, *, time_limit: float = 60.0, **settings: Unpack[Settings]) -> Plan:
+    """Plan for a team that rests at the field's starts.
+
+    Args:
+        field: a catalogue name, a file, or a :class:`Field`.
+        time_limit: seconds after which the best interval so far is returned.
+        **settings: see :class:`mbn_marl.config.NavigationConfig`: ``n_robots``, ``wind``, ...
+
+    Raises:
+        UnsolvableError: it is proved that no team can visit every ROI within an episode.
+        ConfigError: a setting or the time limit is not valid.
+        FieldError: the field is not.
+    """
+    if not time_limit > 0.0:
+        raise ConfigError("plan", [f"time_limit: expected more than 0 seconds, got {time_limit}"])
+    began = time.monotonic()
+    problem = make_problem(load_field(field), make_config(settings))
+    refuse_unsolvable(problem)
+    stage = Stage(problem)
+    best = drive_greedily(problem, stage)
+    part = _hardest(problem)
+    team = prove(part, began + BOUND_SHARE * time_limit)
+    if part is problem:
+        most = problem.config.max_steps if best is None else best.replay.steps - 1
+        best = _search(problem, stage, team, most, began + time_limit) or best
+    return _report(problem, team.bound, best, time.monotonic() - began)
+
+
+def _hardest(problem: Problem) -> Problem:
+    """The instance with as many ROIs as can be shared out exactly, those far from each other.
+
+    What bounds these bounds all.
+    """
+    if problem.m <= MOST_ROIS:
+        return problem
+    apart = np.hypot(*(problem.rois[:, None] - problem.rois[None]).transpose(2, 0, 1))
+    near = np.hypot(*(problem.rois[:, None] - problem.starts[None]).transpose(2, 0, 1)).min(axis=1)
+    chosen = [int(near.argmax())]
+    while len(chosen) < MOST_ROIS:
+        near = np.minimum(near, apart[chosen[-1]])
+        chosen.append(int(near.argmax()))
+    return problem.only(chosen)
+
+
+def refuse_unsolvable(problem: Problem) -> None:
+    """Raise an error if single legs already show that an episode is too short."""
+    limit = problem.config.max_steps
+    legs = proved_legs(problem, problem.slack(limit), limit)
+    far = np.flatnonzero(legs.first.min(axis=0) > limit).tolist()
+    if far:
+        places = ", ".join(f"rois[{j}]" for j in far)
+        raise UnsolvableError(
+            f"{problem.field.name}: no robot can reach {places} by step {limit}, the end of an "
+            "episode (max_steps), even on the shortest way"
+        )
+
+
+def prove(problem: Problem, deadline: float) -> Team:
+    """The team with its bound raised as far as the deadline allows.
+
+    Raises:
+        UnsolvableError: the bound is above the length of an episode.
+    """
+    limit = problem.config.max_steps
+    short = 2 * least_makespan(_team(problem, limit, deadline).bounds) + 20
+    for horizon in sorted({min(short, limit), limit}):
+        team = _team(problem, horizon, deadline)
+        try:
+            if team.raise_bound():
+                return team
+        except OutOfTimeError:
+            return team
+    raise UnsolvableError(
+        f"{problem.field.name}: the robots cannot visit all ROIs by step {limit}, the end of an "
+        "episode (max_steps)"
+    )
+
+
+def _team(problem: Problem, horizon: int, deadline: float) -> Team:
+    """The team whose bound is proved; the allowance for rounding grows with the horizon."""
+    slack = problem.slack(horizon)
+    return Team(problem, proved_legs(problem, slack, horizon), slack, horizon, deadline)
+
+
+def _search(
+    problem: Problem, stage: Stage, team: Team, most: int, deadline: float
+) -> Verified | None:
+    """A verified plan of at most ``most`` steps, or ``None``: the first one, from below."""
+    guide = team if problem.convex else make_guide(problem, team.horizon, deadline)
+    try:
+        guide.deadline = 0.5 * (time.monotonic() + deadline)
+        steps_to_try = _every_step(guide, team.bound, most)
+        guide.deadline = deadline
+        for steps in steps_to_try:
+            for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
+                verified = coordinate(problem, stage, steps, routes, deadline)
+                if verified is not None:
+                    return verified
+                if time.monotonic() > deadline:
+                    return None
+    except OutOfTimeError:
+        pass
+    return None
+
+
+def _every_step(guide: Team, bound: int, most: int) -> Sequence[int]:
+    """The makespans to try: from the guide's bound on, or in growing strides if that is open."""
+    try:
+        guide.raise_bound()
+        return range(max(bound, guide.bound), most + 1)
+    except OutOfTimeError:
+        first = max(bound, guide.bound)
+        return [first + 2**k for k in range(1, 10) if first + 2**k <= most]
+
+
+def drive_greedily(problem: Problem, stage: Stage) -> Verified | None:
+    """The greedy controller's episode, if it is a clean success."""
+    greedy = Greedy(problem, problem.starts)
+    replay, actions = stage.drive(greedy.act)
+    return Verified(actions, replay) if replay.success and not replay.wall_hits else None
+
+
+def _report(problem: Problem, bound: int, best: Verified | None, seconds: float) -> Plan:
+    n = problem.n
+    return Plan(
+        field=problem.field,
+        makespan=None if best is None else best.replay.steps,
+        makespan_lower_bound=bound,
+        actions=np.zeros((0, n, 2), np.float32) if best is None else best.actions,
+        return_=None if best is None else best.replay.return_,
+        assignment=((),) * n if best is None else best.replay.assignment,
+        visit_steps=() if best is None else best.replay.visit_steps,
+        trail=problem.starts[None] if best is None else best.replay.trail,
+        seconds=seconds,
+    )

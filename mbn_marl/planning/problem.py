@@ -1,0 +1,178 @@
+"""What the planner knows of an instance, as plain numbers: the field, the robots, the limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from mbn_marl.config import NavigationConfig
+from mbn_marl.engine.snapshot import FloatArray
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field
+
+Floats = NDArray[np.float64]
+
+CALM = 1e-3
+"""Wind that differs by less than this, units/step per step, is taken to be the same."""
+FLOAT32 = 2.0**-24
+"""Relative error of a rounding to float32."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What a robot's force and the wind do to its velocity in a step, per axis (x, y).
+
+    Attributes:
+        rise: the most that a velocity can grow in a step, units/step.
+        fall: the most that it can shrink, units/step; 0 if the wind is stronger than the force.
+        top: the speed limit v_clip.
+        tau: time of a step.
+    """
+
+    rise: tuple[float, float]
+    fall: tuple[float, float]
+    top: float
+    tau: float
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """An instance: n robots, m ROIs.
+
+    Attributes:
+        field: where.
+        config: the dynamics and rules, ``n_robots`` filled in.
+        starts: (n, 2), units.
+        rois: (m, 2), units.
+        drives: one for each robot.
+        forces: (n, 2): the velocity that a full force adds in a step, units/step.
+        wind: (2,): the velocity that the wind adds in a step.
+    """
+
+    field: Field
+    config: NavigationConfig
+    starts: Floats
+    rois: Floats
+    drives: tuple[Drive, ...]
+    forces: Floats
+    wind: Floats
+
+    @property
+    def n(self) -> int:
+        """How many robots."""
+        return len(self.starts)
+
+    @property
+    def m(self) -> int:
+        """How many ROIs."""
+        return len(self.rois)
+
+    @cached_property
+    def convex(self) -> bool:
+        """Whether the field is its own convex hull."""
+        hull = self.field.polygon.convex_hull
+        return not self.field.holes and hull.area - self.field.polygon.area <= 1e-9 * hull.area
+
+    @cached_property
+    def half_planes(self) -> tuple[Floats, Floats]:
+        """The convex hull as ``normals @ p <= offsets``: (k, 2) unit vectors and (k,) units."""
+        return half_planes(self.field.polygon.convex_hull)
+
+    @cached_property
+    def can_wait(self) -> bool:
+        """Whether every robot can rest: its force holds it against the wind on both axes."""
+        return bool(np.all(np.abs(self.wind) <= self.forces))
+
+    def with_wind(self, velocities: FloatArray, actions: FloatArray) -> Problem:
+        """The same in the wind that shows in the first step.
+
+        Args:
+            velocities: (n, 2), after one step from rest.
+            actions: (n, 2), what the step's actions were.
+        """
+        wind = (velocities - actions * self.forces).mean(axis=0)
+        if np.abs(wind - self.wind).max() < CALM:
+            return self
+        return replace(self, wind=wind)
+
+    def only(self, rois: Sequence[int]) -> Problem:
+        """The same with these ROIs alone."""
+        return replace(self, rois=self.rois[list(rois)])
+
+    def slack(self, steps: int) -> float:
+        """By how much rounding may move a robot within so many steps, in units.
+
+        Each step rounds a velocity and a position once or a few times; a velocity's error acts in
+        all later steps. Bounds that allow for this hold for the engine in float32 too.
+        """
+        drive = self.drives[0]
+        velocity = 3.0 * drive.top * FLOAT32
+        position = float(self.field.vertices.max()) * FLOAT32
+        return steps * position + 0.5 * steps * (steps + 1) * velocity * drive.tau + 1e-5
+
+
+def make_problem(field: Field, config: NavigationConfig) -> Problem:
+    """The instance of a field and a configuration.
+
+    Raises:
+        ConfigError: the field has too few starts, or the starts are random.
+    """
+    n = config.n_robots or len(field.starts)
+    problems = []
+    if n > len(field.starts):
+        problems.append(f"n_robots: {field.name} has {len(field.starts)} starts, not {n}")
+    if config.random_starts:
+        problems.append("random_starts: allowed: False; a plan is for the field's own starts")
+    masses = config.mass if isinstance(config.mass, tuple) else (config.mass,) * n
+    if len(masses) != n:
+        problems.append(f"mass: expected {n} numbers, one per robot, got {len(masses)}")
+    if problems:
+        raise ConfigError("plan", problems)
+    wind = np.array(config.wind_increment())
+    forces = np.array([[config.f_max / mass] * 2 for mass in masses])
+    drives = tuple(
+        Drive(
+            rise=_pair(np.maximum(force + wind, 0.0)),
+            fall=_pair(np.maximum(force - wind, 0.0)),
+            top=config.v_clip,
+            tau=config.tau,
+        )
+        for force in forces
+    )
+    return Problem(
+        field=field,
+        config=config.model_copy(update={"n_robots": n}),
+        starts=np.array(field.starts[:n]),
+        rois=np.array(field.rois),
+        drives=drives,
+        forces=forces,
+        wind=wind,
+    )
+
+
+def half_planes(convex: shapely.Polygon) -> tuple[Floats, Floats]:
+    """A convex polygon as ``normals @ p <= offsets``."""
+    ring = np.array(shapely.geometry.polygon.orient(convex).exterior.coords)
+    edges = np.diff(ring, axis=0)
+    lengths = np.hypot(edges[:, 0], edges[:, 1])
+    ring, edges = ring[:-1][lengths > 0], edges[lengths > 0] / lengths[lengths > 0, None]
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
+    return normals, np.einsum("ij,ij->i", normals, ring)
+
+
+def _pair(values: Floats) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def reach_from_rest(rise: float, top: float, tau: float, steps: int) -> float:
+    """How far an axis gets from rest: ``tau`` times the sum of ``min(top, rise s)``."""
+    if rise <= 0.0:
+        return 0.0
+    ramp = min(steps, math.floor(top / rise))
+    return tau * (rise * ramp * (ramp + 1) / 2.0 + top * (steps - ramp))

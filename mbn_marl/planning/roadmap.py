@@ -1,0 +1,111 @@
+"""Shortest ways inside a polygon with holes, by its visibility graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
+
+from mbn_marl.planning.problem import Floats
+
+TOUCH = 1e-7
+"""Sight lines may graze the walls by this much, in units."""
+
+
+@dataclass(frozen=True, eq=False)
+class Roadmap:
+    """Ways between places of an area.
+
+    Attributes:
+        area: where to stay.
+        places: (k, 2): the places, moved into the area if they lay outside.
+        corners: (c, 2): the corners that ways can bend around.
+        lengths: (k + c, k + c): lengths of the shortest ways, places first; infinite for none.
+        before: (k + c, k + c): the point before the last one of the way from a to b; -9999 for
+            none.
+    """
+
+    area: shapely.Geometry
+    places: Floats
+    corners: Floats
+    lengths: Floats
+    before: NDArray[np.int32]
+
+    def way(self, a: int, b: int) -> Floats:
+        """(r, 2): the shortest way from place a to place b, both included; empty if none."""
+        points: Floats = np.concatenate([self.places, self.corners])
+        if not np.isfinite(self.lengths[a, b]):
+            return np.zeros((0, 2))
+        chain = [b]
+        while chain[-1] != a:
+            chain.append(int(self.before[a, chain[-1]]))
+        return points[chain[::-1]]
+
+    def toward(self, point: Floats, place: int) -> Floats:
+        """The next point to go to straight from ``point``, on the way to a place."""
+        goal: Floats = self.places[place]
+        count = len(self.places)
+        targets: Floats = np.concatenate([goal[None], self.corners])
+        rest = np.concatenate([[0.0], self.lengths[place, count:]])
+        total = rest + np.hypot(*(targets - point).T)
+        for k in np.argsort(total):
+            if np.isfinite(total[k]) and sees(self.area, point, targets[k][None])[0]:
+                return np.asarray(targets[k])
+        return goal
+
+
+def make_roadmap(area: shapely.Geometry, places: Floats, *, largest: bool = False) -> Roadmap:
+    """The roadmap of an area.
+
+    Args:
+        area: a polygon, or several.
+        places: (k, 2) points to know the ways between.
+        largest: measure a way's pieces by their larger coordinate instead of their length.
+    """
+    points = shapely.points(places)
+    inside = shapely.covers(area, points)
+    lines = shapely.shortest_line(points, area)
+    moved = np.where(inside[:, None], places, shapely.get_coordinates(lines)[1::2])
+    corners = _corners(area)
+    nodes = np.concatenate([moved, corners])
+    a, b = np.triu_indices(len(nodes), 1)
+    seen = shapely.covers(
+        shapely.buffer(area, TOUCH), shapely.linestrings(np.stack([nodes[a], nodes[b]], axis=1))
+    )
+    offsets = np.abs(nodes[a] - nodes[b])
+    lengths = offsets.max(axis=1) if largest else np.hypot(*offsets.T)
+    graph = np.full((len(nodes), len(nodes)), np.inf)
+    graph[a[seen], b[seen]] = graph[b[seen], a[seen]] = np.maximum(lengths[seen], 1e-9)
+    shortest, before = dijkstra(
+        np.where(np.isfinite(graph), graph, 0.0), directed=False, return_predecessors=True
+    )
+    return Roadmap(area, moved, corners, shortest, before)
+
+
+def sees(area: shapely.Geometry, point: Floats, targets: Floats) -> NDArray[np.bool_]:
+    """(k,): whether the straight ways to the targets (k, 2) stay in the area."""
+    ends = np.stack([np.broadcast_to(point, targets.shape), targets], axis=1)
+    seen: NDArray[np.bool_] = shapely.covers(shapely.buffer(area, TOUCH), shapely.linestrings(ends))
+    return seen
+
+
+def _corners(area: shapely.Geometry) -> Floats:
+    """The corners that stick into the area: those of holes, and the outline's reflex ones."""
+    found = [np.zeros((0, 2))]
+    for polygon in shapely.get_parts(area):
+        found.append(_reflex(np.array(polygon.exterior.coords)[:-1], True))
+        found += [_reflex(np.array(hole.coords)[:-1], False) for hole in polygon.interiors]
+    return np.concatenate(found)
+
+
+def _reflex(ring: Floats, outer: bool) -> Floats:
+    """Corners at which a ring turns away from its area."""
+    x, y = ring.T
+    doubled = np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))
+    into, out = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
+    turns = into[:, 0] * out[:, 1] - into[:, 1] * out[:, 0]
+    keeps_left = (doubled > 0) == outer
+    return ring[turns < 0] if keeps_left else ring[turns > 0]

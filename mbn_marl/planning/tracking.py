@@ -1,0 +1,89 @@
+"""A plan as a closed loop: it is followed from wherever the robots are, in any wind."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from mbn_marl.engine.snapshot import FloatArray
+from mbn_marl.planning.greedy import Greedy
+from mbn_marl.planning.planner import Plan
+from mbn_marl.planning.problem import Floats, Problem
+
+POSITION_GAIN, VELOCITY_GAIN = 0.3, 0.9
+"""Change of velocity per unit of lag, and per unit of lag per step: a quick, well-damped loop."""
+EXACT = 1e-3
+"""Deviations below this, in units, are rounding and not worth a correction."""
+RESERVE = 0.9
+"""Share of the force that the wind leaves which a slower reference uses; the loop has the rest."""
+SLOWEST = 0.2
+
+
+class Tracker:
+    """Follows a plan for one team through one episode; what is left at its end is done greedily.
+
+    In a wind that the plan was not made for, which shows in the first step, the plan is followed as
+    much more slowly as the force that is left demands, still with a step at every planned visit.
+
+    Args:
+        problem: the instance, with the wind that the plan was made for.
+        plan: a plan with a makespan.
+    """
+
+    def __init__(self, problem: Problem, plan: Plan) -> None:
+        self.problem, self.plan = problem, plan
+        self.step = 0
+        self.rest: Greedy | None = None
+        self._follow(np.arange(len(plan.trail), dtype=float))
+        self.actions: Floats = plan.actions.astype(float)
+
+    def act(
+        self, positions: FloatArray, velocities: FloatArray, visited: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """Actions (n, 2) in [-1, 1]; arguments as for :meth:`Greedy.act`."""
+        problem, k = self.problem, self.step
+        self.step += 1
+        if k == 1:
+            self._notice_wind(velocities)
+        if k + 1 >= len(self.path):
+            if self.rest is None:
+                self.rest = Greedy(problem, positions.astype(float))
+            return self.rest.act(positions, velocities, visited)
+        lag, slip = self.path[k] - positions, self.speeds[k] - velocities
+        lag, slip = (np.where(np.abs(one) < EXACT, 0.0, one) for one in (lag, slip))
+        change = POSITION_GAIN * lag / problem.config.tau + VELOCITY_GAIN * slip
+        actions = np.clip(self.actions[k] + change / problem.forces, -1.0, 1.0)
+        return np.asarray(actions, np.float32)
+
+    def _follow(self, times: Floats) -> None:
+        """Take the plan's positions at these times, in steps of the plan, as the reference."""
+        steps = np.arange(len(self.plan.trail), dtype=float)
+        self.path: Floats = CubicSpline(steps, self.plan.trail)(times)
+        moved = np.diff(self.path, axis=0, prepend=self.path[:1])
+        self.speeds: Floats = moved / self.problem.config.tau
+        changes = np.diff(self.speeds, axis=0) - self.problem.wind
+        self.actions = changes / self.problem.forces
+
+    def _notice_wind(self, velocities: FloatArray) -> None:
+        """From the first step on: follow the plan as fast as the wind allows."""
+        planned = self.problem
+        self.problem = planned.with_wind(velocities, self.plan.actions[0])
+        if self.problem is planned:
+            return
+        used = np.abs(np.diff(self.speeds, axis=0)).max(axis=0)
+        left = RESERVE * (planned.forces - np.abs(self.problem.wind))
+        share = float(np.min(left / np.maximum(used, 1e-9)))
+        pace = min(max(share, 0.0) ** 0.5, 1.0)
+        self._follow(self._times(max(pace, SLOWEST)))
+
+    def _times(self, pace: float) -> Floats:
+        """The plan's times from step 1 on, slower, with a step at each visit."""
+        marks = np.unique([0, 1, *self.plan.visit_steps, len(self.plan.trail) - 1])
+        times = [np.array([0.0])]
+        for first, last in itertools.pairwise(marks.tolist()):
+            count = int(np.ceil((last - first) / (1.0 if first == 0 else pace)))
+            times.append(np.linspace(first, last, count + 1)[1:])
+        return np.concatenate(times)
