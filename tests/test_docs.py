@@ -44,8 +44,9 @@ def test_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # a window that nobody sees
     # What the reader is taken to have.
-    shutil.copy(ROOT / "envs_catalog" / "field_03.yaml", "my_field.yaml")
-    episode = play(load_field("field_03"), NavigationConfig(), np.zeros((2, 3, 2)))
+    catalogue = (ROOT / "envs_catalog" / "field_03.yaml").read_text(encoding="utf-8")
+    Path("my_field.yaml").write_text(catalogue.replace("field_03", "my_field"), encoding="utf-8")
+    episode = play(load_field("my_field.yaml"), NavigationConfig(), np.zeros((2, 3, 2)))
     save_episode(episode, "other.json")
     run_page(page, tmp_path)
 

@@ -36,7 +36,8 @@ class Infos:
 
     Attributes:
         keys: of every info, the same at every step.
-        optima: (W,), reward units: the proved optimum of each world, or ``None`` unless all have one.
+        optima: (W,), reward units: the proved optimum of each world, or ``None`` unless all have
+            one.
     """
 
     def __init__(self, engine: BatchEngine) -> None:
