@@ -16,6 +16,7 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor
 from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 
 from baselines.decentralized.config import load
+from baselines.decentralized.curriculum import RoiCurriculum
 from baselines.decentralized.loss import Samples, log_prob, ppo_losses
 from baselines.decentralized.networks import GaussianPolicy, TeamShape
 from baselines.decentralized.rollout import Rollout, Worlds
@@ -148,7 +149,7 @@ def _worlds(
     generator = torch.Generator().manual_seed(5)
     episodes = EpisodeWindow()
     network = GaussianPolicy(TeamShape(engine.obs_size, engine.n_robots, (8,), "full"))
-    return Worlds(engine, decisions, CPU, generator, episodes), network, episodes
+    return Worlds(engine, decisions, CPU, generator, episodes.add), network, episodes
 
 
 def _copy(rollout: Rollout) -> Rollout:
@@ -247,14 +248,6 @@ def test_action_repeat_falls_to_its_second_value() -> None:
     assert [config.repeat_at(share) for share in (0.0, 0.25, 0.4, 0.5, 1.0)] == [4, 2, 2, 1, 1]
 
 
-def test_rois_shrink_to_their_true_size_in_ten_stages() -> None:
-    config = load("mappo", "N", {"roi_radius": [32.0, 1.0], "roi_radius_until": 0.5})
-    sizes = [config.roi_radius_at(share) for share in (0.0, 0.049, 0.101, 0.201, 0.5, 1.0)]
-    assert sizes == pytest.approx([32.0, 32.0, 16.0, 8.0, 1.0, 1.0])
-    constant = load("mappo", "N", {"roi_radius": [1.0, 1.0]})
-    assert constant.roi_radius_at(0.0) == constant.roi_radius_at(1.0) == 1.0
-
-
 @pytest.mark.parametrize(("sharing", "told"), [("full", False), ("full+id", True), ("none", False)])
 def test_full_id_tells_the_network_which_robot_it_is(sharing: str, told: bool) -> None:
     assert load("mappo", "N", {"sharing": sharing}).environment["one_hot"] is told
@@ -263,6 +256,48 @@ def test_full_id_tells_the_network_which_robot_it_is(sharing: str, told: bool) -
 def test_an_unknown_sharing_is_refused() -> None:
     with pytest.raises(ConfigError, match="'full', 'full\\+id' or 'none'"):
         load("ippo", "N", {"sharing": "some"})
+
+
+# The curriculum
+
+
+def test_rois_shrink_when_the_team_succeeds_and_grow_when_it_fails() -> None:
+    curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
+    sizes, moves = [], []
+    none, all_of_them, half = [0, 0, 0, 0, 0], [1, 1, 1, 1], [1, 1, 0, 0]
+    windows = ([1, 1, 1, 0], [1, 0], [1, 1], half, none, *[all_of_them] * 3)
+    for successes in windows:
+        curriculum.add(successes)
+        moves.append(curriculum.move())
+        sizes.append(curriculum.radius)
+    assert sizes == pytest.approx([4.0, 4.0, 2.0, 2.0, 4.0, 2.0, 1.0, 1.0])
+    assert moves == [True, False, True, False, True, True, True, False]
+
+
+def test_rois_never_grow_beyond_their_first_size() -> None:
+    curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
+    curriculum.add([0, 0, 0, 0])
+    assert not curriculum.move() and curriculum.radius == 8.0
+
+
+def test_training_has_its_own_rois_and_time_limit_and_evaluations_the_true_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+
+    class Watched(BatchEngine):
+        def __init__(self, *args: Any, **settings: Any) -> None:
+            super().__init__(*args, **settings)
+            made.append((self.config.roi_radius, self.config.max_steps))
+
+    monkeypatch.setattr("baselines.decentralized.trainer.BatchEngine", Watched)
+    small = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8], "action_repeat": [1, 1]}
+    # Whatever the team does is enough for the next stage.
+    small |= {"roi_radius": 16.0, "roi_stages": 2, "roi_success": [0.0, 0.0], "episode_steps": 32}
+    config = TrainConfig("mappo", "field_03", steps=384, episodes=2, hyperparameters=small)
+    run = train(config, tmp_path / "run")
+    assert made == [(160.0, 32), (40.0, 32), (10.0, 32)]
+    assert max(run.evaluation["deterministic"]["per_episode"]["steps"]) == 1000
 
 
 # Stopping early

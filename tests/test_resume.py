@@ -49,7 +49,7 @@ def _config(name: str, **changes: Any) -> TrainConfig:
     """A run of a few updates with a checkpoint on the way."""
     if ALGORITHMS[name].package == "decentralized":
         small = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8]}
-        small |= {"roi_radius": [4.0, 1.0], "action_repeat": [2, 1], "action_repeat_until": 0.5}
+        small |= {"roi_radius": 4.0, "action_repeat": [2, 1], "action_repeat_until": 0.5}
         config = TrainConfig(name, "field_03", steps=320, evaluate_every=128, episodes=2)
         return replace(config, hyperparameters=small, **changes)
     envs = 1 if name == "ars" else 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,9 +17,6 @@ Count = Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Until = Annotated[float, Field(gt=0.0, le=1.0)]
-
-ROI_STAGES = 10
-"""Sizes of ROIs on the way; for each one the worlds begin anew."""
 
 
 class MultiAgentPPOConfig(Hyperparameters):
@@ -55,11 +51,14 @@ class MultiAgentPPOConfig(Hyperparameters):
         action_repeat: env-steps that a decision lasts, from and to, falling linearly (rounded)
             over ``action_repeat_until``. Evaluations always decide at every step.
         action_repeat_until: the share of training after which it has its second value.
-        roi_radius: how many times as large ROIs are while the team learns, from and to: a
-            curriculum, falling by the same factor at each of ten times up to
-            ``roi_radius_until``. Training episodes in ``progress.csv`` are of that size,
+        roi_radius: how many times as large ROIs are at first: a curriculum (see ``curriculum``),
+            1 for none. Training episodes in ``progress.csv`` are of the size at the time,
             evaluations of the true one.
-        roi_radius_until: the share of training after which it has its second value.
+        roi_stages: the stages from there to the true size; at each one the worlds begin anew.
+        roi_success: success rates of ``num_worlds`` training episodes or more: below the first
+            ROIs go back by a stage, from the second on they go on to the next.
+        episode_steps: training episodes are cut off after so many env-steps, if not before, so
+            that stuck worlds begin anew; that is a truncation. Evaluations go on to the end.
     """
 
     critic: Literal["centralized", "independent"]
@@ -83,8 +82,10 @@ class MultiAgentPPOConfig(Hyperparameters):
     approach_bonus: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
     action_repeat: tuple[Count, Count]
     action_repeat_until: Until
-    roi_radius: tuple[Positive, Positive]
-    roi_radius_until: Until
+    roi_radius: Annotated[float, Field(ge=1.0, allow_inf_nan=False)]
+    roi_stages: Count
+    roi_success: tuple[Share, Share]
+    episode_steps: Count
 
     @property
     def decisions(self) -> int:
@@ -99,12 +100,6 @@ class MultiAgentPPOConfig(Hyperparameters):
     def repeat_at(self, progress: float) -> int:
         """The env-steps of a decision at ``progress``, in [0, 1]."""
         return round(between(self.action_repeat, progress / self.action_repeat_until))
-
-    def roi_radius_at(self, progress: float) -> float:
-        """The size of ROIs at ``progress``, in [0, 1], as a multiple of the true one."""
-        stage = math.floor(ROI_STAGES * progress / self.roi_radius_until)
-        start, end = map(math.log, self.roi_radius)
-        return math.exp(between((start, end), stage / ROI_STAGES))
 
     def learning_rate_at(self, progress: float) -> float:
         """The learning rate at ``progress``, in [0, 1]."""

@@ -6,13 +6,13 @@ this loop fills tensors directly (see ``trainer`` for what that saves).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
 
 from baselines.decentralized.loss import log_prob
 from baselines.decentralized.networks import GaussianPolicy
-from baselines.recorder import EpisodeWindow
 from mbn_marl.engine import BatchEngine
 
 
@@ -47,7 +47,7 @@ class Worlds:
         decisions: T, of every world in a rollout.
         device: where the tensors live.
         generator: of the actions' noise, on that device.
-        episodes: is told of every episode that ends.
+        report: is called with the returns and the successes (1 or 0) of episodes that end.
     """
 
     def __init__(
@@ -56,12 +56,12 @@ class Worlds:
         decisions: int,
         device: torch.device,
         generator: torch.Generator,
-        episodes: EpisodeWindow,
+        report: Callable[[list[float], list[float]], None],
     ) -> None:
         self.engine = engine
         self._device = device
         self._generator = generator
-        self._episodes = episodes
+        self._report = report
         steps, worlds, robots = decisions, engine.num_worlds, engine.n_robots
 
         def zeros(*shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
@@ -128,7 +128,7 @@ class Worlds:
         """
         metrics = self.engine.metrics()
         names = ("episode_return", "success")
-        self._episodes.add(*(self._tensor(metrics[name])[ended].tolist() for name in names))
+        self._report(*(self._tensor(metrics[name])[ended].tolist() for name in names))
         final = self._tensor(self.engine.final_observations)
         self._rollout.final_observations[t, decided] = final[decided]
         states = self._tensor(self.engine.final_state())

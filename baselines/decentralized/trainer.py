@@ -10,6 +10,7 @@ instead of 27,000 or 20,000.
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from safetensors import torch as safetensors_torch
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from baselines.decentralized.config import MultiAgentPPOConfig
+from baselines.decentralized.curriculum import RoiCurriculum
 from baselines.decentralized.loss import Losses, Samples, ppo_losses
 from baselines.decentralized.networks import CRITICS, GaussianPolicy, TeamShape
 from baselines.decentralized.policy import DecentralizedPolicy
@@ -58,7 +60,9 @@ class Trainer:
         self.task = task
         device = torch.device(task.config.device)
         self.generator = torch.Generator(device).manual_seed(task.config.seed)
-        self.roi_radius = config.roi_radius_at(0.0)
+        self.curriculum = RoiCurriculum(
+            config.roi_radius, config.roi_stages, config.roi_success, window=config.num_worlds
+        )
         self.worlds = self._make_worlds()
         engine = self.worlds.engine
         self.approach = Approach(task.field, engine.n_robots, device)
@@ -84,9 +88,6 @@ class Trainer:
             for group in self.optimizer.param_groups:
                 group["lr"] = self.config.learning_rate_at(progress)
             self.network.cap_log_std(self.config.cap_at(progress))
-            if self.roi_radius != self.config.roi_radius_at(progress):
-                self.roi_radius = self.config.roi_radius_at(progress)
-                self.worlds = self._make_worlds()
             started = time.perf_counter()
             rollout = self.worlds.roll_out(self.network, repeat)
             collected = time.perf_counter()
@@ -95,8 +96,11 @@ class Trainer:
                 "rollout_seconds": collected - started,
                 "update_seconds": time.perf_counter() - collected,
                 "std": self.network.log_std.exp().mean().item(),
+                "roi_radius": self.curriculum.radius,
                 **losses,
             }
+            if self.curriculum.move():
+                self.worlds = self._make_worlds()
             env_steps += self.config.decisions * repeat
             self.recorder.update(env_steps, self.policy, diagnostics)
             if self.recorder.checkpoint_due:
@@ -113,15 +117,23 @@ class Trainer:
             seed=config.seed,
             device=config.device,
             threads=1,
-            **{**self.task.settings, "roi_radius": settings.roi_radius * self.roi_radius},
+            **{
+                **self.task.settings,
+                "roi_radius": settings.roi_radius * self.curriculum.radius,
+                "max_steps": min(settings.max_steps, self.config.episode_steps),
+            },
         )
         return Worlds(
             engine,
             self.config.rollout_steps,
             torch.device(config.device),
             self.generator,
-            self.recorder.episodes,
+            self._take_episodes,
         )
+
+    def _take_episodes(self, returns: list[float], successes: list[float]) -> None:
+        self.recorder.episodes.add(returns, successes)
+        self.curriculum.add(successes)
 
     def _update(self, rollout: Rollout, repeat: int) -> dict[str, float]:
         """Learn from a rollout; then take its observations into the normalisation.
@@ -208,7 +220,9 @@ class Trainer:
         }
         safetensors_torch.save_file(tensors, folder / LEARNER)
         write_arrays(folder / WORLDS, self.worlds.engine.save_state(), compress=True)
-        write_json(folder / COUNTERS, {"env_steps": env_steps, "roi_radius": self.roi_radius})
+        write_json(
+            folder / COUNTERS, {"env_steps": env_steps, "curriculum": asdict(self.curriculum)}
+        )
 
     def _restore(self, folder: Path) -> int:
         """Take up the learner of a checkpoint at exactly the same point.
@@ -231,7 +245,7 @@ class Trainer:
         moments = {index: group(f"optimizer.{index}") for index in range(len(self.parameters))}
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": moments})
         counters = read_json(folder / COUNTERS)
-        self.roi_radius = counters["roi_radius"]
+        self.curriculum = RoiCurriculum(**counters["curriculum"])
         self.worlds = self._make_worlds()
         self.worlds.observations.copy_(tensors["worlds.observations"])
         self.worlds.engine.load_state(read_arrays(folder / WORLDS))

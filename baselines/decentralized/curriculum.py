@@ -1,0 +1,53 @@
+"""A curriculum: ROIs are large at first, shrink when the team succeeds, grow when it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass
+class RoiCurriculum:
+    """How large ROIs are while a team learns, as multiples of the true radius.
+
+    Attributes:
+        first: at stage 0; the last stage has 1.
+        stages: how many times they shrink, each time by the same factor.
+        bounds: of the success rate: below the first they grow by a stage, and from the second on
+            they shrink by one.
+        window: episodes that make a success rate.
+        stage: the present one.
+        ended: episodes of the present window.
+        succeeded: how many of them did.
+    """
+
+    first: float
+    stages: int
+    bounds: tuple[float, float]
+    window: int
+    stage: int = 0
+    ended: int = 0
+    succeeded: int = 0
+
+    @property
+    def radius(self) -> float:
+        """How large they are now."""
+        return float(self.first ** (1.0 - self.stage / self.stages))
+
+    def add(self, successes: Sequence[float]) -> None:
+        """Take in episodes that ended: 1 for a success, 0 for a failure."""
+        self.ended += len(successes)
+        self.succeeded += round(sum(successes))
+
+    def move(self) -> bool:
+        """Go to the next stage or back, if the window is full; whether the size has changed."""
+        if self.ended < self.window:
+            return False
+        low, high = self.bounds
+        rate, before = self.succeeded / self.ended, self.radius
+        self.ended = self.succeeded = 0
+        if rate >= high:
+            self.stage = min(self.stage + 1, self.stages)
+        elif rate < low:
+            self.stage = max(self.stage - 1, 0)
+        return self.radius != before
