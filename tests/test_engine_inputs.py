@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mbn_marl import BatchEngine, Field, load_field
+from mbn_marl.engine.memory import ODD_LINES
 from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
 
 W, N = 4, 3
@@ -275,3 +276,18 @@ def test_fields_of_different_arenas() -> None:
 def test_no_fields() -> None:
     with pytest.raises(ConfigError, match="at least one field"):
         BatchEngine([])
+
+
+@pytest.mark.parametrize(("robots", "limit"), [(1, 256), (2, 256), (2, 64), (3, 250)])
+def test_the_filter_of_visited_ground_stays_in_its_memory(robots: int, limit: int) -> None:
+    """At the time limit a world holds one position more for each robot than there are steps."""
+    engine = BatchEngine(
+        "field_03", 2, n_robots=robots, max_steps=limit, safety_distance=0.0, autoreset=False
+    )
+    engine.reset()
+    actions = np.zeros((2, robots, 2))
+    for _ in range(limit):
+        *_, truncated = engine.step(actions)
+    assert truncated.all()
+    memory = engine._backend.memory
+    assert memory.words.max() <= memory.filter.shape[1] - ODD_LINES

@@ -158,7 +158,7 @@ def make_memory(
     real = getattr(xp, config.dtype)
     length = config.max_steps + 1
     formal = config.reward.rules == "formal"
-    words = filter_size(config.max_steps * (1 if formal else n)) + ODD_LINES
+    words = filter_size(length * (1 if formal else n)) + ODD_LINES
     trail = xp.zeros((worlds, length * n, 2), dtype=real)
     memory = Memory(
         x_bits=now.x,
