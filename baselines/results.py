@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +26,8 @@ CONFIG = (
     *("environment", "hyperparameters"),
 )
 EVALUATION = ("env_steps", "seconds", "stochastic", "deterministic")
+SUMMARY = ("return_mean", "success_rate", "makespan")
+HISTORY = ("env_steps", "seconds", "return_mean")
 """What a run's files have to have to be compared."""
 
 Kind = Literal["stochastic", "deterministic"]
@@ -58,16 +60,23 @@ class Result:
             RunError: it is not finished, a file cannot be read, or lacks what runs record now.
         """
         result = cls(run, run.config, run.field, run.evaluations, run.evaluation)
-        for name, entries, needed in (
-            ("config.json", result.config, CONFIG),
-            ("evaluation.json", result.evaluation, EVALUATION),
-        ):
-            if missing := [entry for entry in needed if entry not in entries]:
+        for name, entries, needed in result._parts():
+            known = entries if isinstance(entries, Mapping) else {}
+            if missing := [entry for entry in needed if entry not in known]:
                 problem = f"has no {', '.join(missing)}: it is not a run of this version"
                 raise RunError(f"{run.path / name} {problem}")
         if not result.evaluations:
             raise RunError(f"{run.path / 'evaluations.json'} is empty: the run was never evaluated")
         return result
+
+    def _parts(self) -> Iterator[tuple[str, Any, Sequence[str]]]:
+        """Each part that is read: its file, what is there, and what has to be in it."""
+        yield "config.json", self.config, CONFIG
+        yield "evaluation.json", self.evaluation, EVALUATION
+        yield "evaluation.json", self.evaluation["stochastic"], SUMMARY
+        yield "evaluation.json", self.evaluation["deterministic"], SUMMARY
+        for entry in self.evaluations:
+            yield "evaluations.json", entry, HISTORY
 
     @property
     def label(self) -> str:

@@ -101,7 +101,7 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text())
     except FileNotFoundError:
         raise RunError(f"{path} is missing: {path.parent} is not a finished run") from None
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:  # not text, not JSON, or nested without end
         raise RunError(f"{path} is not valid JSON: {error}") from None
 
 

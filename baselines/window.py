@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Set as AbstractSet
 from typing import Any
 
@@ -50,8 +51,8 @@ class Show:
     def __post_init__(self) -> None:
         """Check the numbers."""
         problems = []
-        if not self.speed > 0.0:
-            problems.append(f"speed: above 0, not {self.speed:g}")
+        if not 0.0 < self.speed < math.inf:
+            problems.append(f"speed: a finite number above 0, not {self.speed:g}")
         if self.episodes is not None and self.episodes < 1:
             problems.append(f"episodes: at least 1, not {self.episodes}")
         if problems:

@@ -278,6 +278,10 @@ BAD: dict[str, tuple[Callable[[str], str], str]] = {
         _edited(lambda content: content["visits"].append(99)),
         "visits: 7; allowed: 6, one for each ROI",
     ),
+    "return": (
+        _edited(lambda content: content.update(team_return=1.0)),
+        "team_return: 1.0; allowed: 9550.0, the sum",
+    ),
     "field": (_edited(lambda content: content["field"].update(vertices=[])), "field: "),
     "config": (_edited(lambda content: content["config"].update(tau=-1)), "tau: "),
 }

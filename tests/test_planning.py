@@ -21,6 +21,7 @@ from benchmarks.planning.study import Attempt, study_planning, target_rows
 from mbn_marl import BatchEngine, centralized_env, parallel_env
 from mbn_marl.cli import main
 from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.episode import check_episode, load_episode
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, catalogue_names, load_field
 from mbn_marl.optimum import optimal_return
@@ -340,6 +341,12 @@ def test_mbn_plan_prints_draws_and_saves(
     saved = json.loads((out / "plan.json").read_text())
     assert (saved["makespan"], saved["optimal"], saved["return"]) == (17, True, 159_490.0)
     assert (out / "plan.png").read_bytes()[:4] == b"\x89PNG"
+    visits = ", ".join(f"w{roi + 1}" for roi in saved["assignment"][0])
+    assert visits in printed, "numbered as in the picture"
+    episode = load_episode(out / "episode.json")
+    check_episode(episode)
+    assert (episode.source, episode.outcome) == ("plan, proved optimal", "success")
+    assert (episode.steps, episode.team_return) == (17, 159_490.0)
     with np.load(out / "plan.npz") as arrays:
         assert arrays["actions"].shape == (17, 3, 2)
     with np.load(export) as arrays:

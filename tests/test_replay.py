@@ -297,6 +297,16 @@ def test_render_shows_a_recorded_episode(
     assert film.read_bytes()[4:8] == b"ftyp"
     assert main(["render", str(recorded), "-o", str(film)]) == 2
     assert "a.mp4 already exists" in capsys.readouterr().err
+    assert main(["render", str(recorded), "--steps", "3", "-o", str(tmp_path / "b.gif")]) == 2
+    assert "which is recorded already" in capsys.readouterr().err
+    sorted_names, foreign = tmp_path / "sorted.json", tmp_path / "foreign.json"
+    sorted_names.write_text(json.dumps(json.loads(recorded.read_text()), sort_keys=True))
+    assert main(["render", str(sorted_names), "-o", str(tmp_path / "b.svg")]) == 0
+    foreign.write_text('{"type": "other"}')
+    assert main(["render", str(foreign), "-o", str(tmp_path / "b.gif")]) == 2
+    error = capsys.readouterr().err
+    assert "foreign.json" in error and "mbn-field/1" in error and "mbn-episode/1" in error
+    assert not (tmp_path / "b.gif").exists()
 
 
 def test_evaluate_records_its_best_median_and_worst(tmp_path: Path) -> None:
@@ -397,6 +407,15 @@ def test_a_report_is_refused_before_the_work(
     (unfinished / "evaluations.json").write_text("[]")
     assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
     assert "evaluations.json is empty" in capsys.readouterr().err
+    for text, message in (
+        ('[{"env_steps": 1, "seconds": 1.0}]', "evaluations.json has no return_mean"),
+        ("[7]", "evaluations.json has no env_steps"),
+        ("\udc80", "evaluations.json is not valid JSON"),
+    ):
+        (unfinished / "evaluations.json").write_text(text, "utf-8", "surrogateescape")
+        assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
+        assert message in capsys.readouterr().err
+    (unfinished / "evaluations.json").write_text("[]")
     (unfinished / "config.json").write_text('{"algorithm": "ppo"}')
     assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
     assert "config.json has no setting, seed" in capsys.readouterr().err

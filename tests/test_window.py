@@ -118,7 +118,8 @@ def test_what_cannot_be_shown_is_named(
     )
     for arguments, message in (
         (["play", "field_03", "--robot", "3"], "robot: 0 to 2, not 3"),
-        (["watch", "field_03", "--speed", "0"], "speed: above 0"),
+        (["watch", "field_03", "--speed", "0"], "above 0, not 0"),
+        (["watch", "field_03", "--speed", "inf"], "above 0, not inf"),
         (["watch", "field_00"], "known: field_01"),
         (["watch", "zoo:field_03", "--policy", "random"], "zoo:field_03 has its own"),
         (["watch", "field_03", "--save", "a.txt"], "has to end in .json"),

@@ -79,23 +79,28 @@ class Plan:
 
 
 def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> list[str]:
-    """The plan's actions and positions, and its picture; their names."""
+    """The plan's actions and positions, its episode and its picture; their names."""
     import numpy as np
 
     from baselines.storage import write_arrays
     from mbn_marl.config import make_config
+    from mbn_marl.episode import play, save_episode
     from mbn_marl.render import figures
 
+    config = make_config(settings)
+    kind = ", proved optimal" if found.optimal else ""
+    episode = play(found.field, config, found.actions, source=f"plan{kind}")
+    save_episode(episode, folder / "episode.json")
     write_arrays(folder / "plan.npz", {"actions": found.actions, "positions": found.trail})
     figure = figures.trajectory_figure(
         found.field,
         found.trail,
         visited=np.ones(len(found.field.rois), np.bool_),
-        wind=make_config(settings).wind_increment(),
+        wind=config.wind_increment(),
         title=f"{found.field.name}: {found.makespan} steps{', optimal' if found.optimal else ''}",
     )
     figures.save(figure, folder / "plan.png")
-    return ["plan.npz", "plan.png"]
+    return ["plan.npz", "plan.png", "episode.json"]
 
 
 def print_plan(found: FoundPlan) -> None:
@@ -110,6 +115,6 @@ def print_plan(found: FoundPlan) -> None:
     table.add_row("optimal", "yes, proved" if found.optimal else "not proved")
     table.add_row("return", "-" if found.return_ is None else f"{found.return_:,.0f}")
     for robot, rois in enumerate(found.assignment):
-        table.add_row(f"robot_{robot} visits", ", ".join(map(str, rois)) or "-")
+        table.add_row(f"robot_{robot} visits", ", ".join(f"w{roi + 1}" for roi in rois) or "-")
     table.add_row("took", f"{found.seconds:.2f} s")
     Console().print(table)

@@ -49,12 +49,22 @@ class Render:
         from baselines.acting import find_actor
         from baselines.episode import record_episode
         from mbn_marl.episode import check_episode, is_episode_file, load_episode
+        from mbn_marl.episode.files import EXPECTED
+        from mbn_marl.errors import ConfigError, FieldError
 
         if is_episode_file(self.source):
+            if (self.sampled, self.seed, self.steps) != (False, 0, None):
+                problem = f"sampled, seed, steps: not for {self.source}, which is recorded already"
+                raise ConfigError("render", [problem])
             episode = load_episode(self.source)
             check_episode(episode, self.source)
             return episode
-        actor = find_actor(self.source, seed=self.seed)
+        try:
+            actor = find_actor(self.source, seed=self.seed)
+        except FieldError as error:
+            if not self.source.lower().endswith(".json"):
+                raise
+            raise FieldError(self.source, [*error.problems, f"nor is it {EXPECTED}"]) from None
         kind = ", sampled actions" if self.sampled else ""
         return record_episode(
             actor.policy,

@@ -74,12 +74,11 @@ def load_episode(path: str | Path) -> Episode:
 
 
 def is_episode_file(path: str | Path) -> bool:
-    """Whether the file at ``path`` begins as an episode's does, of whatever version."""
+    """Whether the file at ``path`` says that it is an episode, of whatever version, or cut off."""
     path = Path(path)
     if path.suffix.lower() != ".json" or not path.is_file():
         return False
-    with path.open("rb") as stream:
-        return b'"mbn-episode/' in stream.read(100)
+    return b'"mbn-episode/' in path.read_bytes()
 
 
 def to_file(episode: Episode) -> EpisodeFile:
@@ -147,7 +146,7 @@ def from_file(content: EpisodeFile) -> Episode:
         problems.append(f"visits: allowed: null, or a step from 1 to {steps}")
     if problems:
         raise EpisodeError("episode", problems)
-    return Episode(
+    episode = Episode(
         field=field,
         config=config,
         actions=arrays["actions"],
@@ -159,6 +158,15 @@ def from_file(content: EpisodeFile) -> Episode:
         source=content.source,
         seed=content.seed,
     )
+    _check_return(content.team_return, episode.team_return)
+    return episode
+
+
+def _check_return(stored: float, total: float) -> None:
+    """Raise an error if the return in a file is not the sum of its rewards."""
+    if stored != total:
+        problem = f"team_return: {stored}; allowed: {total}, the sum of rewards.team"
+        raise EpisodeError("episode", [problem])
 
 
 def _place(content: EpisodeFile) -> tuple[Field, NavigationConfig]:

@@ -117,4 +117,6 @@ def _table(table: Table) -> str:
 def _figure(title: str, svg: bytes) -> str:
     """As an image and not as part of the page: names inside two pictures may be the same."""
     data = base64.b64encode(svg).decode("ascii")
-    return f'<figure><img alt="{page.text(title)}" src="data:image/svg+xml;base64,{data}"></figure>'
+    name = page.text(title)
+    picture = f'<div><img alt="{name}" src="data:image/svg+xml;base64,{data}"></div>'
+    return f"<figure>{picture}<figcaption>{name}</figcaption></figure>"
