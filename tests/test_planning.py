@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import highspy
 import numpy as np
@@ -25,7 +26,7 @@ from mbn_marl.episode import check_episode, load_episode
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, catalogue_names, load_field
 from mbn_marl.optimum import optimal_return
-from mbn_marl.planning import Plan, UnsolvableError, plan
+from mbn_marl.planning import Plan, UnsolvableError, plan, replay
 from mbn_marl.planning.legs import NEVER, proved_legs
 from mbn_marl.planning.partition import cheapest_partition, least_makespan
 from mbn_marl.planning.planner import prove
@@ -169,6 +170,28 @@ def test_bounds_hold_with_a_solver_that_stops_early() -> None:
     assert relaxation.solve(highs, windows, relaxation.tangents(), 100.0).bound <= 2.5 + 1e-9
 
 
+def test_bounds_hold_where_rounding_of_a_strong_wind_moves_robots() -> None:
+    # Force and wind all but cancel, and what is left of their float32 values is a little more.
+    settings: dict[str, Any] = {"f_max": 1000.2, "wind": (1000.05, 0.0)}
+    lane = [(100.0, 100.0), (900.0, 100.0), (900.0, 300.0), (100.0, 300.0)]
+    engine = BatchEngine(Field(lane, [(120, 200)], [(880, 200)]), 1, threads=1, **settings)
+    engine.reset()
+    for _ in range(30):
+        engine.step(np.array([[[-1.0, 0.0]]]))
+    reached = float(engine.snapshot().positions[0, 0])
+    assert reached < 880.0 - 0.15 * 30 * 31 / 2 - 0.01
+    field = Field(lane, [(reached - 9.999, 200.0)], [(880, 200)])
+    assert prove(make_problem(field, make_config(settings)), LATER).bound <= 30
+
+
+def test_long_episodes_do_not_weaken_the_bound() -> None:
+    # Rounding may do much in 100,000 steps, but little in the 250 that matter here.
+    field = Field(SQUARE, [(280, 200)], [(110, 200)])
+    settings: dict[str, Any] = {"f_max": 0.005, "max_steps": 100_000}
+    # From rest, 160 units take 0.005 L (L + 1) / 2 >= 160.
+    assert prove(make_problem(field, make_config(settings)), LATER).bound == 253
+
+
 # Plans
 
 
@@ -253,6 +276,26 @@ def test_out_of_time_the_interval_is_marked() -> None:
     assert not found.optimal
     assert found.makespan_lower_bound <= 39
     assert found.makespan is None or found.makespan > 39
+
+
+def test_the_time_limit_holds_where_greed_gets_nowhere() -> None:
+    # Blown into a wall for good, the greedy controller goes on until the end of the episode.
+    found = plan("field_01", wind=(0.55, 0.0), max_steps=4000, time_limit=1.0)
+    assert found.makespan is None
+    assert found.makespan_lower_bound > 30
+    assert found.seconds < 8.0
+
+
+def test_plans_do_not_compile_what_robots_would_see(monkeypatch: pytest.MonkeyPatch) -> None:
+    engines = []
+
+    def spy(*args: Any, **settings: Any) -> BatchEngine:
+        engines.append(BatchEngine(*args, **settings))
+        return engines[-1]
+
+    monkeypatch.setattr(replay, "BatchEngine", spy)
+    assert plan("field_03", observation="lidar", one_hot=True, reward_sharing="team").optimal
+    assert engines and {engine.config.observation for engine in engines} == {"relative"}
 
 
 def test_bad_input_is_named() -> None:
@@ -351,8 +394,14 @@ def test_mbn_plan_prints_draws_and_saves(
         assert arrays["actions"].shape == (17, 3, 2)
     with np.load(export) as arrays:
         assert len(arrays["actions"]) == 34
-    assert main(["plan", "field_03", "-o", str(out)]) == 2
-    assert "--force" in capsys.readouterr().err
+    before = sorted(tmp_path.iterdir())
+    for taken in (["-o", str(out)], ["-o", str(tmp_path / "new"), "--export", str(export)]):
+        assert main(["plan", "field_03", *taken]) == 2
+        assert "--force" in capsys.readouterr().err
+    for wrong in (["--n-robots", "9"], ["--time-limit", "-1"], ["--wind", "nan", "0"]):
+        assert main(["plan", "field_03", *wrong, "-o", str(out), "--force"]) == 2
+        assert wrong[0][2:].replace("-", "_") in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == before
     assert main(["plan", "field_03", "--episodes", "2"]) == 2
     assert "--export" in capsys.readouterr().err
 

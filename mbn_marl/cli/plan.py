@@ -27,7 +27,7 @@ class Plan:
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
     """The folder to write; by default runs/plan-FIELD."""
     force: bool = False
-    """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
+    """If the folder or the file of --export exists, move it aside (to OUT.1, OUT.2, ...)."""
     export: Path | None = None
     """Write demonstrations to this .npz file: the plan, followed in closed loop."""
     episodes: int = 1
@@ -38,11 +38,16 @@ class Plan:
     def run(self, command_line: str) -> None:
         """Plan, print, and write the files."""
         from baselines.storage import claim_folder, write_json
+        from mbn_marl.config import make_config
         from mbn_marl.errors import ConfigError
         from mbn_marl.field import load_field
         from mbn_marl.planning import plan
+        from mbn_marl.planning.problem import make_problem
+        from mbn_marl.render.files import claim_file
 
         problems = []
+        if not self.time_limit > 0.0:
+            problems.append(f"time_limit: more than 0 seconds, not {self.time_limit}")
         if self.episodes < 1:
             problems.append(f"episodes: at least 1, not {self.episodes}")
         if not self.noise >= 0.0:
@@ -55,6 +60,9 @@ class Plan:
             raise ConfigError("plan", problems)
         field = load_field(self.field)
         settings: dict[str, Any] = {"n_robots": self.n_robots, "wind": self.wind}
+        make_problem(field, make_config(settings))  # says what is wrong before anything is moved
+        if self.export is not None:
+            claim_file(self.export, force=self.force)
         folder = claim_folder(self.out or Path(f"runs/plan-{field.name}"), force=self.force)
         found = plan(field, time_limit=self.time_limit, **settings)
         print_plan(found)

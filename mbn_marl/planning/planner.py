@@ -25,8 +25,8 @@ from mbn_marl.planning.problem import Floats, Problem, make_problem
 from mbn_marl.planning.replay import Stage
 from mbn_marl.planning.team import Team
 
-BOUND_SHARE = 0.8
-"""Of the time limit, for raising the bound."""
+GREEDY_SHARE, BOUND_SHARE = 0.5, 0.8
+"""Shares of the time limit by which the greedy plan and the bound have to be there."""
 MOST_ROIS = 11
 """With more ROIs the bound is that of some of them, and the plan is the greedy controller's."""
 PARTITIONS = 6
@@ -34,7 +34,7 @@ PARTITIONS = 6
 
 
 class UnsolvableError(MbnError):
-    """No team can visit every ROI within an episode; the message says which, and why."""
+    """No team can visit every ROI within an episode without pushing outside the field: proved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Plan:
         assignment: for each robot the ROIs that it visits, in order.
         visit_steps: the steps at which ROIs are visited, rising.
         trail: (T + 1, n, 2), units: the replayed positions, the starts first.
-        seconds: how long it took, in seconds.
+        seconds: how long it took, in seconds, compiling aside.
     """
 
     field: Field
@@ -90,21 +90,22 @@ def plan(field: FieldLike, *, time_limit: float = 60.0, **settings: Unpack[Setti
 
     Args:
         field: a catalogue name, a file, or a :class:`Field`.
-        time_limit: seconds after which the best interval so far is returned.
+        time_limit: seconds after which the best interval so far is returned; compiling the engine,
+            the first time that a configuration is used, comes on top.
         **settings: see :class:`mbn_marl.config.NavigationConfig`: ``n_robots``, ``wind``, ...
 
     Raises:
-        UnsolvableError: it is proved that no team can visit every ROI within an episode.
+        UnsolvableError: it is proved that no clean plan visits every ROI within an episode.
         ConfigError: a setting or the time limit is not valid.
         FieldError: the field is not.
     """
     if not time_limit > 0.0:
         raise ConfigError("plan", [f"time_limit: expected more than 0 seconds, got {time_limit}"])
-    began = time.monotonic()
     problem = make_problem(load_field(field), make_config(settings))
-    refuse_unsolvable(problem)
     stage = Stage(problem)
-    best = drive_greedily(problem, stage)
+    began = time.monotonic()
+    refuse_unsolvable(problem)
+    best = drive_greedily(problem, stage, began + GREEDY_SHARE * time_limit)
     part = _hardest(problem)
     team = prove(part, began + BOUND_SHARE * time_limit)
     if part is problem:
@@ -149,17 +150,21 @@ def prove(problem: Problem, deadline: float) -> Team:
         UnsolvableError: the bound is above the length of an episode.
     """
     limit = problem.config.max_steps
-    short = 2 * least_makespan(_team(problem, limit, deadline).bounds) + 20
-    for horizon in sorted({min(short, limit), limit}):
+    horizon = 2 * least_makespan(_team(problem, limit, deadline).bounds) + 20
+    bound = 0
+    while bound <= limit:
+        horizon = min(horizon, limit)
         team = _team(problem, horizon, deadline)
+        team.bound = bound
         try:
             if team.raise_bound():
                 return team
         except OutOfTimeError:
             return team
+        bound, horizon = horizon + 1, 2 * horizon
     raise UnsolvableError(
         f"{problem.field.name}: the robots cannot visit all ROIs by step {limit}, the end of an "
-        "episode (max_steps)"
+        "episode (max_steps), without pushing outside the field"
     )
 
 
@@ -200,10 +205,12 @@ def _every_step(guide: Team, bound: int, most: int) -> Sequence[int]:
         return [first + 2**k for k in range(1, 10) if first + 2**k <= most]
 
 
-def drive_greedily(problem: Problem, stage: Stage) -> Verified | None:
-    """The greedy controller's episode, if it is a clean success."""
+def drive_greedily(problem: Problem, stage: Stage, deadline: float) -> Verified | None:
+    """The greedy controller's episode, if it is a clean success and done by the deadline."""
     greedy = Greedy(problem, problem.starts)
-    replay, actions = stage.drive(greedy.act)
+    replay, actions = stage.drive(
+        lambda *seen: None if time.monotonic() > deadline else greedy.act(*seen)
+    )
     return Verified(actions, replay) if replay.success and not replay.wall_hits else None
 
 

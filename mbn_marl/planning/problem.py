@@ -108,13 +108,15 @@ class Problem:
     def slack(self, steps: int) -> float:
         """By how much rounding may move a robot within so many steps, in units.
 
-        Each step rounds a velocity and a position once or a few times; a velocity's error acts in
-        all later steps. Bounds that allow for this hold for the engine in float32 too.
+        Each step rounds a velocity, its parts of force and wind, and a position once or a few
+        times; a velocity's error acts in all later steps. The tests of field and discs round too,
+        by less than ten roundings of a position. Bounds that allow for this hold for the engine in
+        float32 too.
         """
         drive = self.drives[0]
-        velocity = 3.0 * drive.top * FLOAT32
+        velocity = 3.0 * (drive.top + float(np.abs(self.wind).max())) * FLOAT32
         position = float(self.field.vertices.max()) * FLOAT32
-        return steps * position + 0.5 * steps * (steps + 1) * velocity * drive.tau + 1e-5
+        return (steps + 10) * position + 0.5 * steps * (steps + 1) * velocity * drive.tau + 1e-5
 
 
 def make_problem(field: Field, config: NavigationConfig) -> Problem:

@@ -42,12 +42,15 @@ Controller = Callable[[FloatArray, FloatArray, NDArray[np.bool_]], NDArray[np.fl
 
 
 class Stage:
-    """One world to replay plans in."""
+    """One world to replay plans in, compiled. What its robots would observe makes no difference."""
 
     def __init__(self, problem: Problem) -> None:
-        config = problem.config
+        plain = {"observation": "relative", "one_hot": False}
+        config = problem.config.model_copy(update=plain)
         settings = {name: getattr(config, name) for name in NavigationConfig.model_fields}
         self._engine = BatchEngine(problem.field, 1, autoreset="disabled", threads=1, **settings)
+        self._engine.reset()
+        self._engine.step(np.zeros((1, problem.n, 2), np.float32))
 
     def replay(self, actions: NDArray[np.float32]) -> Replay:
         """Replay the actions (T, n, 2) until they or the episode end."""
