@@ -67,6 +67,8 @@ def test_evaluate_repeats_the_recorded_evaluation(run: Path, tmp_path: Path) -> 
     recorded = json.loads((run / "evaluation.json").read_text())
     assert result["stochastic"] == recorded["stochastic"]
     assert result["deterministic"] == recorded["deterministic"]
+    assert main(["evaluate", str(run), "--episodes", "1", "--json", str(out)]) == 2
+    assert json.loads(out.read_text()) == result, "nothing is written over"
 
 
 def test_render_writes_what_the_name_asks_for(run: Path, tmp_path: Path) -> None:

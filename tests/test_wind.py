@@ -160,9 +160,15 @@ def test_evaluate_in_wind_from_the_command_line(
         raise OSError("no space is left")
 
     monkeypatch.setattr(wind_module, "write_panels", fail)
-    (run / "wind.json").unlink()
-    assert main(["evaluate", str(run), "--wind-speeds", "1", "--episodes", "1"]) == 2
-    assert (run / "wind.json").is_file(), "what was evaluated is not lost with the picture"
+    again = ["evaluate", str(run), "--wind-speeds", "1", "--episodes", "1"]
+    before = (run / "wind.json").read_text()
+    assert main(again) == 2
+    assert "wind.json already exists" in capsys.readouterr().err
+    assert (run / "wind.json").read_text() == before
+    assert main([*again, "--force"]) == 2
+    assert "no space is left" in capsys.readouterr().err
+    assert (run / "wind.json").read_text() != before, "what was evaluated is not lost"
+    assert (run / "wind.json.1").read_text() == before
     monkeypatch.setattr(wind_module, "evaluate_in_wind", fail)
     capsys.readouterr()
     assert main(["evaluate", str(run), "--wind-speeds", "1", "--figure", "x.bmp"]) == 2

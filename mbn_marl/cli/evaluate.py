@@ -40,6 +40,8 @@ class Evaluate:
     """The direction of that wind, degrees from +x."""
     figure: Path | None = None
     """With --wind-speeds: the picture of an episode at each, by default RUN/wind.png."""
+    force: bool = False
+    """If an output exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
         """Evaluate, print the summaries, and write the file if one is asked for."""
@@ -88,9 +90,12 @@ class Evaluate:
         from baselines.storage import claim_folder, write_json
         from mbn_marl.config import make_config
         from mbn_marl.optimum import optimal_return
+        from mbn_marl.render.files import claim_file
 
+        if self.json is not None:
+            claim_file(self.json, force=self.force)
         if self.record is not None:
-            claim_folder(self.record)
+            claim_folder(self.record, force=self.force)
         results = evaluate_both(
             subject.policy, subject.field, subject.settings, episodes=self.episodes, seed=seed
         )
@@ -132,11 +137,14 @@ class Evaluate:
         from baselines.storage import write_json
         from baselines.wind import evaluate_in_wind, parse_speeds, write_panels
         from mbn_marl.render.figures import check_name
+        from mbn_marl.render.files import claim_file
 
         winds = parse_speeds(speeds), self.wind_angle
         where = subject.policy, subject.field, subject.settings
         figure = check_name(self.figure or subject.home / "wind.png")
         results = self.json or subject.home / "wind.json"
+        for output in (results, figure):
+            claim_file(output, force=self.force)
         rows = evaluate_in_wind(*where, *winds, episodes=self.episodes, seed=seed)
         write_json(results, {"command": command_line, "results": rows})
         write_panels(*where, *winds, figure)

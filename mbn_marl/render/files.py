@@ -47,7 +47,7 @@ def claim_file(path: Path, *, force: bool = False) -> Path:
     if path.exists():
         if not force:
             raise MbnError(
-                f"{path} already exists; choose another --out, or pass --force to move it aside"
+                f"{path} already exists; choose another name, or pass --force to move it aside"
             )
         path.rename(free_name(path))
     return path
