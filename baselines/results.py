@@ -28,7 +28,8 @@ CONFIG = (
 EVALUATION = ("env_steps", "seconds", "stochastic", "deterministic")
 SUMMARY = ("return_mean", "success_rate", "makespan")
 HISTORY = ("env_steps", "seconds", "return_mean")
-"""What a run's files have to have to be compared."""
+"""What a run's files have to have to be compared: the configuration, the final evaluation, each of
+its two summaries, and every entry of the evaluations on the way."""
 
 Kind = Literal["stochastic", "deterministic"]
 """Of a final evaluation: with sampled actions, or with mean ones."""

@@ -39,6 +39,7 @@ def final(entry: dict[str, Any], deterministic_return: float) -> dict[str, Any]:
     mean = {
         "return_mean": deterministic_return,
         "success_rate": entry["deterministic_success_rate"],
+        "makespan": None,
     }
     return {
         "env_steps": 500_000,
