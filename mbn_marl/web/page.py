@@ -27,24 +27,27 @@ def fill(template: str, values: Mapping[str, str]) -> str:
     return re.sub(r"{{(\w+)}}", lambda match: values[match[1]], template)
 
 
-def styles(names: Iterable[str] = STYLES) -> str:
-    """The colours as CSS variables, light and dark, and the style sheets."""
-    light, dark = (_variables(palette) for palette in (style.LIGHT_PAGE, style.DARK_PAGE))
-    colours = (
-        f":root {{\n{light}}}\n@media (prefers-color-scheme: dark) {{ :root {{\n{dark}}} }}\n"
-        f"@media print {{ :root {{\n{light}}} }}\n"
+def whole(
+    body: str, title: str, values: Mapping[str, str], extra_styles: Sequence[str] = ()
+) -> str:
+    """A self-contained page, with the player in it, that may load nothing from elsewhere.
+
+    Args:
+        body: the name of the body's template.
+        title: as plain text.
+        values: what the body's names stand for, as HTML.
+        extra_styles: names of style sheets besides the player's.
+    """
+    return fill(
+        static("page.html"),
+        {
+            "title": text(title),
+            "colours": str(len(style.LIGHT_PAGE.robots)),
+            "styles": _styles((*STYLES, *extra_styles)),
+            "body": fill(static(body), values),
+            "scripts": "\n".join(map(static, SCRIPTS)),
+        },
     )
-    return colours + "\n".join(map(static, names))
-
-
-def scripts() -> str:
-    """The player."""
-    return "\n".join(map(static, SCRIPTS))
-
-
-def colours() -> str:
-    """How many colours there are for robots."""
-    return str(len(style.LIGHT_PAGE.robots))
 
 
 def text(plain: str) -> str:
@@ -61,6 +64,16 @@ def episodes_data(episodes: Sequence[Episode]) -> str:
 def script_data(value: Any) -> str:
     """``value`` as JSON that can stand in a script element."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _styles(names: Iterable[str]) -> str:
+    """The colours as CSS variables, light and dark, and the style sheets."""
+    light, dark = (_variables(palette) for palette in (style.LIGHT_PAGE, style.DARK_PAGE))
+    colours = (
+        f":root {{\n{light}}}\n@media (prefers-color-scheme: dark) {{ :root {{\n{dark}}} }}\n"
+        f"@media print {{ :root {{\n{light}}} }}\n"
+    )
+    return colours + "\n".join(map(static, names))
 
 
 def _variables(palette: style.PagePalette) -> str:

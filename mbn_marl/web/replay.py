@@ -23,14 +23,11 @@ def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
     if not episodes:
         raise MbnError("replay: at least one episode is needed")
     fields = ", ".join(dict.fromkeys(episode.field.name for episode in episodes))
-    return page.fill(
-        page.static("replay.html"),
+    return page.whole(
+        "replay.html",
+        f"Replay: {fields}" if title is None else title,
         {
-            "title": page.text(f"Replay: {fields}" if title is None else title),
             "note": page.text(f"Recorded and replayed exactly by mbn_marl {__version__}."),
-            "colours": page.colours(),
-            "styles": page.styles(),
-            "scripts": page.scripts(),
             "episodes": page.episodes_data(episodes),
         },
     )

@@ -56,17 +56,15 @@ def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
         summary: a sentence below it.
         sections: in order.
     """
-    return page.fill(
-        page.static("report.html"),
+    return page.whole(
+        "report.html",
+        title,
         {
-            "title": page.text(title),
             "summary": page.text(summary),
             "contents": "\n".join(_links(sections)),
             "sections": "\n".join(_section(*numbered) for numbered in enumerate(sections)),
-            "colours": page.colours(),
-            "styles": page.styles((*page.STYLES, "report.css")),
-            "scripts": page.scripts(),
         },
+        extra_styles=("report.css",),
     )
 
 
