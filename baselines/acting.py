@@ -10,6 +10,7 @@ from typing import Any
 from baselines.policies import Policy, RandomPolicy, load_policy
 from baselines.runs import RunFolder
 from baselines.zoo.entries import PREFIX, entry_names, open_run
+from mbn_marl.episode import is_episode_file
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field
 
@@ -51,6 +52,8 @@ def find_actor(source: str, policy: str | None = None, *, seed: int = 0) -> Acto
             problem = f"policy: {source} has its own; to try another, name a field"
             raise ConfigError("policy", [problem])
         return _of_run(open_run(source), source)
+    if is_episode_file(source):
+        raise ConfigError("policy", [f"{source} is an episode; `mbn replay` plays it"])
     field = load_field(source)
     if policy in (None, RANDOM):
         return Actor(RandomPolicy(seed), field, {}, "random actions")

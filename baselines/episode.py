@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from baselines.policies import Policy
 from mbn_marl.engine import BatchEngine
@@ -86,10 +89,16 @@ def check_ending(path: Path) -> Path:
 
 def write_animation(episode: Episode, path: Path) -> None:
     """Write the episode as a GIF or an MP4 that rests on its last frame."""
+    ANIMATIONS[path.suffix.lower()](_frames(episode), path)
+
+
+def _frames(episode: Episode) -> Iterator[NDArray[np.uint8]]:
     viewer = Viewer("rgb_array")
-    frames = [viewer.draw(snapshot) for snapshot in episode.snapshots()]
-    pictures = [frame for frame in frames if frame is not None]
-    ANIMATIONS[path.suffix.lower()]([*pictures, *pictures[-1:] * REST], path)
+    last = repeat(episode.snapshot(episode.steps), REST)
+    for snapshot in chain(episode.snapshots(), last):
+        frame = viewer.draw(snapshot)
+        assert frame is not None  # in this mode there always is one
+        yield frame
 
 
 def write_trajectories(episode: Episode, path: Path, title: str | None = None) -> None:

@@ -133,7 +133,7 @@ def record_evaluation(
 
         def attach(engine: BatchEngine) -> None:
             for world in range(episodes):
-                recorder = EpisodeRecorder(engine, world, source=f"{source}, sampled actions")
+                recorder = EpisodeRecorder(engine, world, source=source)
                 recorders.append(stack.enter_context(recorder))
 
         evaluation = evaluate(policy, field, settings, episodes=episodes, seed=seed, attach=attach)

@@ -140,7 +140,7 @@ def _paths(episodes: dict[str, Episode]) -> Any:
 
 def _commands(runs: Sequence[Result], command: str) -> dict[str, str]:
     """What made the page, and what made every run."""
-    made = "\n".join((one.run.path / "command.txt").read_text().strip() for one in runs)
+    made = "\n".join(one.run.command for one in runs)
     return {"This page": command, f"The {len(runs)} runs": made}
 
 

@@ -286,6 +286,18 @@ class RunFolder:
         return config
 
     @property
+    def command(self) -> str:
+        """The exact command that began the run.
+
+        Raises:
+            RunError: naming the file, if there is none.
+        """
+        file = self.path / "command.txt"
+        if not file.is_file():
+            raise RunError(f"{file} is missing, the command that every run folder holds")
+        return file.read_text(encoding="utf-8").strip()
+
+    @property
     def field(self) -> Field:
         """The field that the run was trained on, as it was then."""
         return load_field(self.path / "field.yaml")

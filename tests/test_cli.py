@@ -133,6 +133,7 @@ def test_compare_writes_table_and_figures(
         (["train", "ippo", "field_03", "--set", "gamma"], "gamma: must be NAME=VALUE"),
         (["evaluate", "nowhere"], "nowhere is not a run folder"),
         (["render", "field_03", "-o", "picture.bmp"], ".png"),
+        (["replay", "none.json", "-o", "a.html"], "error: none.json: No such file or directory"),
     ],
 )
 def test_wrong_input_is_one_clear_message(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.snapshot import Snapshot
-from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 from mbn_marl.render import Viewer, style, write_gif
 from mbn_marl.render.viewport import Viewport
@@ -375,36 +375,3 @@ def test_a_gif_holds_the_frames_and_is_small(tmp_path: Path) -> None:
     assert error.mean() < 2.0 and error.max() < 32, "the colours of the last frame are kept"
     assert path.stat().st_size < 31 * 4000
     assert list(path.parent.iterdir()) == [path], "no temporary file is left"
-
-
-@pytest.mark.parametrize(
-    ("frames", "name", "fps", "message"),
-    [
-        ([], "a.gif", 20.0, r"a\.gif: there are no frames"),
-        ([np.zeros((4, 4, 3))], "a.gif", 20.0, r"a\.gif: frame 0 is float64 \(4, 4, 3\)"),
-        ([np.zeros((4, 4), np.uint8)], "a.gif", 20.0, r"frame 0 is uint8 \(4, 4\)"),
-        ([None], "a.gif", 20.0, r"frame 0 is object"),
-        (
-            [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 5, 3), np.uint8)],
-            "a.gif",
-            20.0,
-            r"frame 1 has shape \(4, 5, 3\), the first has \(4, 4, 3\)",
-        ),
-        ([np.zeros((4, 4, 3), np.uint8)], "a.gif", 60.0, r"a\.gif: fps has to be 0\.01 to 50"),
-        ([np.zeros((4, 4, 3), np.uint8)], "a.png", 20.0, r"a\.png: .* \.gif"),
-    ],
-)
-def test_a_gif_that_cannot_be_is_refused_and_nothing_replaced(
-    frames: Any, name: str, fps: float, message: str, tmp_path: Path
-) -> None:
-    path = tmp_path / name
-    path.write_bytes(b"old")
-    with pytest.raises(MbnError, match=message):
-        write_gif(frames, path, fps)
-    assert path.read_bytes() == b"old"
-
-
-def test_a_folder_in_the_way_is_named(tmp_path: Path) -> None:
-    (tmp_path / "a.gif").mkdir()
-    with pytest.raises(OSError, match=r"a\.gif"):
-        write_gif([np.zeros((4, 4, 3), np.uint8)], tmp_path / "a.gif")

@@ -116,7 +116,10 @@ def test_what_cannot_be_shown_is_named(
     save_field(
         Field([(0, 0), (50, 0), (0, 50)], rois=[(9, 9)], starts=[(20, 20)], name="small"), small
     )
+    recording = tmp_path / "recording.json"
+    recording.write_text('{"format": "mbn-episode/1"')
     for arguments, message in (
+        (["watch", str(recording)], "is an episode; `mbn replay` plays it"),
         (["play", "field_03", "--robot", "3"], "robot: 0 to 2, not 3"),
         (["watch", "field_03", "--speed", "0"], "above 0, not 0"),
         (["watch", "field_03", "--speed", "inf"], "above 0, not inf"),

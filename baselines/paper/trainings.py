@@ -67,7 +67,7 @@ class Training:
             windows=Windows.read(path / "progress.csv"),
             evaluation=read_json(final) if final.exists() else None,
             field=run.field,
-            command=(path / "command.txt").read_text().strip(),
+            command=run.command,
         )
 
     @property

@@ -122,7 +122,7 @@ def make_card(run: RunFolder, name: str) -> dict[str, Any]:
         **{key: config[key] for key in ("algorithm", "setting", "field", "seed")},
         "env_steps": trained["env_steps"],
         "seconds": trained["seconds"],
-        "command": plain_command((run.path / "command.txt").read_text()),
+        "command": plain_command(run.command),
         "versions": read_json(run.path / "versions.json"),
         "optimum": optimal_return(run.field, make_config(config["environment"])),
         **{key: evaluation.summary() for key, evaluation in evaluations.items()},

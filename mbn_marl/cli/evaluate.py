@@ -124,7 +124,7 @@ class Evaluate:
             subject.settings,
             episodes=self.episodes,
             seed=seed,
-            source=self.source,
+            source=self.source if self.field else f"{self.source}, sampled actions",
         )
         for name, episode in recorded.items():
             save_episode(episode, folder / f"{name}.json")

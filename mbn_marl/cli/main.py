@@ -68,8 +68,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, _leave)
     try:
         command.run(shlex.join(["mbn", *arguments]))
-    except (MbnError, OSError) as error:
+    except MbnError as error:
         return _fail(str(error))
+    except OSError as error:
+        return _fail(str(error) if error.filename is None else _of_file(error))
     except ImportError as error:
         if error.name is None or error.name.split(".")[0] in OWN_PACKAGES:
             raise
@@ -83,6 +85,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _fail(message: str) -> int:
     print(f"mbn: error: {message}", file=sys.stderr)
     return WRONG_INPUT
+
+
+def _of_file(error: OSError) -> str:
+    """The place first, as in all messages, and no number."""
+    places = [str(name) for name in (error.filename, error.filename2) if name is not None]
+    return f"{' -> '.join(places)}: {error.strerror}"
 
 
 def _leave(number: int, frame: object) -> None:

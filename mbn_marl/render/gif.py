@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ SLOWEST, FASTEST = 0.01, 50.0
 _COLOURS = 256
 _SAMPLED = 8
 """How many frames the one palette is made from; with one palette only what moves is stored."""
+_FAST = 1
+"""How hard zlib tries: flat colours shrink to a fiftieth all the same."""
 
 
 def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.0) -> Path:
@@ -42,21 +45,30 @@ def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.
         raise MbnError(f"{path}: the file name has to end in .gif")
     if not SLOWEST <= fps <= FASTEST:
         raise MbnError(f"{path}: fps has to be {SLOWEST:g} to {FASTEST:g}, not {fps}")
-    pictures = checked_frames(frames, path)
     try:
         from PIL import Image
     except ModuleNotFoundError as error:
         raise ImportError(
             'writing a GIF needs Pillow: pip install "mbn_marl[render]"', name="PIL"
         ) from error
-    chosen = np.linspace(0, len(pictures) - 1, _SAMPLED).astype(int)
-    sample = Image.fromarray(np.concatenate([pictures[index] for index in chosen]))
+    packed = []
+    shape: tuple[int, ...] = ()
+    for frame in checked_frames(frames, path):
+        packed.append(zlib.compress(frame.tobytes(), _FAST))
+        shape = frame.shape
+
+    def picture(index: int) -> NDArray[np.uint8]:
+        return np.frombuffer(zlib.decompress(packed[index]), np.uint8).reshape(shape)
+
+    chosen = np.linspace(0, len(packed) - 1, _SAMPLED).astype(int)
+    sample = Image.fromarray(np.concatenate([picture(index) for index in chosen]))
     palette = sample.quantize(_COLOURS, Image.Quantize.FASTOCTREE)
-    first, *others = (
-        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
-        for picture in pictures
+    drawn = (
+        Image.fromarray(picture(index)).quantize(palette=palette, dither=Image.Dither.NONE)
+        for index in range(len(packed))
     )
     delay = 10 * round(100.0 / fps)
     with replacing(path) as temporary:
-        first.save(temporary, save_all=True, append_images=others, duration=delay, loop=0)
+        first = next(drawn)
+        first.save(temporary, save_all=True, append_images=drawn, duration=delay, loop=0)
     return path

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import closing
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -49,13 +51,14 @@ def write_mp4(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.
             'writing a video needs imageio-ffmpeg: pip install "mbn_marl[render]"',
             name="imageio_ffmpeg",
         ) from error
-    height, width = (side // _EVEN * _EVEN for side in pictures[0].shape[:2])
+    first = next(pictures)
+    height, width = (side // _EVEN * _EVEN for side in first.shape[:2])
     with replacing(path) as temporary:
         writer = imageio_ffmpeg.write_frames(
             temporary, (width, height), fps=fps, quality=_QUALITY, macro_block_size=_EVEN
         )
-        writer.send(None)
-        for picture in pictures:
-            writer.send(picture[:height, :width].tobytes())
-        writer.close()
+        with closing(writer):
+            writer.send(None)
+            for picture in chain([first], pictures):
+                writer.send(picture[:height, :width].tobytes())
     return path

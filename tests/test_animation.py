@@ -1,0 +1,78 @@
+"""GIF and MP4: what is refused, and what is held in memory."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbn_marl.errors import MbnError
+from mbn_marl.render import write_gif, write_mp4
+
+pytest.importorskip("PIL", reason="needs the extra [render]")
+pytest.importorskip("imageio_ffmpeg", reason="needs the extra [render]")
+
+
+@pytest.mark.parametrize(
+    ("frames", "name", "fps", "message"),
+    [
+        ([], "a.gif", 20.0, r"a\.gif: there are no frames"),
+        ([np.zeros((4, 4, 3))], "a.gif", 20.0, r"a\.gif: frame 0 is float64 \(4, 4, 3\)"),
+        ([np.zeros((4, 4), np.uint8)], "a.gif", 20.0, r"frame 0 is uint8 \(4, 4\)"),
+        ([None], "a.gif", 20.0, r"frame 0 is object"),
+        (
+            [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 5, 3), np.uint8)],
+            "a.gif",
+            20.0,
+            r"frame 1 has shape \(4, 5, 3\), the first has \(4, 4, 3\)",
+        ),
+        ([np.zeros((4, 4, 3), np.uint8)], "a.gif", 60.0, r"a\.gif: fps has to be 0\.01 to 50"),
+        ([np.zeros((4, 4, 3), np.uint8)], "a.png", 20.0, r"a\.png: .* \.gif"),
+    ],
+)
+def test_a_gif_that_cannot_be_is_refused_and_nothing_replaced(
+    frames: Any, name: str, fps: float, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(b"old")
+    with pytest.raises(MbnError, match=message):
+        write_gif(frames, path, fps)
+    assert path.read_bytes() == b"old"
+
+
+def still_frames(count: int) -> Iterator[NDArray[np.uint8]]:
+    """Frames of 480 kB, one after the other."""
+    for level in range(count):
+        yield np.full((400, 400, 3), level, np.uint8)
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.mp4"])
+def test_an_animation_is_written_without_holding_its_frames(name: str, tmp_path: Path) -> None:
+    write = write_gif if name == "a.gif" else write_mp4
+    write(still_frames(2), tmp_path / name)  # what is loaded the first time is not counted
+    tracemalloc.start()
+    write(still_frames(60), tmp_path / name)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20 * 480_000, f"{peak / 1e6:.0f} MB for 60 frames of 0.48 MB"
+
+
+def test_a_video_cut_short_by_a_wrong_frame_replaces_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"old")
+    frames = [*still_frames(3), np.zeros((4, 4, 3), np.uint8)]
+    with pytest.raises(MbnError, match="frame 3 has shape"):
+        write_mp4(frames, path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path], "no temporary file is left"
+
+
+def test_a_folder_in_the_way_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.gif").mkdir()
+    with pytest.raises(OSError, match=r"a\.gif"):
+        write_gif([np.zeros((4, 4, 3), np.uint8)], tmp_path / "a.gif")
