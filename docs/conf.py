@@ -29,6 +29,8 @@ pygments_style = "friendly"  # tells added from removed lines
 pygments_dark_style = "monokai"
 html_title = f"mbn_marl {release}"
 html_copy_source = False
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 html_show_copyright = False
 
 # Markdown
