@@ -21,7 +21,7 @@ LAYERS = [
     {"mbn_marl.planning"},
     {"mbn_marl.render"},
     {"mbn_marl.episode"},
-    {"mbn_marl.web"},
+    {"mbn_marl.web", "mbn_marl.sim3d"},
     {"mbn_marl.adapters", "mbn_marl.registration"},
     {"mbn_marl.navigation_v0"},
     {"mbn_marl"},
