@@ -35,3 +35,9 @@ class PlaneSimulator(Simulator):
         """The point masses now; fresh arrays."""
         heights = np.zeros(len(self._positions))
         return Motion(self._positions.copy(), self._velocities.copy(), heights)
+
+    def spray(self, roi: int) -> None:
+        """Nothing to show."""
+
+    def close(self) -> None:
+        """Nothing to free."""

@@ -125,9 +125,11 @@ class Simulator(ABC):
     def motion(self) -> Motion:
         """The vehicles now; fresh arrays."""
 
+    @abstractmethod
     def spray(self, roi: int) -> None:
         """Show that the weed at ROI ``roi``, 0 to m - 1, has been sprayed."""
 
+    @abstractmethod
     def close(self) -> None:
         """Free what the simulator holds; closing twice does no harm."""
 

@@ -1,0 +1,174 @@
+"""A world whose robots move elsewhere, such as in a simulator, and are judged by the same rules.
+
+A step of the engine has two halves here, made of its own passes. The first turns actions into the
+velocities that the MDP would have next; something else then moves the robots. The second takes
+where they came to be, and does the rest of the step: ROIs, memory, collisions, rewards,
+observations.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbn_marl.engine import rules
+from mbn_marl.engine.batch import BatchEngine
+from mbn_marl.engine.compiling import entry_point
+from mbn_marl.engine.constants import make_record, unpack
+from mbn_marl.engine.cpu import CpuBackend
+from mbn_marl.engine.observation import observe
+from mbn_marl.engine.rewards import RELEASED, WALL
+from mbn_marl.engine.step import (
+    accelerate,
+    assess,
+    contain,
+    make_scratch,
+    move,
+    recall,
+    record,
+    settle,
+    visit,
+)
+from mbn_marl.engine.store import Store
+from mbn_marl.errors import ActionError, MbnError, StepError
+
+LO, HI = np.uint64(0), np.uint64(1)
+INSIDE = 1
+
+
+@entry_point
+def choose_velocities(store, actions, velocities, allowed):
+    """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
+    p = unpack(store.constants)
+    g, now = store.geometry, store.now
+    n = now.x.shape[0]
+    to = make_scratch(HI, n, 1, now.x.dtype)
+    for i in range(n):
+        accelerate(p, g, now, to, actions, i, LO, HI)
+        contain(g, to, LO, HI)
+        inside = to.seen[0] != 0
+        allowed[i] = inside
+        velocities[0, i, 0] = rules.select(inside, to.vx[0], p.zero)
+        velocities[0, i, 1] = rules.select(inside, to.vy[0], p.zero)
+
+
+@entry_point
+def judge_positions(store, positions, velocities, allowed):
+    """Steps 3 to 8 for robots that came to ``positions`` with ``velocities``, (1, n, 2)."""
+    p = unpack(store.constants)
+    g, mem, now, final, out = store.geometry, store.memory, store.now, store.final, store.output
+    n = now.x.shape[0]
+    to = make_scratch(HI, n, out.observations.shape[2], now.x.dtype)
+    for i in range(n):
+        to.x[0], to.y[0] = positions[0, i, 0], positions[0, i, 1]
+        to.vx[0] = rules.clip(velocities[0, i, 0], -p.v_clip, p.v_clip)
+        to.vy[0] = rules.clip(velocities[0, i, 1], -p.v_clip, p.v_clip)
+        contain(g, to, LO, HI)
+        stayed = allowed[i] & (to.seen[0] != 0)
+        to.seen[0] = INSIDE
+        move(p, now, out, to, i, LO, HI)
+        now.wall_hits[i, 0] += 0 if stayed else 1
+        out.events[i, 0] |= 0 if stayed else WALL
+        visit(p, g, now, out, i, LO, HI)
+    if p.rules == RELEASED:
+        record(mem, now, LO, HI)
+        for i in range(n):
+            recall(mem, now, out, to, i, LO, HI)
+    observe(p, g, now, LO, HI, to.tile, out.observations)
+    assess(p, g, mem, now, out, to, LO, HI)
+    return settle(p, g, mem, now, final, out, to, LO, HI)
+
+
+class Command(NamedTuple):
+    """What the MDP would have the robots do in a step.
+
+    Attributes:
+        velocities: (n, 2), units/step, in the engine's dtype; 0 where a robot may not go on.
+        allowed: (n,) bool, whether the robot would stay in the field. If not it pays r_l.
+    """
+
+    velocities: NDArray[Any]
+    allowed: NDArray[np.bool_]
+
+
+class MeasuredWorld:
+    """One world of the MDP whose positions and velocities are measured, not computed.
+
+    A step is :meth:`command` and then :meth:`measure`. A robot that is moved exactly as commanded,
+    by ``p' = p + v' tau``, has exactly the episode that the engine would have given it.
+
+    Args:
+        engine: of one world, on the CPU, without automatic reset; look at it and reset it, but
+            leave its steps to this world.
+        speed_limit: of what moves the robots, per axis, units/step; ``None`` for v_clip alone.
+
+    Raises:
+        MbnError: another engine.
+
+    Source:
+        The rules are those of ``docs/mdp.md``, "One step, in this order".
+    """
+
+    def __init__(self, engine: BatchEngine, speed_limit: float | None = None) -> None:
+        backend = engine._backend
+        single = engine.num_worlds == 1 and engine.autoreset == "disabled"
+        if not (single and isinstance(backend, CpuBackend)):
+            allowed = "allowed: one world on the CPU, autoreset disabled"
+            raise MbnError(f"engine: {engine.num_worlds} worlds on {engine.device}; {allowed}")
+        self.engine, self._backend = engine, backend
+        limit = min(engine.config.v_clip, speed_limit or np.inf)
+        config = engine.config.model_copy(update={"v_clip": limit})
+        limited = make_record(
+            config, engine.n_robots, engine.field.arena, engine.autoreset, engine.seed
+        )
+        self._chooser = Store(
+            limited,
+            backend.plan.geometry,
+            backend.memory,
+            backend.now,
+            backend.final,
+            backend.output,
+        )
+        self._allowed = np.ones(engine.n_robots, np.bool_)
+
+    def command(self, actions: ArrayLike) -> Command:
+        """The first half of a step.
+
+        Args:
+            actions: (n, 2), finite; values outside [-1, 1] are clipped.
+
+        Raises:
+            ActionError: wrong shape, not numeric, or not finite.
+            StepError: before the first reset, or after the end of the episode.
+        """
+        if not self.engine.running[0]:
+            raise StepError("the episode has not begun, or has ended; allowed: reset() first")
+        forces = self._backend.checked_actions(np.asarray(actions)[None])
+        velocities = np.empty((1, self.engine.n_robots, 2), self.engine.dtype)
+        choose_velocities(self._chooser, forces, velocities, self._allowed)
+        return Command(velocities[0], self._allowed.copy())
+
+    def measure(self, positions: ArrayLike, velocities: ArrayLike) -> None:
+        """The second half: the robots came to ``positions``; what came of it is in the engine.
+
+        A robot that was measured outside the field pays r_l, as one does that would leave it.
+        Positions are clipped to the arena, velocities to v_clip.
+
+        Args:
+            positions: (n, 2), units, finite.
+            velocities: (n, 2), units/step, finite.
+
+        Raises:
+            ActionError: wrong shape, or not finite.
+        """
+        shape, measured = (1, self.engine.n_robots, 2), []
+        for name, given in (("positions", positions), ("velocities", velocities)):
+            array = np.asarray(given, self.engine.dtype)[None]
+            if array.shape != shape or not np.isfinite(array).all():
+                allowed = f"allowed: finite numbers of shape {shape[1:]}"
+                raise ActionError(f"{name}: shape {array.shape[1:]}, or not finite; {allowed}")
+            measured.append(np.ascontiguousarray(array))
+        judge_positions(self._backend.store, *measured, self._allowed)
+        self._backend.recount()

@@ -1,0 +1,169 @@
+"""The deployment loop: a policy acts on what a simulator's vehicles really do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbn_marl.engine import REWARD_TERMS, BatchEngine, MeasuredWorld
+from mbn_marl.episode import Episode, Outcome
+from mbn_marl.field import Field
+from mbn_marl.sim3d.simulator import Floats, Mission, Simulator
+
+
+class Policy(Protocol):
+    """What acts; the policies of ``baselines`` do.
+
+    Attributes:
+        observes: ``"observations"``, the robots' own, (1, n, obs_size), or ``"state"``, the
+            paper's vector, (1, 4n + 1).
+    """
+
+    observes: Literal["observations", "state"]
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        """Actions (1, n, 2) in [-1, 1] for what ``observes`` names."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Deployment:
+    """What came of a policy in a simulator, with n robots in T steps.
+
+    Attributes:
+        episode: the episode with the measured positions. It does not replay in the engine, whose
+            robots move otherwise, unless the simulator was the plane.
+        commands: (T, n, 2), the velocities that were commanded, units/step.
+    """
+
+    episode: Episode
+    commands: Floats
+
+    @property
+    def success(self) -> bool:
+        """Whether all ROIs were visited, without a collision."""
+        return self.episode.outcome == "success"
+
+    @property
+    def makespan(self) -> int | None:
+        """The steps that it took; ``None`` without success."""
+        return self.episode.steps if self.success else None
+
+    @property
+    def separation(self) -> float:
+        """The smallest distance of two robots after any step, units; infinite for one robot."""
+        positions = self.episode.positions.astype(np.float64)
+        gaps = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
+        robots = np.arange(positions.shape[1])
+        gaps[:, robots, robots] = np.inf
+        return float(gaps.min())
+
+    @property
+    def tracking_error(self) -> float:
+        """How far a robot came to be from where the MDP had put it, RMS over steps, units.
+
+        The MDP's place is that of the commanded velocity, ``p + v' tau``.
+        """
+        positions = self.episode.positions.astype(np.float64)
+        missed = np.diff(positions, axis=0) - self.commands * self.episode.config.tau
+        return float(np.sqrt(np.square(missed).sum(axis=-1).mean()))
+
+    @property
+    def wall_hits(self) -> int:
+        """How often a robot was stopped at the edge of the field, or was beyond it."""
+        return int(np.count_nonzero(self.episode.terms[..., REWARD_TERMS.index("wall")]))
+
+
+def deploy(
+    policy: Policy,
+    field: Field,
+    settings: Mapping[str, Any],
+    simulator: Simulator,
+    *,
+    seed: int = 0,
+    source: str = "",
+) -> Deployment:
+    """Let a policy act on a simulator's vehicles for one episode, with mean actions.
+
+    In each step the engine's own code makes the observation from the measured positions and
+    velocities, turns the force into the velocity to command, limit included, and judges where the
+    vehicles came to be.
+
+    Args:
+        policy: what acts.
+        field: where.
+        settings: of the environment.
+        simulator: what moves the robots; it is reset, and left open.
+        seed: of random starts.
+        source: what the policy is, in words.
+
+    Raises:
+        ConfigError: field and settings do not fit together.
+        MbnError: the simulator cannot be used.
+    """
+    engine = BatchEngine(field, 1, seed=seed, autoreset=False, threads=1, **settings)
+    config, wind = engine.config, engine.config.wind_increment()
+    if simulator.has_wind:
+        calm = {**settings, "wind": (0.0, 0.0)}
+        engine = BatchEngine(field, 1, seed=seed, autoreset=False, threads=1, **calm)
+    world = MeasuredWorld(engine, simulator.speed_limit)
+    observations = engine.reset()
+    start = engine.snapshot()
+    simulator.reset(Mission(field, start.positions, wind, config.tau, config.roi_radius))
+    log = _Log(start.positions, np.zeros(len(field.rois), np.int32))
+    while engine.running[0]:
+        seen = engine.state() if policy.observes == "state" else observations
+        actions = np.asarray(policy.act(seen, deterministic=True)[0])
+        command = world.command(actions)
+        simulator.command(command.velocities)
+        simulator.step()
+        motion = simulator.motion()
+        world.measure(motion.positions, motion.velocities)
+        for roi in log.add(engine, actions, command.velocities):
+            simulator.spray(roi)
+    return log.deployment(engine, config, source, seed)
+
+
+class _Log:
+    """Notes an episode as it goes on."""
+
+    def __init__(self, starts: Floats, visits: NDArray[np.int32]) -> None:
+        self.positions, self.visits = [starts], visits
+        self.actions: list[Floats] = []
+        self.commands: list[Floats] = []
+        self.terms: list[Floats] = []
+        self.rewards: list[float] = []
+
+    def add(self, engine: BatchEngine, actions: Floats, commands: Floats) -> list[int]:
+        """Note a step; which ROIs were visited in it."""
+        now = engine.snapshot()
+        fresh = now.visited & (self.visits == 0)
+        self.visits[fresh] = now.step
+        self.positions.append(now.positions)
+        self.actions.append(np.clip(actions, -1, 1).astype(engine.dtype))
+        self.commands.append(commands)
+        self.terms.append(engine.reward_terms()[0].astype(np.float64))
+        self.rewards.append(float(engine.team_rewards[0]))
+        return [int(roi) for roi in np.flatnonzero(fresh)]
+
+    def deployment(self, engine: BatchEngine, config: Any, source: str, seed: int) -> Deployment:
+        """What was noted."""
+        last = engine.snapshot()
+        ended: Outcome = "success" if last.success else "truncated"
+        episode = Episode(
+            field=engine.field,
+            config=config,
+            actions=np.stack(self.actions),
+            positions=np.stack(self.positions),
+            visits=self.visits,
+            terms=np.stack(self.terms),
+            team_rewards=np.array(self.rewards),
+            outcome="collision" if last.collision else ended,
+            source=source,
+            seed=seed,
+        )
+        return Deployment(episode, np.stack(self.commands))
