@@ -22,14 +22,23 @@ def checked_frames(frames: Iterable[NDArray[Any]], path: Path) -> Iterator[NDArr
     Raises:
         MbnError: naming the frame that is something else, or that there is none.
     """
-    first: tuple[int, ...] | None = None
+    shape: tuple[int, ...] | None = None
     for index, frame in enumerate(map(np.asarray, frames)):
-        if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
-            wrong = f"{frame.dtype} {frame.shape}"
-            raise MbnError(f"{path}: frame {index} is {wrong}, not uint8 (height, width, 3)")
-        first = first or frame.shape
-        if frame.shape != first:
-            raise MbnError(f"{path}: frame {index} has shape {frame.shape}, the first has {first}")
+        shape = shape or frame.shape
+        check_frame(frame, index, shape, path)
         yield frame
-    if first is None:
+    if shape is None:
         raise MbnError(f"{path}: there are no frames to write")
+
+
+def check_frame(frame: NDArray[Any], index: int, shape: tuple[int, ...], path: Path) -> None:
+    """Check frame ``index`` of ``path``, whose first frame has ``shape``.
+
+    Raises:
+        MbnError: it is not uint8 (height, width, 3), or of another shape.
+    """
+    if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
+        wrong = f"{frame.dtype} {frame.shape}"
+        raise MbnError(f"{path}: frame {index} is {wrong}, not uint8 (height, width, 3)")
+    if frame.shape != shape:
+        raise MbnError(f"{path}: frame {index} has shape {frame.shape}, the first has {shape}")

@@ -29,7 +29,7 @@ class Scale:
     """
 
     metres: float = 0.1
-    seconds: float = 0.5
+    seconds: float = 1.0
 
     def __post_init__(self) -> None:
         """Check the numbers."""

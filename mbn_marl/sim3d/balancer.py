@@ -1,0 +1,106 @@
+"""A balancing robot on two wheels, and the cascade that makes it drive at a commanded velocity."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from mbn_marl.sim3d.vehicle import GRAVITY, Array, Senses, Vehicle, add, add_air_shape
+
+BODY_MASS, WHEEL_MASS = 3.0, 0.3
+"""kg."""
+WHEEL_RADIUS, TRACK = 0.1, 0.3
+"""Metres; the track is from wheel to wheel."""
+BODY_CENTRE = 0.15
+"""Of the body's middle above the axle, metres."""
+BODY_HALF = (0.06, 0.1, 0.15)
+"""Half the body's sides, metres."""
+FULL_TORQUE = 2.0
+"""Of a wheel, N m."""
+
+SPEED_LIMIT = 2.0
+"""Units/step, as in the paper."""
+VELOCITY_GAIN = 1.2
+"""1/s: acceleration per error of the forward speed."""
+STEEPEST = 0.15
+"""rad: the most that it leans to speed up or to brake."""
+LEAN_GAIN, LEAN_RATE_GAIN = 14.0, 2.6
+"""N m/rad and N m s/rad: the wheels' torque per error of the lean and per its rate."""
+HEADING_GAIN, FASTEST_TURN = 4.0, 4.0
+"""1/s and rad/s: rate of turn per error of the heading, and its limit."""
+TURN_GAIN = 0.15
+"""N m s/rad: difference of the wheels' torques per error of the rate of turn."""
+STILL = 1e-3
+"""m/s: a command below this has no direction to turn to."""
+
+
+class Balancer(Vehicle):
+    """Two wheels below a body that would fall, and a cascade for speed v, lean t and heading h.
+
+    - heading: ``r = k_h (h_command - h)``, to the command or, if that is nearer, against it;
+    - speed: lean to ``t_d = k_v (v_command . h - v) / g``;
+    - torque of both wheels ``k_t (t - t_d) + k_r t'``: they run under the body as it falls; their
+      difference is ``k_d (r - h')``.
+    """
+
+    height: ClassVar[float] = WHEEL_RADIUS
+    mass: ClassVar[float] = BODY_MASS + 2.0 * WHEEL_MASS
+    motors: ClassVar[int] = 2
+    resting: ClassVar[tuple[float, ...]] = (0.0, 0.0)
+    speed_limit: ClassVar[float | None] = SPEED_LIMIT
+
+    def add_body(self, body: Element, name: str, colour: str) -> None:
+        """A box on an axle between two wheels."""
+        add_air_shape(body, BODY_CENTRE, 0.1, 0.15)
+        add(
+            body,
+            "geom",
+            class_="part",
+            type="box",
+            pos=(0, 0, BODY_CENTRE),
+            size=BODY_HALF,
+            mass=BODY_MASS,
+            rgba=colour,
+        )
+        add(body, "geom", class_="part", type="box", pos=(0.06, 0, 0.22), size=(0.004, 0.07, 0.05))
+        for side, place in (("left", TRACK / 2.0), ("right", -TRACK / 2.0)):
+            wheel = add(body, "body", name=f"{name}_{side}", pos=(0, place, 0))
+            add(wheel, "joint", name=f"{name}_{side}", type="hinge", axis=(0, 1, 0))
+            add(
+                wheel,
+                "geom",
+                class_="wheel",
+                type="cylinder",
+                size=(WHEEL_RADIUS, 0.02),
+                euler=(90, 0, 0),
+                mass=WHEEL_MASS,
+            )
+
+    def add_motors(self, actuator: Element, name: str) -> None:
+        """A motor a wheel, between wheel and body."""
+        for side in ("left", "right"):
+            torques = (-FULL_TORQUE, FULL_TORQUE)
+            add(actuator, "motor", joint=f"{name}_{side}", gear=1, ctrlrange=torques)
+
+    def control(self, senses: Senses, commands: Array) -> Array:
+        """Torques of the left and the right wheel (n, 2), N m, for ``commands`` (n, 2), m/s."""
+        heading = np.arctan2(senses.rotations[:, 1, 0], senses.rotations[:, 0, 0])
+        ahead = np.column_stack([np.cos(heading), np.sin(heading)])
+        up = senses.rotations[:, :, 2]
+        lean = np.arctan2((up[:, :2] * ahead).sum(axis=1), up[:, 2])
+        speed = (senses.velocities[:, :2] * ahead).sum(axis=1)
+        wanted_speed = (commands * ahead).sum(axis=1)
+        wanted_lean = np.clip(VELOCITY_GAIN * (wanted_speed - speed) / GRAVITY, -STEEPEST, STEEPEST)
+        both = LEAN_GAIN * (lean - wanted_lean) + LEAN_RATE_GAIN * senses.rates[:, 1]
+        turn = TURN_GAIN * (_wanted_turn(commands, heading) - senses.rates[:, 2])
+        return np.column_stack([both - turn, both + turn]) / 2.0
+
+
+def _wanted_turn(commands: Array, heading: Array) -> Array:
+    """Rates of turn (n,), rad/s, towards the direction of ``commands`` or the opposite one."""
+    error = np.arctan2(commands[:, 1], commands[:, 0]) - heading
+    error = (error + np.pi / 2.0) % np.pi - np.pi / 2.0
+    error[np.linalg.norm(commands, axis=1) < STILL] = 0.0
+    return np.clip(HEADING_GAIN * error, -FASTEST_TURN, FASTEST_TURN)

@@ -1,0 +1,116 @@
+"""A film of a mission in MuJoCo: a camera, the paths as they were sprayed, and an MP4 file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.render import style
+from mbn_marl.render.video import Mp4Writer
+from mbn_marl.sim3d.loading import load_mujoco
+from mbn_marl.sim3d.scene import CAMERAS, LARGEST_PICTURE
+
+PATH_HEIGHT, PATH_WIDTH = 0.03, 0.05
+"""Of the paths, metres: they lie on the ground."""
+APART = 0.1
+"""Metres between two points of a path."""
+MOST_SHAPES = 20_000
+
+
+class Film:
+    """Films a mission.
+
+    Args:
+        path: an ``.mp4`` file.
+        camera: a name of :data:`~mbn_marl.sim3d.scene.CAMERAS`.
+        size: width and height of the picture, pixels, at most 1920 x 1080.
+        fps: frames per second.
+        speed: how much faster than the simulation the film runs.
+
+    Raises:
+        ConfigError: a camera or a number is not allowed.
+        MbnError: the file's name does not end in ``.mp4``.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        camera: str = "field",
+        *,
+        size: tuple[int, int] = (960, 720),
+        fps: float = 20.0,
+        speed: float = 2.0,
+    ) -> None:
+        problems = []
+        if camera not in CAMERAS:
+            problems.append(f"camera: {camera!r}; allowed: {', '.join(CAMERAS)}")
+        if not all(16 <= side <= most for side, most in zip(size, LARGEST_PICTURE, strict=True)):
+            problems.append(f"size: {size}; allowed: 16 to {LARGEST_PICTURE} pixels")
+        if not 0.0 < speed < np.inf:
+            problems.append(f"speed: {speed}; allowed: a finite number above 0")
+        if problems:
+            raise ConfigError("film", problems)
+        self._writer = Mp4Writer(path, fps=fps)
+        self._camera, self._size, self._period = camera, size, speed / fps
+        self._renderer: Any = None
+
+    def begin(self, model: Any, data: Any, places: NDArray[np.intp]) -> None:
+        """Begin with the first frame.
+
+        Args:
+            model: MuJoCo's.
+            data: MuJoCo's.
+            places: (n, 2), where the robots' x and y are in ``data.qpos``.
+
+        Raises:
+            MbnError: there is no OpenGL to draw with.
+        """
+        mujoco = load_mujoco()
+        width, height = self._size
+        try:
+            self._renderer = mujoco.Renderer(model, height, width, max_geom=MOST_SHAPES)
+        except Exception as error:  # whatever the platform's OpenGL raises
+            raise MbnError(
+                f"a film needs OpenGL, which cannot be used here ({error}); without a display "
+                "install EGL (Debian: libegl1 libgl1), or set MUJOCO_GL=osmesa"
+            ) from error
+        self._places, self._paths, self._due = places, [data.qpos[places]], data.time
+        self.look(model, data)
+
+    def look(self, model: Any, data: Any) -> None:
+        """Lengthen the paths, and take a frame if it is time for one."""
+        now = data.qpos[self._places]
+        if np.abs(now - self._paths[-1]).max() > APART:
+            self._paths.append(now)
+        if data.time >= self._due - 1e-9:
+            self._due += self._period
+            self._writer.add(self._draw(data))
+
+    def _draw(self, data: Any) -> NDArray[np.uint8]:
+        mujoco, scene = load_mujoco(), self._renderer.scene
+        self._renderer.update_scene(data, camera=self._camera)
+        points = np.array([*self._paths, data.qpos[self._places]])
+        ends = np.dstack([points, np.full(points.shape[:2], PATH_HEIGHT)])
+        for robot in range(ends.shape[1]):
+            colour = np.array([*style.rgb(style.robot_colour(robot)), 255.0], np.float32) / 255.0
+            for k in range(len(ends) - 1):
+                if scene.ngeom >= scene.maxgeom:
+                    break
+                shape = scene.geoms[scene.ngeom]
+                kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+                mujoco.mjv_initGeom(shape, kind, np.zeros(3), np.zeros(3), np.zeros(9), colour)
+                mujoco.mjv_connector(shape, kind, PATH_WIDTH, ends[k, robot], ends[k + 1, robot])
+                scene.ngeom += 1
+        picture: NDArray[np.uint8] = self._renderer.render()
+        return picture
+
+    def close(self) -> None:
+        """Complete the file; closing twice does no harm."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+            self._writer.close()

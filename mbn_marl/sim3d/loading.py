@@ -1,0 +1,26 @@
+"""Loading MuJoCo, which is no dependency of the package itself."""
+
+from __future__ import annotations
+
+import os
+import sys
+from ctypes.util import find_library
+from types import ModuleType
+
+
+def load_mujoco() -> ModuleType:
+    """MuJoCo. Without a display it draws by EGL, if there is one, unless ``MUJOCO_GL`` says how.
+
+    Raises:
+        ImportError: it is not installed, naming the extra that brings it.
+    """
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        os.environ.setdefault("MUJOCO_GL", "egl" if find_library("EGL") else "disable")
+    try:
+        import mujoco
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            'simulating vehicles needs MuJoCo: pip install "mbn_marl[sim3d]"', name="mujoco"
+        ) from error
+    module: ModuleType = mujoco
+    return module

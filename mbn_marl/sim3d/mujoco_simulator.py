@@ -1,0 +1,148 @@
+"""The MuJoCo backend: vehicles with motors and controllers in a cornfield, in wind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from mbn_marl.errors import ConfigError
+from mbn_marl.sim3d.balancer import Balancer
+from mbn_marl.sim3d.film import Film
+from mbn_marl.sim3d.loading import load_mujoco
+from mbn_marl.sim3d.quadrotor import Quadrotor
+from mbn_marl.sim3d.scene import SPRAYED_AREA, SPRAYED_WEED, Frame, build_scene
+from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Scale, Simulator
+from mbn_marl.sim3d.vehicle import Array, Senses, Vehicle
+
+VEHICLES: Mapping[str, type[Vehicle]] = MappingProxyType(
+    {"quadrotor": Quadrotor, "balancer": Balancer}
+)
+CONTROL_PERIOD = 0.01
+"""Seconds between two runs of the controllers, at most."""
+SUBSTEPS = 2
+"""Steps of the physics in a control period."""
+
+
+class MujocoSimulator(Simulator):
+    """Vehicles with dynamics in MuJoCo.
+
+    Wind is MuJoCo's medium, air of 1.2 kg/m^3 that moves. The drag of a body at rest grows with the
+    square of the wind's speed, which is chosen so that it accelerates a free vehicle at rest by
+    just what the MDP's wind would add to its velocity in a step.
+
+    Args:
+        vehicle: a name of :data:`VEHICLES`, or a vehicle.
+        scale: of the world.
+        film: what the mission is filmed with; ``None`` for no film.
+
+    Attributes:
+        model: MuJoCo's model of the mission.
+        data: MuJoCo's state of it.
+        seconds: simulated since the reset.
+
+    Raises:
+        ConfigError: no vehicle has that name.
+        ImportError: MuJoCo is not installed.
+    """
+
+    def __init__(
+        self,
+        vehicle: str | Vehicle = "quadrotor",
+        *,
+        scale: Scale | None = None,
+        film: Film | None = None,
+    ) -> None:
+        if isinstance(vehicle, str):
+            if vehicle not in VEHICLES:
+                problem = f"vehicle: {vehicle!r}; allowed: {', '.join(VEHICLES)}"
+                raise ConfigError("simulator", [problem])
+            vehicle = VEHICLES[vehicle]()
+        self._mujoco = load_mujoco()
+        self.vehicle, self.scale, self._film = vehicle, scale or Scale(), film
+        self.speed_limit = vehicle.speed_limit
+
+    # -- the mission -------------------------------------------------------------------------------
+
+    def reset(self, mission: Mission) -> None:
+        """Build the scene, with every vehicle at rest at its start and working height."""
+        mujoco = self._mujoco
+        duration = mission.tau * self.scale.seconds
+        self._periods = max(1, math.ceil(duration / CONTROL_PERIOD - 1e-9))
+        timestep = duration / self._periods / SUBSTEPS
+        self._frame = Frame(mission, self.scale.metres)
+        scene = build_scene(mission, self._frame, self.vehicle, timestep)
+        self.model: Any = mujoco.MjModel.from_xml_string(scene)
+        self.data: Any = mujoco.MjData(self.model)
+        robots = range(len(mission.starts))
+        joints = [self.model.joint(f"robot_{index}") for index in robots]
+        self._places = np.array([joint.qposadr[0] + np.arange(7) for joint in joints])
+        self._speeds = np.array([joint.dofadr[0] + np.arange(6) for joint in joints])
+        self._commands = np.zeros((len(robots), 2))
+        resting = np.tile(self.vehicle.resting, len(robots))
+        self.data.ctrl[:] = resting
+        self.data.act[:] = resting[: self.model.na]
+        self._blow(np.asarray(mission.wind) * self.scale.acceleration(mission.tau))
+        mujoco.mj_forward(self.model, self.data)
+        if self._film is not None:
+            self._film.begin(self.model, self.data, self._places[:, :2])
+
+    def _blow(self, acceleration: Array) -> None:
+        """Let the wind accelerate a free vehicle at rest by ``acceleration`` (2,), m/s^2."""
+        size = float(np.linalg.norm(acceleration))
+        if size == 0.0:
+            return
+        direction = np.append(acceleration / size, 0.0)
+        self.model.opt.wind[:] = direction
+        self._mujoco.mj_forward(self.model, self.data)
+        drag = float(self.data.qfrc_fluid[self._speeds[0, :3]] @ direction)
+        self.model.opt.wind[:] = direction * math.sqrt(size * self.vehicle.mass / drag)
+
+    def command(self, velocities: Floats) -> None:
+        """Let the vehicles track these velocities, (n, 2) units/step, from now on."""
+        self._commands = velocities.astype(float) * self.scale.speed
+
+    def step(self) -> None:
+        """Simulate one step of the MDP: the controllers run every control period."""
+        for _ in range(self._periods):
+            self.data.ctrl[:] = self.vehicle.control(self.senses(), self._commands).ravel()
+            self._mujoco.mj_step(self.model, self.data, SUBSTEPS)
+            if self._film is not None:
+                self._film.look(self.model, self.data)
+
+    # -- what there is to see ----------------------------------------------------------------------
+
+    @property
+    def seconds(self) -> float:
+        """Simulated since the reset."""
+        return float(self.data.time)
+
+    def senses(self) -> Senses:
+        """What the controllers know now."""
+        places, speeds = self.data.qpos[self._places], self.data.qvel[self._speeds]
+        rotations = np.empty((len(places), 9))
+        for matrix, place in zip(rotations, places, strict=True):
+            self._mujoco.mju_quat2Mat(matrix, place[3:])
+        return Senses(places[:, :3], speeds[:, :3], rotations.reshape(-1, 3, 3), speeds[:, 3:])
+
+    def motion(self) -> Motion:
+        """The vehicles now; fresh arrays."""
+        senses = self.senses()
+        return Motion(
+            self._frame.to_units(senses.positions[:, :2]),
+            senses.velocities[:, :2] / self.scale.speed,
+            senses.positions[:, 2].copy(),
+        )
+
+    def spray(self, roi: int) -> None:
+        """Let the weed wither, and show its area as sprayed."""
+        for name, colour in (("weed", SPRAYED_WEED), ("area", SPRAYED_AREA)):
+            self.model.geom(f"{name}_{roi}").rgba[:] = np.array(colour.split(), float)
+
+    def close(self) -> None:
+        """Complete the film, if there is one."""
+        if self._film is not None:
+            self._film.close()

@@ -1,0 +1,146 @@
+"""A quadrotor of 1 kg, and the cascade that makes it fly at a commanded velocity."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from mbn_marl.sim3d.vehicle import GRAVITY, Array, Senses, Vehicle, add, add_air_shape
+
+MASS = 1.0
+"""kg."""
+INERTIA = np.array([0.008, 0.008, 0.014])
+"""Of the whole about its centre, kg m^2: about a disc of 0.18 m."""
+ARM = 0.15
+"""Of each rotor's offset along x and along y, metres."""
+REACTION = 0.016
+"""Torque about the rotor's axis per thrust, metres."""
+FULL_THRUST = 6.0
+"""Of one rotor, N; hovering takes 2.45."""
+ROTOR_LAG = 0.02
+"""Time constant of a rotor's thrust, seconds."""
+ROTORS = ((1, 1, -1), (1, -1, 1), (-1, -1, -1), (-1, 1, 1))
+"""Where each rotor is along x and y, in arms, and the sign of its reaction."""
+HOVER = MASS * GRAVITY / len(ROTORS)
+
+HEIGHT = 0.35
+"""Metres above the ground, as in the paper."""
+VELOCITY_GAIN = 4.0
+"""1/s: acceleration per error of the horizontal velocity."""
+HEIGHT_GAIN, CLIMB_GAIN = 9.0, 6.0
+"""1/s^2 and 1/s: vertical acceleration per error of height and per climb; critically damped."""
+ATTITUDE_RATE, DAMPING = 16.0, 0.9
+"""rad/s and a ratio: the attitude follows as a second-order system of these."""
+STEEPEST = 3.0
+"""m/s^2, the most horizontal acceleration: a tilt of 17 degrees."""
+
+
+class Quadrotor(Vehicle):
+    """Four rotors, and a cascade for velocity v, height z, attitude R and body rates w.
+
+    - velocity: ``a = k_v (v_command - v)`` along x and y, ``a_z = k_z (0.35 - z) - k_c v_z``;
+    - attitude: the rotors' axis ``b = (a + g) / |a + g|``, heading along +x; the total thrust is
+      ``m (a + g) . R e_z``;
+    - torque: ``J (-s^2 e_R - 2 d s w) + w x J w``, ``e_R`` half the skew part of ``R_d^T R``.
+
+    The thrusts of the rotors follow from thrust and torque by inverting the mixing matrix.
+
+    Source:
+        Lee, Leok, McClamroch, *Geometric tracking control of a quadrotor UAV on SE(3)*, 2010: the
+        attitude error.
+    """
+
+    height: ClassVar[float] = HEIGHT
+    mass: ClassVar[float] = MASS
+    motors: ClassVar[int] = len(ROTORS)
+    resting: ClassVar[tuple[float, ...]] = (HOVER,) * len(ROTORS)
+
+    def __init__(self, velocity_gain: float = VELOCITY_GAIN) -> None:
+        """Without a velocity gain it holds its height and drifts."""
+        self._velocity_gain = velocity_gain
+        x, y, turn = np.array(ROTORS, float).T
+        mixing = np.array([np.ones(len(ROTORS)), y * ARM, -x * ARM, turn * REACTION])
+        self._unmix = np.linalg.inv(mixing)
+
+    def add_body(self, body: Element, name: str, colour: str) -> None:
+        """A hub with its battery, two arms, and four rotors, the front two in ``colour``."""
+        add(body, "inertial", pos=(0, 0, 0), mass=MASS, diaginertia=INERTIA)
+        add_air_shape(body, 0.0, 0.2, 0.06)
+        dark = "0.15 0.17 0.2 1"
+        add(body, "geom", class_="part", type="ellipsoid", size=(0.09, 0.07, 0.035), rgba=colour)
+        add(body, "geom", class_="part", type="box", pos=(0, 0, -0.04), size=(0.05, 0.03, 0.015))
+        for x, y, _ in ROTORS[:2]:
+            ends = (-x * ARM, -y * ARM, 0.01, x * ARM, y * ARM, 0.01)
+            add(body, "geom", class_="part", type="capsule", fromto=ends, size=0.008, rgba=dark)
+        for number, (x, y, _) in enumerate(ROTORS):
+            place = (x * ARM, y * ARM, 0.03)
+            disc = colour[:-1] + "0.55" if x > 0 else "0.75 0.77 0.8 0.55"
+            add(
+                body,
+                "geom",
+                class_="part",
+                type="cylinder",
+                pos=place,
+                size=(0.1, 0.004),
+                rgba=disc,
+            )
+            add(
+                body,
+                "geom",
+                class_="part",
+                type="cylinder",
+                pos=place,
+                size=(0.012, 0.02),
+                rgba=dark,
+            )
+            add(body, "site", name=f"{name}_rotor_{number}", pos=place)
+
+    def add_motors(self, actuator: Element, name: str) -> None:
+        """A motor a rotor, which pushes along the body's z and turns against its reaction."""
+        for number, (_, _, turn) in enumerate(ROTORS):
+            add(
+                actuator,
+                "general",
+                site=f"{name}_rotor_{number}",
+                gear=(0, 0, 1, 0, 0, turn * REACTION),
+                ctrlrange=(0, FULL_THRUST),
+                dyntype="filterexact",
+                dynprm=ROTOR_LAG,
+            )
+
+    def control(self, senses: Senses, commands: Array) -> Array:
+        """Thrusts of the rotors (n, 4), N, for velocities ``commands`` (n, 2), m/s."""
+        push = self._acceleration(senses, commands) + np.array([0.0, 0.0, GRAVITY])
+        thrust = MASS * np.einsum("ni,ni->n", push, senses.rotations[:, :, 2])
+        error = attitude_error(senses.rotations, wanted_attitude(push))
+        turning = -(ATTITUDE_RATE**2) * error - 2.0 * DAMPING * ATTITUDE_RATE * senses.rates
+        torque = INERTIA * turning + np.cross(senses.rates, INERTIA * senses.rates)
+        thrusts: Array = np.column_stack([thrust, torque]) @ self._unmix.T
+        return thrusts
+
+    def _acceleration(self, senses: Senses, commands: Array) -> Array:
+        """The acceleration (n, 3), m/s^2, that the velocity and the height ask for."""
+        level = self._velocity_gain * (commands - senses.velocities[:, :2])
+        size = np.linalg.norm(level, axis=1, keepdims=True)
+        level *= STEEPEST / np.maximum(size, STEEPEST)
+        climb = HEIGHT_GAIN * (HEIGHT - senses.positions[:, 2])
+        climb -= CLIMB_GAIN * senses.velocities[:, 2]
+        return np.column_stack([level, climb])
+
+
+def wanted_attitude(push: Array) -> Array:
+    """Rotations (n, 3, 3) whose z axis is along ``push`` (n, 3), with the heading along +x."""
+    up = push / np.linalg.norm(push, axis=1, keepdims=True)
+    left = np.cross(up, (1.0, 0.0, 0.0))
+    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    return np.stack([np.cross(left, up), left, up], axis=2)
+
+
+def attitude_error(rotations: Array, wanted: Array) -> Array:
+    """The rotation vectors (n, 3) of half the skew part of ``wanted^T rotations``, (n, 3, 3)."""
+    relative = wanted.transpose(0, 2, 1) @ rotations
+    skew = (relative - relative.transpose(0, 2, 1)) / 2.0
+    error: Array = skew[:, (2, 0, 1), (1, 2, 0)]
+    return error

@@ -1,0 +1,93 @@
+"""What every vehicle of the MuJoCo backend is: a body in MJCF, and a controller for its motors."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, NamedTuple
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+"""Metres per second squared."""
+
+
+class Senses(NamedTuple):
+    """What the controllers know of n vehicles, in the world's frame unless said otherwise."""
+
+    positions: Array  # (n, 3) m
+    velocities: Array  # (n, 3) m/s
+    rotations: Array  # (n, 3, 3): columns are the body's axes
+    rates: Array  # (n, 3) rad/s, in the body's frame
+
+
+class Vehicle(ABC):
+    """One kind of vehicle; n of them have one controller.
+
+    Attributes:
+        height: of its origin above the ground when it works, metres.
+        mass: of all its parts, kg.
+        motors: how many it has.
+        resting: (motors,), the controls with which it stays at rest.
+        speed_limit: per axis, units/step; ``None`` for none but the MDP's.
+    """
+
+    height: ClassVar[float]
+    mass: ClassVar[float]
+    motors: ClassVar[int]
+    resting: ClassVar[tuple[float, ...]]
+    speed_limit: ClassVar[float | None] = None
+
+    @abstractmethod
+    def add_body(self, body: Element, name: str, colour: str) -> None:
+        """Fill the MJCF body of the vehicle called ``name``, which has a free joint already.
+
+        Args:
+            body: to be filled.
+            name: prefix of all names in it.
+            colour: of what tells the vehicle apart, as MJCF has it.
+        """
+
+    @abstractmethod
+    def add_motors(self, actuator: Element, name: str) -> None:
+        """Add the motors of the vehicle called ``name`` to MJCF's actuators."""
+
+    @abstractmethod
+    def control(self, senses: Senses, commands: Array) -> Array:
+        """Motor controls (n, motors) that make the velocities ``commands``, (n, 2) m/s."""
+
+
+def add(parent: Element, tag: str, **attributes: Any) -> Element:
+    """A new MJCF element: numbers and sequences of them become text, ``class_`` is ``class``."""
+    texts = {name.rstrip("_"): _text(value) for name, value in attributes.items()}
+    return SubElement(parent, tag, texts)
+
+
+def add_air_shape(body: Element, centre: float, radius: float, half_height: float) -> None:
+    """Give a body its shape for the air: an upright ellipsoid, which is not seen and not touched.
+
+    It is round from above, so that the drag points along the wind; it makes no lift.
+
+    Args:
+        body: of a vehicle.
+        centre: its height above the body's origin, metres.
+        radius: metres.
+        half_height: metres.
+    """
+    add(
+        body,
+        "geom",
+        class_="air",
+        type="ellipsoid",
+        pos=(0, 0, centre),
+        size=(radius, radius, half_height),
+    )
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    return " ".join(f"{number:.9g}" for number in np.atleast_1d(value).ravel().tolist())
