@@ -13,6 +13,7 @@ from tyro.conf import subcommand
 
 from mbn_marl.cli.bench import Bench
 from mbn_marl.cli.compare import Compare
+from mbn_marl.cli.deploy import Deploy
 from mbn_marl.cli.evaluate import Evaluate
 from mbn_marl.cli.fields import Fields
 from mbn_marl.cli.plan import Plan
@@ -39,6 +40,7 @@ Command = (
     | Annotated[Replay, subcommand("replay")]
     | Annotated[Watch, subcommand("watch")]
     | Annotated[Play, subcommand("play")]
+    | Annotated[Deploy, subcommand("deploy")]
     | Annotated[Zoo, subcommand("zoo")]
     | Annotated[Bench, subcommand("bench")]
 )

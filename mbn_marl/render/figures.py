@@ -25,6 +25,7 @@ from mbn_marl.render.maps import (
     fields_figure,
     trajectory_figure,
 )
+from mbn_marl.render.overlays import overlay_panels
 from mbn_marl.render.pairs import Pair, pairs_figure
 from mbn_marl.render.panels import trajectory_panels
 from mbn_marl.render.study import StudyTrial, study_figure
@@ -42,6 +43,7 @@ __all__ = [
     "intervals_figure",
     "learning_curve_panels",
     "learning_curves",
+    "overlay_panels",
     "pairs",
     "profiles_figure",
     "save",

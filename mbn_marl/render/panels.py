@@ -19,19 +19,20 @@ _WIDTH = 3.2
 """Width of a panel, inches."""
 
 
-def trajectory_panels(lasts: Mapping[str, Snapshot]) -> Figure:
+def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = _COLUMNS) -> Figure:
     """The paths of several episodes, a panel each, as in ``trajectory_figure``.
 
     Args:
         lasts: the last snapshot of each episode, by what to write above its panel; its outcome is
             written below.
+        columns: how many panels are side by side at most.
 
     Raises:
         MbnError: there is none.
     """
     if not lasts:
         raise MbnError("panels: at least one episode is needed")
-    columns = min(_COLUMNS, len(lasts))
+    columns = min(columns, len(lasts))
     rows = math.ceil(len(lasts) / columns)
     sides = [np.ptp(last.field.vertices, axis=0) for last in lasts.values()]
     tall = max(height / width for width, height in sides)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from time import process_time
 from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import REWARD_TERMS, BatchEngine, MeasuredWorld
 from mbn_marl.episode import Episode, Outcome
 from mbn_marl.field import Field
@@ -38,10 +40,12 @@ class Deployment:
         episode: the episode with the measured positions. It does not replay in the engine, whose
             robots move otherwise, unless the simulator was the plane.
         commands: (T, n, 2), the velocities that were commanded, units/step.
+        seconds: of one processor core that the simulator's steps took.
     """
 
     episode: Episode
     commands: Floats
+    seconds: float
 
     @property
     def success(self) -> bool:
@@ -114,18 +118,21 @@ def deploy(
     observations = engine.reset()
     start = engine.snapshot()
     simulator.reset(Mission(field, start.positions, wind, config.tau, config.roi_radius))
+    seconds = 0.0
     log = _Log(start.positions, np.zeros(len(field.rois), np.int32))
     while engine.running[0]:
         seen = engine.state() if policy.observes == "state" else observations
         actions = np.asarray(policy.act(seen, deterministic=True)[0])
         command = world.command(actions)
         simulator.command(command.velocities)
+        begun = process_time()
         simulator.step()
+        seconds += process_time() - begun
         motion = simulator.motion()
         world.measure(motion.positions, motion.velocities)
         for roi in log.add(engine, actions, command.velocities):
             simulator.spray(roi)
-    return log.deployment(engine, config, source, seed)
+    return Deployment(log.episode(engine, config, source, seed), np.stack(log.commands), seconds)
 
 
 class _Log:
@@ -150,11 +157,13 @@ class _Log:
         self.rewards.append(float(engine.team_rewards[0]))
         return [int(roi) for roi in np.flatnonzero(fresh)]
 
-    def deployment(self, engine: BatchEngine, config: Any, source: str, seed: int) -> Deployment:
+    def episode(
+        self, engine: BatchEngine, config: NavigationConfig, source: str, seed: int
+    ) -> Episode:
         """What was noted."""
         last = engine.snapshot()
         ended: Outcome = "success" if last.success else "truncated"
-        episode = Episode(
+        return Episode(
             field=engine.field,
             config=config,
             actions=np.stack(self.actions),
@@ -166,4 +175,3 @@ class _Log:
             source=source,
             seed=seed,
         )
-        return Deployment(episode, np.stack(self.commands))

@@ -35,7 +35,8 @@ def corn_rows(ground: shapely.Polygon) -> Array:
     rows = np.arange(left, right, ROW_SPACING * wider) + ROW_SPACING * wider / 2.0
     places = np.arange(bottom, top, PLANT_SPACING * wider)
     grid = np.stack(np.meshgrid(rows, places), axis=-1).reshape(-1, 2)
-    return grid[shapely.contains_xy(ground, grid)]
+    inside: Array = grid[shapely.contains_xy(ground, grid)]
+    return inside
 
 
 def corn(places: Array) -> Mesh:

@@ -13,6 +13,8 @@ MASS = 1.0
 """kg."""
 INERTIA = np.array([0.008, 0.008, 0.014])
 """Of the whole about its centre, kg m^2: about a disc of 0.18 m."""
+INERTIA_STEPS = INERTIA[[2, 0, 1]] - INERTIA[[1, 2, 0]]
+"""What makes ``w x J w`` of the body rates, kg m^2."""
 ARM = 0.15
 """Of each rotor's offset along x and along y, metres."""
 REACTION = 0.016
@@ -116,7 +118,9 @@ class Quadrotor(Vehicle):
         thrust = MASS * np.einsum("ni,ni->n", push, senses.rotations[:, :, 2])
         error = attitude_error(senses.rotations, wanted_attitude(push))
         turning = -(ATTITUDE_RATE**2) * error - 2.0 * DAMPING * ATTITUDE_RATE * senses.rates
-        torque = INERTIA * turning + np.cross(senses.rates, INERTIA * senses.rates)
+        rates = senses.rates
+        gyroscopic = INERTIA_STEPS * rates[:, (1, 2, 0)] * rates[:, (2, 0, 1)]
+        torque = INERTIA * turning + gyroscopic
         thrusts: Array = np.column_stack([thrust, torque]) @ self._unmix.T
         return thrusts
 
@@ -133,9 +137,13 @@ class Quadrotor(Vehicle):
 def wanted_attitude(push: Array) -> Array:
     """Rotations (n, 3, 3) whose z axis is along ``push`` (n, 3), with the heading along +x."""
     up = push / np.linalg.norm(push, axis=1, keepdims=True)
-    left = np.cross(up, (1.0, 0.0, 0.0))
-    left /= np.linalg.norm(left, axis=1, keepdims=True)
-    return np.stack([np.cross(left, up), left, up], axis=2)
+    x, y, z = up.T
+    level = np.hypot(y, z)
+    wanted = np.empty((len(push), 3, 3))
+    wanted[:, :, 0] = np.stack([level, -x * y / level, -x * z / level], axis=1)
+    wanted[:, :, 1] = np.stack([np.zeros_like(x), z / level, -y / level], axis=1)
+    wanted[:, :, 2] = up
+    return wanted
 
 
 def attitude_error(rotations: Array, wanted: Array) -> Array:

@@ -120,7 +120,7 @@ def _add_look(root: Element, frame: Frame) -> None:
         diffuse=(0.25, 0.25, 0.25),
         specular=(0, 0, 0),
     )
-    add(visual, "quality", shadowsize=2048, offsamples=4)
+    add(visual, "quality", offsamples=0)
     add(visual, "map", znear=0.005, zfar=20)
     add(root, "statistic", extent=float(frame.size.max()), center=(0, 0, 0))
     default = add(root, "default")
@@ -184,7 +184,7 @@ def _add_ground(assets: Element, world: Element, frame: Frame) -> None:
         pos=(0, 0, 10),
         diffuse=(0.6, 0.6, 0.57),
         specular=(0.1, 0.1, 0.1),
-        castshadow="true",
+        castshadow="false",
     )
     side = float(frame.size.max())
     add(
