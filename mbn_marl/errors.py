@@ -41,6 +41,10 @@ class DisplayError(MbnError, RuntimeError):
     """There is no display to open a window on."""
 
 
+class SimulatorError(MbnError, RuntimeError):
+    """A simulator cannot be reached, stopped answering, or refused what it was asked."""
+
+
 class ActionError(MbnError):
     """An action is missing, of the wrong shape, not finite, or for an unknown agent.
 

@@ -1,0 +1,200 @@
+"""A connection to CoppeliaSim in which every call ends, with an answer or with an error."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import monotonic
+from typing import Any
+
+from mbn_marl.errors import ConfigError, SimulatorError
+
+_HINT = "is CoppeliaSim running, with its ZMQ remote API server on this port?"
+_PROBE = 1.0
+"""Seconds that finding out why nobody answers may take."""
+
+
+class CoppeliaLink:
+    """CoppeliaSim's remote API through its official client, which itself would wait for ever.
+
+    Args:
+        host: the machine that CoppeliaSim runs on.
+        port: of its ZMQ remote API server.
+        timeout: seconds, above 0, that any call may take.
+
+    Attributes:
+        lost: whether a call got no usable answer; the link is then good for nothing more.
+        interrupted: whether a call was broken off on this side, by Ctrl-C for one; CoppeliaSim
+            still answers, but only a link of its own.
+
+    Raises:
+        ConfigError: a number is out of its range.
+        SimulatorError: nothing answers there, or what answers is not CoppeliaSim.
+        ImportError: if the client is not installed.
+    """
+
+    def __init__(self, host: str, port: int, timeout: float) -> None:
+        _check(port, timeout)
+        self._place = (host, port)
+        self._address = f"CoppeliaSim at {host}:{port}"
+        self.timeout = timeout
+        self.lost = False
+        self.interrupted = False
+        self._socket, self._client = _connect(host, port)
+        with self._exchange("sim", opening=True):
+            self._sim = self._client.require("sim")
+        if not (hasattr(self._sim, "setStepping") and hasattr(self._sim, "startSimulation")):
+            self.close()
+            raise SimulatorError(f"{self._address}: what answers has no simulation to step")
+
+    def call(self, name: str, *arguments: object) -> Any:
+        """Call ``sim.<name>``.
+
+        Args:
+            name: of a function of CoppeliaSim's ``sim`` module.
+            *arguments: numbers, strings, lists and dictionaries of them.
+
+        Returns:
+            What it returns: ``None``, a value, or a tuple of several.
+
+        Raises:
+            SimulatorError: CoppeliaSim refuses the call, does not answer in time, or answers what
+                its remote API never does.
+        """
+        with self._exchange(f"sim.{name}"):
+            return self._client.call(f"sim.{name}", arguments)
+
+    def constant(self, name: str) -> Any:
+        """The value of ``sim.<name>``.
+
+        Raises:
+            SimulatorError: this CoppeliaSim does not know it.
+        """
+        if not hasattr(self._sim, name):
+            raise SimulatorError(f"{self._address}: it does not know sim.{name}")
+        return getattr(self._sim, name)
+
+    def renewed(self) -> CoppeliaLink:
+        """Another link to the same place in exchange for this one, which is closed.
+
+        Raises:
+            SimulatorError: nothing answers there any more.
+        """
+        self.close()
+        return CoppeliaLink(*self._place, self.timeout)
+
+    def close(self) -> None:
+        """Drop the connection, without a word to CoppeliaSim and without waiting."""
+        self.lost = True
+        self._socket.close()
+        self._client.context.term()
+
+    @contextmanager
+    def _exchange(self, what: str, *, opening: bool = False) -> Iterator[None]:
+        """Give a call of the client its time, and its errors a meaning."""
+        if self.lost or self.interrupted:
+            raise SimulatorError(f"{self._address}: the connection is closed")
+        self._socket.deadline = monotonic() + self.timeout
+        refusal = None
+        try:
+            yield
+        except TimeoutError:
+            self.close()
+            raise SimulatorError(self._silence(what, opening)) from None
+        except Exception as error:
+            if type(error) is not Exception:  # the client raises no subclass for a refused call
+                self.close()
+                raise SimulatorError(
+                    f"{self._address}: the answer to {what} is none of its remote API "
+                    f"({type(error).__name__}: {error}); {_HINT}"
+                ) from error
+            refusal = str(error).replace("_=NL=_", "\n").replace("_=TB=_", "\t")
+        except BaseException:
+            self.interrupted = True
+            raise
+        if refusal is not None:
+            if opening:
+                self.close()
+            raise SimulatorError(f"{self._address} refuses {what}: {refusal}")
+
+    def _silence(self, what: str, opening: bool) -> str:
+        waited = f"{self._address}: no answer to {what} within {self.timeout:g} s"
+        if not opening:
+            return f"{waited}; it has stopped, hangs, or needs a longer timeout"
+        try:
+            socket.create_connection(self._place, min(_PROBE, self.timeout)).close()
+        except OSError as error:
+            return f"{waited} ({error.strerror or error}); {_HINT}"
+        return f"{waited}: something listens there, but does not speak its protocol; {_HINT}"
+
+
+class _PatientSocket:
+    """The client's socket, with an end to its patience.
+
+    Attributes:
+        deadline: on the clock of :func:`time.monotonic`, when sending and receiving give up.
+    """
+
+    def __init__(self, zmq_socket: Any) -> None:
+        self._socket = zmq_socket
+        self.deadline = 0.0
+
+    def send(self, message: bytes) -> None:
+        """Send, or raise :class:`TimeoutError`."""
+        import zmq
+
+        self._wait(zmq.POLLOUT)
+        self._socket.send(message, zmq.NOBLOCK)
+
+    def recv(self) -> bytes:
+        """Receive, or raise :class:`TimeoutError`."""
+        import zmq
+
+        self._wait(zmq.POLLIN)
+        message: bytes = self._socket.recv(zmq.NOBLOCK)
+        return message
+
+    def close(self) -> None:
+        """Close, and forget what has not been sent."""
+        self._socket.close(linger=0)
+
+    def _wait(self, event: int) -> None:
+        left = self.deadline - monotonic()
+        if left <= 0 or not self._socket.poll(1000 * left, event):
+            raise TimeoutError
+
+
+def _check(port: int, timeout: float) -> None:
+    problems = []
+    if not 1 <= port <= 65535:
+        problems.append(f"port: {port}; allowed: 1 to 65535")
+    if not 0.0 < timeout < float("inf"):
+        problems.append(f"timeout: {timeout:g}; allowed: a finite number of seconds above 0")
+    if problems:
+        raise ConfigError("CoppeliaSim", problems)
+
+
+def _connect(host: str, port: int) -> tuple[_PatientSocket, Any]:
+    """The official client, and the socket that it was given."""
+    try:
+        import zmq
+        from coppeliasim_zmqremoteapi_client import RemoteAPIClient
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            'CoppeliaSim needs its remote API client: pip install "mbn_marl[sim3d]"',
+            name=error.name,
+        ) from error
+    main = vars(sys.modules["__main__"])
+    kept = {name: main[name] for name in ("require",) if name in main}
+    try:
+        client = RemoteAPIClient(host, port, verbose=0)
+    except zmq.ZMQError as error:
+        raise SimulatorError(f"CoppeliaSim at {host}:{port}: {error}") from error
+    finally:  # the client puts a function of this name into the user's script
+        main.pop("require", None)
+        main.update(kept)
+    patient = _PatientSocket(client.socket)
+    client.socket = patient
+    return patient, client
