@@ -26,8 +26,8 @@ class CoppeliaLink:
 
     Attributes:
         lost: whether a call got no usable answer; the link is then good for nothing more.
-        interrupted: whether a call was broken off on this side, by Ctrl-C for one; CoppeliaSim
-            still answers, but only a link of its own.
+        interrupted: whether a call was broken off on this side, by Ctrl-C for one; the link has to
+            :meth:`connect` again before it can be used.
 
     Raises:
         ConfigError: a number is out of its range.
@@ -40,14 +40,7 @@ class CoppeliaLink:
         self._place = (host, port)
         self._address = f"CoppeliaSim at {host}:{port}"
         self.timeout = timeout
-        self.lost = False
-        self.interrupted = False
-        self._socket, self._client = _connect(host, port)
-        with self._exchange("sim", opening=True):
-            self._sim = self._client.require("sim")
-        if not (hasattr(self._sim, "setStepping") and hasattr(self._sim, "startSimulation")):
-            self.close()
-            raise SimulatorError(f"{self._address}: what answers has no simulation to step")
+        self.connect()
 
     def call(self, name: str, *arguments: object) -> Any:
         """Call ``sim.<name>``.
@@ -76,14 +69,19 @@ class CoppeliaLink:
             raise SimulatorError(f"{self._address}: it does not know sim.{name}")
         return getattr(self._sim, name)
 
-    def renewed(self) -> CoppeliaLink:
-        """Another link to the same place in exchange for this one, which is closed.
+    def connect(self) -> None:
+        """Connect anew, as a client that CoppeliaSim has not seen before.
 
         Raises:
-            SimulatorError: nothing answers there any more.
+            SimulatorError: nothing answers there, or what answers is not CoppeliaSim.
         """
-        self.close()
-        return CoppeliaLink(*self._place, self.timeout)
+        self._socket, self._client = _client(*self._place)
+        self.lost = self.interrupted = False
+        with self._exchange("sim", opening=True):
+            self._sim = self._client.require("sim")
+        if not (hasattr(self._sim, "setStepping") and hasattr(self._sim, "startSimulation")):
+            self.close()
+            raise SimulatorError(f"{self._address}: what answers has no simulation to step")
 
     def close(self) -> None:
         """Drop the connection, without a word to CoppeliaSim and without waiting."""
@@ -176,7 +174,7 @@ def _check(port: int, timeout: float) -> None:
         raise ConfigError("CoppeliaSim", problems)
 
 
-def _connect(host: str, port: int) -> tuple[_PatientSocket, Any]:
+def _client(host: str, port: int) -> tuple[_PatientSocket, Any]:
     """The official client, and the socket that it was given."""
     try:
         import zmq

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from time import monotonic
-from typing import Any, ClassVar
+from time import monotonic, sleep
+from typing import ClassVar
 
 import numpy as np
 
-from mbn_marl.errors import SimulatorError
+from mbn_marl.errors import ConfigError, SimulatorError
 from mbn_marl.sim3d.coppelia_link import CoppeliaLink
 from mbn_marl.sim3d.coppelia_scene import CoppeliaScene, Vehicle
 from mbn_marl.sim3d.cornfield import grow
@@ -18,23 +17,28 @@ QUADCOPTER = "models/robots/mobile/Quadcopter.ttm"
 """The quadcopter that CoppeliaSim ships with."""
 
 _LEASH = 1.0
-"""Metres that a target may be ahead of its vehicle: one that is held up must not store up more."""
+"""Metres that a target may be ahead of its vehicle: one that is held up stores up no more."""
+_POLL = 0.01
+"""Seconds between two looks at a simulation that is coming to its end."""
 
 
 class CoppeliaSimulator(Simulator):
     """Quadcopters in a running CoppeliaSim, whose own script flies each to a dummy, its target.
 
-    A command moves the targets: at every step of CoppeliaSim by the commanded velocity. Nothing is
+    A command moves the targets: in every step of CoppeliaSim by the commanded velocity. Nothing is
     connected before the first :meth:`reset`.
 
     Args:
         host: the machine that CoppeliaSim runs on.
-        port: of its ZMQ remote API server.
+        port: of its ZMQ remote API server, 1 to 65535.
         timeout: seconds, above 0, that CoppeliaSim may take for any answer.
         scale: the size and pace of the MDP in the scene.
         altitude: metres, above 0, at which the vehicles start and fly.
         model: the vehicles' model: a file in CoppeliaSim's folder of resources, or an absolute path
-            on its machine; it has to follow an object of its own with the alias ``target``.
+            on its machine. It has to follow an object of its own with the alias ``target``.
+
+    Raises:
+        ConfigError: the altitude is out of its range.
     """
 
     has_wind: ClassVar[bool] = False
@@ -49,15 +53,23 @@ class CoppeliaSimulator(Simulator):
         altitude: float = 0.35,
         model: str = QUADCOPTER,
     ) -> None:
+        if not 0.0 < altitude < np.inf:
+            allowed = "a finite number of metres above 0"
+            raise ConfigError("CoppeliaSim", [f"altitude: {altitude:g}; allowed: {allowed}"])
         self._place = (host, port, timeout)
         self._scale = scale or Scale()
         self._altitude = altitude
         self._model = model
         self._link: CoppeliaLink | None = None
         self._scene: CoppeliaScene | None = None
+        self._vehicles: list[Vehicle] = []
+        self._started = False
 
     def reset(self, mission: Mission) -> None:
         """Build the scene of ``mission`` by API calls, and start the simulation in stepped mode.
+
+        Args:
+            mission: where the vehicles start, and in what field. Its wind is not simulated.
 
         Raises:
             ConfigError: port or timeout are out of their range.
@@ -66,34 +78,145 @@ class CoppeliaSimulator(Simulator):
             ImportError: if its remote API client is not installed.
         """
         try:
-            self._clear()
-            self._link = self._link or CoppeliaLink(*self._place)
+            if self._link is None:
+                self._link = CoppeliaLink(*self._place)
+            self._clear(self._link)
             self._build(self._link, mission)
+            self._start(self._link, mission.tau * self._scale.seconds)
         except BaseException:
             self.close()
             raise
 
     def command(self, velocities: Floats) -> None:
-        """Let the vehicles track these velocities, (n, 2) units/step, from now on."""
+        """Let the vehicles track these velocities from now on.
+
+        Args:
+            velocities: (n, 2), units/step.
+        """
         self._velocities = np.asarray(velocities, np.float64) * self._scale.speed
         lead = self._targets - self._bodies[:, :2]
         length = np.linalg.norm(lead, axis=1, keepdims=True)
-        self._targets = self._bodies[:, :2] + lead * np.minimum(1.0, _LEASH / np.maximum(length, _LEASH))
+        self._targets = self._bodies[:, :2] + lead * (_LEASH / np.maximum(length, _LEASH))
 
     def step(self) -> None:
         """Simulate one step of the MDP: as many steps of CoppeliaSim as it lasts.
 
         Raises:
-            SimulatorError: CoppeliaSim does not answer, or somebody stopped the simulation.
+            SimulatorError: CoppeliaSim does not answer, the simulation was stopped or paused by
+                hand, or there was no :meth:`reset`.
         """
         link = self._running()
+        before = link.call("getSimulationTime")
         for _ in range(self._substeps):
             self._targets = self._targets + self._velocities * self._time_step
-            for vehicle, (x, y) in zip(self._vehicles, self._targets, strict=True):
+            for vehicle, (x, y) in zip(self._vehicles, self._targets.tolist(), strict=True):
                 link.call("setObjectPosition", vehicle.target, [x, y, self._altitude])
             link.call("step")
-        before, time = self._time, link.call("getSimulationTime")
-        if time <= before:
+        if not link.call("getSimulationTime") > before:
             raise SimulatorError("CoppeliaSim: the simulation was stopped or paused by hand")
-        self._time = time
-        ...
+        self._draw(link)
+
+    def motion(self) -> Motion:
+        """The vehicles now; fresh arrays.
+
+        Raises:
+            SimulatorError: CoppeliaSim does not answer, or there was no :meth:`reset`.
+        """
+        link = self._running()
+        speeds = [link.call("getObjectVelocity", vehicle.body)[0] for vehicle in self._vehicles]
+        velocities = np.array(speeds, np.float64)[:, :2] / self._scale.speed
+        positions = self._bodies[:, :2] / self._scale.metres + self._centre
+        return Motion(positions, velocities, self._bodies[:, 2].copy())
+
+    def spray(self, roi: int) -> None:
+        """Give the weed at ROI ``roi``, 0 to m - 1, another colour.
+
+        Args:
+            roi: its number, 0 to m - 1.
+
+        Raises:
+            SimulatorError: CoppeliaSim does not answer, or there was no :meth:`reset`.
+        """
+        self._running()
+        assert self._scene is not None
+        self._scene.spray(roi)
+
+    def close(self) -> None:
+        """Stop the simulation, remove what :meth:`reset` made, and disconnect.
+
+        Raises:
+            SimulatorError: CoppeliaSim does not answer any more, and did until now.
+        """
+        link, self._link = self._link, None
+        if link is None:
+            return
+        try:
+            if link.interrupted:
+                link.connect()
+            if not link.lost:
+                self._clear(link)
+        finally:
+            self._scene, self._started = None, False
+            link.close()
+
+    def _build(self, link: CoppeliaLink, mission: Mission) -> None:
+        if link.call("getSimulationState") != link.constant("simulation_stopped"):
+            raise SimulatorError("CoppeliaSim: it is simulating something already; stop that first")
+        self._scene = CoppeliaScene(link)
+        self._scene.plant(grow(mission.field, self._scale.metres))
+        self._centre = np.array(mission.field.arena) / 2
+        self._targets = (np.asarray(mission.starts) - self._centre) * self._scale.metres
+        self._velocities = np.zeros_like(self._targets)
+        self._vehicles = [
+            self._scene.add_vehicle(self._model, (x, y, self._altitude))
+            for x, y in self._targets.tolist()
+        ]
+        self._bodies = self._places(link)
+
+    def _start(self, link: CoppeliaLink, lasting: float) -> None:
+        """Start the simulation, of which ``lasting`` seconds are a step of the MDP."""
+        self._time_step = link.call("getSimulationTimeStep")
+        self._substeps = round(lasting / self._time_step)
+        if not self._substeps or not np.isclose(self._substeps * self._time_step, lasting):
+            raise SimulatorError(
+                f"CoppeliaSim: a step of the MDP lasts {lasting:g} s, which is no whole number of "
+                f"its time steps of {self._time_step:g} s; change one of them"
+            )
+        self._started = True
+        link.call("setStepping", True)
+        link.call("startSimulation")
+
+    def _clear(self, link: CoppeliaLink) -> None:
+        """Stop the simulation that this one started, and remove what it made."""
+        if self._started:
+            self._stop(link)
+            self._started = False
+        if self._scene is not None:
+            self._scene.remove()
+            self._scene = None
+
+    def _stop(self, link: CoppeliaLink) -> None:
+        stopped, deadline = link.constant("simulation_stopped"), monotonic() + link.timeout
+        if link.call("getSimulationState") != stopped:
+            link.call("stopSimulation")
+        while link.call("getSimulationState") != stopped:
+            if monotonic() > deadline:
+                raise SimulatorError(f"CoppeliaSim: it did not stop within {link.timeout:g} s")
+            sleep(_POLL)
+        link.call("setStepping", False)
+
+    def _draw(self, link: CoppeliaLink) -> None:
+        """See where the vehicles have come, and draw their paths on."""
+        before, self._bodies = self._bodies, self._places(link)
+        for vehicle, ends in zip(self._vehicles, np.hstack([before, self._bodies]), strict=True):
+            link.call("addDrawingObjectItem", vehicle.path, ends.tolist())
+
+    def _places(self, link: CoppeliaLink) -> Floats:
+        """Where the vehicles are, (n, 3) metres."""
+        places = [link.call("getObjectPosition", vehicle.body) for vehicle in self._vehicles]
+        return np.array(places, np.float64)
+
+    def _running(self) -> CoppeliaLink:
+        if self._link is None or not self._started:
+            raise SimulatorError("CoppeliaSim: nothing is simulated; allowed: reset() first")
+        return self._link

@@ -1,0 +1,332 @@
+"""A stand-in for CoppeliaSim: its remote API's protocol, version 2, over a scene of its own.
+
+It speaks what the add-on "ZMQ remote API server" speaks: CBOR over a ZeroMQ REP socket, clients
+told apart by their uuid, answers ``ret`` or ``err``, and ``_*wait*_`` against ``_*executed*_`` while
+a step is being simulated. Behind it is a scene of shapes without physics, in which quadcopters
+follow their targets by the law of the script in CoppeliaSim's own quadcopter, linearised: they
+accelerate by 0.2 / s^2 of the way to the target and by 2 / s of its velocity relative to theirs.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import cbor
+import numpy as np
+import zmq
+
+RESOURCES = "/opt/CoppeliaSim"
+MODEL = f"{RESOURCES}/models/robots/mobile/Quadcopter.ttm"
+TIME_STEP = 0.05
+
+STOPPED, RUNNING, STOPPING = 0, 17, 22
+CONSTANTS = {
+    "colorcomponent_ambient_diffuse": 0,
+    "drawing_cyclic": 0x80,
+    "drawing_lines": 1,
+    "primitiveshape_cuboid": 3,
+    "primitiveshape_cylinder": 5,
+    "shapeintparam_respondable": 3004,
+    "shapeintparam_static": 3003,
+    "simulation_stopped": STOPPED,
+    "stringparam_resourcesdir": 34,
+}
+FLAGS = {CONSTANTS["shapeintparam_static"]: "static", CONSTANTS["shapeintparam_respondable"]: "solid"}
+
+
+class Refusal(Exception):
+    """What CoppeliaSim answers to a wrong call."""
+
+
+@dataclass
+class Thing:
+    """An object of the scene."""
+
+    alias: str
+    place: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    parent: int = -1
+    size: tuple[float, ...] = ()
+    kind: int = -1
+    turn: float = 0.0
+    colour: tuple[float, ...] | None = None
+    flags: dict[str, int] = field(default_factory=dict)
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    target: int = -1
+    target_was: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass
+class Client:
+    """What the server knows of a client."""
+
+    stepping: int = 0
+    waits: int = 0
+
+
+class CoppeliaServer:
+    """A server on a free port of this machine, in a thread of its own.
+
+    Attributes:
+        things: the objects in the scene, by their handles.
+        drawings: the items of the drawing objects, by their handles.
+        steps: simulated since the last start.
+        calls: the functions called, in order.
+        silent: no request is answered any more.
+        endless: a step never comes to its end.
+    """
+
+    def __init__(self) -> None:
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.REP)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self.port = self._socket.bind_to_random_port("tcp://127.0.0.1")
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._clients: dict[str, Client] = {}
+        self._next = 100
+        self._stopping = 0
+        self._kept: dict[int, np.ndarray] = {}
+        self.things: dict[int, Thing] = {1: Thing("Floor")}
+        self.drawings: dict[int, list[list[float]]] = {}
+        self.state = STOPPED
+        self.steps = 0
+        self.calls: list[str] = []
+        self.silent = False
+        self.endless = False
+        self._functions: dict[str, Callable[..., list[Any]]] = {
+            name: getattr(self, name)
+            for name in (
+                "addDrawingObject addDrawingObjectItem createPrimitiveShape getObjectAlias "
+                "getObjectPosition getObjectVelocity getObjectsInTree getSimulationState "
+                "getSimulationTime getSimulationTimeStep getStringParam isHandle loadModel "
+                "removeDrawingObject removeObjects setObjectAlias setObjectInt32Param "
+                "setObjectOrientation setObjectPosition setShapeColor startSimulation stopSimulation"
+            ).split()
+        }
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.die()
+
+    def die(self) -> None:
+        """Go, without a word to anybody."""
+        self._stop.set()
+        self._thread.join()
+        self._socket.close()
+        self._context.term()
+
+    def named(self, alias: str) -> list[Thing]:
+        """The objects of this alias."""
+        return [thing for thing in self.things.values() if thing.alias == alias]
+
+    # The protocol
+
+    def _serve(self) -> None:
+        while not self._stop.is_set():
+            if self._socket.poll(1) and not self.silent:
+                request = cbor.loads(self._socket.recv())
+                self._socket.send(cbor.dumps(self._answer(request)))
+            if self.state != STOPPED and not any(c.stepping for c in self._clients.values()):
+                self._advance()
+
+    def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        new = request["uuid"] not in self._clients
+        if new and (request["ver"], request["lang"]) != (2, "python"):
+            return {"err": "wrong version"}
+        client = self._clients.setdefault(request["uuid"], Client())
+        name, arguments = request["func"], request["args"]
+        assert request["argsL"] == len(arguments)
+        if name == "zmqRemoteApi.require":
+            return {"ret": []}
+        if name == "zmqRemoteApi.info":
+            functions = [*self._functions, "setStepping", "step"]
+            offered: dict[str, Any] = {function: {"func": {}} for function in functions}
+            offered |= {constant: {"const": value} for constant, value in CONSTANTS.items()}
+            return {"ret": [offered]}
+        if name == "_*executed*_":
+            return self._wait(client)
+        self.calls.append(name.removeprefix("sim."))
+        if name == "sim.step":
+            client.waits = 2
+            return self._wait(client)
+        if name == "sim.setStepping":
+            before = client.stepping
+            client.stepping = before + 1 if arguments[0] else max(0, before - 1)
+            return {"ret": [before]}
+        try:
+            return {"ret": self._functions[name.removeprefix("sim.")](*arguments)}
+        except Refusal as error:
+            return {"err": f"in function '{name}':_=NL=_{error}"}
+
+    def _wait(self, client: Client) -> dict[str, Any]:
+        if client.waits or self.endless:
+            client.waits -= 1
+            return {"func": "_*wait*_", "args": []}
+        if self.state == RUNNING and client.stepping:
+            self._advance()
+        return {"ret": []}
+
+    # The simulation
+
+    def _advance(self) -> None:
+        if self.state == STOPPING:
+            self._stopping -= 1
+            if not self._stopping:
+                for handle in self._kept.keys() & self.things.keys():
+                    self.things[handle].place = self._kept[handle]
+                self.state = STOPPED
+            return
+        for thing in self.things.values():
+            if thing.target < 0:
+                continue
+            target = self.things[thing.target]
+            if not self.steps:
+                target.parent, thing.target_was = -1, target.place
+            moved = (target.place - thing.target_was) / TIME_STEP
+            pull = 0.2 * (target.place - thing.place) + 2.0 * (moved - thing.velocity)
+            thing.target_was = target.place
+            thing.velocity = thing.velocity + pull * TIME_STEP
+            thing.place = thing.place + thing.velocity * TIME_STEP
+        self.steps += 1
+
+    def startSimulation(self) -> list[Any]:
+        self.state, self.steps = RUNNING, 0
+        self._kept = {handle: thing.place for handle, thing in self.things.items()}
+        return []
+
+    def stopSimulation(self) -> list[Any]:
+        if self.state == RUNNING:
+            self.state, self._stopping = STOPPING, 3
+        for client in self._clients.values():
+            client.stepping = 0
+        return []
+
+    def getSimulationState(self) -> list[Any]:
+        return [self.state]
+
+    def getSimulationTime(self) -> list[Any]:
+        return [self.steps * TIME_STEP if self.state == RUNNING else 0.0]
+
+    def getSimulationTimeStep(self) -> list[Any]:
+        return [TIME_STEP]
+
+    # The scene
+
+    def _add(self, thing: Thing) -> int:
+        if self.state != STOPPED:
+            raise Refusal("this stand-in makes objects only while nothing is simulated")
+        self._next += 1
+        self.things[self._next] = thing
+        return self._next
+
+    def _thing(self, handle: object) -> Thing:
+        if type(handle) is not int or handle not in self.things:
+            raise Refusal("object does not exist")
+        return self.things[handle]
+
+    @staticmethod
+    def _floats(values: object, count: int) -> np.ndarray:
+        if not (isinstance(values, list) and len(values) == count):
+            raise Refusal(f"expected {count} numbers")
+        if not all(type(value) is float and np.isfinite(value) for value in values):
+            raise Refusal("expected finite numbers")
+        return np.array(values)
+
+    def createPrimitiveShape(self, kind: int, sizes: object, options: int) -> list[Any]:
+        size = self._floats(sizes, 3)
+        if kind not in (3, 5) or options or not (size > 0).all():
+            raise Refusal("wrong kind, options or size")
+        return [self._add(Thing("Shape", size=tuple(size), kind=kind))]
+
+    def loadModel(self, filename: str) -> list[Any]:
+        if filename != MODEL:
+            raise Refusal(f"file could not be opened: {filename}")
+        body = self._add(Thing("Quadcopter"))
+        target = self._add(Thing("target", parent=body))
+        for alias in ("base", "propeller", "script"):
+            self._add(Thing(alias, parent=body))
+        self.things[body].target = target
+        return [body]
+
+    def getObjectsInTree(self, base: int) -> list[Any]:
+        self._thing(base)
+        return [[base, *(h for h, thing in self.things.items() if thing.parent == base)]]
+
+    def getObjectAlias(self, handle: int) -> list[Any]:
+        return [self._thing(handle).alias]
+
+    def setObjectAlias(self, handle: int, alias: str) -> list[Any]:
+        self._thing(handle).alias = alias
+        return []
+
+    def setObjectInt32Param(self, handle: int, parameter: int, value: int) -> list[Any]:
+        self._thing(handle).flags[FLAGS[parameter]] = value
+        return []
+
+    def setObjectPosition(self, handle: int, place: object) -> list[Any]:
+        """The children go with it."""
+        thing, place = self._thing(handle), self._floats(place, 3)
+        for child in self.things.values():
+            if child.parent == handle:
+                child.place = child.place + place - thing.place
+        thing.place = place
+        return []
+
+    def setObjectOrientation(self, handle: int, angles: object) -> list[Any]:
+        self._thing(handle).turn = float(self._floats(angles, 3)[2])
+        return []
+
+    def setShapeColor(self, handle: int, name: str, component: int, colour: object) -> list[Any]:
+        if name or component != CONSTANTS["colorcomponent_ambient_diffuse"]:
+            raise Refusal("wrong name or component")
+        self._thing(handle).colour = tuple(self._floats(colour, 3))
+        return []
+
+    def getObjectPosition(self, handle: int) -> list[Any]:
+        return [self._thing(handle).place.tolist()]
+
+    def getObjectVelocity(self, handle: int) -> list[Any]:
+        return [self._thing(handle).velocity.tolist(), [0.0, 0.0, 0.0]]
+
+    def getStringParam(self, parameter: int) -> list[Any]:
+        if parameter != CONSTANTS["stringparam_resourcesdir"]:
+            raise Refusal("invalid parameter")
+        return [RESOURCES]
+
+    def isHandle(self, handle: int) -> list[Any]:
+        return [handle in self.things]
+
+    def removeObjects(self, handles: list[int]) -> list[Any]:
+        for handle in handles:
+            self._thing(handle)
+        for handle in handles:
+            del self.things[handle]
+        return []
+
+    def addDrawingObject(
+        self, kind: int, size: float, tolerance: float, parent: int, most: int, colour: object
+    ) -> list[Any]:
+        if (kind, tolerance, parent) != (0x81, 0.0, -1) or not (size > 0 and most > 0):
+            raise Refusal("wrong arguments")
+        self._floats(colour, 3)
+        self._next += 1
+        self.drawings[self._next] = []
+        return [self._next]
+
+    def addDrawingObjectItem(self, handle: int, item: object) -> list[Any]:
+        if handle not in self.drawings:
+            raise Refusal("drawing object does not exist")
+        self.drawings[handle].append(self._floats(item, 6).tolist())
+        return [1]
+
+    def removeDrawingObject(self, handle: int) -> list[Any]:
+        if handle not in self.drawings:
+            raise Refusal("drawing object does not exist")
+        del self.drawings[handle]
+        return []
