@@ -76,6 +76,9 @@ class CoppeliaServer:
         calls: the functions called, in order.
         silent: no request is answered any more.
         endless: a step never comes to its end.
+        frozen: no vehicle moves.
+        winding_down: how many more passes a simulation takes that has been told to stop.
+        clients: by their uuid.
     """
 
     def __init__(self) -> None:
@@ -85,9 +88,8 @@ class CoppeliaServer:
         self.port = self._socket.bind_to_random_port("tcp://127.0.0.1")
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._clients: dict[str, Client] = {}
+        self.clients: dict[str, Client] = {}
         self._next = 100
-        self._stopping = 0
         self._kept: dict[int, np.ndarray] = {}
         self.things: dict[int, Thing] = {1: Thing("Floor")}
         self.drawings: dict[int, list[list[float]]] = {}
@@ -96,6 +98,8 @@ class CoppeliaServer:
         self.calls: list[str] = []
         self.silent = False
         self.endless = False
+        self.frozen = False
+        self.winding_down = 3
         self._functions: dict[str, Callable[..., list[Any]]] = {
             name: getattr(self, name)
             for name in (
@@ -116,6 +120,8 @@ class CoppeliaServer:
 
     def die(self) -> None:
         """Go, without a word to anybody."""
+        if self._stop.is_set():
+            return
         self._stop.set()
         self._thread.join()
         self._socket.close()
@@ -132,14 +138,14 @@ class CoppeliaServer:
             if self._socket.poll(1) and not self.silent:
                 request = cbor.loads(self._socket.recv())
                 self._socket.send(cbor.dumps(self._answer(request)))
-            if self.state != STOPPED and not any(c.stepping for c in self._clients.values()):
+            if self.state != STOPPED and not any(c.stepping for c in self.clients.values()):
                 self._advance()
 
     def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
-        new = request["uuid"] not in self._clients
+        new = request["uuid"] not in self.clients
         if new and (request["ver"], request["lang"]) != (2, "python"):
             return {"err": "wrong version"}
-        client = self._clients.setdefault(request["uuid"], Client())
+        client = self.clients.setdefault(request["uuid"], Client())
         name, arguments = request["func"], request["args"]
         assert request["argsL"] == len(arguments)
         if name == "zmqRemoteApi.require":
@@ -159,8 +165,11 @@ class CoppeliaServer:
             before = client.stepping
             client.stepping = before + 1 if arguments[0] else max(0, before - 1)
             return {"ret": [before]}
+        function = self._functions.get(name.removeprefix("sim."))
+        if function is None:
+            return {"err": f"No such function: {name}"}
         try:
-            return {"ret": self._functions[name.removeprefix("sim.")](*arguments)}
+            return {"ret": function(*arguments)}
         except Refusal as error:
             return {"err": f"in function '{name}':_=NL=_{error}"}
 
@@ -176,14 +185,14 @@ class CoppeliaServer:
 
     def _advance(self) -> None:
         if self.state == STOPPING:
-            self._stopping -= 1
-            if not self._stopping:
+            self._passes += 1
+            if self._passes >= self.winding_down:
                 for handle in self._kept.keys() & self.things.keys():
                     self.things[handle].place = self._kept[handle]
                 self.state = STOPPED
             return
         for thing in self.things.values():
-            if thing.target < 0:
+            if thing.target < 0 or self.frozen:
                 continue
             target = self.things[thing.target]
             if not self.steps:
@@ -202,8 +211,8 @@ class CoppeliaServer:
 
     def stopSimulation(self) -> list[Any]:
         if self.state == RUNNING:
-            self.state, self._stopping = STOPPING, 3
-        for client in self._clients.values():
+            self.state, self._passes = STOPPING, 0
+        for client in self.clients.values():
             client.stepping = 0
         return []
 

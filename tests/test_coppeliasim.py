@@ -1,0 +1,441 @@
+"""The CoppeliaSim backend, through the official client, against a server of the same protocol."""
+
+from __future__ import annotations
+
+import http.server
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+
+pytest.importorskip("coppeliasim_zmqremoteapi_client", reason="needs mbn_marl[sim3d]")
+
+import cbor
+import zmq
+
+from baselines.classical import make_classical
+from mbn_marl.errors import ConfigError, SimulatorError
+from mbn_marl.field import Field, load_field
+from mbn_marl.sim3d import Mission, Scale, deploy
+from mbn_marl.sim3d.coppelia_link import CoppeliaLink, _PatientSocket
+from mbn_marl.sim3d.coppelia_scene import SPRAYED, WEED
+from mbn_marl.sim3d.coppeliasim import CoppeliaSimulator
+from mbn_marl.sim3d.cornfield import grow
+from tests.coppelia_server import RUNNING, STOPPED, CoppeliaServer
+from tests.field_cases import square
+
+SHORT = 0.3
+"""Seconds that a server has here to answer which will not."""
+
+
+@pytest.fixture
+def server() -> Iterator[CoppeliaServer]:
+    with CoppeliaServer() as running:
+        yield running
+
+
+def orchard() -> Field:
+    """Two robots, a hole between them and most ROIs; the middle of the arena is (50, 50)."""
+    return square(rois=[(90.0, 90.0), (90.0, 10.0), (50.0, 80.0)], arena=(100.0, 100.0))
+
+
+def connect(server: CoppeliaServer, **changes: Any) -> CoppeliaSimulator:
+    return CoppeliaSimulator("127.0.0.1", server.port, **({"timeout": 2.0} | changes))
+
+
+def mission(field: Field | None = None) -> Mission:
+    field = field or orchard()
+    return Mission(field, field.starts.astype(np.float32))
+
+
+def left(server: CoppeliaServer) -> tuple[list[str], int, int]:
+    """What is in the scene, and whether it is simulated."""
+    things = [thing.alias for thing in server.things.values()]
+    return things, len(server.drawings), server.state
+
+
+EMPTY = (["Floor"], 0, STOPPED)
+
+
+# An episode
+
+
+def test_a_policy_sprays_every_weed_of_a_field_with_a_hole(server: CoppeliaServer) -> None:
+    field = orchard()
+    with connect(server) as simulator:
+        done = deploy(make_classical("greedy", field, {}), field, {}, simulator)
+        assert done.success
+        assert [weed.colour for weed in server.named("mbn_weed")] == [SPRAYED] * 3
+        steps = done.episode.steps
+        assert server.steps == 10 * steps
+        assert [len(items) for items in server.drawings.values()] == [steps, steps]
+        paths = np.array(list(server.drawings.values()))
+    assert field.polygon.buffer(0.5).covers(shapely.linestrings(done.episode.positions[:, 0]))
+    assert (done.episode.visits > 0).all()
+    assert 0.0 < done.tracking_error < 1.0
+    drawn = paths[:, :, 3:5].transpose(1, 0, 2) / 0.1 + 50.0
+    assert drawn == pytest.approx(done.episode.positions[1:], abs=1e-4)
+    assert left(server) == EMPTY
+
+
+def test_weeds_change_one_by_one(server: CoppeliaServer) -> None:
+    with connect(server) as simulator:
+        simulator.reset(mission())
+        simulator.spray(1)
+        assert [weed.colour for weed in server.named("mbn_weed")] == [WEED, SPRAYED, WEED]
+
+
+def test_a_step_is_a_step_and_no_more(server: CoppeliaServer) -> None:
+    with connect(server) as simulator:
+        simulator.reset(mission())
+        assert server.steps == 0
+        for done in (1, 2, 3):
+            simulator.command(np.zeros((2, 2)))
+            simulator.step()
+            time.sleep(0.02)  # a server without stepping would go on
+            assert server.steps == 10 * done
+
+
+@pytest.mark.parametrize(("seconds", "steps"), [(0.05, 1), (0.5, 10), (1.0, 20)])
+def test_a_step_lasts_as_the_scale_says(
+    server: CoppeliaServer, seconds: float, steps: int
+) -> None:
+    with connect(server, scale=Scale(seconds=seconds)) as simulator:
+        simulator.reset(mission())
+        simulator.step()
+        assert server.steps == steps
+
+
+def test_vehicles_track_the_commanded_velocities(server: CoppeliaServer) -> None:
+    field = square(arena=(1000.0, 1000.0))
+    wanted = np.array([[1.0, -0.5], [0.0, 2.0]])
+    with connect(server) as simulator:
+        simulator.reset(mission(field))
+        begin = simulator.motion()
+        assert begin.positions == pytest.approx(field.starts)
+        assert not begin.velocities.any()
+        for _ in range(40):
+            simulator.command(wanted)
+            simulator.step()
+        motion = simulator.motion()
+        targets = np.array([target.place[:2] for target in server.named("target")])
+    assert motion.velocities == pytest.approx(wanted, abs=0.05)
+    assert motion.heights == pytest.approx([0.35, 0.35])
+    assert targets == pytest.approx((field.starts + 40 * wanted - 500.0) * 0.1)
+    assert motion.positions == pytest.approx(field.starts + 40 * wanted, abs=2.0)
+
+
+def test_a_target_does_not_run_away_from_a_vehicle_that_is_held_up(server: CoppeliaServer) -> None:
+    server.frozen = True
+    with connect(server) as simulator:
+        simulator.reset(mission())
+        for _ in range(10):
+            simulator.command(np.array([[3.0, 4.0], [0.0, 0.0]]))
+            simulator.step()
+        body, target = server.named("Quadcopter")[0], server.named("target")[0]
+        lead = target.place - body.place
+        assert np.linalg.norm(lead) == pytest.approx(1.0 + 0.5)  # the leash, and a last step
+        assert lead[1] / lead[0] == pytest.approx(4 / 3)
+
+
+# The scene
+
+
+def test_the_scene_is_the_field(server: CoppeliaServer) -> None:
+    field = orchard()
+    with connect(server) as simulator:
+        simulator.reset(mission(field))
+        (soil,) = server.named("mbn_soil")
+        assert soil.place[2] + soil.size[2] / 2 == pytest.approx(0.0)
+        fence, walls = server.named("mbn_fence"), server.named("mbn_obstacle")
+        assert {tuple(np.round(thing.place[:2], 9)) for thing in fence} == {
+            (0.0, -5.0),
+            (5.0, 0.0),
+            (0.0, 5.0),
+            (-5.0, 0.0),
+        }
+        assert [thing.size[0] for thing in fence] == pytest.approx([10.0] * 4)
+        assert {abs(round(np.sin(thing.turn))) for thing in fence if thing.place[0]} == {1}
+        assert {tuple(np.round(thing.place[:2], 9)) for thing in walls} == {
+            (0.0, -1.0),
+            (1.0, 0.0),
+            (0.0, 1.0),
+            (-1.0, 0.0),
+        }
+        assert [thing.size[0] for thing in walls] == pytest.approx([2.0] * 4)
+        assert {thing.flags["solid"] for thing in [soil, *walls]} == {1}
+        others = [*fence, *server.named("mbn_corn"), *server.named("mbn_weed")]
+        assert {thing.flags["solid"] for thing in others} == {0}
+        assert {thing.flags["static"] for thing in [soil, *walls, *others]} == {1}
+        weeds = np.array([thing.place[:2] for thing in server.named("mbn_weed")])
+        assert weeds == pytest.approx((field.rois - 50.0) * 0.1)
+        for alias in ("Quadcopter", "target"):
+            places = np.array([thing.place for thing in server.named(alias)])
+            assert places == pytest.approx(np.array([[-4.0, -4.0, 0.35], [-4.0, 4.0, 0.35]]))
+
+
+def test_corn_grows_in_the_field_and_not_on_weeds() -> None:
+    for field in (orchard(), load_field("field_01"), load_field("field_10")):
+        planted = grow(field, 0.1)
+        centre = np.array(field.arena) / 2
+        soil = shapely.transform(field.polygon, lambda points, c=centre: (points - c) * 0.1)
+        rows = shapely.linestrings(planted.rows)
+        assert 5 < len(rows) < 80
+        assert soil.buffer(1e-9).covers(shapely.union_all(rows))
+        gaps = shapely.distance(shapely.points(planted.weeds)[:, None], rows)
+        assert gaps.min() > 0.19
+        heights = np.unique(np.round(planted.rows[:, :, 1], 6))
+        assert np.diff(heights).min() >= 0.75 - 1e-6
+
+
+def test_a_second_reset_builds_anew(server: CoppeliaServer) -> None:
+    with connect(server) as simulator:
+        simulator.reset(mission())
+        before = left(server)
+        simulator.spray(0)
+        simulator.command(np.ones((2, 2)))
+        simulator.step()
+        simulator.reset(mission())
+        assert left(server) == before
+        assert server.named("mbn_weed")[0].colour == WEED
+        assert server.steps == 0
+        assert simulator.motion().positions == pytest.approx(orchard().starts)
+        simulator.step()
+        assert server.steps == 10
+    assert left(server) == EMPTY
+
+
+# The end
+
+
+def test_closing_stops_and_removes_everything(server: CoppeliaServer) -> None:
+    simulator = connect(server)
+    simulator.close()
+    assert server.calls == []
+    simulator.reset(mission())
+    simulator.step()
+    assert server.state == RUNNING
+    simulator.close()
+    assert left(server) == EMPTY
+    called = len(server.calls)
+    simulator.close()
+    assert len(server.calls) == called
+    with pytest.raises(SimulatorError, match="reset"):
+        simulator.step()
+
+
+def test_stepping_is_given_up_after_a_stop_by_hand(server: CoppeliaServer) -> None:
+    with connect(server) as simulator:
+        simulator.reset(mission())
+        simulator.step()
+        server.state = STOPPED
+        with pytest.raises(SimulatorError, match="stopped or paused by hand"):
+            simulator.step()
+    assert left(server) == EMPTY
+    assert not any(client.stepping for client in server.clients.values())
+
+
+def test_a_broken_off_call_leaves_nothing_behind(
+    server: CoppeliaServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(_: object) -> bytes:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), connect(server) as simulator:
+        simulator.reset(mission())
+        with monkeypatch.context() as patch:
+            patch.setattr(_PatientSocket, "recv", interrupt)
+            simulator.step()
+    assert left(server) == EMPTY
+
+
+def test_a_running_simulation_is_left_alone(server: CoppeliaServer) -> None:
+    server.state = RUNNING
+    with pytest.raises(SimulatorError, match="simulating something already"):
+        connect(server).reset(mission())
+    assert left(server) == (["Floor"], 0, RUNNING)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"model": "models/dragon.ttm"}, "file could not be opened: /opt/CoppeliaSim/models/dragon"),
+        ({"model": "/home/me/dragon.ttm"}, "file could not be opened: /home/me/dragon"),
+        ({"scale": Scale(seconds=0.33)}, "lasts 0.33 s.*time steps of 0.05 s"),
+        ({"scale": Scale(seconds=0.01)}, "lasts 0.01 s.*time steps of 0.05 s"),
+    ],
+)
+def test_a_failed_reset_leaves_nothing_behind(
+    server: CoppeliaServer, changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(SimulatorError, match=message):
+        connect(server, **changes).reset(mission())
+    assert left(server) == EMPTY
+
+
+# No server, and wrong ones
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])
+
+
+@contextmanager
+def nobody() -> Iterator[int]:
+    yield free_port()
+
+
+@contextmanager
+def mute() -> Iterator[int]:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        yield listener.getsockname()[1]
+
+
+@contextmanager
+def web() -> Iterator[int]:
+    class Quiet(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Quiet) as page:
+        thread = threading.Thread(target=page.serve_forever, args=(0.01,))
+        thread.start()
+        yield page.server_address[1]
+        page.shutdown()
+        thread.join()
+
+
+def answering(message: bytes) -> Callable[[], Any]:
+    """A ZeroMQ server that answers everything with one message."""
+
+    @contextmanager
+    def serve() -> Iterator[int]:
+        with zmq.Context() as context, context.socket(zmq.REP) as rep:
+            port = rep.bind_to_random_port("tcp://127.0.0.1")
+            over = threading.Event()
+
+            def loop() -> None:
+                while not over.is_set():
+                    if rep.poll(1):
+                        rep.recv()
+                        rep.send(message)
+
+            thread = threading.Thread(target=loop)
+            thread.start()
+            yield port
+            over.set()
+            thread.join()
+
+    return serve
+
+
+OLD = cbor.dumps({"success": False, "error": "version"})
+FOREVER = cbor.dumps({"func": "_*wait*_", "args": []})
+
+
+@pytest.mark.parametrize(
+    ("serve", "message"),
+    [
+        pytest.param(nobody, "no answer.*within 0.3 s.*refused.*running", id="nobody"),
+        pytest.param(mute, "listens there, but does not speak its protocol", id="mute"),
+        pytest.param(web, "listens there, but does not speak its protocol", id="web"),
+        pytest.param(answering(b""), "none of its remote API", id="empty"),
+        pytest.param(answering(b"OK"), "none of its remote API", id="text"),
+        pytest.param(answering(b"\x5b" + b"\xff" * 8), "none of its remote API", id="endless bytes"),
+        pytest.param(answering(b"\x01"), "none of its remote API", id="number"),
+        pytest.param(answering(OLD), "none of its remote API.*'ret'", id="protocol 1"),
+        pytest.param(answering(FOREVER), "no answer", id="wait for ever"),
+        pytest.param(answering(cbor.dumps({"ret": [{}]})), "no simulation", id="no functions"),
+        pytest.param(answering(cbor.dumps({"err": "a_=NL=_b"})), "refuses sim: a\nb", id="refusal"),
+    ],
+)
+def test_a_wrong_server_is_an_error_in_time(serve: Any, message: str) -> None:
+    with serve() as port:
+        begin = time.monotonic()
+        with pytest.raises(SimulatorError, match=f"(?s)127.0.0.1:{port}.*{message}"):
+            CoppeliaSimulator("127.0.0.1", port, timeout=SHORT).reset(mission())
+        assert time.monotonic() - begin < SHORT + 1.0
+
+
+@pytest.mark.parametrize("ending", ["die", "hang", "endless step"])
+def test_a_server_that_goes_away_is_an_error_in_time(ending: str) -> None:
+    server = CoppeliaServer()
+    simulator = CoppeliaSimulator("127.0.0.1", server.port, timeout=SHORT)
+    with server:
+        simulator.reset(mission())
+        simulator.step()
+        server.silent, server.endless = ending == "hang", ending == "endless step"
+        if ending == "die":
+            server.die()
+        begin = time.monotonic()
+        with pytest.raises(SimulatorError, match="no answer to sim.* within 0.3 s"), simulator:
+            simulator.step()
+        assert time.monotonic() - begin < SHORT + 1.0
+        with pytest.raises(SimulatorError, match="reset"):
+            simulator.step()
+
+
+def test_a_simulation_that_does_not_end_is_an_error_in_time(server: CoppeliaServer) -> None:
+    simulator = connect(server, timeout=SHORT)
+    simulator.reset(mission())
+    server.winding_down = 10**9
+    begin = time.monotonic()
+    with pytest.raises(SimulatorError, match="did not stop within 0.3 s"):
+        simulator.close()
+    assert time.monotonic() - begin < SHORT + 1.0
+
+
+def test_numbers_out_of_range_are_named() -> None:
+    with pytest.raises(ConfigError, match="port: 0; allowed: 1 to 65535"):
+        CoppeliaSimulator(port=0).reset(mission())
+    with pytest.raises(ConfigError, match="timeout: 0; allowed"):
+        CoppeliaSimulator(timeout=0.0).reset(mission())
+    with pytest.raises(ConfigError, match="altitude: -1; allowed"):
+        CoppeliaSimulator(altitude=-1.0)
+
+
+def test_a_missing_client_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "coppeliasim_zmqremoteapi_client", None)
+    with pytest.raises(ImportError, match=r"mbn_marl\[sim3d\]"):
+        CoppeliaSimulator().reset(mission())
+
+
+# The link
+
+
+def test_the_link_leaves_the_users_script_alone(
+    server: CoppeliaServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    main = sys.modules["__main__"]
+    before = set(vars(main))
+    CoppeliaLink("127.0.0.1", server.port, 2.0).close()
+    assert set(vars(main)) == before
+    monkeypatch.setattr(main, "require", "mine", raising=False)
+    CoppeliaLink("127.0.0.1", server.port, 2.0).close()
+    assert vars(main)["require"] == "mine"
+
+
+def test_the_link_survives_a_refusal_and_no_more(server: CoppeliaServer) -> None:
+    link = CoppeliaLink("127.0.0.1", server.port, SHORT)
+    with pytest.raises(SimulatorError, match="refuses sim.dance.*No such function"):
+        link.call("dance")
+    with pytest.raises(SimulatorError, match="does not know sim.tempo"):
+        link.constant("tempo")
+    assert link.call("getSimulationState") == STOPPED
+    server.silent = True
+    with pytest.raises(SimulatorError, match="no answer to sim.getSimulationState"):
+        link.call("getSimulationState")
+    server.silent = False
+    with pytest.raises(SimulatorError, match="connection is closed"):
+        link.call("getSimulationState")
+    link.connect()
+    assert link.call("getSimulationState") == STOPPED
+    link.close()
