@@ -1,14 +1,15 @@
 """A stand-in for CoppeliaSim: its remote API's protocol, version 2, over a scene of its own.
 
 It speaks what the add-on "ZMQ remote API server" speaks: CBOR over a ZeroMQ REP socket, clients
-told apart by their uuid, answers ``ret`` or ``err``, and ``_*wait*_`` against ``_*executed*_`` while
-a step is being simulated. Behind it is a scene of shapes without physics, in which quadcopters
+told apart by their uuid, answers ``ret`` or ``err``, and ``_*wait*_`` against ``_*executed*_``
+while a step is being simulated. Behind it is a scene of shapes without physics, whose quadcopters
 follow their targets by the law of the script in CoppeliaSim's own quadcopter, linearised: they
 accelerate by 0.2 / s^2 of the way to the target and by 2 / s of its velocity relative to theirs.
 """
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -34,10 +35,13 @@ CONSTANTS = {
     "simulation_stopped": STOPPED,
     "stringparam_resourcesdir": 34,
 }
-FLAGS = {CONSTANTS["shapeintparam_static"]: "static", CONSTANTS["shapeintparam_respondable"]: "solid"}
+FLAGS = {
+    CONSTANTS["shapeintparam_static"]: "static",
+    CONSTANTS["shapeintparam_respondable"]: "solid",
+}
 
 
-class Refusal(Exception):
+class RefusalError(Exception):
     """What CoppeliaSim answers to a wrong call."""
 
 
@@ -102,13 +106,8 @@ class CoppeliaServer:
         self.winding_down = 3
         self._functions: dict[str, Callable[..., list[Any]]] = {
             name: getattr(self, name)
-            for name in (
-                "addDrawingObject addDrawingObjectItem createPrimitiveShape getObjectAlias "
-                "getObjectPosition getObjectVelocity getObjectsInTree getSimulationState "
-                "getSimulationTime getSimulationTimeStep getStringParam isHandle loadModel "
-                "removeDrawingObject removeObjects setObjectAlias setObjectInt32Param "
-                "setObjectOrientation setObjectPosition setShapeColor startSimulation stopSimulation"
-            ).split()
+            for name in vars(CoppeliaServer)
+            if re.search("[a-z][A-Z]", name)
         }
 
     def __enter__(self) -> Self:
@@ -170,7 +169,7 @@ class CoppeliaServer:
             return {"err": f"No such function: {name}"}
         try:
             return {"ret": function(*arguments)}
-        except Refusal as error:
+        except RefusalError as error:
             return {"err": f"in function '{name}':_=NL=_{error}"}
 
     def _wait(self, client: Client) -> dict[str, Any]:
@@ -229,33 +228,43 @@ class CoppeliaServer:
 
     def _add(self, thing: Thing) -> int:
         if self.state != STOPPED:
-            raise Refusal("this stand-in makes objects only while nothing is simulated")
+            raise RefusalError("this stand-in makes objects only while nothing is simulated")
         self._next += 1
         self.things[self._next] = thing
         return self._next
 
     def _thing(self, handle: object) -> Thing:
         if type(handle) is not int or handle not in self.things:
-            raise Refusal("object does not exist")
+            raise RefusalError("object does not exist")
         return self.things[handle]
 
     @staticmethod
     def _floats(values: object, count: int) -> np.ndarray:
         if not (isinstance(values, list) and len(values) == count):
-            raise Refusal(f"expected {count} numbers")
+            raise RefusalError(f"expected {count} numbers")
         if not all(type(value) is float and np.isfinite(value) for value in values):
-            raise Refusal("expected finite numbers")
+            raise RefusalError("expected finite numbers")
         return np.array(values)
 
     def createPrimitiveShape(self, kind: int, sizes: object, options: int) -> list[Any]:
         size = self._floats(sizes, 3)
         if kind not in (3, 5) or options or not (size > 0).all():
-            raise Refusal("wrong kind, options or size")
+            raise RefusalError("wrong kind, options or size")
         return [self._add(Thing("Shape", size=tuple(size), kind=kind))]
+
+    def createShape(
+        self, options: int, shading: float, vertices: object, indices: list[int]
+    ) -> list[Any]:
+        """Of triangles, whose middle is the place of the shape."""
+        points = self._floats(vertices, len(list(vertices))).reshape(-1, 3)
+        if options or shading or len(indices) % 3 or not set(indices) <= set(range(len(points))):
+            raise RefusalError("wrong options, shading angle or indices")
+        low, high = points.min(axis=0), points.max(axis=0)
+        return [self._add(Thing("Shape", place=(low + high) / 2, size=tuple(high - low)))]
 
     def loadModel(self, filename: str) -> list[Any]:
         if filename != MODEL:
-            raise Refusal(f"file could not be opened: {filename}")
+            raise RefusalError(f"file could not be opened: {filename}")
         body = self._add(Thing("Quadcopter"))
         target = self._add(Thing("target", parent=body))
         for alias in ("base", "propeller", "script"):
@@ -293,7 +302,7 @@ class CoppeliaServer:
 
     def setShapeColor(self, handle: int, name: str, component: int, colour: object) -> list[Any]:
         if name or component != CONSTANTS["colorcomponent_ambient_diffuse"]:
-            raise Refusal("wrong name or component")
+            raise RefusalError("wrong name or component")
         self._thing(handle).colour = tuple(self._floats(colour, 3))
         return []
 
@@ -305,7 +314,7 @@ class CoppeliaServer:
 
     def getStringParam(self, parameter: int) -> list[Any]:
         if parameter != CONSTANTS["stringparam_resourcesdir"]:
-            raise Refusal("invalid parameter")
+            raise RefusalError("invalid parameter")
         return [RESOURCES]
 
     def isHandle(self, handle: int) -> list[Any]:
@@ -322,7 +331,7 @@ class CoppeliaServer:
         self, kind: int, size: float, tolerance: float, parent: int, most: int, colour: object
     ) -> list[Any]:
         if (kind, tolerance, parent) != (0x81, 0.0, -1) or not (size > 0 and most > 0):
-            raise Refusal("wrong arguments")
+            raise RefusalError("wrong arguments")
         self._floats(colour, 3)
         self._next += 1
         self.drawings[self._next] = []
@@ -330,12 +339,12 @@ class CoppeliaServer:
 
     def addDrawingObjectItem(self, handle: int, item: object) -> list[Any]:
         if handle not in self.drawings:
-            raise Refusal("drawing object does not exist")
+            raise RefusalError("drawing object does not exist")
         self.drawings[handle].append(self._floats(item, 6).tolist())
         return [1]
 
     def removeDrawingObject(self, handle: int) -> list[Any]:
         if handle not in self.drawings:
-            raise Refusal("drawing object does not exist")
+            raise RefusalError("drawing object does not exist")
         del self.drawings[handle]
         return []

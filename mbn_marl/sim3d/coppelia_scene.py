@@ -2,44 +2,36 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+import shapely
+from numpy.typing import NDArray
 
 from mbn_marl.errors import SimulatorError
+from mbn_marl.render import style
+from mbn_marl.sim3d import scene
 from mbn_marl.sim3d.coppelia_link import CoppeliaLink
-from mbn_marl.sim3d.cornfield import Cornfield
+from mbn_marl.sim3d.plants import Mesh, corn, corn_rows, weed
+from mbn_marl.sim3d.simulator import Mission
 
-Colour = tuple[float, float, float]
-"""Red, green and blue, 0 to 1."""
-
-SOIL: Colour = (0.45, 0.34, 0.22)
-CORN: Colour = (0.35, 0.60, 0.20)
-FENCE: Colour = (0.95, 0.80, 0.25)
-OBSTACLE: Colour = (0.40, 0.40, 0.45)
-WEED: Colour = (0.80, 0.15, 0.15)
-SPRAYED: Colour = (0.15, 0.35, 0.85)
-PATHS: tuple[Colour, ...] = (
-    (0.00, 0.45, 0.70),
-    (0.84, 0.37, 0.00),
-    (0.00, 0.62, 0.45),
-    (0.80, 0.47, 0.65),
-)
-"""Of the vehicles' paths, over again from the fifth vehicle on."""
+Array = NDArray[np.float64]
 
 _THIN = 0.05
-"""Metres: what is a line on the map."""
+"""Metres: how thick walls and the soil are."""
+_FLAT = 0.008
+"""Metres above the soil: the line round the field, and the areas to be sprayed."""
 _MARGIN = 2.0
-"""Metres of soil around the arena."""
+"""Metres of soil on each side of the field."""
 _PATH_WIDTH = 3.0
 """Pixels."""
 _PATH_ITEMS = 10_000
 """Lines that a path holds; then the oldest go."""
 _TARGET = "target"
-"""The alias of the dummy that CoppeliaSim's quadcopter flies to."""
+"""The alias of what CoppeliaSim's quadcopter flies to."""
 
 
 @dataclass(frozen=True)
@@ -69,29 +61,34 @@ class CoppeliaScene:
         self._objects: list[int] = []
         self._drawings: list[int] = []
         self._weeds: list[int] = []
+        self._areas: list[int] = []
 
-    def plant(self, cornfield: Cornfield) -> None:
-        """Make the soil, the fence, the corn, the weeds, and a wall along every edge of a hole.
+    def plant(self, mission: Mission, frame: scene.Frame) -> None:
+        """Make soil, corn, a line round the field, weeds, and walls along the edges of holes.
 
         Args:
-            cornfield: in metres, the origin in its middle.
+            mission: with the field.
+            frame: from units to metres.
 
         Raises:
             SimulatorError: CoppeliaSim refuses a call.
         """
-        width, depth = cornfield.size
-        soil = (width + _MARGIN, depth + _MARGIN, _THIN)
-        self._shape("soil", "cuboid", soil, (0.0, 0.0, -_THIN / 2), SOIL, solid=True)
-        for ends in cornfield.fence:
-            self._beam("fence", ends, _THIN, FENCE)
-        for ends in cornfield.rows:
-            self._beam("corn", ends, 0.2, CORN)
-        for corners in cornfield.obstacles:
-            for ends in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-                self._beam("obstacle", np.array(ends), 1.0, OBSTACLE, solid=True)
-        for x, y in cornfield.weeds:
-            weed = self._shape("weed", "cylinder", (0.3, 0.3, 0.1), (x, y, 0.05), WEED)
-            self._weeds.append(weed)
+        ground = shapely.transform(mission.field.polygon, frame.to_metres)
+        width, depth = (frame.size + 2.0 * _MARGIN).tolist()
+        self._block("soil", (width, depth, _THIN), (0.0, 0.0, -_THIN / 2), scene.SOIL, solid=True)
+        places = corn_rows(ground)
+        if len(places):
+            self._mesh("corn", corn(places), scene.LEAF_GREEN)
+        self._beams("boundary", ground.exterior, scene.BOUNDARY_WIDTH, _FLAT, scene.CHALK)
+        for hole in ground.interiors:
+            stone = scene.rgba(style.FAINT_INK)
+            self._beams("obstacle", hole, _THIN, scene.OBSTACLE_HEIGHT, stone, solid=True)
+        side, leaves = 2.0 * mission.roi_radius * frame.metres, weed()
+        for x, y in frame.to_metres(mission.field.rois).tolist():
+            size, place = (side, side, _FLAT), (x, y, _FLAT / 2)
+            self._areas.append(self._block("area", size, place, scene.AREA, kind="cylinder"))
+            here = Mesh(leaves.vertices + np.array([x, y, 0.0]), leaves.faces)
+            self._weeds.append(self._mesh("weed", here, scene.WEED))
 
     def add_vehicle(self, model: str, place: Sequence[float]) -> Vehicle:
         """Load a vehicle that follows a dummy.
@@ -117,14 +114,15 @@ class CoppeliaScene:
         call("setObjectPosition", body, list(place))
         call("setObjectPosition", targets[0], list(place))
         kind = constant("drawing_lines") | constant("drawing_cyclic")
-        colour = list(PATHS[len(self._drawings) % len(PATHS)])
+        colour = _colour(scene.rgba(style.robot_colour(len(self._drawings))))
         path = call("addDrawingObject", kind, _PATH_WIDTH, 0.0, -1, _PATH_ITEMS, colour)
         self._drawings.append(path)
         return Vehicle(body, targets[0], path)
 
-    def spray(self, weed: int) -> None:
-        """Give a weed, counted from 0, the colour of a sprayed one."""
-        self._paint(self._weeds[weed], SPRAYED)
+    def spray(self, roi: int) -> None:
+        """Let the weed at an ROI, 0 to m - 1, wither, and show its area as sprayed."""
+        self._paint(self._weeds[roi], scene.SPRAYED_WEED)
+        self._paint(self._areas[roi], scene.SPRAYED_AREA)
 
     def remove(self) -> None:
         """Remove everything that was made and is still there; no simulation may be running.
@@ -137,45 +135,62 @@ class CoppeliaScene:
         there = [handle for handle in self._objects if self._link.call("isHandle", handle)]
         if there:
             self._link.call("removeObjects", there)
-        self._drawings, self._objects, self._weeds = [], [], []
+        self._drawings, self._objects = [], []
 
-    def _beam(
+    def _beams(
         self,
         name: str,
-        ends: npt.NDArray[np.float64],
+        ring: shapely.LinearRing,
+        thickness: float,
         height: float,
-        colour: Colour,
+        colour: str,
         *,
         solid: bool = False,
     ) -> None:
-        """A cuboid on the ground from one end to the other."""
-        (x, y), (dx, dy) = ends.mean(axis=0), ends[1] - ends[0]
-        size = (math.hypot(dx, dy), _THIN, height)
-        beam = self._shape(name, "cuboid", size, (x, y, height / 2), colour, solid=solid)
-        self._link.call("setObjectOrientation", beam, [0.0, 0.0, math.atan2(dy, dx)])
+        """A cuboid on the ground along each edge of a ring."""
+        for a, b in itertools.pairwise(np.array(ring.coords)):
+            (x, y), (dx, dy) = ((a + b) / 2).tolist(), (b - a).tolist()
+            size, place = (math.hypot(dx, dy), thickness, height), (x, y, height / 2)
+            beam = self._block(name, size, place, colour, solid=solid)
+            self._link.call("setObjectOrientation", beam, [0.0, 0.0, math.atan2(dy, dx)])
 
-    def _shape(
+    def _block(
         self,
         name: str,
-        primitive: str,
         size: Sequence[float],
         place: Sequence[float],
-        colour: Colour,
+        colour: str,
         *,
+        kind: str = "cuboid",
         solid: bool = False,
     ) -> int:
-        """A shape that never moves, and that vehicles run into if it is solid."""
+        """A primitive shape, centred at ``place``."""
+        kind = self._link.constant(f"primitiveshape_{kind}")
+        block: int = self._link.call("createPrimitiveShape", kind, list(size), 0)
+        self._link.call("setObjectPosition", block, list(place))
+        return self._dress(block, name, colour, solid=solid)
+
+    def _mesh(self, name: str, mesh: Mesh, colour: str) -> int:
+        """A shape of triangles, where they are."""
+        vertices, faces = mesh.vertices.ravel().tolist(), mesh.faces.ravel().tolist()
+        shape: int = self._link.call("createShape", 0, 0.0, vertices, faces)
+        return self._dress(shape, name, colour, solid=False)
+
+    def _dress(self, shape: int, name: str, colour: str, *, solid: bool) -> int:
+        """Make it a shape that never moves, and that vehicles run into if it is solid."""
         call, constant = self._link.call, self._link.constant
-        kind = constant(f"primitiveshape_{primitive}")
-        shape: int = call("createPrimitiveShape", kind, [float(side) for side in size], 0)
         self._objects.append(shape)
         call("setObjectAlias", shape, f"mbn_{name}")
         call("setObjectInt32Param", shape, constant("shapeintparam_static"), 1)
         call("setObjectInt32Param", shape, constant("shapeintparam_respondable"), int(solid))
-        call("setObjectPosition", shape, [float(value) for value in place])
         self._paint(shape, colour)
         return shape
 
-    def _paint(self, shape: int, colour: Colour) -> None:
+    def _paint(self, shape: int, colour: str) -> None:
         component = self._link.constant("colorcomponent_ambient_diffuse")
-        self._link.call("setShapeColor", shape, "", component, list(colour))
+        self._link.call("setShapeColor", shape, "", component, _colour(colour))
+
+
+def _colour(channels: str) -> list[float]:
+    """Red, green and blue, 0 to 1, of a colour as MJCF has it."""
+    return [float(channel) for channel in channels.split()[:3]]

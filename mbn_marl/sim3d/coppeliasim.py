@@ -6,12 +6,16 @@ from time import monotonic, sleep
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbn_marl.errors import ConfigError, SimulatorError
 from mbn_marl.sim3d.coppelia_link import CoppeliaLink
 from mbn_marl.sim3d.coppelia_scene import CoppeliaScene, Vehicle
-from mbn_marl.sim3d.cornfield import grow
+from mbn_marl.sim3d.quadrotor import HEIGHT
+from mbn_marl.sim3d.scene import Frame
 from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Scale, Simulator
+
+Array = NDArray[np.float64]
 
 QUADCOPTER = "models/robots/mobile/Quadcopter.ttm"
 """The quadcopter that CoppeliaSim ships with."""
@@ -50,7 +54,7 @@ class CoppeliaSimulator(Simulator):
         *,
         timeout: float = 10.0,
         scale: Scale | None = None,
-        altitude: float = 0.35,
+        altitude: float = HEIGHT,
         model: str = QUADCOPTER,
     ) -> None:
         if not 0.0 < altitude < np.inf:
@@ -64,6 +68,9 @@ class CoppeliaSimulator(Simulator):
         self._scene: CoppeliaScene | None = None
         self._vehicles: list[Vehicle] = []
         self._started = False
+        self._targets: Array = np.zeros((0, 2))
+        self._velocities: Array = np.zeros((0, 2))
+        self._bodies: Array = np.zeros((0, 3))
 
     def reset(self, mission: Mission) -> None:
         """Build the scene of ``mission`` by API calls, and start the simulation in stepped mode.
@@ -125,7 +132,7 @@ class CoppeliaSimulator(Simulator):
         link = self._running()
         speeds = [link.call("getObjectVelocity", vehicle.body)[0] for vehicle in self._vehicles]
         velocities = np.array(speeds, np.float64)[:, :2] / self._scale.speed
-        positions = self._bodies[:, :2] / self._scale.metres + self._centre
+        positions = self._frame.to_units(self._bodies[:, :2])
         return Motion(positions, velocities, self._bodies[:, 2].copy())
 
     def spray(self, roi: int) -> None:
@@ -163,9 +170,9 @@ class CoppeliaSimulator(Simulator):
         if link.call("getSimulationState") != link.constant("simulation_stopped"):
             raise SimulatorError("CoppeliaSim: it is simulating something already; stop that first")
         self._scene = CoppeliaScene(link)
-        self._scene.plant(grow(mission.field, self._scale.metres))
-        self._centre = np.array(mission.field.arena) / 2
-        self._targets = (np.asarray(mission.starts) - self._centre) * self._scale.metres
+        self._frame = Frame(mission, self._scale.metres)
+        self._scene.plant(mission, self._frame)
+        self._targets = self._frame.to_metres(mission.starts)
         self._velocities = np.zeros_like(self._targets)
         self._vehicles = [
             self._scene.add_vehicle(self._model, (x, y, self._altitude))
@@ -211,7 +218,7 @@ class CoppeliaSimulator(Simulator):
         for vehicle, ends in zip(self._vehicles, np.hstack([before, self._bodies]), strict=True):
             link.call("addDrawingObjectItem", vehicle.path, ends.tolist())
 
-    def _places(self, link: CoppeliaLink) -> Floats:
+    def _places(self, link: CoppeliaLink) -> Array:
         """Where the vehicles are, (n, 3) metres."""
         places = [link.call("getObjectPosition", vehicle.body) for vehicle in self._vehicles]
         return np.array(places, np.float64)

@@ -17,6 +17,7 @@ from mbn_marl.sim3d.simulator import Mission
 from mbn_marl.sim3d.vehicle import GRAVITY, Vehicle, add
 
 SOIL, DARK_SOIL, LEAF_GREEN = "0.42 0.33 0.24", "0.34 0.26 0.19", "0.36 0.6 0.22 1"
+CHALK = "0.95 0.95 0.93 1"
 OBSTACLE_HEIGHT = 0.8
 """Metres."""
 BOUNDARY_WIDTH = 0.06
@@ -211,7 +212,7 @@ def _add_boundary(world: Element, ground: shapely.Polygon) -> None:
             pos=((ax + bx) / 2.0, (ay + by) / 2.0, 0.004),
             size=(math.hypot(bx - ax, by - ay) / 2.0, BOUNDARY_WIDTH / 2.0, 0.004),
             euler=(0, 0, math.degrees(math.atan2(by - ay, bx - ax))),
-            rgba="0.95 0.95 0.93 1",
+            rgba=CHALK,
         )
 
 
