@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import http.server
+import re
 import socket
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,6 +32,7 @@ from mbn_marl.sim3d.scene import AREA, SPRAYED_AREA, SPRAYED_WEED, WEED
 from tests.coppelia_server import RUNNING, STOPPED, CoppeliaServer
 from tests.field_cases import square
 
+PAGE = Path(__file__).parents[1] / "docs" / "coppeliasim.md"
 SHORT = 0.3
 """Seconds that a server has here to answer which will not."""
 
@@ -161,7 +164,7 @@ def test_the_scene_is_the_field(server: CoppeliaServer) -> None:
     with connect(server) as simulator:
         simulator.reset(mission(field))
         (soil,) = server.named("mbn_soil")
-        assert soil.place[2] + soil.size[2] / 2 == pytest.approx(0.0)
+        assert soil.place[2] + soil.size[2] / 2 == pytest.approx(0.002)  # above CoppeliaSim's floor
         sides = {alias: server.named(f"mbn_{alias}") for alias in ("boundary", "obstacle")}
         for alias, side in (("boundary", 10.0), ("obstacle", 2.0)):
             things, half = sides[alias], side / 2
@@ -435,3 +438,13 @@ def test_the_link_survives_a_refusal_and_no_more(server: CoppeliaServer) -> None
     link.connect()
     assert link.call("getSimulationState") == STOPPED
     link.close()
+
+
+def test_the_page_does_what_it_shows(
+    server: CoppeliaServer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (code,) = re.findall(r"```{code-block} python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    assert "23000" in code
+    exec(compile(code.replace("23000", str(server.port)), str(PAGE), "exec"), {})
+    assert capsys.readouterr().out.startswith("True ")
+    assert left(server) == EMPTY

@@ -24,6 +24,8 @@ _THIN = 0.05
 """Metres: how thick walls and the soil are."""
 _FLAT = 0.008
 """Metres above the soil: the line round the field, and the areas to be sprayed."""
+_ABOVE_FLOOR = 0.002
+"""Metres, at which the soil covers the floor of CoppeliaSim's empty scene."""
 _MARGIN = 2.0
 """Metres of soil on each side of the field."""
 _PATH_WIDTH = 3.0
@@ -75,7 +77,8 @@ class CoppeliaScene:
         """
         ground = shapely.transform(mission.field.polygon, frame.to_metres)
         width, depth = (frame.size + 2.0 * _MARGIN).tolist()
-        self._block("soil", (width, depth, _THIN), (0.0, 0.0, -_THIN / 2), scene.SOIL, solid=True)
+        place = (0.0, 0.0, _ABOVE_FLOOR - _THIN / 2)
+        self._block("soil", (width, depth, _THIN), place, scene.SOIL, solid=True)
         places = corn_rows(ground)
         if len(places):
             self._mesh("corn", corn(places), scene.LEAF_GREEN)
@@ -104,10 +107,10 @@ class CoppeliaScene:
         call, constant = self._link.call, self._link.constant
         folder = call("getStringParam", constant("stringparam_resourcesdir"))
         absolute = model.startswith("/") or model[1:2] == ":"
-        body = call("loadModel", model if absolute else f"{folder}/{model}")
+        body = self._make("loadModel", model if absolute else f"{folder}/{model}")
         # The model's script takes the target out of the tree when the simulation starts.
         tree = call("getObjectsInTree", body)
-        self._objects += tree
+        self._objects += [handle for handle in tree if handle != body]
         targets = [handle for handle in tree if call("getObjectAlias", handle) == _TARGET]
         if not targets:
             raise SimulatorError(f"{model}: the model has no object {_TARGET!r} to follow")
@@ -166,20 +169,24 @@ class CoppeliaScene:
     ) -> int:
         """A primitive shape, centred at ``place``."""
         kind = self._link.constant(f"primitiveshape_{kind}")
-        block: int = self._link.call("createPrimitiveShape", kind, list(size), 0)
+        block = self._make("createPrimitiveShape", kind, list(size), 0)
         self._link.call("setObjectPosition", block, list(place))
         return self._dress(block, name, colour, solid=solid)
 
     def _mesh(self, name: str, mesh: Mesh, colour: str) -> int:
         """A shape of triangles, where they are."""
         vertices, faces = mesh.vertices.ravel().tolist(), mesh.faces.ravel().tolist()
-        shape: int = self._link.call("createShape", 0, 0.0, vertices, faces)
-        return self._dress(shape, name, colour, solid=False)
+        return self._dress(self._make("createShape", 0, 0.0, vertices, faces), name, colour)
 
-    def _dress(self, shape: int, name: str, colour: str, *, solid: bool) -> int:
+    def _make(self, function: str, *arguments: object) -> int:
+        """Call what makes an object, and remember that."""
+        handle: int = self._link.call(function, *arguments)
+        self._objects.append(handle)
+        return handle
+
+    def _dress(self, shape: int, name: str, colour: str, *, solid: bool = False) -> int:
         """Make it a shape that never moves, and that vehicles run into if it is solid."""
         call, constant = self._link.call, self._link.constant
-        self._objects.append(shape)
         call("setObjectAlias", shape, f"mbn_{name}")
         call("setObjectInt32Param", shape, constant("shapeintparam_static"), 1)
         call("setObjectInt32Param", shape, constant("shapeintparam_respondable"), int(solid))
