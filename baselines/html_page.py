@@ -27,6 +27,7 @@ def write_html_report(
     *,
     command: str,
     force: bool = False,
+    trust: bool = False,
     note: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
     """Compare the finished runs at ``paths``, wherever they were trained, on one page.
@@ -36,6 +37,7 @@ def write_html_report(
         out: the page, an ``.html`` file.
         command: the exact command, recorded on the page.
         force: move a page that is already there aside.
+        trust: load pickled files of the runs whoever made them.
         note: is told which folders at ``paths`` are left out, and why.
 
     Raises:
@@ -43,7 +45,7 @@ def write_html_report(
         MbnError: there is a file at ``out``, and ``force`` is not set.
         ConfigError: naming everything that keeps the runs from being compared.
     """
-    results = find_results(paths, note)
+    results = find_results(paths, note, trust=trust)
     comparison = summarise(results)
     if not force and out.exists():
         claim_file(out)  # says what to do, before the work

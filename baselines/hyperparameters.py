@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from mbn_marl.checksums import read_checked
 from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError
 
@@ -39,8 +40,9 @@ def read_blocks(path: Path) -> dict[str, Any]:
         ConfigError: the file is missing, is no YAML, or is not a mapping of mappings.
     """
     try:
-        blocks = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        text = read_checked(path.parent, path.name).decode("utf-8")
+        blocks = yaml.safe_load(text)
+    except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
     if not isinstance(blocks, dict) or not all(isinstance(one, dict) for one in blocks.values()):
         raise ConfigError(str(path), ["must be a mapping from names of blocks to mappings"])

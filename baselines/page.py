@@ -37,6 +37,7 @@ def report_comparison(
     *,
     command: str,
     force: bool = False,
+    trust: bool = False,
     note: Callable[[str], None] = lambda text: None,
 ) -> tuple[Place, Comparison]:
     """Compare the finished runs at ``paths``, wherever they were trained.
@@ -46,13 +47,14 @@ def report_comparison(
         out: see :meth:`Place.of`.
         command: the exact command, recorded in the folder.
         force: move a report that is already there aside.
+        trust: load pickled files of the runs whoever made them.
         note: is told which folders at ``paths`` are left out, and why.
 
     Raises:
         RunError: a path holds no run, a run is not finished, or something is at ``out`` already.
         ConfigError: naming everything that keeps the runs from being compared.
     """
-    results = find_results(paths, note)
+    results = find_results(paths, note, trust=trust)
     place = Place.of(out, PAGE)
     place.claim(force=force)
     write_provenance(place.folder, command)

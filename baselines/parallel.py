@@ -24,17 +24,26 @@ from mbn_marl.errors import MbnError
 class Job:
     """A run to train and the folder to make for it, or with ``resume`` to go on with.
 
-    ``wandb`` is a project of Weights & Biases to log to as well, or ``None``.
+    ``wandb`` is a project of Weights & Biases to log to as well, or ``None``; ``trust`` is whether
+    pickled files of runs may be loaded whoever made them.
     """
 
     config: TrainConfig
     out: Path
     resume: bool = False
     wandb: str | None = None
+    trust: bool = False
 
     def train(self, listener: Listener) -> None:
         """Do it here."""
-        train(self.config, self.out, resume=self.resume, wandb=self.wandb, listener=listener)
+        train(
+            self.config,
+            self.out,
+            resume=self.resume,
+            trust=self.trust,
+            wandb=self.wandb,
+            listener=listener,
+        )
 
 
 @dataclass(frozen=True)

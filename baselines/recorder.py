@@ -15,7 +15,7 @@ from baselines.policies import TrainedPolicy
 from baselines.progress import Listener, Report
 from baselines.runs import RunFolder, Task
 from baselines.statistics import passes
-from baselines.storage import read_json, replacing_folder, write_json
+from baselines.storage import read_json, write_json
 
 
 class EpisodeWindow:
@@ -79,6 +79,7 @@ class Recorder:
     Attributes:
         episodes: the training episodes since the last row.
         checkpoint: the checkpoint that the trainer has to go on from, or ``None``.
+        trust: whether pickled files of runs may be loaded whoever made them.
         passed: whether a fresh evaluation met the run's criterion for stopping early; the trainer
             then goes straight to :meth:`finish`.
         checkpoint_due: whether the trainer should call :meth:`save_checkpoint` as soon as it is
@@ -90,6 +91,7 @@ class Recorder:
     ) -> None:
         self.episodes = EpisodeWindow()
         self.checkpoint = folder.checkpoint
+        self.trust = folder.trust
         self.checkpoint_due = False
         self.passed = False
         self._folder = folder
@@ -112,7 +114,7 @@ class Recorder:
         self._started_at = 0.0
         self._wall_started_at: float | None = None
         self._evaluations: list[dict[str, Any]] = state["evaluations"]
-        folder.cut_progress(state["progress_bytes"])
+        folder.cut_progress(state["progress_bytes"], state.get("progress_sha256"))
         write_json(folder.path / "evaluations.json", self._evaluations)
         self._loggers: list[Logger] = [TensorBoard(folder, self._last_row)]
         if wandb is not None:
@@ -173,7 +175,7 @@ class Recorder:
                 "env_steps": env_steps,
                 "seconds": self._seconds,
                 "wall_seconds": self._wall(),
-                "progress_bytes": self._folder.progress_bytes,
+                **self._folder.progress_mark,
                 "evaluations": self._evaluations,
             }
             write_json(folder / "recorder.json", state)
@@ -185,7 +187,7 @@ class Recorder:
         """Make the final evaluation of the last policy; its file marks the run as finished."""
         if env_steps > self._last_row:
             self._write_row(env_steps)
-        with replacing_folder(self._folder.path / "policy") as place:
+        with self._folder.new_policy() as place:
             policy.save(place)
         stochastic = self._fresh(policy, deterministic=False, number=0)
         deterministic = self._fresh(policy, deterministic=True, number=0)
@@ -199,8 +201,7 @@ class Recorder:
             "stochastic": stochastic.to_json(),
             "deterministic": deterministic.to_json(),
         }
-        write_json(self._folder.path / "evaluation.json", result)
-        self._folder.drop_checkpoints()
+        self._folder.finish(result)
         self._tell(env_steps, finished=True)
 
     def scalars(self, env_steps: int, values: Mapping[str, float]) -> None:

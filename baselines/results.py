@@ -186,19 +186,25 @@ class Results:
         return Results(self.labels, fields, cells) if fields else None
 
 
-def find_results(paths: Sequence[Path], note: Callable[[str], None] = lambda text: None) -> Results:
+def find_results(
+    paths: Sequence[Path],
+    note: Callable[[str], None] = lambda text: None,
+    *,
+    trust: bool = False,
+) -> Results:
     """Read the runs at ``paths``: run folders, or folders with run folders anywhere inside.
 
     Args:
         paths: where to look.
         note: is told what is left out, see :func:`baselines.folders.run_folders`.
+        trust: whether pickled files of the runs may be loaded whoever made them.
 
     Raises:
         RunError: a path holds no run, or a run is not finished.
         ConfigError: naming everything that keeps the runs from being compared.
     """
     folders = run_folders(paths, note, comparisons=True)
-    return Results.of([Result.read(RunFolder.open(folder)) for folder in folders])
+    return Results.of([Result.read(RunFolder.open(folder, trust=trust)) for folder in folders])
 
 
 def _unequal_seeds(cells: Mapping[tuple[str, str], Sequence[Result]]) -> list[str]:

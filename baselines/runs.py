@@ -12,7 +12,9 @@ Files of a run folder:
     checkpoints/       until the run is finished: the newest checkpoint, named by its env-steps
     policy/            the final policy
     evaluation.json    the final evaluation; its presence marks a finished run
-    .lock              held by the process that is at work here, if there is one
+    checksums.json     of what does not change any more; whoever reads a file checks it. There is
+                       one in policy/ and in every checkpoint too, signed (see baselines.trust)
+    .lock              which process is at work here, if there is one
 """
 
 from __future__ import annotations
@@ -38,18 +40,28 @@ from baselines.overrides import ENVIRONMENT, words_of
 from baselines.storage import (
     RunError,
     read_json,
+    read_text,
     replacing_folder,
+    seal,
     write_json,
     write_text,
 )
-from mbn_marl.errors import ConfigError, MbnError
+from baselines.trust import own_key
+from mbn_marl.checksums import LIST, check, digest, listed
+from mbn_marl.errors import ConfigError, DamageError, MbnError
 from mbn_marl.field import Field, load_field, save_field
 
 LABEL = re.compile(r"[A-Za-z0-9][\w.+-]*")
 """Labels name folders too."""
 
-REWRITTEN = ("field.yaml", "resumed.json", "evaluations.json", "evaluation.json")
-"""Files of a run folder that training writes again, each as a whole."""
+FIXED = ("config.json", "field.yaml", "command.txt", "versions.json")
+"""Files that a run folder has from the beginning, and that never change."""
+
+RESULTS = ("progress.csv", "evaluations.json", "evaluation.json", "resumed.json")
+"""Files that are final when the run is finished."""
+
+PARTS = ("policy", "checkpoints", "tensorboard")
+"""Folders inside a run folder."""
 
 PACKAGES = (
     "mbn-marl",
@@ -199,10 +211,16 @@ class Task:
 
 
 class RunFolder:
-    """The folder of one run; see the module's docstring for its files."""
+    """The folder of one run; see the module's docstring for its files.
 
-    def __init__(self, path: Path) -> None:
+    Args:
+        path: the folder.
+        trust: whether pickled files in it may be loaded whoever made them.
+    """
+
+    def __init__(self, path: Path, *, trust: bool = False) -> None:
         self.path = path
+        self.trust = trust
 
     @classmethod
     def create(
@@ -211,6 +229,8 @@ class RunFolder:
         resolved: Mapping[str, Any],
         field: Field,
         command: str,
+        *,
+        trust: bool = False,
     ) -> Self:
         """Start a run in a folder that is claimed.
 
@@ -219,14 +239,26 @@ class RunFolder:
             resolved: the resolved configuration (JSON values).
             field: the field to train on.
             command: the exact command of the run.
+            trust: see the class.
         """
+        folder = cls(path, trust=trust)
+        folder._clear_leftovers()
         write_json(path / "config.json", resolved)
         save_field(field, path / "field.yaml")
         write_provenance(path, command)
-        return cls(path)
+        seal(path, FIXED)
+        return folder
 
     @classmethod
-    def resume(cls, path: Path, resolved: Mapping[str, Any], field: Field, command: str) -> Self:
+    def resume(
+        cls,
+        path: Path,
+        resolved: Mapping[str, Any],
+        field: Field,
+        command: str,
+        *,
+        trust: bool = False,
+    ) -> Self:
         """Take up the folder of a run that was interrupted; a finished one is left as it is.
 
         Args:
@@ -234,12 +266,14 @@ class RunFolder:
             resolved: the resolved configuration; it must be the recorded one.
             field: the field to train on; it must be the recorded one.
             command: the exact command that goes on, recorded in the folder.
+            trust: see the class.
 
         Raises:
             RunError: there is no run at ``path``.
+            DamageError: a file is not what was written.
             ConfigError: naming every entry of the configuration that differs.
         """
-        folder = cls.open(path)
+        folder = cls.open(path, trust=trust)
         recorded, asked = folder.config, json.loads(json.dumps(resolved))
         problems = [
             f"{name}: the run has {recorded.get(name)!r}, this command {asked.get(name)!r}"
@@ -252,13 +286,13 @@ class RunFolder:
             raise ConfigError(f"{path} cannot be resumed", problems)
         if not folder.finished:
             folder._take_up(field, command)
+        elif (path / LIST).exists() and "evaluation.json" not in listed(path):
+            folder._seal_results()  # it was killed between the two
         return folder
 
     def _take_up(self, field: Field, command: str) -> None:
-        """Clear what a killed process left half-written, and record that the run goes on."""
-        for name in (*REWRITTEN, "policy"):
-            for leftover in self.path.glob(f".{name}.*"):
-                shutil.rmtree(leftover)
+        """Record that the run goes on."""
+        self._clear_leftovers()
         entry = {
             "env_steps": 0 if self.checkpoint is None else int(self.checkpoint.name),
             "command": command,
@@ -266,18 +300,37 @@ class RunFolder:
         }
         history = self.path / "resumed.json"
         write_json(history, [*(read_json(history) if history.exists() else []), entry])
+        if not (self.path / "versions.json").exists():  # it was killed while it began
+            write_provenance(self.path, command)
         save_field(field, self.path / "field.yaml")
+        seal(self.path, FIXED)
+
+    def _clear_leftovers(self) -> None:
+        """Clear what a killed process left half-written."""
+        for name in (*FIXED, *RESULTS, LIST, "policy"):
+            for leftover in self.path.glob(f".{name}.*"):
+                shutil.rmtree(leftover)
+        for leftover in self.path.glob(".*.tmp"):  # of save_field
+            leftover.unlink()
 
     @classmethod
-    def open(cls, path: Path) -> Self:
+    def open(cls, path: Path, *, trust: bool = False) -> Self:
         """Open the folder of an earlier run.
 
+        Args:
+            path: the folder.
+            trust: see the class.
+
         Raises:
-            RunError: there is no run at ``path``.
+            RunError: there is no run at ``path``, or a link in it.
         """
         if not (path / "config.json").is_file():
             raise RunError(f"{path} is not a run folder: it has no config.json")
-        return cls(path)
+        inside = (file for part in PARTS for file in (path / part).rglob("*"))
+        for file in (*path.iterdir(), *inside):
+            if file.is_symlink():
+                raise RunError(f"{file} is a link; a run folder has its files in it")
+        return cls(path, trust=trust)
 
     @property
     def config(self) -> dict[str, Any]:
@@ -300,7 +353,15 @@ class RunFolder:
     @property
     def field(self) -> Field:
         """The field that the run was trained on, as it was then."""
-        return load_field(self.path / "field.yaml")
+        path = self.path / "field.yaml"
+        if path.is_file():
+            check(path)
+        return load_field(path)
+
+    @property
+    def command(self) -> str:
+        """The exact command that began it."""
+        return read_text(self.path / "command.txt").strip()
 
     @property
     def evaluations(self) -> list[dict[str, Any]]:
@@ -334,13 +395,28 @@ class RunFolder:
         path = self.path / "checkpoints" / f"{env_steps:012d}"
         with replacing_folder(path) as folder:
             yield folder
+            for part in (folder, folder / "policy"):
+                if part.exists():
+                    seal(part, key=own_key())
         for other in path.parent.iterdir():
             if other != path:
                 shutil.rmtree(other)
 
-    def drop_checkpoints(self) -> None:
-        """Remove what a finished run has no more use for."""
+    @contextmanager
+    def new_policy(self) -> Iterator[Path]:
+        """A folder to fill; when the block ends well it is the final policy's."""
+        with replacing_folder(self.path / "policy") as folder:
+            yield folder
+            seal(folder, key=own_key())
+
+    def finish(self, evaluation: Mapping[str, Any]) -> None:
+        """Write the final evaluation (JSON values), and drop what a finished run has no use for."""
+        write_json(self.path / "evaluation.json", evaluation)
+        self._seal_results()
         shutil.rmtree(self.path / "checkpoints", ignore_errors=True)
+
+    def _seal_results(self) -> None:
+        seal(self.path, (*FIXED, *RESULTS))
 
     @property
     def policy(self) -> Path:
@@ -354,16 +430,26 @@ class RunFolder:
         return self.path / "progress.csv"
 
     @property
-    def progress_bytes(self) -> int:
-        """The size of ``progress.csv`` now."""
-        return self.progress.stat().st_size if self.progress.exists() else 0
+    def progress_mark(self) -> dict[str, Any]:
+        """How ``progress.csv`` is now, for :meth:`cut_progress` (JSON values)."""
+        data = self.progress.read_bytes() if self.progress.exists() else b""
+        return {"progress_bytes": len(data), "progress_sha256": digest(data)}
 
-    def cut_progress(self, size: int) -> None:
-        """Leave only the first ``size`` bytes of ``progress.csv``; of nothing, no file."""
+    def cut_progress(self, size: int, sha256: str | None) -> None:
+        """Leave only the first ``size`` bytes of ``progress.csv``; of nothing, no file.
+
+        Raises:
+            DamageError: they do not have the checksum ``sha256``, if there is one.
+        """
         if size == 0:
             self.progress.unlink(missing_ok=True)
-        else:
-            os.truncate(self.progress, size)
+            return
+        data = self.progress.read_bytes()[:size] if self.progress.exists() else b""
+        if digest(data) != (sha256 or digest(data)):
+            raise DamageError(
+                f"{self.progress} is damaged: its first {size} bytes are not those of the checkpoint"
+            )
+        os.truncate(self.progress, size)
 
     def append_progress(self, row: Mapping[str, float]) -> None:
         """Append a row to ``progress.csv``; the first row fixes the columns.

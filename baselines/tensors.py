@@ -10,13 +10,21 @@ from safetensors import SafetensorError
 from safetensors import torch as safetensors_torch
 
 from baselines.storage import RunError
+from mbn_marl.checksums import check
 from mbn_marl.render.files import replacing
 
 
 def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Write tensors by name, atomically."""
+    """Write tensors by name, atomically.
+
+    Raises:
+        OSError: they cannot be written.
+    """
     with replacing(path) as temporary:
-        safetensors_torch.save_file(dict(tensors), temporary)
+        try:
+            safetensors_torch.save_file(dict(tensors), temporary)
+        except SafetensorError as error:  # the library's, for a full disk too
+            raise OSError(f"{path} cannot be written: {error}") from error
 
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:
@@ -24,8 +32,10 @@ def read_tensors(path: Path) -> dict[str, torch.Tensor]:
 
     Raises:
         RunError: the file is missing or damaged.
+        DamageError: it is not what was written.
     """
     try:
+        check(path)
         tensors: dict[str, torch.Tensor] = safetensors_torch.load_file(path)
     except (OSError, SafetensorError) as error:
         raise RunError(f"{path} cannot be read: {error}") from None

@@ -27,6 +27,7 @@ def train(
     command: str | None = None,
     force: bool = False,
     resume: bool = False,
+    trust: bool = False,
     wandb: str | None = None,
     listener: Listener = lambda report: None,
 ) -> RunFolder:
@@ -42,12 +43,14 @@ def train(
         force: move a folder that is already there aside.
         resume: go on with the interrupted run in ``out``, which must be of the same configuration,
             from its newest checkpoint. A finished one is left as it is.
+        trust: load pickled files of ``out`` or of the run to begin with, whoever made them.
         wandb: a project of Weights & Biases to log to as well.
         listener: is told where the run stands.
 
     Raises:
         MbnError: the algorithm, the field, a setting or a hyperparameter is not valid; or ``out``
             already holds something, or with ``resume`` no such run, or one that is at work.
+        RunError: a file could not be written; what was saved before is as it was.
         DivergenceError: the learner's numbers are no longer finite.
     """
     import torch
@@ -66,10 +69,12 @@ def train(
         algorithm.check(task, hyperparameters)
         claim_folder(out, force=force)
     with alone(out, "mbn train"):
-        make = RunFolder.resume if resume else RunFolder.create
-        folder = make(out, resolved, task.field, command)
+        if resume:
+            folder = RunFolder.resume(out, resolved, task.field, command, trust=trust)
+        else:
+            folder = RunFolder.create(out, resolved, task.field, command, trust=trust)
         if not folder.finished:
-            with _divergence_named(folder):
+            with _divergence_named(folder), _writing_named(folder):
                 algorithm.train(task, hyperparameters, Recorder(folder, task, listener, wandb))
     return folder
 
@@ -104,6 +109,26 @@ def _divergence_named(folder: RunFolder) -> Iterator[None]:
         raise DivergenceError(
             f"{folder.path}: the learner broke down, most likely since its numbers are no longer "
             f"finite; a smaller learning rate may help ({what})"
+        ) from error
+
+
+@contextmanager
+def _writing_named(folder: RunFolder) -> Iterator[None]:
+    """Turn what a full disk or a folder without permission causes into one error.
+
+    Raises:
+        RunError: naming the run, and where it can go on from.
+    """
+    try:
+        yield
+    except (ConnectionError, InterruptedError):  # not about files
+        raise
+    except OSError as error:
+        newest = folder.checkpoint
+        steps = "the beginning" if newest is None else f"{int(newest.name):,} env-steps"
+        raise RunError(
+            f"{folder.path} could not be written to ({error}); what was saved before is as it was: "
+            f"--resume goes on from {steps}"
         ) from error
 
 

@@ -16,7 +16,13 @@ from mbn_marl.field import load_field
 
 
 def find_source(
-    config: TrainConfig, out: Path, *, any_steps: bool, resume: bool, listener: Listener
+    config: TrainConfig,
+    out: Path,
+    *,
+    any_steps: bool,
+    resume: bool,
+    listener: Listener,
+    trust: bool = False,
 ) -> RunFolder:
     """The finished run that the others begin with; it is trained if it is not there yet.
 
@@ -26,6 +32,7 @@ def find_source(
         any_steps: take a finished one whatever its budget was.
         resume: if it is there but not finished, go on with it.
         listener: is told where it stands.
+        trust: load pickled files of its folder whoever made them.
 
     Raises:
         RunError: it is there, not finished, and ``resume`` is not set; or it is finished after
@@ -46,7 +53,7 @@ def find_source(
         return run
     if not resume:
         raise RunError(f"{path} is not finished; pass --resume to go on with it")
-    return train(config, path, resume=True, listener=listener)
+    return train(config, path, resume=True, trust=trust, listener=listener)
 
 
 def transfer_runs(config: TrainConfig, source: Path, fields: Sequence[str]) -> list[TrainConfig]:
@@ -84,13 +91,16 @@ def check_sizes(source: str, fields: Sequence[str]) -> None:
         raise ConfigError("transfer", problems)
 
 
-def transfer_jobs(runs: Sequence[TrainConfig], out: Path, *, resume: bool) -> list[Job]:
+def transfer_jobs(
+    runs: Sequence[TrainConfig], out: Path, *, resume: bool, trust: bool = False
+) -> list[Job]:
     """The runs of setting C, each in a folder of its own under ``out``.
 
     Args:
         runs: of :func:`transfer_runs`.
         out: the folder of all runs.
         resume: go on with those that are there, and leave finished ones.
+        trust: load pickled files whoever made them.
 
     Raises:
         RunError: a run's folder is there and ``resume`` is not set.
@@ -100,4 +110,7 @@ def transfer_jobs(runs: Sequence[TrainConfig], out: Path, *, resume: bool) -> li
     if any(there) and not resume:
         first = paths[there.index(True)]
         raise RunError(f"{first} already exists; choose another --out, or pass --resume")
-    return [Job(run, path, seen) for run, path, seen in zip(runs, paths, there, strict=True)]
+    return [
+        Job(run, path, seen, trust=trust)
+        for run, path, seen in zip(runs, paths, there, strict=True)
+    ]

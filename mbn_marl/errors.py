@@ -37,6 +37,10 @@ class EpisodeError(ProblemsError):
     """An episode, or a file that should hold one, is not valid or does not replay."""
 
 
+class DamageError(MbnError):
+    """A file is not what was written there: it was changed, cut off or damaged since."""
+
+
 class DisplayError(MbnError, RuntimeError):
     """There is no display to open a window on."""
 

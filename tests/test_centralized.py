@@ -25,7 +25,7 @@ from baselines.storage import RunError
 from baselines.train import train
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.cli import main
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, DamageError
 from mbn_marl.field import Field, load_field, save_field
 
 CATALOGUE = Path(__file__).parents[1] / "envs_catalog"
@@ -204,7 +204,7 @@ def test_a_transferred_learner_begins_with_the_sources_policy(name: str, tmp_pat
     run = train(config, tmp_path / "source")
     task = _task(name, "field_02", setting="C", transferred_from=run.path)
     hyperparameters = load(name, "C", small)
-    model = transfer(task, make_env(task, hyperparameters, EpisodeWindow()), run.path)
+    model = transfer(task, make_env(task, hyperparameters, EpisodeWindow()), run)
     policy: Any = load_policy(run)
     ours, theirs = model.policy.state_dict(), policy.model.policy.state_dict()
     assert all(torch.equal(ours[key], theirs[key]) for key in theirs)
@@ -348,5 +348,8 @@ def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
     config = TrainConfig("a2c", "field_01", "A", steps=5, episodes=1)
     run = train(config, tmp_path / "run")
     (run.path / "policy" / "model.zip").write_bytes(b"half")
-    with pytest.raises(RunError, match=r"model\.zip cannot be read"):
+    with pytest.raises(DamageError, match=r"model\.zip is damaged"):
         load_policy(run)
+    (run.path / "policy" / "checksums.json").unlink()
+    with pytest.raises(RunError, match=r"model\.zip cannot be read"):
+        load_policy(RunFolder.open(run.path, trust=True))

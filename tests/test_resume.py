@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -172,7 +174,7 @@ def test_a_killed_process_goes_on(
     history = json.loads((killed / "resumed.json").read_text())
     assert history[0]["env_steps"] > 0
     assert history[0]["command"].endswith("--resume")
-    assert [path.name for path in killed.glob(".*")] == [".lock"]
+    assert not list(killed.glob(".*"))
 
 
 def test_a_run_killed_before_its_first_checkpoint_begins_anew(tmp_path: Path) -> None:
@@ -188,7 +190,7 @@ def test_a_run_killed_before_its_first_checkpoint_begins_anew(tmp_path: Path) ->
     assert (tmp_path / "run" / "progress.csv").exists()
     assert not (tmp_path / "run" / "checkpoints").exists()
     _assert_equal(train(config, tmp_path / "run", resume=True), whole)
-    assert [path.name for path in (tmp_path / "run").glob(".*")] == [".lock"]
+    assert not list((tmp_path / "run").glob(".*"))
 
 
 def test_tensorboard_shows_every_step_once(tmp_path: Path) -> None:
@@ -281,9 +283,8 @@ def test_a_run_at_work_is_left_alone(tmp_path: Path) -> None:
 
     with pytest.raises(InterruptedError):
         train(config, out, listener=interfere)
-    assert refused == [
-        f"{out}: another mbn train is at work here",
-        f"{out}: another mbn is at work here",
-    ]
+    holder = f"process {os.getpid()} on {socket.gethostname()} since 20"
+    assert all(f"{out}: another mbn train ({holder}" in problem for problem in refused)
+    assert len(refused) == 2
     assert train(config, out, resume=True).finished
     assert [path.name for path in tmp_path.iterdir()] == ["run"]

@@ -67,8 +67,8 @@ def test_evaluate_says_what_the_card_says(zoo: Path, tmp_path: Path) -> None:
 
 def test_an_entry_holds_what_its_run_was_and_no_pickle(zoo: Path, run: RunFolder) -> None:
     files = {str(path.relative_to(zoo)) for path in zoo.rglob("*") if path.is_file()}
-    names = ("README.md", "card.json", "config.json", "field.yaml")
-    weights = ("policy/policy.json", "policy/policy.safetensors")
+    names = ("README.md", "card.json", "checksums.json", "config.json", "field.yaml")
+    weights = ("policy/checksums.json", "policy/policy.json", "policy/policy.safetensors")
     assert files == {f"tiny/{name}" for name in (*names, *weights)}
     entry = RunFolder.open(zoo / "tiny")
     assert (entry.config, entry.field) == (run.config, run.field)
@@ -144,6 +144,8 @@ def test_what_makes_no_entry(
     config = {**run.config, "field": str(tmp_path / "mine.yaml")}
     shutil.copy(run.path / "evaluation.json", changed)
     (changed / "config.json").write_text(json.dumps(config))
+    assert "config.json is damaged" in refused(changed)
+    (changed / "checksums.json").unlink()
     assert "mine.yaml; allowed: field_01" in refused(changed)
 
 
@@ -179,4 +181,4 @@ def test_every_file_of_the_zoo_is_package_data(zoo: Path) -> None:
     patterns = settings["package-data"]["baselines"]
     installed = {path for pattern in patterns for path in zoo.parent.glob(pattern)}
     files = {path for path in zoo.rglob("*") if path.is_file()}
-    assert len(files) == 6 and files <= installed
+    assert len(files) == 8 and files <= installed

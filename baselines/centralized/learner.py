@@ -53,14 +53,20 @@ def save(model: BaseAlgorithm, folder: Path) -> None:
     write_json(folder / GENERATORS, generators)
 
 
-def restore(task: Task, env: VecEnv, checkpoint: Path) -> BaseAlgorithm:
+def restore(task: Task, env: VecEnv, checkpoint: Path, *, trust: bool) -> BaseAlgorithm:
     """The learner of a checkpoint, on ``env``, at exactly the same point.
 
+    Args:
+        task: what is trained.
+        env: its worlds.
+        checkpoint: the folder.
+        trust: load it whoever made it.
+
     Raises:
-        RunError: a file is missing or damaged.
+        RunError: a file is missing or damaged, or was made by someone else.
     """
-    path, device = checkpoint / "policy" / MODEL, task.config.device
-    model = load_model(task.config.algorithm, path, env=env, device=device, force_reset=False)
+    path, options = checkpoint / "policy" / MODEL, {"device": task.config.device, "env": env}
+    model = load_model(task.config.algorithm, path, trust=trust, force_reset=False, **options)
     normalizing = model.get_vec_normalize_env()
     if normalizing is not None:
         saved_normalization = read_json(checkpoint / "policy" / NORMALIZATION)
@@ -79,18 +85,17 @@ def restore(task: Task, env: VecEnv, checkpoint: Path) -> BaseAlgorithm:
     return model
 
 
-def transfer(task: Task, env: VecEnv, source: Path) -> BaseAlgorithm:
+def transfer(task: Task, env: VecEnv, source: RunFolder) -> BaseAlgorithm:
     """A learner that begins with the networks and optimisers of another run.
 
     Counters, replay buffer and random numbers begin anew.
 
     Raises:
-        RunError: the run is missing, or has saved no policy or a damaged one.
+        RunError: the run has saved no policy or a damaged one, or someone else made it.
     """
-    path = model_file(RunFolder.open(source))
-    model = load_model(
-        task.config.algorithm, path, env=env, device=task.config.device, seed=task.config.seed
-    )
+    options = {"device": task.config.device, "env": env, "seed": task.config.seed}
+    algorithm, path = task.config.algorithm, model_file(source)
+    model = load_model(algorithm, path, trust=source.trust, **options)
     model.num_timesteps = 0
     return model
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +13,10 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from baselines.centralized.config import algorithm_class
 from baselines.runs import RunFolder
-from baselines.storage import RunError, read_json, write_json
+from baselines.storage import RunError, check_members, read_json, write_json
+from baselines.trust import check_trusted
+from mbn_marl.checksums import read_checked
+from mbn_marl.errors import MbnError
 from mbn_marl.render.files import replacing
 
 MODEL = "model.zip"
@@ -93,31 +97,47 @@ class CentralizedPolicy:
         """Write the model, and the normalisation if it has one, into ``folder``."""
         if self.normalization is not None:
             write_json(folder / NORMALIZATION, self.normalization.to_json())
+        file = io.BytesIO()  # since torch reports a full disk as anything but that
+        self.model.save(file)
         with replacing(folder / MODEL) as temporary:
-            self.model.save(temporary)
+            temporary.write_bytes(file.getbuffer())
 
 
 def load(run: RunFolder) -> CentralizedPolicy:
     """Load the latest policy of a run.
 
-    Stable-Baselines3's files hold pickled parts: load only runs that you trust.
-
     Raises:
         RunError: a file is missing or damaged.
+        TrustError: it was made by someone else, and the run is not trusted.
     """
-    model = load_model(run.config["algorithm"], model_file(run), device="cpu")
+    path = model_file(run)
+    model = load_model(run.config["algorithm"], path, trust=run.trust, device="cpu")
     return CentralizedPolicy(model, load_normalization(run.policy))
 
 
-def load_model(algorithm: str, path: Path, **options: Any) -> BaseAlgorithm:
+def load_model(algorithm: str, path: Path, *, trust: bool, **options: Any) -> BaseAlgorithm:
     """The library's learner from its file ``path``, with ``options`` of the library.
 
+    Args:
+        algorithm: its name.
+        path: the file, which holds pickled parts: loading it runs what is in them.
+        trust: load it whoever made it.
+        options: of the library.
+
     Raises:
+        DamageError: the file is not what was written.
         RunError: the file is damaged or does not fit.
+        TrustError: someone else made it, and ``trust`` is not set.
     """
     try:
-        return algorithm_class(algorithm).load(path, **options)
-    except ValueError as error:
+        data = read_checked(path.parent, path.name)
+        if not trust:
+            check_trusted(path)
+        check_members(path)
+        return algorithm_class(algorithm).load(io.BytesIO(data), **options)
+    except MbnError:
+        raise
+    except Exception as error:  # unpickling raises anything
         raise RunError(f"{path} cannot be read: {error}") from error
 
 

@@ -20,7 +20,7 @@ from baselines.centralized.learner import policy_of, restore, save, transfer
 from baselines.centralized.worlds import make_env
 from baselines.policies import TrainedPolicy
 from baselines.recorder import ROW_STEPS, EpisodeWindow, Recorder
-from baselines.runs import Task
+from baselines.runs import RunFolder, Task
 from mbn_marl.errors import ConfigError
 
 REFUSALS = (
@@ -121,9 +121,10 @@ def train(task: Task, hyperparameters: CentralizedConfig, recorder: Recorder) ->
     """
     env = make_env(task, hyperparameters, recorder.episodes)
     if recorder.checkpoint is not None:
-        model = restore(task, env, recorder.checkpoint)
+        model = restore(task, env, recorder.checkpoint, trust=recorder.trust)
     elif task.config.transferred_from is not None:
-        model = transfer(task, env, task.config.transferred_from)
+        source = RunFolder.open(task.config.transferred_from, trust=recorder.trust)
+        model = transfer(task, env, source)
     else:
         model = make_model(task, hyperparameters, env)
     learn(model, task, recorder, Keeping(policy_of, save))

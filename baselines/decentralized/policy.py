@@ -8,13 +8,11 @@ from typing import Literal
 
 import numpy as np
 import torch
-from safetensors import SafetensorError
-from safetensors import torch as safetensors_torch
 
 from baselines.decentralized.networks import GaussianPolicy, TeamShape
 from baselines.runs import RunFolder
 from baselines.storage import RunError, read_json, write_json
-from mbn_marl.render.files import replacing
+from baselines.tensors import read_tensors, write_tensors
 
 WEIGHTS = "policy.safetensors"
 SHAPE = "policy.json"
@@ -44,22 +42,22 @@ class DecentralizedPolicy:
     def save(self, folder: Path) -> None:
         """Write the weights (safetensors) and the network's shape (JSON) into ``folder``."""
         write_json(folder / SHAPE, asdict(self.network.shape))
-        with replacing(folder / WEIGHTS) as temporary:
-            safetensors_torch.save_file(self.network.state_dict(), temporary)
+        write_tensors(folder / WEIGHTS, self.network.state_dict())
 
 
 def load_policy(folder: Path) -> DecentralizedPolicy:
     """Load a policy that :meth:`DecentralizedPolicy.save` wrote.
 
     Raises:
-        RunError: a file is missing or damaged.
+        RunError: a file is missing or does not fit.
+        DamageError: a file is not what was written.
     """
     shape = read_json(folder / SHAPE)
     network = GaussianPolicy(TeamShape(**{**shape, "hidden": tuple(shape["hidden"])}))
     try:
-        network.load_state_dict(safetensors_torch.load_file(folder / WEIGHTS))
-    except (OSError, SafetensorError, RuntimeError) as error:
-        raise RunError(f"{folder / WEIGHTS} cannot be read: {error}") from None
+        network.load_state_dict(read_tensors(folder / WEIGHTS))
+    except RuntimeError as error:
+        raise RunError(f"{folder / WEIGHTS} does not fit {SHAPE}: {error}") from None
     return DecentralizedPolicy(network)
 
 

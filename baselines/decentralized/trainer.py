@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import torch as safetensors_torch
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from baselines.decentralized.config import MultiAgentPPOConfig
@@ -29,6 +28,7 @@ from baselines.decentralized.shaping import Approach
 from baselines.recorder import Recorder
 from baselines.runs import Task
 from baselines.storage import read_arrays, read_json, write_arrays, write_json
+from baselines.tensors import read_tensors, write_tensors
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 
@@ -218,7 +218,7 @@ class Trainer:
             for group, entries in groups.items()
             for name, tensor in entries.items()
         }
-        safetensors_torch.save_file(tensors, folder / LEARNER)
+        write_tensors(folder / LEARNER, tensors)
         write_arrays(folder / WORLDS, self.worlds.engine.save_state(), compress=True)
         write_json(
             folder / COUNTERS, {"env_steps": env_steps, "curriculum": asdict(self.curriculum)}
@@ -230,7 +230,7 @@ class Trainer:
         Returns:
             The env-steps so far.
         """
-        tensors = safetensors_torch.load_file(folder / LEARNER)
+        tensors = read_tensors(folder / LEARNER)
 
         def group(name: str) -> dict[str, torch.Tensor]:
             prefix = f"{name}."

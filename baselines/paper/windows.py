@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Self
@@ -10,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.storage import RunError
+from baselines.storage import RunError, read_text
 
 COLUMNS = {
     "env_steps": "env_steps",
@@ -52,8 +53,7 @@ class Windows:
         """
         rows: list[dict[str, str | None]] = []
         if path.exists():
-            with path.open(newline="") as file:
-                rows = list(csv.DictReader(file))
+            rows = list(csv.DictReader(io.StringIO(read_text(path), newline="")))
         missing = [name for name in COLUMNS.values() if rows and name not in rows[0]]
         if missing:
             raise RunError(f"{path} has no column {', '.join(missing)}")

@@ -5,6 +5,7 @@ Files of a study's folder:
     command.txt         the exact command that began it
     versions.json       Python, packages, machine, git revision
     study.log           every trial, as Optuna's journal; it grows, and is never rewritten
+    checksums.json      of all files but the trials' and the figure, while no trial runs
     trials/             the run folder of each trial
     trials.csv          a line a trial
     <algorithm>.yaml    the best values, for ``mbn train ... --setting B --hyperparams``
@@ -23,14 +24,16 @@ import optuna
 from matplotlib.figure import Figure
 from optuna import Study
 from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, TrialState
 
-from baselines.storage import RunError, read_json
+from baselines.storage import RunError, read_json, seal
+from baselines.tuning.journal import CheckedJournal, cut_unfinished_line
 from mbn_marl.render.figures import StudyTrial, study_figure
 
 CONFIG = "config.json"
 JOURNAL = "study.log"
+FIXED = (CONFIG, "command.txt", "versions.json")
+"""Files that never change."""
 NAME = "study"
 """The only study of a journal."""
 ENOUGH = 10
@@ -48,11 +51,37 @@ def open_study(folder: Path) -> Study:
     """Open the study of ``folder``.
 
     Raises:
-        RunError: there is none.
+        RunError: there is none, or trials have gone from it.
+        DamageError: a file is not what was written.
     """
     if not (folder / JOURNAL).is_file():
         raise RunError(f"{folder} is not the folder of a study: it has no {JOURNAL}")
-    return optuna.load_study(study_name=NAME, storage=_storage(folder))
+    try:
+        study = optuna.load_study(study_name=NAME, storage=_storage(folder))
+        known = len(study.get_trials(deepcopy=False))
+    except KeyError as error:
+        raise RunError(f"{folder / JOURNAL} is damaged: it lacks {error}") from None
+    folders = sum(1 for _ in (folder / "trials").glob("trial-*"))
+    if folders > known:
+        raise RunError(f"{folder / JOURNAL} is damaged: it has {known} of {folders} trials")
+    return study
+
+
+def take_up(folder: Path) -> None:
+    """Make the files of a study's folder ready to change again.
+
+    Raises:
+        DamageError: a file is not what was written.
+    """
+    open_study(folder)
+    cut_unfinished_line(folder / JOURNAL)
+    seal(folder, FIXED)
+
+
+def put_down(folder: Path) -> None:
+    """List the checksums of the files of a study's folder: no trial runs any more."""
+    files = (path for path in folder.iterdir() if path.suffix != ".png")
+    seal(folder, [path.name for path in files if not path.name.startswith(".")])
 
 
 def ended(study: Study) -> list[FrozenTrial]:
@@ -114,4 +143,4 @@ def trials_csv(study: Study) -> str:
 
 def _storage(folder: Path) -> JournalStorage:
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # the display tells of every trial
-    return JournalStorage(JournalFileBackend(str(folder / JOURNAL)))
+    return JournalStorage(CheckedJournal(folder / JOURNAL))

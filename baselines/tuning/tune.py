@@ -23,6 +23,8 @@ from baselines.tuning.study import (
     ended,
     importances,
     open_study,
+    put_down,
+    take_up,
     trials_csv,
 )
 from baselines.tuning.trial import BASE, News, TuneConfig, run_trials
@@ -76,6 +78,7 @@ def tune(
         write_provenance(out, command)
         begin_study(out)
     with alone(out, "mbn tune", "; --processes runs trials side by side"):
+        take_up(out)
         study = open_study(out)
         for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
             study.tell(trial.number, state=TrialState.FAIL)
@@ -84,7 +87,10 @@ def tune(
         else:
             work = (config, out, trials, spawning().Lock())
             run_processes(run_trials, work, processes, listener)
-        return _write_results(study, config, out)
+        try:
+            return _write_results(study, config, out)
+        finally:
+            put_down(out)
 
 
 def _check_same(config: TuneConfig, folder: Path) -> None:

@@ -25,15 +25,19 @@ def read_card(name: str) -> dict[str, Any]:
     return card
 
 
-def open_run(source: str) -> RunFolder:
+def open_run(source: str, *, trust: bool = False) -> RunFolder:
     """The run that ``source`` means: ``zoo:NAME``, or the path of a run folder.
+
+    Args:
+        source: which.
+        trust: whether pickled files of the run may be loaded whoever made them.
 
     Raises:
         MbnError: there is no such entry; the message lists those there are.
         RunError: there is no run at the path.
     """
     if not source.startswith(PREFIX):
-        return RunFolder.open(Path(source))
+        return RunFolder.open(Path(source), trust=trust)
     name, known = source.removeprefix(PREFIX), entry_names()
     if name not in known:
         raise MbnError(f"unknown policy {source!r}; in the zoo: {', '.join(known) or 'none'}")

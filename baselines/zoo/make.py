@@ -11,7 +11,7 @@ from typing import Any
 from baselines.evaluate import EVALUATION_SEED, evaluate_both
 from baselines.policies import load_policy
 from baselines.runs import RunFolder
-from baselines.storage import RunError, read_json, replacing_folder, write_json, write_text
+from baselines.storage import RunError, read_json, replacing_folder, seal, write_json, write_text
 from baselines.zoo.entries import CARD, PREFIX
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
@@ -74,6 +74,8 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
         save_field(run.field, folder / "field.yaml")
         shutil.copytree(run.policy, folder / "policy")
         write_json(folder / CARD, card)
+        for place in (folder / "policy", folder):
+            seal(place)
         write_text(folder / "README.md", readme(card))
         size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
         if size > LARGEST:

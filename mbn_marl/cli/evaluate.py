@@ -40,6 +40,8 @@ class Evaluate:
     """The direction of that wind, degrees from +x."""
     figure: Path | None = None
     """With --wind-speeds: the picture of an episode at each, by default RUN/wind.png."""
+    trust: bool = False
+    """Load pickled files of the run even if you did not make them; they can run any code."""
     force: bool = False
     """If an output exists, move it aside (to OUT.1, OUT.2, ...)."""
 
@@ -81,7 +83,7 @@ class Evaluate:
         if self.field is not None:
             field = load_field(self.field)
             return _Subject(make_classical(self.source, field, {}), field, {}, Path())
-        run = open_run(self.source)
+        run = open_run(self.source, trust=self.trust)
         return _Subject(load_policy(run), run.field, run.config["environment"], run.path)
 
     def _evaluate(self, subject: _Subject, seed: int, command_line: str) -> None:

@@ -27,6 +27,8 @@ class Report:
     """The folder of an `mbn tune`, to draw."""
     notes: Path | None = None
     """A Markdown file to put at the top of the page."""
+    trust: bool = False
+    """Load pickled files of the runs even if you did not make them; they can run any code."""
     force: bool = False
     """If there is a report already, move it aside (to OUT.1, OUT.2, ...)."""
 
@@ -58,7 +60,12 @@ class Report:
         note = partial(console.print, soft_wrap=True, highlight=False)
         if one_page:
             comparison = write_html_report(
-                self.runs, self.out, command=command_line, force=self.force, note=note
+                self.runs,
+                self.out,
+                command=command_line,
+                force=self.force,
+                trust=self.trust,
+                note=note,
             )
             print_comparison(comparison, console)
             console.print(f"written to {self.out}")
@@ -75,7 +82,12 @@ class Report:
             )
         else:
             place, comparison = report_comparison(
-                self.runs, self.out, command=command_line, force=self.force, note=note
+                self.runs,
+                self.out,
+                command=command_line,
+                force=self.force,
+                trust=self.trust,
+                note=note,
             )
             print_comparison(comparison, console)
         console.print(f"written to {place.page}; tables and figures in {place.folder}")

@@ -56,6 +56,9 @@ class Train:
     resume: bool = False
     """Go on with the interrupted run in the folder, from its newest checkpoint; the rest of the
     command must be the same."""
+    trust: bool = False
+    """With --resume or --from: load the run's pickled files even if you did not make them; they
+    can run any code."""
 
     def run(self, command_line: str) -> None:
         """Train, with a progress bar, and print the final evaluation."""
@@ -97,6 +100,7 @@ class Train:
                 command=command_line,
                 force=self.force,
                 resume=self.resume,
+                trust=self.trust,
                 wandb=self.wandb,
                 listener=display,
             )

@@ -40,6 +40,8 @@ class Transfer:
     """The folder of all runs: ALGO-A-SOURCE-seedSEED and ALGO-C-FIELD-seedSEED."""
     resume: bool = False
     """Go on with interrupted runs from their newest checkpoints, and leave finished ones."""
+    trust: bool = False
+    """Load pickled files of runs even if you did not make them; they can run any code."""
 
     def run(self, command_line: str) -> None:
         """Train with a bar for every run, then print the final evaluations."""
@@ -75,11 +77,16 @@ class Transfer:
         )
         runs = transfer_runs(config, self.out / config.name, fields)
         check_sizes(self.source, fields)
-        jobs = transfer_jobs(runs, self.out, resume=self.resume)
+        jobs = transfer_jobs(runs, self.out, resume=self.resume, trust=self.trust)
         first = replace(config, steps=source_steps)
         with ProgressDisplay([first.name], first.steps) as display:
             source = find_source(
-                first, self.out, any_steps=any_steps, resume=self.resume, listener=display
+                first,
+                self.out,
+                any_steps=any_steps,
+                resume=self.resume,
+                listener=display,
+                trust=self.trust,
             )
         print(f"from: {source.path}, {source.evaluation['env_steps']:,} env-steps")
         with ProgressDisplay([run.name for run in runs], self.steps) as display:

@@ -15,7 +15,7 @@ import yaml
 from pydantic import ValidationError
 
 from mbn_marl.config import describe
-from mbn_marl.errors import FieldError
+from mbn_marl.errors import DamageError, FieldError
 from mbn_marl.field import authors
 from mbn_marl.field.catalogue import catalogue_file, catalogue_names
 from mbn_marl.field.field import DEFAULT_ARENA, Field
@@ -74,7 +74,11 @@ def save_field(field: Field, path: str | os.PathLike[str]) -> None:
 
 @cache
 def _catalogue_field(name: str) -> Field:
-    return _field_of_document(parse(catalogue_file(name), name), name, name)
+    try:
+        data = catalogue_file(name)
+    except DamageError as error:
+        raise FieldError(name, [f"file: {error}"]) from None
+    return _field_of_document(parse(data, name), name, name)
 
 
 def _field_of_file(location: str) -> Field:
