@@ -100,6 +100,9 @@ def train_all_runs(
 ) -> Results:
     """Train every run into a folder of its own under ``out``.
 
+    A learner that breaks down stops its own run alone; its label is then left out of the results,
+    which say so.
+
     Args:
         config: what to compare.
         out: the folder of the comparison.
@@ -113,7 +116,7 @@ def train_all_runs(
 
     Raises:
         RunError: ``out`` already holds something, or another process compares there, or a run
-            failed.
+            failed, or every label has one that broke down.
         ConfigError: with ``resume``, naming every entry of the configuration that differs.
         MbnError: a hyperparameter or a setting of a variant is not valid, or Weights & Biases is
             asked for and not installed.
@@ -131,8 +134,12 @@ def train_all_runs(
             write_json(out / "config.json", config.to_json())
             write_provenance(out, command)
         jobs = [_job(run, out / run.name, wandb) for run in config.runs()]
-        train_all(jobs, processes, listener)
-    return Results.of([Result.read(RunFolder.open(job.out)) for job in jobs])
+        broken = train_all(jobs, processes, listener)
+    left_out = {job.config.shown_as for job in jobs if job.config.name in broken}
+    whole = [job for job in jobs if job.config.shown_as not in left_out]
+    if not whole:
+        raise RunError("nothing is left to compare:\n" + "\n".join(broken.values()))
+    return Results.of([Result.read(RunFolder.open(job.out)) for job in whole], broken)
 
 
 def _check_same(config: CompareConfig, out: Path) -> None:

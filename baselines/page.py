@@ -84,7 +84,11 @@ def _page(comparison: Comparison, pictures: Mapping[str, str], place: Place) -> 
     overall = [markdown(title, grid) for title, grid in overall_grids(comparison).items()]
     fields = [markdown(title, grid) for title, grid in field_grids(comparison).items()]
     images = [f"![{title}]({place.link(name)})" for title, name in pictures.items()]
-    return "\n\n".join(["# Comparison", *overall, *fields, "## Figures", *images]) + "\n"
+    broken = [f"- {name}: {error}" for name, error in comparison.broken.items()]
+    if broken:
+        broken = ["## Runs that broke down: their variants are left out", "\n".join(broken)]
+    parts = ["# Comparison", *broken, *overall, *fields, "## Figures", *images]
+    return "\n\n".join(parts) + "\n"
 
 
 def draw_statistics(comparison: Comparison) -> dict[str, Figure]:

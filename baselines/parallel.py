@@ -13,8 +13,8 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from baselines.progress import Listener
-from baselines.runs import TrainConfig
+from baselines.progress import Listener, Report
+from baselines.runs import DivergenceError, TrainConfig
 from baselines.storage import RunError
 from baselines.train import train
 from mbn_marl.errors import MbnError
@@ -35,15 +35,18 @@ class Job:
     trust: bool = False
 
     def train(self, listener: Listener) -> None:
-        """Do it here."""
-        train(
-            self.config,
-            self.out,
-            resume=self.resume,
-            trust=self.trust,
-            wandb=self.wandb,
-            listener=listener,
-        )
+        """Do it here; a learner that breaks down is reported, and is no error."""
+        try:
+            train(
+                self.config,
+                self.out,
+                resume=self.resume,
+                trust=self.trust,
+                wandb=self.wandb,
+                listener=listener,
+            )
+        except DivergenceError as error:
+            listener(Report.broken(self.config.name, str(error)))
 
 
 @dataclass(frozen=True)
@@ -58,24 +61,35 @@ def spawning() -> SpawnContext:
     return multiprocessing.get_context("spawn")
 
 
-def train_all(jobs: Sequence[Job], processes: int, listener: Listener) -> None:
+def train_all(jobs: Sequence[Job], processes: int, listener: Listener) -> dict[str, str]:
     """Train every job; at most ``processes`` at once, each on one core.
 
     With one process they are trained here, one after the other. The first failure, Ctrl-C or a
-    killed worker stops all.
+    killed worker stops all; a learner that breaks down stops its own run alone.
+
+    Returns:
+        What was said of each run that broke down, by the run's name.
 
     Raises:
         RunError: a job failed in another process; the message says how.
     """
+    broken: dict[str, str] = {}
+
+    def listen(report: Report) -> None:
+        if report.error is not None:
+            broken[report.run] = report.error
+        listener(report)
+
     if processes == 1:
         for job in jobs:
-            job.train(listener)
-        return
+            job.train(listen)
+        return broken
     count = min(processes, len(jobs))
     todo = spawning().Queue()
     for item in (*jobs, *[None] * count):
         todo.put(item)
-    run_processes(_train_jobs, (todo,), count, listener)
+    run_processes(_train_jobs, (todo,), count, listen)
+    return broken
 
 
 def _train_jobs(todo: multiprocessing.Queue[Job | None], listener: Listener) -> None:

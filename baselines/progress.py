@@ -22,6 +22,7 @@ class Report:
         steps_per_second: env-steps per second of training, evaluations excluded.
         return_mean: mean true team return of the last fresh evaluation, if there was one.
         success_rate: share of its episodes that visited every ROI, in [0, 1].
+        error: what is said of a run that broke down, ``None`` of any other.
     """
 
     run: str
@@ -30,6 +31,12 @@ class Report:
     steps_per_second: float
     return_mean: float | None
     success_rate: float | None
+    error: str | None = None
+
+    @classmethod
+    def broken(cls, run: str, error: str) -> Self:
+        """The last report of a run that broke down."""
+        return cls(run, 0, False, 0.0, None, None, error)
 
 
 Listener = Callable[[Report], None]
@@ -73,9 +80,14 @@ class ProgressDisplay:
         self._progress.stop()
 
     def __call__(self, report: Report) -> None:
-        """Show a report; that of a finished run closes its bar."""
+        """Show a report; that of a finished or broken run closes its bar."""
         task = self._tasks[report.run]
         self._progress.start_task(task)
+        if report.error is not None:
+            self._progress.update(task, status="broke down")
+            self._progress.stop_task(task)
+            self._progress.console.print(report.error, markup=False)
+            return
         status = describe(report)
         self._progress.update(task, completed=min(report.env_steps, self._total), status=status)
         if report.finished:

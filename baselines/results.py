@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -111,15 +112,22 @@ class Results:
         labels: in order.
         fields: names, in order.
         cells: the results of each label and field, by seed.
+        broken: what is said of each run that broke down, by its name; its label is not among the
+            others, since what is left of it would be too good.
     """
 
     labels: tuple[str, ...]
     fields: tuple[str, ...]
     cells: Mapping[tuple[str, str], tuple[Result, ...]]
+    broken: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, results: Sequence[Result]) -> Results:
+    def of(cls, results: Sequence[Result], broken: Mapping[str, str] | None = None) -> Results:
         """Put results together.
+
+        Args:
+            results: of runs that finished.
+            broken: see the attribute.
 
         Raises:
             ConfigError: naming everything that keeps them from being compared.
@@ -153,7 +161,7 @@ class Results:
             place: tuple(sorted(cell, key=lambda result: int(result.config["seed"])))
             for place, cell in cells.items()
         }
-        return cls(labels, fields, ordered)
+        return cls(labels, fields, ordered, broken or {})
 
     @property
     def seeds(self) -> int:

@@ -167,6 +167,11 @@ class TrainConfig:
         return f"{self.label or learner}-{Path(self.field).stem}-seed{self.seed}"
 
     @property
+    def shown_as(self) -> str:
+        """What tables and figures call it."""
+        return self.label or default_label(self.algorithm, self.setting)
+
+    @property
     def command(self) -> str:
         """The command line that repeats this run."""
         options = {

@@ -116,12 +116,14 @@ class Comparison:
         improvement: for each two labels how likely a run of the first has a higher return with
             sampled actions than one of the second on the same field, over all fields.
         unproved: the fields that the aggregates leave out.
+        broken: what is said of each run that broke down, by its name; its label is left out.
     """
 
     rows: tuple[Row, ...]
     aggregates: tuple[Aggregate, ...]
     improvement: Mapping[str, Mapping[str, Estimate]]
     unproved: tuple[str, ...]
+    broken: Mapping[str, str]
 
     def to_json(self) -> dict[str, Any]:
         """Everything as JSON values."""
@@ -134,6 +136,7 @@ class Comparison:
                 for ours, others in self.improvement.items()
             },
             "fields_without_proved_optimum": list(self.unproved),
+            "broken_runs": dict(self.broken),
         }
 
     def csv(self) -> str:
@@ -168,6 +171,7 @@ def summarise(results: Results) -> Comparison:
         unproved=tuple(
             field for field in results.fields if proved is None or field not in proved.fields
         ),
+        broken=results.broken,
     )
 
 

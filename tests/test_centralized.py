@@ -335,10 +335,9 @@ def test_a_learner_that_diverges_is_one_clear_message(
 
 
 def test_processes_pass_on_messages_and_the_tracebacks_of_defects(tmp_path: Path) -> None:
-    wild = {"model": {"learning_rate": 1e30, "max_grad_norm": 1e30}}
-    config = TrainConfig("a2c", "field_03", "A", steps=100, episodes=1, hyperparameters=wild)
-    with pytest.raises(RunError, match=r"^a2c-A-field_03-seed0: .* the learner broke down"):
-        train_all([Job(config, tmp_path / "run")], 2, lambda report: None)
+    config = TrainConfig("a2c", "field_03", "A", steps=100, episodes=1)
+    with pytest.raises(RunError, match=r"^a2c-A-field_03-seed0: .* is not a run folder"):
+        train_all([Job(config, tmp_path / "run", resume=True)], 2, lambda report: None)
     nowhere: Any = None
     with pytest.raises(RunError, match=r"(?s)^a process failed:.*in the run a2c-A-field_03-seed0"):
         train_all([Job(config, nowhere)], 2, lambda report: None)

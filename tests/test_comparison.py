@@ -17,11 +17,12 @@ from baselines.compare import CompareConfig, train_all_runs
 from baselines.overrides import parse, words_of
 from baselines.progress import Report
 from baselines.results import Result, Results, find_results
-from baselines.runs import RunFolder, TrainConfig
+from baselines.runs import DivergenceError, RunFolder, TrainConfig
 from baselines.storage import RunError, read_json, write_json
 from baselines.stratified import Estimate
 from baselines.summary import THRESHOLDS, summarise
 from baselines.table import print_comparison
+from baselines.train import train
 from baselines.variants import Variant, parse_variants, read_variants
 from mbn_marl.cli import main
 from mbn_marl.config import NavigationConfig
@@ -391,6 +392,54 @@ def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.M
     assert {row["label"] for row in reported["rows"]} == {"mappo-tiny", "ippo-tiny"}
     again = train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
     assert summarise(again).to_json() == summarise(results).to_json()
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_learner_that_breaks_down_stops_its_own_run_alone(
+    processes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr("baselines.page.write_animation", lambda episode, path: None)
+    out, variants = tmp_path / "out", tmp_path / "variants.yaml"
+    wild = {**TINY, "learning_rate": [1e30, 1e30], "max_grad_norm": 1e30}
+    blocks = {
+        "wild": {"algorithm": "mappo", "hyperparameters": wild},
+        "tame": {"algorithm": "mappo", "hyperparameters": dict(TINY)},
+    }
+    variants.write_text(json.dumps(blocks))
+    budget = "--seeds 0 1 --steps 320 --evaluate-every 320 --episodes 1"
+    where = ["--out", str(out), "--variants", str(variants), "--processes", str(processes)]
+    command = ["compare", *where, *budget.split()]
+    assert main(command) == 2
+    told = capsys.readouterr()
+    for seed in (0, 1):
+        said = f"{out / f'wild-field_03-seed{seed}'}: the learner broke down"
+        assert said in told.err and said in (out / "comparison.md").read_text()
+        assert (out / f"tame-field_03-seed{seed}" / "evaluation.json").is_file()
+    found = read_json(out / "comparison.json")
+    assert {row["label"] for row in found["rows"]} == {"tame"}
+    assert set(found["broken_runs"]) == {"wild-field_03-seed0", "wild-field_03-seed1"}
+
+    alone = json.dumps({"wild": blocks["wild"]})
+    variants.write_text(alone)
+    command[2] = str(tmp_path / "alone")
+    assert main(command) == 2
+    assert "nothing is left to compare" in capsys.readouterr().err
+
+
+def test_one_broken_run_leaves_its_label_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = CONFIG.runs()[-1].name
+
+    def train_or_break(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
+        if config.name == broken:
+            raise DivergenceError("loc is nan")
+        return train(config, out, **options)
+
+    monkeypatch.setattr("baselines.parallel.train", train_or_break)
+    results = train_all_runs(CONFIG, tmp_path / "out", command="mbn compare", processes=1)
+    assert (results.labels, results.seeds) == (("mappo-tiny",), 2)
+    assert results.broken == {broken: "loc is nan"}
 
 
 def test_only_the_same_comparison_goes_on(tmp_path: Path) -> None:

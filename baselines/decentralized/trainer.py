@@ -28,7 +28,7 @@ from baselines.decentralized.shaping import Approach
 from baselines.recorder import Recorder
 from baselines.runs import Task
 from baselines.storage import read_arrays, read_json, write_arrays, write_json
-from baselines.tensors import read_tensors, write_tensors
+from baselines.tensors import moments_of, read_tensors, restore_moments, write_tensors
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 
@@ -205,11 +205,10 @@ class Trainer:
 
     def _save(self, env_steps: int, folder: Path) -> None:
         """Write all that :meth:`_restore` needs into ``folder``, without pickle."""
-        optimizer = self.optimizer.state_dict()["state"]
         groups = {
             "network": self.network.state_dict(),
             "critic": self.critic.state_dict(),
-            **{f"optimizer.{index}": entry for index, entry in optimizer.items()},
+            "optimizer": moments_of(self.optimizer),
             "worlds": {"observations": self.worlds.observations},
             "generator": {"state": self.generator.get_state()},
         }
@@ -242,8 +241,7 @@ class Trainer:
 
         self.network.load_state_dict(group("network"))
         self.critic.load_state_dict(group("critic"))
-        moments = {index: group(f"optimizer.{index}") for index in range(len(self.parameters))}
-        self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": moments})
+        restore_moments(self.optimizer, group("optimizer"))
         counters = read_json(folder / COUNTERS)
         self.curriculum = RoiCurriculum(**counters["curriculum"])
         self.worlds = self._make_worlds()

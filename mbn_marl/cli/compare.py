@@ -86,6 +86,7 @@ def train_and_compare(
 
     Raises:
         ConfigError: ``force`` and ``resume`` together, or no process.
+        RunError: a learner broke down; all else is done and written.
         MbnError: as ``train_all_runs``.
     """
     from rich.console import Console
@@ -94,6 +95,7 @@ def train_and_compare(
     from baselines.page import PAGE, write_comparison
     from baselines.place import Place
     from baselines.progress import ProgressDisplay
+    from baselines.storage import RunError
     from baselines.table import print_comparison
     from mbn_marl.errors import ConfigError
 
@@ -116,4 +118,7 @@ def train_and_compare(
             listener=display,
         )
     print_comparison(write_comparison(results, Place.of(out, PAGE)), Console())
+    if results.broken:
+        errors = "\n".join(results.broken.values())
+        raise RunError(f"{out / PAGE} leaves out the variants of runs that broke down:\n{errors}")
     return results

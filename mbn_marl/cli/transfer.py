@@ -50,6 +50,7 @@ class Transfer:
         from baselines.parallel import train_all
         from baselines.progress import ProgressDisplay
         from baselines.runs import RunFolder, TrainConfig
+        from baselines.storage import RunError
         from baselines.transfer import check_sizes, find_source, transfer_jobs, transfer_runs
         from mbn_marl.cli.evaluate import print_evaluations
         from mbn_marl.errors import ConfigError
@@ -90,7 +91,10 @@ class Transfer:
             )
         print(f"from: {source.path}, {source.evaluation['env_steps']:,} env-steps")
         with ProgressDisplay([run.name for run in runs], self.steps) as display:
-            train_all(jobs, self.processes, display)
-        for folder in (source, *(RunFolder.open(job.out) for job in jobs)):
+            broken = train_all(jobs, self.processes, display)
+        finished = [RunFolder.open(job.out) for job in jobs if job.config.name not in broken]
+        for folder in (source, *finished):
             final = folder.evaluation
             print_evaluations([final["stochastic"], final["deterministic"]], str(folder.path))
+        if broken:
+            raise RunError("\n".join(broken.values()))
