@@ -96,6 +96,14 @@ class ProgressDisplay:
                 self._progress.console.print(f"{report.run}: {report.env_steps:,} steps, {status}")
 
 
+def print_finished(report: Report) -> None:
+    """Print a line for a run that finished or broke down."""
+    if report.error is not None:
+        print(report.error)
+    elif report.finished:
+        print(f"{report.run}: {report.env_steps:,} steps, {describe(report)}", flush=True)
+
+
 def describe(report: Report) -> str:
     """The state of a run in a few words."""
     speed = report.steps_per_second

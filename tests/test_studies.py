@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from baselines.results import Results
 from baselines.train import prepare, resolve
 from benchmarks.studies.learning import makespan, target_rows, write_targets
 from benchmarks.studies.passing import FieldLine, Passing, paper_best, passes
+from benchmarks.studies.population import Board
 from benchmarks.studies.study import STUDIES, Study
 from mbn_marl.cli import main
 from mbn_marl.field import catalogue_names
@@ -140,8 +142,8 @@ def test_the_papers_best_are_its_largest_numbers() -> None:
 @pytest.mark.parametrize("study", STUDIES.values(), ids=str)
 def test_a_study_can_be_trained(study: Study) -> None:
     config = study.config()
-    assert config.fields == tuple(catalogue_names())
-    assert len(config.seeds) == 5
+    assert config.fields == (study.fields or tuple(catalogue_names()))
+    assert config.seeds == study.seeds
     for run in config.runs()[: len(config.variants)]:
         assert resolve(*prepare(run))["label"] == run.label
 
@@ -168,4 +170,47 @@ def test_the_benchmark_of_learning_runs(
 def test_sizes_are_not_for_speed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "--seeds", "0", "--steps", "9"]) == 2
     error = capsys.readouterr().err
-    assert "seeds: for learning and sharing" in error and "steps: for learning" in error
+    assert "seeds: for learning, sharing, ablations, not for speed" in error
+    assert "steps: for learning, sharing, ablations, population, not for speed" in error
+    assert main(["bench", "population", "--resume"]) == 2
+    assert "resume: for learning, sharing, ablations, not for population" in capsys.readouterr().err
+
+
+def test_every_variant_of_the_ablations_differs_from_the_recorded_setting() -> None:
+    runs = STUDIES["ablations"].config(fields=("field_03",), seeds=(0,)).runs()
+    resolved = [resolve(*prepare(run)) for run in runs]
+    parts = [(found["hyperparameters"], found["environment"]) for found in resolved]
+    assert resolved[0]["label"] == "recorded"
+    assert all(part not in parts[:index] for index, part in enumerate(parts))
+
+
+def test_a_population_takes_up_the_unsolved_field_with_the_fewest_runs(tmp_path: Path) -> None:
+    board, later = Board.of(2), time.time() + 1e6
+    taken = [board.take(later) for _ in range(3)]
+    assert taken == [(0, 0), (1, 0), (0, 1)]
+    optimum = make_run(tmp_path, 1.0, field="field_03")
+    board.enter(0, make_run(tmp_path, 0.99, field="field_01"), seconds=100.0)
+    board.enter(1, optimum, seconds=50.0)
+    assert board.take(later) == (0, 2)  # field 1 is solved
+    assert board.take(time.time() + 99.0) is None  # the slowest run took longer
+    board.enter(0, optimum, seconds=1.0)
+    assert board.take(later) is None  # all are solved
+
+
+def test_a_population_is_trained_and_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "population"
+    size = ("--fields", "field_03", "field_05", "--steps", "1", "--minutes", "0.001")
+    command = ["bench", "population", *size, "--processes", "2", "--out", str(out)]
+    assert main(command) == 0  # each process begins one run, and has no time for another
+    told = capsys.readouterr().out
+    assert "mappo-field_03-seed0: " in told and "mappo-field_05-seed0: " in told
+    stored = json.loads((out / "population.json").read_text())
+    assert [row["value"] for row in stored["targets"][:2]] == [0, 0]
+    assert [row["met"] for row in stored["targets"]] == [False] * 3
+    assert stored["fields"]["field_03"]["runs"] == 1
+    assert "| field_05 | mappo-field_05-seed0 | 1 |" in (out / "population.md").read_text()
+    command[command.index("0.001")] = "0"
+    assert main(command) == 2
+    assert "minutes: must be above 0" in capsys.readouterr().err

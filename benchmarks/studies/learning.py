@@ -52,13 +52,13 @@ def target_rows(results: Results, processes: int) -> list[Row]:
     return [
         _count(f"{setting}: final policies that pass", map(passes, runs), 1.0),
         _count(f"{setting}: the same, learned from the true reward", _true(runs), 0.8),
-        _bound(
+        bound(
             f"{setting}: until a run passes, worst run",
             max(Passing.of(result).env_steps for result in runs),
             "env-steps",
             BUDGET,
         ),
-        _bound(
+        bound(
             f"{setting}: until {len(lines)} fields pass, one seed each, wall time",
             median(
                 makespan([Passing.of(cell[seed]).seconds for cell in _cells(results)], processes)
@@ -76,8 +76,8 @@ def target_rows(results: Results, processes: int) -> list[Row]:
             ),
             1.0,
         ),
-        *_best_of_seeds(setting, lines),
-        _bound(
+        *best_rows(setting, lines),
+        bound(
             f"{setting}: wall time of all runs",
             sum(result.final("wall_seconds") for result in runs) / processes,
             "s",
@@ -92,7 +92,8 @@ def _true(runs: Sequence[Result]) -> list[bool]:
     return [passes(run) and not run.config["hyperparameters"].get("approach_bonus") for run in runs]
 
 
-def _best_of_seeds(label: str, lines: Sequence[FieldLine]) -> list[Row]:
+def best_rows(label: str, lines: Sequence[FieldLine]) -> list[Row]:
+    """How the best return of each field compares with the paper's and with the optimum."""
     return [
         _count(
             f"{label}: fields, best return at or above the paper's",
@@ -112,7 +113,7 @@ def _best_of_seeds(label: str, lines: Sequence[FieldLine]) -> list[Row]:
 
 def print_targets(rows: Sequence[Row], console: Console) -> None:
     """Print the targets."""
-    console.print(rich_table("targets", _targets_grid(rows)))
+    console.print(rich_table("targets", targets_grid(rows)))
     console.print(CAPTION, "\n")
 
 
@@ -123,7 +124,7 @@ def write_targets(results: Results, rows: Sequence[Row], out: Path) -> None:
         out / "learning.json",
         {"targets": [row.to_json() for row in rows], "fields": [asdict(line) for line in lines]},
     )
-    parts = [markdown("Targets", _targets_grid(rows))]
+    parts = [markdown("Targets", targets_grid(rows))]
     parts += [
         markdown(label, field_grid([line for line in lines if line.label == label]))
         for label in results.labels
@@ -160,20 +161,21 @@ def _field_words(line: FieldLine) -> tuple[str, ...]:
     return (
         line.field,
         f"{line.passed}/{line.runs}",
-        _shown(line.env_steps),
-        _shown(line.worst_env_steps),
-        _shown(line.seconds, "{:.1f}"),
-        _shown(line.return_mean),
+        shown(line.env_steps),
+        shown(line.worst_env_steps),
+        shown(line.seconds, "{:.1f}"),
+        shown(line.return_mean),
         f"{line.success_rate:.1%}",
-        _shown(line.deterministic_median),
-        _shown(below, "{:.2%}"),
-        _shown(line.deterministic_best),
-        _shown(line.optimum),
-        _shown(line.paper_best),
+        shown(line.deterministic_median),
+        shown(below, "{:.2%}"),
+        shown(line.deterministic_best),
+        shown(line.optimum),
+        shown(line.paper_best),
     )
 
 
-def _targets_grid(rows: Sequence[Row]) -> Grid:
+def targets_grid(rows: Sequence[Row], caption: str = CAPTION) -> Grid:
+    """The targets as a table."""
     lines = tuple(
         (
             row.name,
@@ -183,7 +185,7 @@ def _targets_grid(rows: Sequence[Row]) -> Grid:
         )
         for row in rows
     )
-    return Grid(CAPTION, ("what", "measured", "target", ""), lines)
+    return Grid(caption, ("what", "measured", "target", ""), lines)
 
 
 def _cells(results: Results) -> list[tuple[Result, ...]]:
@@ -198,10 +200,11 @@ def _count(name: str, met: Iterable[bool], share: float) -> Row:
     return Row(name, sum(outcomes), f"of {len(outcomes)}", least)
 
 
-def _bound(name: str, value: float, unit: str, most: float, note: str = "") -> Row:
+def bound(name: str, value: float, unit: str, most: float, note: str = "") -> Row:
     """A quantity that should stay below ``most``; one that is infinite has no value."""
     return Row(name, known(value), unit, most, at_least=False, note=note)
 
 
-def _shown(value: float | None, form: str = "{:,.0f}") -> str:
+def shown(value: float | None, form: str = "{:,.0f}") -> str:
+    """A number as a table has it."""
     return "-" if value is None else form.format(value)

@@ -18,12 +18,14 @@ class Study:
     Attributes:
         name: of the study and its file.
         seeds: usual seeds.
+        fields: usual fields; all ten if there are none.
         steps: usual env-steps of a run.
     """
 
     name: str
     seeds: tuple[int, ...]
-    steps: int
+    fields: tuple[str, ...] = ()
+    steps: int = 1_441_792
 
     def config(
         self,
@@ -33,14 +35,14 @@ class Study:
         evaluate_every: int = 32_768,
         episodes: int = 100,
     ) -> CompareConfig:
-        """The comparison, of the usual size where nothing else is said: all ten fields.
+        """The comparison, of the usual size where nothing else is said.
 
         Raises:
             MbnError: as :class:`~baselines.compare.CompareConfig`.
         """
         return CompareConfig(
             variants=read_variants(Path(__file__).with_name(f"{self.name}.yaml")),
-            fields=tuple(fields) or tuple(catalogue_names()),
+            fields=tuple(fields) or self.fields or tuple(catalogue_names()),
             seeds=tuple(seeds) or self.seeds,
             steps=self.steps if steps is None else steps,
             evaluate_every=evaluate_every,
@@ -51,7 +53,8 @@ class Study:
 STUDIES: Mapping[str, Study] = {
     study.name: study
     for study in (
-        Study("learning", seeds=(0, 1, 2, 3, 4), steps=1_441_792),
-        Study("sharing", seeds=(0, 1, 2, 3, 4), steps=655_360),
+        Study("learning", seeds=(0, 1, 2, 3, 4)),
+        Study("sharing", seeds=(0, 1, 2, 3, 4)),
+        Study("ablations", seeds=(0, 1, 2), fields=("field_02", "field_10")),
     )
 }

@@ -9,49 +9,69 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+STUDIES_OF_VARIANTS = ("learning", "sharing", "ablations")
+LEARNING = (*STUDIES_OF_VARIANTS, "population")
+OPTIONS = {
+    "fields": LEARNING,
+    "seeds": STUDIES_OF_VARIANTS,
+    "steps": LEARNING,
+    "processes": LEARNING,
+    "minutes": ("population",),
+    "resume": STUDIES_OF_VARIANTS,
+}
+"""The subjects that an option is for, where it is not for all."""
+
 
 @dataclass(frozen=True)
 class Bench:
     """Measure in one run, print tables with targets, and write them and figures."""
 
-    subject: Positional[Literal["speed", "learning", "sharing", "planning"]] = "speed"
+    subject: Positional[
+        Literal["speed", "learning", "sharing", "ablations", "population", "planning"]
+    ] = "speed"
     """speed: the engine, its adapters, the plain loop, and the peers that are installed. learning:
     one setting on all ten fields against its targets. sharing: the ways to share parameters.
+    ablations: what the setting is made of. population: the best policies within a time.
     planning: proofs and plans for the ten fields and random ones."""
     fields: tuple[str, ...] = ()
-    """learning, sharing: names of `mbn fields`, or paths; by default all ten."""
+    """All that learn: names of `mbn fields`, or paths; by default all ten, for ablations two."""
     seeds: tuple[int, ...] = ()
-    """learning, sharing: one run per variant, field and seed; by default 0 1 2 3 4."""
+    """learning, sharing, ablations: one run per variant, field and seed; by default 0 1 2 3 4, for
+    ablations 0 1 2."""
     steps: int | None = None
-    """learning, sharing: env-steps of every run; by default 1,441,792 and 655,360."""
+    """All that learn: env-steps of every run; by default 1,441,792."""
     processes: int | None = None
-    """learning, sharing: runs at a time, each on one core; by default as many as there are."""
+    """All that learn: runs at a time, each on one core; by default as many as there are."""
+    minutes: float | None = None
+    """population: for all fields together; by default 30."""
     out: Path | None = None
     """The folder to write; by default runs/bench-SUBJECT."""
     force: bool = False
     """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
     resume: bool = False
-    """learning, sharing: go on with what is in the folder, as `mbn compare` does."""
+    """learning, sharing, ablations: go on with what is in the folder, as `mbn compare` does."""
 
     def run(self, command_line: str) -> None:
         """Measure, then print the tables."""
         out = self.out or Path(f"runs/bench-{self.subject}")
+        self._refuse_others()
         if self.subject == "speed":
-            self._refuse_sizes()
             self._measure_speed(out, command_line)
         elif self.subject == "planning":
-            self._refuse_sizes()
             self._measure_planning(out, command_line)
+        elif self.subject == "population":
+            self._train_population(out, command_line)
         else:
             self._study(out, command_line)
 
-    def _refuse_sizes(self) -> None:
+    def _refuse_others(self) -> None:
+        """Refuse options of other subjects."""
         from mbn_marl.errors import ConfigError
 
         problems = [
-            f"{name}: for learning and sharing, not for {self.subject}"
-            for name in ("fields", "seeds", "steps", "processes", "resume")
-            if getattr(self, name)
+            f"{name}: for {', '.join(subjects)}, not for {self.subject}"
+            for name, subjects in OPTIONS.items()
+            if getattr(self, name) and self.subject not in subjects
         ]
         if problems:
             raise ConfigError("bench", problems)
@@ -95,6 +115,31 @@ class Bench:
         result = {"command": command_line, "machine": machine, "targets": targets, **instances}
         write_json(folder / "planning.json", result)
         console.print(f"written to {folder}: planning.json")
+
+    def _train_population(self, out: Path, command_line: str) -> None:
+        from rich.console import Console
+
+        from baselines.progress import print_finished
+        from baselines.table import rich_table
+        from benchmarks.studies.learning import targets_grid
+        from benchmarks.studies.population import PopulationConfig, train_population
+        from benchmarks.studies.study import STUDIES
+        from mbn_marl.field import catalogue_names
+
+        config = PopulationConfig(
+            fields=self.fields or tuple(catalogue_names()),
+            steps=STUDIES["learning"].steps if self.steps is None else self.steps,
+            minutes=30.0 if self.minutes is None else self.minutes,
+            processes=(os.cpu_count() or 1) if self.processes is None else self.processes,
+        )
+        rows, grid = train_population(
+            config, out, command=command_line, force=self.force, listener=print_finished
+        )
+        console = Console()
+        console.print(rich_table("fields", grid))
+        console.print(rich_table("targets", targets_grid(rows)))
+        console.print(grid.caption, "\n")
+        console.print(f"written to {out}: population.md, population.json, runs")
 
     def _study(self, out: Path, command_line: str) -> None:
         from rich.console import Console
