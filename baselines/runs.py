@@ -344,18 +344,6 @@ class RunFolder:
         return config
 
     @property
-    def command(self) -> str:
-        """The exact command that began the run.
-
-        Raises:
-            RunError: naming the file, if there is none.
-        """
-        file = self.path / "command.txt"
-        if not file.is_file():
-            raise RunError(f"{file} is missing, the command that every run folder holds")
-        return file.read_text(encoding="utf-8").strip()
-
-    @property
     def field(self) -> Field:
         """The field that the run was trained on, as it was then."""
         path = self.path / "field.yaml"
@@ -452,7 +440,7 @@ class RunFolder:
         data = self.progress.read_bytes()[:size] if self.progress.exists() else b""
         if digest(data) != (sha256 or digest(data)):
             raise DamageError(
-                f"{self.progress} is damaged: its first {size} bytes are not those of the checkpoint"
+                f"{self.progress} is damaged: its first {size} bytes are not the checkpoint's"
             )
         os.truncate(self.progress, size)
 
