@@ -23,6 +23,7 @@ import cbor
 import zmq
 
 from baselines.classical import make_classical
+from mbn_marl.cli import main
 from mbn_marl.errors import ConfigError, SimulatorError
 from mbn_marl.field import Field
 from mbn_marl.sim3d import Mission, Scale, deploy
@@ -96,6 +97,25 @@ def test_a_policy_sprays_every_weed_of_a_field_with_a_hole(server: CoppeliaServe
     drawn = paths[:, :, 3:5].transpose(1, 0, 2) / 0.1 + 50.0
     assert drawn == pytest.approx(done.episode.positions[1:], abs=1e-4)
     assert left(server) == EMPTY
+
+
+def test_the_command_flies_one_field_after_another(
+    server: CoppeliaServer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fields, place = ["field_03", "field_04"], ["--host", "127.0.0.1", "--port", str(server.port)]
+    assert main(["deploy", "greedy", "--field", *fields, "--sim", "coppeliasim", *place]) == 0
+    assert capsys.readouterr().out.count("success") == 2
+    assert left(server) == EMPTY
+
+
+def test_the_command_names_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
+    port = str(free_port())
+    words = ["deploy", "greedy", "--field", "field_03", "--sim", "coppeliasim", "--port", port]
+    assert main([*words, "--timeout", str(SHORT)]) != 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"CoppeliaSim at localhost:{port}: no answer" in said
+    assert main([*words, "--vehicle", "balancer"]) != 0
+    assert "allowed with coppeliasim: quadrotor" in " ".join(capsys.readouterr().err.split())
 
 
 def test_weeds_change_one_by_one(server: CoppeliaServer) -> None:
@@ -413,14 +433,14 @@ def test_a_missing_client_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_link_leaves_the_users_script_alone(
     server: CoppeliaServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    main = sys.modules["__main__"]
-    monkeypatch.delattr(main, "require", raising=False)
-    before = set(vars(main))
+    script = sys.modules["__main__"]
+    monkeypatch.delattr(script, "require", raising=False)
+    before = set(vars(script))
     CoppeliaLink("127.0.0.1", server.port, 2.0).close()
-    assert set(vars(main)) == before
-    monkeypatch.setattr(main, "require", "mine", raising=False)
+    assert set(vars(script)) == before
+    monkeypatch.setattr(script, "require", "mine", raising=False)
     CoppeliaLink("127.0.0.1", server.port, 2.0).close()
-    assert vars(main)["require"] == "mine"
+    assert vars(script)["require"] == "mine"
 
 
 def test_the_link_survives_a_refusal_and_no_more(server: CoppeliaServer) -> None:

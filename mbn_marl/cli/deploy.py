@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -47,6 +48,8 @@ class Deploy:
     """Where CoppeliaSim runs."""
     port: int = 23000
     """Of CoppeliaSim's ZeroMQ remote API."""
+    timeout: float = 10.0
+    """Seconds that CoppeliaSim may take for an answer."""
     video: Path | None = None
     """Film the first deployment in MuJoCo: an .mp4 file, at twice the speed."""
     camera: Literal["field", "top", "chase"] = "field"
@@ -67,21 +70,22 @@ class Deploy:
 
         self._check()
         scale = Scale(self.metres_per_unit, self.seconds_per_step)
-        simulators = self._simulators(scale)
-        limit = simulators[self.sim].speed_limit
         rows: list[dict[str, Any]] = []
         flights: list[Flights] = []
-        for actor in find_pilots(self.policy, self.field, limit):
-            flown = {name: self._fly(actor, one) for name, one in simulators.items()}
-            flights.append(flown)
-            for name, deployments in flown.items():
-                strongest = strongest_wind(deployments) if self.wind_speeds else None
-                for one in deployments:
-                    step = one.episode.config.tau * scale.seconds
-                    row = summarise(one, step)
-                    rows.append({"sim": name, **row, "strongest_wind": strongest})
-        for simulator in simulators.values():
-            simulator.close()
+        with ExitStack() as stack:
+            simulators = self._simulators(scale)
+            for simulator in simulators.values():
+                stack.enter_context(simulator)
+            limit = simulators[self.sim].speed_limit
+            for actor in find_pilots(self.policy, self.field, limit):
+                flown = {name: self._fly(actor, one) for name, one in simulators.items()}
+                flights.append(flown)
+                for name, deployments in flown.items():
+                    strongest = strongest_wind(deployments) if self.wind_speeds else None
+                    for one in deployments:
+                        step = one.episode.config.tau * scale.seconds
+                        row = summarise(one, step)
+                        rows.append({"sim": name, **row, "strongest_wind": strongest})
         print_deployments(rows, title=f"{self.policy}, {self._vehicles()}")
         if self.figure is not None:
             self._draw(flights, self.figure)
@@ -97,6 +101,8 @@ class Deploy:
         problems = []
         if self.compare and self.sim == "plane":
             problems.append("compare: allowed with mujoco and coppeliasim")
+        if self.vehicle != "quadrotor" and self.sim == "coppeliasim":
+            problems.append(f"vehicle: {self.vehicle!r}; allowed with coppeliasim: quadrotor")
         if self.video is not None and self.sim != "mujoco":
             problems.append("video: allowed with mujoco")
         if self.figure is not None and not (self.compare or self.wind_speeds):
@@ -134,7 +140,9 @@ class Deploy:
         if self.sim == "coppeliasim":
             from mbn_marl.sim3d.coppeliasim import CoppeliaSimulator
 
-            simulators["coppeliasim"] = CoppeliaSimulator(self.host, self.port, scale=scale)
+            simulators["coppeliasim"] = CoppeliaSimulator(
+                self.host, self.port, timeout=self.timeout, scale=scale
+            )
         return simulators
 
     def _fly(self, actor: Actor, simulator: Simulator) -> list[Deployment]:
