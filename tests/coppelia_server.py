@@ -23,7 +23,7 @@ RESOURCES = "/opt/CoppeliaSim"
 MODEL = f"{RESOURCES}/models/robots/mobile/Quadcopter.ttm"
 TIME_STEP = 0.05
 
-STOPPED, RUNNING, STOPPING = 0, 17, 22
+STOPPED, PAUSED, RUNNING, STOPPING = 0, 8, 17, 22
 CONSTANTS = {
     "colorcomponent_ambient_diffuse": 0,
     "drawing_cyclic": 0x80,
@@ -81,6 +81,7 @@ class CoppeliaServer:
         silent: no request is answered any more.
         endless: a step never comes to its end.
         frozen: no vehicle moves.
+        stops_at: the step after which somebody stops the simulation by hand.
         winding_down: how many more passes a simulation takes that has been told to stop.
         clients: by their uuid.
     """
@@ -103,6 +104,7 @@ class CoppeliaServer:
         self.silent = False
         self.endless = False
         self.frozen = False
+        self.stops_at = 0
         self.winding_down = 3
         self._functions: dict[str, Callable[..., list[Any]]] = {
             name: getattr(self, name)
@@ -137,7 +139,9 @@ class CoppeliaServer:
             if self._socket.poll(1) and not self.silent:
                 request = cbor.loads(self._socket.recv())
                 self._socket.send(cbor.dumps(self._answer(request)))
-            if self.state != STOPPED and not any(c.stepping for c in self.clients.values()):
+            if self.state in (RUNNING, STOPPING) and not any(
+                c.stepping for c in self.clients.values()
+            ):
                 self._advance()
 
     def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -202,6 +206,8 @@ class CoppeliaServer:
             thing.velocity = thing.velocity + pull * TIME_STEP
             thing.place = thing.place + thing.velocity * TIME_STEP
         self.steps += 1
+        if self.steps == self.stops_at:
+            self.state = STOPPED
 
     def startSimulation(self) -> list[Any]:
         self.state, self.steps = RUNNING, 0
@@ -209,7 +215,7 @@ class CoppeliaServer:
         return []
 
     def stopSimulation(self) -> list[Any]:
-        if self.state == RUNNING:
+        if self.state != STOPPED:
             self.state, self._passes = STOPPING, 0
         for client in self.clients.values():
             client.stepping = 0
@@ -219,7 +225,7 @@ class CoppeliaServer:
         return [self.state]
 
     def getSimulationTime(self) -> list[Any]:
-        return [self.steps * TIME_STEP if self.state == RUNNING else 0.0]
+        return [self.steps * TIME_STEP]
 
     def getSimulationTimeStep(self) -> list[Any]:
         return [TIME_STEP]

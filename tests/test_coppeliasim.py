@@ -30,8 +30,9 @@ from mbn_marl.sim3d import Mission, Scale, deploy
 from mbn_marl.sim3d.coppelia_link import CoppeliaLink, _PatientSocket
 from mbn_marl.sim3d.coppeliasim import CoppeliaSimulator
 from mbn_marl.sim3d.scene import AREA, SPRAYED_AREA, SPRAYED_WEED, WEED
-from tests.coppelia_server import RUNNING, STOPPED, CoppeliaServer
+from tests.coppelia_server import PAUSED, RUNNING, STOPPED, CoppeliaServer
 from tests.field_cases import square
+from tests.pages import Block, commands_of, parse_mbn
 
 PAGE = Path(__file__).parents[1] / "docs" / "coppeliasim.md"
 SHORT = 0.3
@@ -247,11 +248,24 @@ def test_closing_stops_and_removes_everything(server: CoppeliaServer) -> None:
         simulator.step()
 
 
-def test_stepping_is_given_up_after_a_stop_by_hand(server: CoppeliaServer) -> None:
+@pytest.mark.parametrize("stops_at", [20, 27])
+def test_a_stop_by_hand_is_an_error(server: CoppeliaServer, stops_at: int) -> None:
+    server.stops_at = stops_at
+    with connect(server) as simulator:
+        simulator.reset(mission())
+        simulator.command(np.zeros((2, 2)))
+        with pytest.raises(SimulatorError, match="stopped or paused by hand"):
+            for _ in range(2):
+                simulator.step()
+    assert left(server) == EMPTY
+    assert not any(client.stepping for client in server.clients.values())
+
+
+def test_a_pause_by_hand_is_an_error(server: CoppeliaServer) -> None:
     with connect(server) as simulator:
         simulator.reset(mission())
         simulator.step()
-        server.state = STOPPED
+        server.state = PAUSED
         with pytest.raises(SimulatorError, match="stopped or paused by hand"):
             simulator.step()
     assert left(server) == EMPTY
@@ -464,7 +478,12 @@ def test_the_link_survives_a_refusal_and_no_more(server: CoppeliaServer) -> None
 def test_the_page_does_what_it_shows(
     server: CoppeliaServer, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (code,) = re.findall(r"```{code-block} python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    blocks = dict(
+        re.findall(r"```{code-block} (\w+)\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    )
+    for words in commands_of(Block("sh", blocks["sh"])):
+        parse_mbn(words[1:])
+    code = blocks["python"]
     assert "23000" in code
     exec(compile(code.replace("23000", str(server.port)), str(PAGE), "exec"), {})
     assert capsys.readouterr().out.startswith("True ")

@@ -37,8 +37,8 @@ _TARGET = "target"
 
 
 @dataclass(frozen=True)
-class Vehicle:
-    """The handles of a vehicle.
+class Follower:
+    """The handles of a vehicle that follows a target.
 
     Attributes:
         body: its base.
@@ -93,7 +93,7 @@ class CoppeliaScene:
             here = Mesh(leaves.vertices + np.array([x, y, 0.0]), leaves.faces)
             self._weeds.append(self._mesh("weed", here, scene.WEED))
 
-    def add_vehicle(self, model: str, place: Sequence[float]) -> Vehicle:
+    def add_vehicle(self, model: str, place: Sequence[float]) -> Follower:
         """Load a vehicle that follows a dummy.
 
         Args:
@@ -120,7 +120,7 @@ class CoppeliaScene:
         colour = _colour(scene.rgba(style.robot_colour(len(self._drawings))))
         path = call("addDrawingObject", kind, _PATH_WIDTH, 0.0, -1, _PATH_ITEMS, colour)
         self._drawings.append(path)
-        return Vehicle(body, targets[0], path)
+        return Follower(body, targets[0], path)
 
     def spray(self, roi: int) -> None:
         """Let the weed at an ROI, 0 to m - 1, wither, and show its area as sprayed."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.errors import ConfigError, SimulatorError
 from mbn_marl.sim3d.coppelia_link import CoppeliaLink
-from mbn_marl.sim3d.coppelia_scene import CoppeliaScene, Vehicle
+from mbn_marl.sim3d.coppelia_scene import CoppeliaScene, Follower
 from mbn_marl.sim3d.quadrotor import HEIGHT
 from mbn_marl.sim3d.scene import Frame
 from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Scale, Simulator
@@ -66,7 +66,7 @@ class CoppeliaSimulator(Simulator):
         self._model = model
         self._link: CoppeliaLink | None = None
         self._scene: CoppeliaScene | None = None
-        self._vehicles: list[Vehicle] = []
+        self._vehicles: list[Follower] = []
         self._started = False
         self._targets: Array = np.zeros((0, 2))
         self._velocities: Array = np.zeros((0, 2))
@@ -119,7 +119,8 @@ class CoppeliaSimulator(Simulator):
             for vehicle, (x, y) in zip(self._vehicles, self._targets.tolist(), strict=True):
                 link.call("setObjectPosition", vehicle.target, [x, y, self._altitude])
             link.call("step")
-        if not link.call("getSimulationTime") > before:
+        stopped = link.call("getSimulationState") == link.constant("simulation_stopped")
+        if stopped or not link.call("getSimulationTime") > before:
             raise SimulatorError("CoppeliaSim: the simulation was stopped or paused by hand")
         self._draw(link)
 
