@@ -12,14 +12,19 @@ import pytest
 from baselines.results import Results
 from baselines.train import prepare, resolve
 from benchmarks.studies.learning import makespan, target_rows, write_targets
-from benchmarks.studies.passing import FieldLine, Passing, paper_best, passes
+from benchmarks.studies.passing import FieldLine, Passing, best_return, paper_best, passes
 from benchmarks.studies.population import Board
 from benchmarks.studies.study import STUDIES, Study
 from mbn_marl.cli import main
 from mbn_marl.field import catalogue_names
 from tests.test_comparison import CONFIG, make_run
 
-GOOD = {"return_mean": 150_000.0, "success_rate": 0.99, "deterministic_success_rate": 1.0}
+GOOD = {
+    "return_mean": 150_000.0,
+    "success_rate": 0.99,
+    "deterministic_success_rate": 1.0,
+    "deterministic_return_mean": 155_000.0,
+}
 LOW, RARE, STUCK = (
     {**GOOD, "return_mean": 99_999.0},
     {**GOOD, "success_rate": 0.98},
@@ -91,6 +96,15 @@ def test_a_field_is_summarised_by_medians(tmp_path: Path) -> None:
     assert (line.optimum, line.paper_best) == (158_800.0, 158_800.0)
     stuck = FieldLine.of(found.cells["true", "field_01"])
     assert (stuck.env_steps, stuck.worst_env_steps) == (None, None)
+
+
+def test_the_best_return_may_be_one_on_the_way(tmp_path: Path) -> None:
+    better = {**GOOD, "deterministic_return_mean": 158_800.0}
+    history = evaluations(GOOD, better, GOOD)
+    run = make_run(tmp_path, field="field_01", recorded=(history, final(GOOD, 158_000.0)))
+    line = FieldLine.of([run])
+    assert (line.deterministic_median, line.deterministic_best) == (158_000.0, 158_800.0)
+    assert best_return(run) == line.deterministic_best
 
 
 def test_workers_take_jobs_up_in_order() -> None:
@@ -188,8 +202,9 @@ def test_a_population_takes_up_the_unsolved_field_with_the_fewest_runs(tmp_path:
     board, later = Board.of(2), time.time() + 1e6
     taken = [board.take(later) for _ in range(3)]
     assert taken == [(0, 0), (1, 0), (0, 1)]
-    optimum = make_run(tmp_path, 1.0, field="field_03")
-    board.enter(0, make_run(tmp_path, 0.99, field="field_01"), seconds=100.0)
+    recorded = evaluations(GOOD), final(GOOD, 159_490.0)
+    optimum = make_run(tmp_path, field="field_03", recorded=recorded)
+    board.enter(0, make_run(tmp_path, field="field_01", recorded=recorded), seconds=100.0)
     board.enter(1, optimum, seconds=50.0)
     assert board.take(later) == (0, 2)  # field 1 is solved
     assert board.take(time.time() + 99.0) is None  # the slowest run took longer

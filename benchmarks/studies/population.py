@@ -9,7 +9,6 @@ from multiprocessing.sharedctypes import Synchronized, SynchronizedArray
 from pathlib import Path
 from typing import NamedTuple
 
-from baselines.page import best_result
 from baselines.paper.grid import Grid
 from baselines.parallel import Job, run_processes, spawning
 from baselines.progress import Listener
@@ -19,12 +18,13 @@ from baselines.storage import RunError, alone, claim_folder, write_json, write_t
 from baselines.table import markdown
 from benchmarks.results import Row
 from benchmarks.studies.learning import best_rows, bound, shown, targets_grid
-from benchmarks.studies.passing import FieldLine
+from benchmarks.studies.passing import FieldLine, best_return
 from benchmarks.studies.study import STUDIES
 from mbn_marl.errors import ConfigError
 
 CAPTION = (
-    "Returns with mean actions, of all runs that finished: each field in turn got another seed, "
+    "Returns with mean actions, of all runs that finished: the median is of final policies, the "
+    "best of any fresh evaluation, on the way or at the end. Each field in turn got another seed, "
     "until a run reached the proved optimum, or the time left was too short for another run."
 )
 
@@ -38,7 +38,6 @@ class PopulationConfig:
         steps: env-steps of every run.
         minutes: for all fields together, by the clock on the wall.
         processes: runs at a time.
-        episodes: of an evaluation with sampled actions.
 
     Raises:
         ConfigError: a number is out of range, or a field is given twice.
@@ -49,7 +48,6 @@ class PopulationConfig:
     steps: int
     minutes: float
     processes: int
-    episodes: int = 100
 
     def __post_init__(self) -> None:
         """Check everything before the first run starts."""
@@ -63,12 +61,8 @@ class PopulationConfig:
         STUDIES["learning"].config(self.fields, (0,), self.steps)
 
     def run(self, field: str, seed: int) -> TrainConfig:
-        """A run in the recorded setting; it is evaluated at the end alone."""
-        (run,) = (
-            STUDIES["learning"]
-            .config((field,), (seed,), self.steps, self.steps, self.episodes)
-            .runs()
-        )
+        """A run in the recorded setting."""
+        (run,) = STUDIES["learning"].config((field,), (seed,), self.steps).runs()
         return run
 
 
@@ -106,7 +100,7 @@ class Board(NamedTuple):
         """Take in a finished run on a field."""
         with self.begun.get_lock():
             self.slowest.value = max(self.slowest.value, seconds)
-            if result.final("deterministic", "return_mean") == result.optimum:
+            if best_return(result) == result.optimum:
                 self.solved[number] = 1
 
 
@@ -204,7 +198,7 @@ def _words(cell: Sequence[Result]) -> tuple[str, ...]:
     below = None if line.optimum is None else 1.0 - line.deterministic_best / line.optimum
     return (
         line.field,
-        best_result(cell).run.path.name,
+        max(cell, key=best_return).run.path.name,
         shown(line.runs),
         shown(line.deterministic_median),
         shown(line.deterministic_best),
