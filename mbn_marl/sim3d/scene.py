@@ -187,13 +187,12 @@ def _add_ground(assets: Element, world: Element, frame: Frame) -> None:
         specular=(0.1, 0.1, 0.1),
         castshadow="false",
     )
-    side = float(frame.size.max())
     add(
         world,
         "geom",
         name="ground",
         type="plane",
-        size=(side, side, 0.1),
+        size=(0, 0, 0.1),
         material="soil",
         contype=1,
         conaffinity=1,
@@ -286,7 +285,7 @@ def _add_cameras(world: Element, frame: Frame) -> None:
     top = 1.1 * max(deep, wide / aspect) / (2.0 * half)
     add(world, "camera", name="top", pos=(0, 0, top), xyaxes=(1, 0, 0, 0, 1, 0))
     tilt = math.radians(40.0)
-    far = 1.15 * max(deep * math.sin(tilt), wide / aspect) / (2.0 * half) + 0.25 * deep
+    far = 1.15 * max(deep * math.sin(tilt), wide / aspect) / (2.0 * half) + 0.15 * deep
     place = (0, -far * math.cos(tilt), far * math.sin(tilt))
     add(
         world,
