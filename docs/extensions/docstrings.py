@@ -38,6 +38,7 @@ MODULES = (
     "mbn_marl.optimum",
     "mbn_marl.planning",
     "mbn_marl.registration",
+    "mbn_marl.sim3d",
 )
 """The modules that users import from."""
 

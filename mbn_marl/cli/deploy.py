@@ -185,7 +185,7 @@ def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
 
     caption = (
         "ratio: to the plane's makespan; apart: the smallest distance of two robots, units;\n"
-        "error: of tracking, units a step; speed: times real time, on one core"
+        "error: of tracking, units a step; speed: times real time on one core, filming included"
     )
     table = Table(
         title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
@@ -209,7 +209,7 @@ def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
             "-" if makespan is None else str(makespan),
             f"{makespan / best:.2f}" if compared else "-",
             f"{row['return']:,.0f}",
-            f"{row['separation']:.1f}",
+            "-" if row["separation"] is None else f"{row['separation']:.1f}",
             f"{row['tracking_error']:.2f}",
             "-" if row["sim"] == "plane" or pace is None else f"{pace:.0f}",
         )

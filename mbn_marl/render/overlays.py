@@ -37,9 +37,7 @@ def overlay_panels(
         raise MbnError("overlays: at least one pair of episodes is needed")
     columns = min(_COLUMNS, len(episodes))
     rows = math.ceil(len(episodes) / columns)
-    sides = [np.ptp(last.field.vertices, axis=0) for last, _ in episodes.values()]
-    tall = min(max(height / width for width, height in sides), 1.6)
-    size = (max(_WIDTH * columns, 4.0), (_WIDTH * tall + 0.6) * rows + 0.3)
+    size = (max(_WIDTH * columns, 4.0), (_WIDTH + 0.3) * rows + 0.3)
     with matplotlib.rc_context(style.MATPLOTLIB):
         figure = Figure(figsize=size, layout="constrained")
         for number, (title, (first, second)) in enumerate(episodes.items(), start=1):
@@ -51,6 +49,7 @@ def overlay_panels(
                 roi_radius=second.roi_radius,
                 numbered=False,
             )
+            axes.set_aspect("equal", adjustable="datalim")
             _draw_paths(axes, first, dashed=True)
             _draw_paths(axes, second, dashed=False)
             if float(np.hypot(*second.wind)) > 1e-9:

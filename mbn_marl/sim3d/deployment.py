@@ -58,9 +58,11 @@ class Deployment:
         return self.episode.steps if self.success else None
 
     @property
-    def separation(self) -> float:
-        """The smallest distance of two robots after any step, units; infinite for one robot."""
+    def separation(self) -> float | None:
+        """The smallest distance of two robots after any step, units; ``None`` for one robot."""
         positions = self.episode.positions.astype(np.float64)
+        if positions.shape[1] == 1:
+            return None
         gaps = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
         robots = np.arange(positions.shape[1])
         gaps[:, robots, robots] = np.inf

@@ -19,10 +19,12 @@ PATH_HEIGHT, PATH_WIDTH = 0.03, 0.05
 APART = 0.1
 """Metres between two points of a path."""
 MOST_SHAPES = 20_000
+REST = 1.0
+"""Seconds that a film rests on its end."""
 
 
 class Film:
-    """Films a mission.
+    """Films one mission.
 
     Args:
         path: an ``.mp4`` file.
@@ -30,6 +32,9 @@ class Film:
         size: width and height of the picture, pixels, at most 1920 x 1080.
         fps: frames per second.
         speed: how much faster than the simulation the film runs.
+
+    Attributes:
+        begun: whether it has filmed anything.
 
     Raises:
         ConfigError: a camera or a number is not allowed.
@@ -56,7 +61,9 @@ class Film:
             raise ConfigError("film", problems)
         self._writer = Mp4Writer(path, fps=fps)
         self._camera, self._size, self._period = camera, size, speed / fps
+        self._rest = round(fps * REST)
         self._renderer: Any = None
+        self.begun = False
 
     def begin(self, model: Any, data: Any, places: NDArray[np.intp]) -> None:
         """Begin with the first frame.
@@ -70,6 +77,7 @@ class Film:
             MbnError: there is no OpenGL to draw with.
         """
         mujoco = load_mujoco()
+        self.begun = True
         width, height = self._size
         try:
             self._renderer = mujoco.Renderer(model, height, width, max_geom=MOST_SHAPES)
@@ -78,6 +86,7 @@ class Film:
                 f"a film needs OpenGL, which cannot be used here ({error}); without a display "
                 "install EGL (Debian: libegl1 libgl1), or set MUJOCO_GL=osmesa"
             ) from error
+        self._data = data
         self._places, self._paths, self._due = places, [data.qpos[places]], data.time
         self.look(model, data)
 
@@ -109,8 +118,11 @@ class Film:
         return picture
 
     def close(self) -> None:
-        """Complete the file; closing twice does no harm."""
+        """Rest on how it ended, and complete the file; closing twice does no harm."""
         if self._renderer is not None:
+            picture = self._draw(self._data)
+            for _ in range(self._rest):
+                self._writer.add(picture)
             self._renderer.close()
             self._renderer = None
             self._writer.close()

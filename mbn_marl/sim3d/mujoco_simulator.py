@@ -37,7 +37,7 @@ class MujocoSimulator(Simulator):
     Args:
         vehicle: a name of :data:`VEHICLES`, or a vehicle.
         scale: of the world.
-        film: what the mission is filmed with; ``None`` for no film.
+        film: what the first mission is filmed with; ``None`` for no film.
 
     Attributes:
         model: MuJoCo's model of the mission.
@@ -87,6 +87,9 @@ class MujocoSimulator(Simulator):
         self.data.act[:] = resting[: self.model.na]
         self._blow(np.asarray(mission.wind) * self.scale.acceleration(mission.tau))
         mujoco.mj_forward(self.model, self.data)
+        if self._film is not None and self._film.begun:
+            self.close()
+            self._film = None
         if self._film is not None:
             self._film.begin(self.model, self.data, self._places[:, :2])
 
