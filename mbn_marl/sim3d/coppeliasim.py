@@ -37,7 +37,7 @@ class CoppeliaSimulator(Simulator):
         port: of its ZMQ remote API server, 1 to 65535.
         timeout: seconds, above 0, that CoppeliaSim may take for any answer.
         scale: the size and pace of the MDP in the scene.
-        altitude: metres, above 0, at which the vehicles start and fly.
+        altitude: at which the vehicles start and fly, metres, > 0.
         model: the vehicles' model: a file in CoppeliaSim's folder of resources, or an absolute path
             on its machine. It has to follow an object of its own with the alias ``target``.
 
