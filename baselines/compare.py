@@ -133,7 +133,7 @@ def train_all_runs(
         if not resume:
             write_json(out / "config.json", config.to_json())
             write_provenance(out, command)
-        jobs = [_job(run, out / run.name, wandb) for run in config.runs()]
+        jobs = [Job.left(run, out / run.name, wandb) for run in config.runs()]
         broken = train_all(jobs, processes, listener)
     left_out = {job.config.shown_as for job in jobs if job.config.name in broken}
     whole = [job for job in jobs if job.config.shown_as not in left_out]
@@ -154,11 +154,3 @@ def _check_same(config: CompareConfig, out: Path) -> None:
     ]
     if problems:
         raise ConfigError(f"{out} cannot be resumed", problems)
-
-
-def _job(run: TrainConfig, path: Path, wandb: str | None) -> Job:
-    """What is left to do for a run; a folder that was killed before it began is moved aside."""
-    begun = (path / "config.json").is_file()
-    if path.exists() and not begun:
-        claim_folder(path, force=True)
-    return Job(run, path, resume=begun, wandb=wandb)

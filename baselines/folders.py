@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from baselines.storage import RunError, moved_aside, read_json
-from baselines.tuning.study import JOURNAL
+from baselines.tuning.study import is_study
 
 
 def run_folders(
@@ -35,7 +35,7 @@ def _inside(path: Path, note: Callable[[str], None], comparisons: bool) -> list[
     """The folders of runs at or below ``path``, sorted, but for what is left out."""
     if not path.is_dir():
         raise RunError(f"{path} is not a folder")
-    if (path / JOURNAL).is_file():
+    if is_study(path):
         raise RunError(f"{path} is a study, and holds no run to report on; draw it with --study")
     folders: list[Path] = []
     left_out: dict[Path, str] = {}
@@ -62,7 +62,7 @@ def _why_left_out(folder: Path, comparisons: bool) -> str | None:
     """Why what is in ``folder`` is not reported on; ``None`` if it is."""
     if moved_aside(folder):
         return "moved aside by --force"
-    if (folder / JOURNAL).is_file():
+    if is_study(folder):
         return "a study; draw it with --study"
     config = folder / "config.json"
     is_run = (folder / "field.yaml").is_file()

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import multiprocessing
-import queue
 import signal
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnContext
-from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from baselines.progress import Listener, Report
 from baselines.runs import DivergenceError, TrainConfig
-from baselines.storage import RunError
+from baselines.storage import RunError, claim_folder
 from baselines.train import train
 from mbn_marl.errors import MbnError
+
+Work = Callable[..., None]
+"""``work(job, report)``: a function of a module; ``report`` takes messages for the listener."""
+
+Failed = Callable[[int, str], bool]
+"""Is told which job failed, by its place, and why; says whether to try it again."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +39,14 @@ class Job:
     resume: bool = False
     wandb: str | None = None
     trust: bool = False
+
+    @classmethod
+    def left(cls, run: TrainConfig, out: Path, wandb: str | None = None) -> Self:
+        """What is left to do for a run; a folder that was killed before it began is moved aside."""
+        begun = (out / "config.json").is_file()
+        if out.exists() and not begun:
+            claim_folder(out, force=True)
+        return cls(run, out, resume=begun, wandb=wandb)
 
     def train(self, listener: Listener) -> None:
         """Do it here; a learner that breaks down is reported, and is no error."""
@@ -51,13 +65,13 @@ class Job:
 
 @dataclass(frozen=True)
 class Ended:
-    """A worker's last word; ``error`` is a message or a traceback if it failed."""
+    """A worker's last word on a job; ``error`` is a message or a traceback if it failed."""
 
     error: str | None = None
 
 
 def spawning() -> SpawnContext:
-    """What queues and locks that are shared with :func:`run_processes` have to come from."""
+    """What locks and arrays that are shared with :func:`run_processes` have to come from."""
     return multiprocessing.get_context("spawn")
 
 
@@ -83,25 +97,20 @@ def train_all(jobs: Sequence[Job], processes: int, listener: Listener) -> dict[s
     if processes == 1:
         for job in jobs:
             job.train(listen)
-        return broken
-    count = min(processes, len(jobs))
-    todo = spawning().Queue()
-    for item in (*jobs, *[None] * count):
-        todo.put(item)
-    run_processes(_train_jobs, (todo,), count, listen)
+    else:
+        work_all(_train_job, jobs, processes, listen)
     return broken
 
 
-def _train_jobs(todo: multiprocessing.Queue[Job | None], listener: Listener) -> None:
-    """Train the jobs of a queue up to its first ``None``."""
-    for job in iter(todo.get, None):
-        try:
-            job.train(listener)
-        except (MbnError, OSError) as error:
-            raise RunError(f"{job.config.name}: {error}") from error
-        except Exception as error:
-            error.add_note(f"in the run {job.config.name}")
-            raise
+def _train_job(job: Job, report: Listener) -> None:
+    """Train a job; an error names the run."""
+    try:
+        job.train(report)
+    except (MbnError, OSError) as error:
+        raise RunError(f"{job.config.name}: {error}") from error
+    except Exception as error:
+        error.add_note(f"in the run {job.config.name}")
+        raise
 
 
 def run_processes(
@@ -116,68 +125,141 @@ def run_processes(
 
     Args:
         work: a function of a module.
-        arguments: can be pickled, or are queues and locks from :func:`spawning`.
+        arguments: can be pickled, or are locks and arrays from :func:`spawning`.
         count: how many processes.
         listener: is told here what a worker passes to its ``report``.
 
     Raises:
         RunError: a worker failed; the message is its own, or has the traceback of a defect.
     """
-    messages = spawning().Queue()
-    workers = [
-        spawning().Process(target=_work, args=(work, arguments, messages)) for _ in range(count)
-    ]
+    work_all(_call, [work] * count, count, listener, shared=arguments)
+
+
+def _call(work: Callable[..., None], report: Callable[[Any], None], *shared: Any) -> None:
+    work(*shared, report)
+
+
+def stop_all(place: int, error: str) -> bool:
+    """The answer to a failure that ends all work.
+
+    Raises:
+        RunError: always, with the worker's message.
+    """
+    raise RunError(error)
+
+
+def work_all(
+    work: Work,
+    jobs: Sequence[Any],
+    processes: int,
+    listener: Callable[[Any], None],
+    *,
+    failed: Failed = stop_all,
+    after: Sequence[int | None] = (),
+    shared: tuple[Any, ...] = (),
+) -> None:
+    """Do all jobs in new processes, at most ``processes`` at once, in order.
+
+    A worker that dies, even by kill -9, fails its job and no other one. Ctrl-C stops all, and
+    workers end with this process.
+
+    Args:
+        work: does one job.
+        jobs: can be pickled.
+        processes: how many at once.
+        listener: is told here what the work reports.
+        failed: by default, the first failure stops all.
+        after: for each job the place of one that has to end before it begins, or ``None``.
+        shared: what every worker gets with its work, ``work(job, report, *shared)``: can be
+            pickled, or comes from :func:`spawning`.
+
+    Raises:
+        RunError: by default, when a job failed; the message is the job's own, or has the traceback
+            of a defect.
+    """
+    order = list(after) or [None] * len(jobs)
+    waiting = list(range(len(jobs)))
+    over: set[int | None] = {None}
+    workers = [_Worker(work, shared) for _ in range(min(processes, len(jobs)))]
     try:
-        for worker in workers:
-            worker.start()
-        _watch(workers, messages, listener)
+        while waiting or any(worker.place is not None for worker in workers):
+            for worker in (one for one in workers if one.place is None):
+                ready = next((place for place in waiting if order[place] in over), None)
+                if ready is not None:
+                    waiting.remove(ready)
+                    worker.begin(ready, jobs[ready])
+            busy = {worker.connection: worker for worker in workers if worker.place is not None}
+            for connection in wait(list(busy)):
+                worker = next(one for one in workers if one.connection is connection)
+                message = worker.receive()
+                if not isinstance(message, Ended):
+                    listener(message)
+                    continue
+                place, worker.place = worker.place, None
+                assert place is not None
+                if not worker.process.is_alive():
+                    workers[workers.index(worker)] = _Worker(work, shared)
+                if message.error is not None and failed(place, message.error):
+                    waiting.insert(0, place)
+                else:
+                    over.add(place)
     finally:
         for worker in workers:
-            worker.terminate()
-            worker.join()
+            worker.process.terminate()
+            worker.process.join()
 
 
-def _watch(
-    workers: Sequence[BaseProcess],
-    messages: multiprocessing.Queue[Any],
-    listener: Callable[[Any], None],
-) -> None:
-    """Pass messages on until every worker has ended."""
-    running = len(workers)
-    while running:
+class _Worker:
+    """A process that does one job after the other.
+
+    Attributes:
+        process: it.
+        connection: to it. No other worker has a share in it, so that none is harmed by its death.
+        place: of the job that it does, if it does one.
+    """
+
+    def __init__(self, work: Work, shared: tuple[Any, ...]) -> None:
+        self.connection, theirs = spawning().Pipe()
+        self.process = spawning().Process(target=_serve, args=(work, shared, theirs))
+        self.process.start()
+        theirs.close()
+        self.place: int | None = None
+
+    def begin(self, place: int, job: Any) -> None:
+        """Hand it a job."""
+        self.place = place
+        with suppress(OSError):  # it is dead; :meth:`receive` says so
+            self.connection.send(job)
+
+    def receive(self) -> Any:
+        """Its next message; a dead process has failed its job."""
         try:
-            message = messages.get(timeout=1.0)
-        except queue.Empty:
-            dead = [worker.exitcode for worker in workers if worker.exitcode]
-            if dead:
-                raise RunError(f"a process died with exit code {dead[0]}") from None
-            continue
-        if not isinstance(message, Ended):
-            listener(message)
-        elif message.error is not None:
-            raise RunError(message.error)
-        else:
-            running -= 1
+            return self.connection.recv()
+        except (EOFError, OSError):
+            self.process.join()
+            return Ended(f"a process died with exit code {self.process.exitcode}")
 
 
-def _work(
-    work: Callable[..., None], arguments: tuple[Any, ...], messages: multiprocessing.Queue[Any]
-) -> None:
-    """Do the work in a process of its own, as long as the parent lives."""
+def _serve(work: Work, shared: tuple[Any, ...], connection: Connection[Any, Any]) -> None:
+    """Do what comes, in a process of its own, as long as the parent lives."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent answers Ctrl-C
-    parent = multiprocessing.parent_process()
 
     def report(message: Any) -> None:
-        if parent is not None and not parent.is_alive():
-            raise SystemExit
-        messages.put(message)
+        try:
+            connection.send(message)
+        except OSError:
+            raise SystemExit from None  # the parent is dead
 
-    try:
-        work(*arguments, report)
-    except (MbnError, OSError) as error:
-        messages.put(Ended(str(error)))
-        return
-    except Exception:
-        messages.put(Ended(f"a process failed:\n{traceback.format_exc()}"))
-        return
-    messages.put(Ended())
+    while True:
+        try:
+            job = connection.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            work(job, report, *shared)
+        except (MbnError, OSError) as error:
+            report(Ended(str(error)))
+        except Exception:
+            report(Ended(f"a process failed:\n{traceback.format_exc()}"))
+        else:
+            report(Ended())

@@ -17,7 +17,7 @@ from baselines.runs import DivergenceError, RunFolder, Task, TrainConfig
 from baselines.storage import RunError, alone, claim_folder
 from mbn_marl.config import make_config
 from mbn_marl.errors import ActionError, ConfigError, MbnError
-from mbn_marl.field import Field, catalogue_names, load_field
+from mbn_marl.field import Field, load_field
 
 
 def train(
@@ -191,9 +191,13 @@ def check_source(task: Task, hyperparameters: Hyperparameters) -> None:
         raise ConfigError(f"from: {source.path}", problems)
 
 
+def found_anywhere(field: str) -> str:
+    """A field's name, or its path from the root: as another working directory needs it."""
+    return str(Path(field).resolve()) if Path(field).is_file() else field
+
+
 def resolve(task: Task, hyperparameters: Hyperparameters) -> Mapping[str, Any]:
     """The resolved configuration of a run, with every default written out, as JSON values."""
-    field = task.config.field
     paths = {
         name: None if (path := getattr(task.config, name)) is None else str(path.resolve())
         for name in ("hyperparams", "transferred_from")
@@ -201,7 +205,7 @@ def resolve(task: Task, hyperparameters: Hyperparameters) -> Mapping[str, Any]:
     return {
         **asdict(task.config),
         **paths,
-        "field": field if field in catalogue_names() else str(Path(field).resolve()),
+        "field": found_anywhere(task.config.field),
         "environment": make_config(task.settings).model_dump(mode="json"),
         "hyperparameters": hyperparameters.model_dump(mode="json"),
     }

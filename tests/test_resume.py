@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import signal
@@ -22,7 +21,6 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from baselines import recorder
 from baselines.algorithms import ALGORITHMS
-from baselines.centralized.policy import CentralizedPolicy
 from baselines.policies import load_policy
 from baselines.progress import Report
 from baselines.runs import RunFolder, TrainConfig
@@ -31,6 +29,7 @@ from baselines.train import train
 from mbn_marl.cli import main
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field, save_field
+from tests.runs import recorded, same_policies
 
 SMALL = {"policy_kwargs": {"net_arch": [8]}}
 REPLAY = {**SMALL, "learning_starts": 100, "batch_size": 16, "buffer_size": 150}
@@ -70,30 +69,9 @@ def _config(name: str, **changes: Any) -> TrainConfig:
     )
 
 
-def _recorded(run: RunFolder) -> dict[str, Any]:
-    """What a run recorded, but for the seconds."""
-
-    def timeless(entry: dict[str, Any]) -> dict[str, Any]:
-        return {name: value for name, value in entry.items() if "seconds" not in name}
-
-    with run.progress.open(newline="") as file:
-        rows = [timeless(row) for row in csv.DictReader(file)]
-    evaluations = [timeless(entry) for entry in run.evaluations]
-    return {"rows": rows, "evaluations": evaluations, "final": timeless(run.evaluation)}
-
-
-def _parameters(run: RunFolder) -> dict[str, torch.Tensor]:
-    policy: Any = load_policy(run)
-    network = policy.model.policy if isinstance(policy, CentralizedPolicy) else policy.network
-    return dict(network.state_dict())
-
-
 def _assert_equal(run: RunFolder, other: RunFolder) -> None:
-    assert _recorded(run) == _recorded(other)
-    ours, theirs = _parameters(run), _parameters(other)
-    assert ours.keys() == theirs.keys()
-    for name in ours:
-        assert torch.equal(ours[name], theirs[name]), name
+    assert recorded(run) == recorded(other)
+    assert same_policies(run, other)
 
 
 def _interrupted(config: TrainConfig, out: Path) -> RunFolder:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,10 @@ from baselines.paper import published
 from baselines.runs import DivergenceError
 from baselines.storage import RunError, write_json
 from baselines.tuning import trial as trials_module
+from baselines.tuning.address import Address
 from baselines.tuning.space import Space
-from baselines.tuning.study import begin_study, draw_study, importances, open_study
-from baselines.tuning.trial import News, TuneConfig, run_trials
+from baselines.tuning.study import draw_study, importances, open_study
+from baselines.tuning.trial import News, TrialJob, TuneConfig, run_trial
 from baselines.tuning.tune import tune
 from mbn_marl.cli import main
 from mbn_marl.errors import ConfigError
@@ -176,7 +176,7 @@ def _begin(folder: Path) -> Path:
     folder.mkdir()
     (folder / "command.txt").write_text("mbn tune a2c\n")
     write_json(folder / "config.json", {"algorithm": "a2c", "field": "field_03", "steps": 20})
-    begin_study(folder)
+    Address.of(folder, None).begin()
     return folder
 
 
@@ -187,7 +187,8 @@ def test_a_trial_below_the_median_is_pruned(tmp_path: Path) -> None:
         open_study(folder).add_trial(better)
     config = TuneConfig("a2c", "field_03", 33, 3000, 1000, 1, 1)
     news: list[News] = []
-    run_trials(config, folder, 6, nullcontext(), news.append)
+    place = Address.of(folder, None)
+    run_trial(TrialJob(config, place, folder, "mbn tune a2c", "job"), news.append)
     assert news[-1].state == "pruned" and 1000 <= news[-1].env_steps < 2000
     last = open_study(folder).get_trials()[-1]
     assert last.state is TrialState.PRUNED

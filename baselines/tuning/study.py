@@ -4,7 +4,8 @@ Files of a study's folder:
     config.json         what is tuned on what, fixed for the life of the study
     command.txt         the exact command that began it
     versions.json       Python, packages, machine, git revision
-    study.log           every trial, as Optuna's journal; it grows, and is never rewritten
+    study.log           every trial, as Optuna's journal, unless config.json names a database
+                        instead; it grows, and is never rewritten
     checksums.json      of all files but the trials' and the figure, while no trial runs
     trials/             the run folder of each trial
     trials.csv          a line a trial
@@ -23,48 +24,49 @@ from pathlib import Path
 import optuna
 from matplotlib.figure import Figure
 from optuna import Study
-from optuna.storages import JournalStorage
 from optuna.trial import FrozenTrial, TrialState
 
 from baselines.storage import RunError, read_json, seal
-from baselines.tuning.journal import CheckedJournal, cut_unfinished_line
+from baselines.tuning.address import JOURNAL, Address
+from baselines.tuning.journal import cut_unfinished_line
 from mbn_marl.render.figures import StudyTrial, study_figure
 
 CONFIG = "config.json"
-JOURNAL = "study.log"
+DATABASE = "database"
+"""The entry of ``config.json`` that names one."""
 FIXED = (CONFIG, "command.txt", "versions.json")
 """Files that never change."""
-NAME = "study"
-"""The only study of a journal."""
 ENOUGH = 10
 """Finished trials that importances need: Optuna asks for five on the good side."""
 DIVERGED = "diverged"
 """The attribute of a trial whose learner broke down, with what it said, and its constraint."""
 
 
-def begin_study(folder: Path) -> None:
-    """Begin the study of ``folder``, which has none."""
-    optuna.create_study(study_name=NAME, storage=_storage(folder), direction="maximize")
-
-
 def open_study(folder: Path) -> Study:
     """Open the study of ``folder``.
 
     Raises:
-        RunError: there is none, or trials have gone from it.
+        RunError: there is none, or trials have gone from it, or its database cannot be reached.
         DamageError: a file is not what was written.
     """
-    if not (folder / JOURNAL).is_file():
+    if not is_study(folder):
         raise RunError(f"{folder} is not the folder of a study: it has no {JOURNAL}")
-    try:
-        study = optuna.load_study(study_name=NAME, storage=_storage(folder))
-        known = len(study.get_trials(deepcopy=False))
-    except KeyError as error:
-        raise RunError(f"{folder / JOURNAL} is damaged: it lacks {error}") from None
+    address = Address.of(folder, read_json(folder / CONFIG).get(DATABASE))
+    study = address.open()
     folders = sum(1 for _ in (folder / "trials").glob("trial-*"))
+    known = len(study.get_trials(deepcopy=False))
     if folders > known:
-        raise RunError(f"{folder / JOURNAL} is damaged: it has {known} of {folders} trials")
+        raise RunError(f"{address.storage} is damaged: it has {known} of {folders} trials")
     return study
+
+
+def is_study(folder: Path) -> bool:
+    """Whether ``folder`` is that of a study."""
+    if (folder / JOURNAL).is_file():
+        return True
+    path = folder / CONFIG
+    config = read_json(path) if path.is_file() else None
+    return isinstance(config, dict) and config.get(DATABASE) is not None
 
 
 def take_up(folder: Path) -> None:
@@ -74,7 +76,8 @@ def take_up(folder: Path) -> None:
         DamageError: a file is not what was written.
     """
     open_study(folder)
-    cut_unfinished_line(folder / JOURNAL)
+    if (folder / JOURNAL).exists():
+        cut_unfinished_line(folder / JOURNAL)
     seal(folder, FIXED)
 
 
@@ -139,8 +142,3 @@ def trials_csv(study: Study) -> str:
         values = [trial.params.get(name, "") for name in names]
         writer.writerow([trial.number, state, "" if value is None else value, *values])
     return text.getvalue()
-
-
-def _storage(folder: Path) -> JournalStorage:
-    optuna.logging.set_verbosity(optuna.logging.ERROR)  # the display tells of every trial
-    return JournalStorage(CheckedJournal(folder / JOURNAL))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from optuna import Study, Trial, TrialPruned
+from optuna import Trial, TrialPruned
 from optuna.pruners import MedianPruner
 from optuna.samplers import TPESampler
 from optuna.trial import TrialState
@@ -16,13 +15,16 @@ from optuna.trial import TrialState
 from baselines.progress import Report
 from baselines.runs import MOST_SEED, DivergenceError, RunFolder, TrainConfig
 from baselines.train import train
+from baselines.tuning.address import Address
 from baselines.tuning.space import Space
-from baselines.tuning.study import DIVERGED, ended, open_study
+from baselines.tuning.study import DIVERGED
 
 State = Literal["running", "finished", "pruned", "diverged"]
 
 BASE: Literal["A"] = "A"
 """The setting whose other hyperparameters the trials have."""
+TOKEN = "job"
+"""The attribute of a trial that says which job runs it."""
 
 
 @dataclass(frozen=True)
@@ -80,55 +82,49 @@ class News:
     values: dict[str, Any]
 
 
-def run_trials(
-    config: TuneConfig,
-    folder: Path,
-    total: int,
-    lock: AbstractContextManager[Any],
-    listener: Callable[[News], None],
-) -> None:
-    """Run trials until the study of ``folder`` has ``total`` that ended or run.
+@dataclass(frozen=True)
+class TrialJob:
+    """One trial to run.
 
-    Args:
+    Attributes:
         config: what is tuned.
-        folder: the study's.
-        total: how many trials, with those from before.
-        lock: is held while a trial is claimed, so that processes together run no more.
-        listener: is told of every trial.
+        address: of the study.
+        folder: the study's, for the run folder of the trial.
+        command: the exact command, recorded there.
+        token: of this job alone; when it is begun again elsewhere, it knows its lost trial by it.
     """
-    study = open_study(folder)
-    study.pruner = MedianPruner()
-    while (trial := _claim(study, config, total, lock)) is not None:
-        _run(study, trial, config, folder / "trials" / f"trial-{trial.number:04d}", listener)
+
+    config: TuneConfig
+    address: Address
+    folder: Path
+    command: str
+    token: str
 
 
-def _claim(
-    study: Study, config: TuneConfig, total: int, lock: AbstractContextManager[Any]
-) -> Trial | None:
-    """The next trial; ``None`` if there are enough.
+def run_trial(job: TrialJob, listener: Callable[[News], None]) -> None:
+    """Claim the study's next trial, train it, and tell the study how it ended.
 
     The sampler's generator depends on the trial's number: no process, and no later one that goes on
     with the study, draws what another has drawn.
+
+    Args:
+        job: the trial to run.
+        listener: is told of it.
     """
-    with lock:
-        running = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
-        if len(ended(study)) + len(running) >= total:
-            return None
-        number = len(study.get_trials(deepcopy=False))
-        seed = (config.seed + number) % (MOST_SEED + 1)
-        study.sampler = TPESampler(seed=seed, constant_liar=True)
-        return study.ask()
-
-
-def _run(
-    study: Study, trial: Trial, config: TuneConfig, out: Path, listener: Callable[[News], None]
-) -> None:
-    """Train a trial in the run folder ``out``, and tell the study how it ended."""
-    values = Space.of(config.algorithm).suggest(trial)
-    watch = _Watch(trial, config, out, values, listener)
+    study = job.address.open()
+    for lost in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        if lost.user_attrs.get(TOKEN) == job.token:
+            study.tell(lost.number, state=TrialState.FAIL)
+    study.pruner = MedianPruner()
+    trial = study.ask()
+    trial.set_user_attr(TOKEN, job.token)
+    seed = (job.config.seed + trial.number) % (MOST_SEED + 1)
+    study.sampler = TPESampler(seed=seed, constant_liar=True)
+    values = Space.of(job.config.algorithm).suggest(trial)
+    out = job.folder / "trials" / f"trial-{trial.number:04d}"
+    watch = _Watch(trial, job.config, out, values, listener)
     try:
-        command = (out.parents[1] / "command.txt").read_text().strip()
-        run = train(config.training(values), out, command=command, listener=watch)
+        run = train(job.config.training(values), out, command=job.command, listener=watch)
     except TrialPruned:
         study.tell(trial, state=TrialState.PRUNED)
         listener(watch.news("pruned"))

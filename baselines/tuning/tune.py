@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import nullcontext
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import yaml
 from optuna import Study
 from optuna.trial import TrialState
 
 from baselines.algorithms import find_algorithm
-from baselines.parallel import run_processes, spawning
+from baselines.cluster import Engine, Needs, connected, work_on_ray
+from baselines.parallel import work_all
 from baselines.runs import write_provenance
 from baselines.storage import RunError, alone, claim_folder, read_json, write_json, write_text
+from baselines.train import found_anywhere
+from baselines.tuning.address import Address
 from baselines.tuning.study import (
     CONFIG,
-    begin_study,
+    DATABASE,
     draw_study,
     ended,
     importances,
@@ -27,7 +30,7 @@ from baselines.tuning.study import (
     take_up,
     trials_csv,
 )
-from baselines.tuning.trial import BASE, News, TuneConfig, run_trials
+from baselines.tuning.trial import BASE, News, TrialJob, TuneConfig, run_trial
 from mbn_marl.errors import ConfigError
 from mbn_marl.render.figures import save
 
@@ -39,6 +42,9 @@ def tune(
     trials: int,
     processes: int,
     command: str,
+    database: str | None = None,
+    engine: Engine = "local",
+    address: str | None = None,
     resume: bool = False,
     force: bool = False,
     listener: Callable[[News], None] = lambda news: None,
@@ -49,8 +55,12 @@ def tune(
         config: what to tune.
         out: the folder of the study.
         trials: how many that end, finished or pruned, with those from before (> 0).
-        processes: trials at a time (> 0).
+        processes: under the engine ``"local"`` trials at a time (> 0).
         command: the exact command, recorded when the study begins.
+        database: the URL of one that keeps the trials, instead of a journal in ``out``.
+        engine: ``"local"``, processes of this machine; or ``"ray"``, a Ray cluster, whose machines
+            have to see the journal or the database.
+        address: of the Ray cluster; by default that of ``RAY_ADDRESS`` or of this machine.
         resume: go on with the study in ``out``; a trial that was interrupted is run anew.
         force: move a folder that is already there aside.
         listener: is told where the trials stand.
@@ -61,7 +71,8 @@ def tune(
     Raises:
         ConfigError: a number is out of range, or the study in ``out`` tunes something else.
         RunError: ``out`` holds something already, no study to resume, or one that is at work; or
-            no trial was finished.
+            no trial was finished; or the database refuses the study.
+        MbnError: there is no Ray cluster.
     """
     problems = [
         f"{name}: must be at least 1 (got {value})"
@@ -71,35 +82,44 @@ def tune(
     if problems:
         raise ConfigError("tuning", problems)
     if resume:
-        _check_same(config, out)
+        _check_same({**asdict(config), DATABASE: database}, out)
     else:
         claim_folder(out, force=force)
-        write_json(out / CONFIG, asdict(config))
+        Address.of(out, database).begin()
+        write_json(out / CONFIG, {**asdict(config), DATABASE: database})
         write_provenance(out, command)
-        begin_study(out)
     with alone(out, "mbn tune", "; --processes runs trials side by side"):
         take_up(out)
         study = open_study(out)
         for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
             study.tell(trial.number, state=TrialState.FAIL)
-        if processes == 1:
-            run_trials(config, out, trials, nullcontext(), listener)
+        place, first = Address.of(out, database), (out / "command.txt").read_text().strip()
+        same = replace(config, field=found_anywhere(config.field))
+        jobs = [
+            TrialJob(same, place, out.resolve(), first, uuid4().hex)
+            for _ in range(trials - len(ended(study)))
+        ]
+        if engine == "ray":
+            with connected(address):
+                work_on_ray(run_trial, jobs, listener, Needs())
+        elif processes == 1:
+            for job in jobs:
+                run_trial(job, listener)
         else:
-            work = (config, out, trials, spawning().Lock())
-            run_processes(run_trials, work, processes, listener)
+            work_all(run_trial, jobs, processes, listener)
         try:
             return _write_results(study, config, out)
         finally:
             put_down(out)
 
 
-def _check_same(config: TuneConfig, folder: Path) -> None:
-    """Check that the study of ``folder`` tunes what ``config`` says."""
+def _check_same(asked: Mapping[str, Any], folder: Path) -> None:
+    """Check that the study of ``folder`` tunes what is asked for."""
     open_study(folder)
     recorded = read_json(folder / CONFIG)
     problems = [
         f"{name}: the study has {recorded.get(name)!r}, not {value!r}"
-        for name, value in asdict(config).items()
+        for name, value in asked.items()
         if recorded.get(name) != value
     ]
     if problems:

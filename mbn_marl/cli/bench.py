@@ -14,7 +14,7 @@ LEARNING = (*STUDIES_OF_VARIANTS, "population")
 OPTIONS = {
     "fields": LEARNING,
     "seeds": STUDIES_OF_VARIANTS,
-    "steps": LEARNING,
+    "steps": (*LEARNING, "grid"),
     "processes": LEARNING,
     "minutes": ("population",),
     "resume": STUDIES_OF_VARIANTS,
@@ -27,19 +27,20 @@ class Bench:
     """Measure in one run, print tables with targets, and write them and figures."""
 
     subject: Positional[
-        Literal["speed", "learning", "sharing", "ablations", "population", "planning"]
+        Literal["speed", "learning", "sharing", "ablations", "population", "planning", "grid"]
     ] = "speed"
     """speed: the engine, its adapters, the plain loop, and the peers that are installed. learning:
     one setting on all ten fields against its targets. sharing: the ways to share parameters.
     ablations: what the setting is made of. population: the best policies within a time.
-    planning: proofs and plans for the ten fields and random ones."""
+    planning: proofs and plans for the ten fields and random ones. grid: what the engines of
+    `mbn grid` take for themselves."""
     fields: tuple[str, ...] = ()
     """All that learn: names of `mbn fields`, or paths; by default all ten, for ablations two."""
     seeds: tuple[int, ...] = ()
     """learning, sharing, ablations: one run per variant, field and seed; by default 0 1 2 3 4, for
     ablations 0 1 2."""
     steps: int | None = None
-    """All that learn: env-steps of every run; by default 1,441,792."""
+    """All that learn: env-steps of every run; by default 1,441,792. grid: 20,000."""
     processes: int | None = None
     """All that learn: runs at a time, each on one core; by default as many as there are."""
     minutes: float | None = None
@@ -61,6 +62,8 @@ class Bench:
             self._measure_planning(out, command_line)
         elif self.subject == "population":
             self._train_population(out, command_line)
+        elif self.subject == "grid":
+            self._measure_grid(out, command_line)
         else:
             self._study(out, command_line)
 
@@ -140,6 +143,30 @@ class Bench:
         console.print(rich_table("targets", targets_grid(rows)))
         console.print(grid.caption, "\n")
         console.print(f"written to {out}: population.md, population.json, runs")
+
+    def _measure_grid(self, out: Path, command_line: str) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        from baselines.storage import claim_folder, write_json
+        from benchmarks.grid import STAGES, measure_grid
+        from benchmarks.load import OtherLoad
+        from benchmarks.machine import describe_machine, machine_line
+        from benchmarks.report import rows_table
+
+        folder = claim_folder(out, force=self.force)
+        console, machine, load = Console(), describe_machine(), OtherLoad()
+        with Progress(console=console, transient=True) as progress:
+            task = progress.add_task("running grids", total=STAGES)
+            rows = measure_grid(self.steps, lambda: progress.advance(task))
+        others = load.cores()
+        console.print(f"{machine_line(machine)}\n", highlight=False)
+        console.print(rows_table(rows, "the engines of mbn grid"))
+        if others is not None:
+            console.print(f"other processes used {others:.2f} cores meanwhile", highlight=False)
+        result = {"command": command_line, "machine": machine, "other_cores": others}
+        write_json(folder / "grid.json", {**result, "rows": [row.to_json() for row in rows]})
+        console.print(f"written to {folder}: grid.json")
 
     def _study(self, out: Path, command_line: str) -> None:
         from rich.console import Console

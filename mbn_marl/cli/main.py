@@ -16,6 +16,7 @@ from mbn_marl.cli.compare import Compare
 from mbn_marl.cli.deploy import Deploy
 from mbn_marl.cli.evaluate import Evaluate
 from mbn_marl.cli.fields import Fields
+from mbn_marl.cli.grid import Grid
 from mbn_marl.cli.plan import Plan
 from mbn_marl.cli.render import Render
 from mbn_marl.cli.replay import Replay
@@ -33,6 +34,7 @@ Command = (
     | Annotated[Transfer, subcommand("transfer")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Compare, subcommand("compare")]
+    | Annotated[Grid, subcommand("grid")]
     | Annotated[Tune, subcommand("tune")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Plan, subcommand("plan")]

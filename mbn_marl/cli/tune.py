@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -31,7 +31,15 @@ class Tune:
     num_envs: int = 1
     """Worlds stepped side by side."""
     processes: int = 1
-    """Trials at a time; each takes one core."""
+    """local: trials at a time; each takes one core."""
+    database: str | None = None
+    """The URL of a database that keeps the trials, such as postgresql://HOST/NAME or
+    sqlite:///FILE; by default they are in a journal in the folder of the study."""
+    engine: Literal["local", "ray"] = "local"
+    """local: processes of this machine. ray: a Ray cluster that is there already; its machines
+    have to see the database, or else the folder."""
+    address: str | None = None
+    """ray: HOST:PORT of the cluster; by default $RAY_ADDRESS, or the cluster this machine is in."""
     out: Path | None = None
     """The folder of the study; by default runs/tune-ALGO-FIELD."""
     resume: bool = False
@@ -52,6 +60,8 @@ class Tune:
 
         if self.resume and self.force:
             raise ConfigError("tuning", ["resume: goes on with a study that --force moves aside"])
+        if self.address is not None and self.engine != "ray":
+            raise ConfigError("tuning", ["address: allowed with --engine ray"])
         config = TuneConfig(
             self.algorithm,
             self.field,
@@ -73,6 +83,9 @@ class Tune:
                 trials=self.trials,
                 processes=self.processes,
                 command=command_line,
+                database=self.database,
+                engine=self.engine,
+                address=self.address,
                 resume=self.resume,
                 force=self.force,
                 listener=display,

@@ -1,0 +1,1 @@
+"""A grid of training runs: declared in a file, done on one machine or on many."""

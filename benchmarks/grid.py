@@ -1,0 +1,134 @@
+"""What it costs to have many runs done: the scheduler's share, and how well workers add up."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from baselines.cluster import Needs, connected, work_on_ray
+from baselines.grid.run import Grid, run_grid
+from baselines.grid.spec import GridSpec, cells_of
+from baselines.grid.store import open_store
+from baselines.grid.work import Assignment, Claim, Outcome
+from baselines.parallel import work_all
+from benchmarks.results import Row
+
+EMPTY = 1000
+"""Cells that train nothing."""
+STEPS = 20_000
+"""Env-steps of each of the cells that train."""
+CELLS = 4
+"""Of them."""
+WORKERS = 2
+NODE: dict[str, Any] = {
+    "num_cpus": WORKERS,
+    "object_store_memory": 80 * 2**20,
+    "include_dashboard": False,
+}
+STAGES = 5
+
+
+def measure_grid(steps: int | None, progress: Callable[[], None]) -> list[Row]:
+    """Measure both engines; Ray only where it is installed.
+
+    Args:
+        steps: env-steps of each of the cells that train; ``None`` for ``STEPS``.
+        progress: is called after each of ``STAGES`` stages.
+    """
+    steps = STEPS if steps is None else steps
+    rows = []
+    for workers in (1, WORKERS):
+        rows.append(_overhead("local", f"{workers} at a time", _empty_locally(workers)))
+        progress()
+    rows.append(_on_ray())
+    progress()
+    seconds = {}
+    for workers in (1, WORKERS):
+        seconds[workers] = _train(steps, workers)
+        progress()
+    of_cells = f"{CELLS} runs of A2C, {steps:,} env-steps each, start of the processes included"
+    one, many = seconds[1], seconds[WORKERS]
+    rows += [
+        Row("local: all cells, 1 worker", one, "s", note=of_cells),
+        Row(f"local: all cells, {WORKERS} workers", many, "s", note=of_cells),
+        Row("local: efficiency, 1 worker", 100.0, "%", note="by definition"),
+        Row(
+            f"local: efficiency, {WORKERS} workers",
+            100.0 * one / (WORKERS * many),
+            "%",
+            note=f"time of one worker over {WORKERS} times that of {WORKERS}",
+        ),
+    ]
+    return rows
+
+
+def _overhead(engine: str, how: str, seconds: float) -> Row:
+    what = f"{EMPTY:,} cells that train nothing; what they note in the store included"
+    return Row(f"{engine}: per cell, {how}", 1000.0 * seconds / EMPTY, "ms", note=what)
+
+
+def claim_and_leave(job: Assignment, report: Callable[[Any], None]) -> None:
+    """Everything that a cell costs but training."""
+    store, name = open_store(job.store), job.cell.name
+    if not store.finished([name]):
+        with Claim(store, job, store.state(name), report) as claim:
+            claim.end("done")
+    report(Outcome(name, "done"))
+
+
+@contextmanager
+def _empty_cells() -> Iterator[list[Assignment]]:
+    """Cells in a store of their own."""
+    with tempfile.TemporaryDirectory() as folder:
+        spec = _spec(Path(folder), seeds=range(EMPTY), steps=1)
+        yield [Assignment(cell, folder, "bench", 0.0) for cell in cells_of(spec)]
+
+
+def _spec(store: Path, seeds: Sequence[int], steps: int) -> GridSpec:
+    values = {"algorithms": ["a2c"], "fields": ["field_03"], "settings": ["A"], "seeds": seeds}
+    budget = {"steps": steps, "evaluate_every": steps, "episodes": 1}
+    return GridSpec.model_validate({"store": str(store), **values, "budget": budget})
+
+
+def _empty_locally(workers: int) -> float:
+    """Seconds for all empty cells, once the processes are there."""
+    with _empty_cells() as jobs:
+        ends: list[float] = []
+        work_all(claim_and_leave, jobs, workers, lambda outcome: ends.append(perf_counter()))
+        return _after_start(ends, workers)
+
+
+def _after_start(ends: Sequence[float], workers: int) -> float:
+    """Seconds for all jobs, from when every worker has ended one."""
+    return (ends[-1] - ends[workers - 1]) * len(ends) / (len(ends) - workers)
+
+
+def _on_ray() -> Row:
+    if find_spec("ray") is None:
+        return Row("ray: per cell", None, "ms", note="not installed")
+    import ray
+
+    ray.init(**NODE, log_to_driver=False, logging_level=logging.ERROR)
+    try:
+        with _empty_cells() as jobs, connected(None):
+            ends: list[float] = []
+            needs = Needs()
+            work_on_ray(claim_and_leave, jobs, lambda outcome: ends.append(perf_counter()), needs)
+            return _overhead("ray", f"{WORKERS} at a time", _after_start(ends, WORKERS))
+    finally:
+        ray.shutdown()
+
+
+def _train(steps: int, workers: int) -> float:
+    """Seconds for a grid of cells that train."""
+    with tempfile.TemporaryDirectory() as folder:
+        grid = Grid.of(_spec(Path(folder), seeds=range(CELLS), steps=steps))
+        start = perf_counter()
+        run_grid(grid, engine="local", processes=workers)
+        return perf_counter() - start
