@@ -22,7 +22,7 @@ from baselines.storage import RunError, write_json
 from baselines.tuning import trial as trials_module
 from baselines.tuning.address import Address
 from baselines.tuning.space import Space
-from baselines.tuning.study import draw_study, importances, open_study
+from baselines.tuning.study import draw_study, importances, open_study, take_up
 from baselines.tuning.trial import News, TrialJob, TuneConfig, run_trial
 from baselines.tuning.tune import tune
 from mbn_marl.cli import main
@@ -131,6 +131,7 @@ def test_resume_keeps_what_there_is_and_runs_an_interrupted_trial_anew(tmp_path:
     words = ["tune", "a2c", *TINY, "--out", str(out)]
     assert main([*words, "--trials", "1"]) == 0
     first = table(out)
+    take_up(out)
     open_study(out).ask()  # as if the process had been killed during trial 1
     assert main([*words, "--trials", "2", "--resume"]) == 0
     rows = table(out)
