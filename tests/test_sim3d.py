@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -342,7 +345,7 @@ def test_an_unknown_vehicle_names_the_known_ones() -> None:
 
 
 def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ImportError, match=r"mbn_marl\[sim3d\]"):
         MujocoSimulator()
 
@@ -417,7 +420,24 @@ def can_draw() -> bool:
     return True
 
 
-@pytest.mark.skipif(not can_draw(), reason="no OpenGL without a display (Debian: libegl1 libgl1)")
+needs_opengl = pytest.mark.skipif(
+    not can_draw(), reason="no OpenGL without a display (Debian: libegl1 libgl1)"
+)
+
+
+@needs_opengl
+def test_drawing_does_not_depend_on_who_loads_mujoco_first() -> None:
+    code = """
+import warnings; warnings.simplefilter("ignore")
+import mujoco
+from mbn_marl.sim3d.loading import load_mujoco
+load_mujoco().Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()
+"""
+    free = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    subprocess.run([sys.executable, "-c", code], check=True, env=free)
+
+
+@needs_opengl
 def test_a_film_shows_the_mission(tmp_path: Path) -> None:
     field = Field([(0, 0), (60, 0), (60, 45), (0, 45)], [(30, 22)], [(15, 20)], name="yard")
     save_field(field, tmp_path / "yard.yaml")

@@ -71,6 +71,7 @@ RULED_OUT: Mapping[str, set[str]] = {
     "mbn_marl.episode.play": {"FieldError"},
     "mbn_marl.episode.check_episode": {"FieldError"},
     "mbn_marl.episode.EpisodeRecorder.episodes": {"FieldError", "ConfigError"},
+    "mbn_marl.sim3d.deploy": {"FieldError"},
 }
 """Errors of functions that these call, but not with what these hand them: a ``Field`` is valid."""
 

@@ -27,6 +27,9 @@ class Command(NamedTuple):
     Attributes:
         velocities: (n, 2), units/step, in the engine's dtype; 0 where a robot may not go on.
         allowed: (n,) bool, whether the robot would stay in the field. If not it pays r_l.
+
+    Source:
+        ``docs/mdp.md``, "One step, in this order", 1 and 2.
     """
 
     velocities: NDArray[Any]

@@ -12,19 +12,31 @@ from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Simulator
 class PlaneSimulator(Simulator):
     """Point masses that have every commanded velocity at once (mdp.md, steps 1 and 2).
 
-    A deployment here is the environment's own episode, number for number.
+    A deployment here is the environment's own episode, number for number; its methods have the
+    arguments of :class:`~mbn_marl.sim3d.Simulator`.
+
+    Attributes:
+        has_wind: false: the wind is part of the commands.
     """
 
     has_wind: ClassVar[bool] = False
 
     def reset(self, mission: Mission) -> None:
-        """Put the point masses at their starts."""
+        """Put the point masses at their starts.
+
+        Args:
+            mission: where, units.
+        """
         self._tau = mission.starts.dtype.type(mission.tau)
         self._positions = mission.starts.copy()
         self._velocities = np.zeros_like(self._positions)
 
     def command(self, velocities: Floats) -> None:
-        """Take these velocities."""
+        """Take these velocities.
+
+        Args:
+            velocities: (n, 2), units/step.
+        """
         self._velocities = velocities.astype(self._positions.dtype)
 
     def step(self) -> None:
@@ -37,7 +49,11 @@ class PlaneSimulator(Simulator):
         return Motion(self._positions.copy(), self._velocities.copy(), heights)
 
     def spray(self, roi: int) -> None:
-        """Nothing to show."""
+        """Show nothing.
+
+        Args:
+            roi: 0 to m - 1.
+        """
 
     def close(self) -> None:
         """Nothing to free."""

@@ -62,6 +62,9 @@ class Mission:
             units/step.
         tau: the MDP's time of one step.
         roi_radius: rho, units.
+
+    Source:
+        The symbols are those of Choton, Woods, Hsu, section 3.
     """
 
     field: Field
@@ -78,7 +81,7 @@ class Motion:
     Attributes:
         positions: (n, 2), units.
         velocities: (n, 2), units/step.
-        heights: (n,), metres above the ground.
+        heights: (n,), metres above the ground, >= 0.
     """
 
     positions: Floats
@@ -115,7 +118,11 @@ class Simulator(ABC):
 
     @abstractmethod
     def command(self, velocities: Floats) -> None:
-        """Let the vehicles track these velocities, (n, 2) units/step, from now on."""
+        """Set what the vehicles track from now on.
+
+        Args:
+            velocities: (n, 2), units/step.
+        """
 
     @abstractmethod
     def step(self) -> None:
