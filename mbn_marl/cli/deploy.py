@@ -185,7 +185,7 @@ def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
 
     caption = (
         "ratio: to the plane's makespan; apart: the smallest distance of two robots, units;\n"
-        "error: of tracking, units a step; speed: times real time on one core, filming included"
+        "error: of tracking, units a step; speed: times real time on one core"
     )
     table = Table(
         title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 
 from mbn_marl.engine import Snapshot
 from mbn_marl.errors import MbnError
+from mbn_marl.field import Field
 from mbn_marl.render import style
 from mbn_marl.render.maps import draw_field, draw_wind
 
@@ -49,7 +50,7 @@ def overlay_panels(
                 roi_radius=second.roi_radius,
                 numbered=False,
             )
-            axes.set_aspect("equal", adjustable="datalim")
+            _fit_square(axes, second.field)
             _draw_paths(axes, first, dashed=True)
             _draw_paths(axes, second, dashed=False)
             if float(np.hypot(*second.wind)) > 1e-9:
@@ -63,6 +64,14 @@ def overlay_panels(
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
+
+
+def _fit_square(axes: Axes, field: Field) -> None:
+    """Show a square about the field, so that all panels are of one shape."""
+    low, high = field.vertices.min(axis=0), field.vertices.max(axis=0)
+    middle, half = (low + high) / 2.0, 0.55 * float((high - low).max())
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
 
 
 def _draw_paths(axes: Axes, last: Snapshot, *, dashed: bool) -> None:

@@ -279,21 +279,15 @@ def _add_mesh(assets: Element, name: str, mesh: Mesh) -> None:
 
 def _add_cameras(world: Element, frame: Frame) -> None:
     """One across the field from the south, and one from above, north up."""
-    wide, deep = frame.size
-    half = math.tan(math.radians(FIELD_OF_VIEW / 2.0))
-    aspect = 4.0 / 3.0
-    top = 1.1 * max(deep, wide / aspect) / (2.0 * half)
-    add(world, "camera", name="top", pos=(0, 0, top), xyaxes=(1, 0, 0, 0, 1, 0))
-    tilt = math.radians(40.0)
-    far = 1.15 * max(deep * math.sin(tilt), wide / aspect) / (2.0 * half) + 0.15 * deep
-    place = (0, -far * math.cos(tilt), far * math.sin(tilt))
-    add(
-        world,
-        "camera",
-        name="field",
-        pos=place,
-        xyaxes=(1, 0, 0, 0, math.sin(tilt), math.cos(tilt)),
-    )
+    x, y = frame.size / 2.0
+    tall = 0.92 * math.tan(math.radians(FIELD_OF_VIEW / 2.0))  # half the picture, a metre away
+    wide = tall * 4.0 / 3.0
+    place = (0, 0, max(y / tall, x / wide))
+    add(world, "camera", name="top", pos=place, xyaxes=(1, 0, 0, 0, 1, 0))
+    cos, sin = math.cos(math.radians(40.0)), math.sin(math.radians(40.0))
+    far = y * cos + max(y * sin / tall, x / wide)  # so that the near corners are just in sight
+    place = (0, -far * cos, far * sin)
+    add(world, "camera", name="field", pos=place, xyaxes=(1, 0, 0, 0, sin, cos))
 
 
 WEED, AREA = "0.62 0.12 0.5 1", rgba(style.ORANGE, 0.35)
