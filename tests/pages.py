@@ -111,7 +111,7 @@ def run_page(page: Path, folder: Path) -> None:
     are the record of what was run.
     """
     names: dict[str, object] = {"__name__": "__main__"}
-    run = parse_mbn if "results" in page.parts else run_mbn
+    run = parse_mbn if "results" in page.parts or page.name == "grid.md" else run_mbn
     for block in blocks_of(page):
         match block.language:
             case "python":

@@ -31,7 +31,7 @@ from baselines.train import train
 from mbn_marl.cli import main
 from mbn_marl.errors import ConfigError
 from tests.dying import die_once
-from tests.pages import ROOT, blocks_of
+from tests.pages import ROOT, blocks_of, write_file
 from tests.runs import recorded, same_policies
 
 BUDGET = {"steps": 60, "evaluate_every": 20, "episodes": 1}
@@ -69,17 +69,18 @@ def run_here(grid: Grid, processes: int = 1) -> dict[str, Outcome]:
 # What a file stands for
 
 
-def test_the_example_is_the_papers_grid(tmp_path: Path) -> None:
-    block = next(one for one in blocks_of(ROOT / "docs" / "grid.md") if one.language == "yaml")
-    path = tmp_path / "paper.yaml"
-    path.write_text(block.text)
-    cells = cells_of(read_spec(path))
+def test_the_examples_are_what_the_page_says(tmp_path: Path) -> None:
+    for block in blocks_of(ROOT / "docs" / "grid.md"):
+        write_file(block, tmp_path)
+    cells = cells_of(read_spec(tmp_path / "paper.yaml"))
     assert len(cells) == 180
     assert {cell.config.steps for cell in cells} == {5_000_000}
     seen: set[str] = set()
     for cell in cells:
         assert cell.source is None or cell.source in seen, "a run stands before its source"
         seen.add(cell.name)
+    names = [cell.name for cell in cells_of(read_spec(tmp_path / "winds.yaml"))]
+    assert len(names) == 48 and "mappo-2robots-wind0.1+30-field_03-seed1" in names
 
 
 def test_axes_multiply_and_name_the_runs() -> None:
