@@ -28,7 +28,7 @@ class Film:
 
     Args:
         path: an ``.mp4`` file.
-        camera: a name of :data:`~mbn_marl.sim3d.scene.CAMERAS`.
+        camera: ``"field"``, ``"top"`` or ``"chase"``.
         size: width and height of the picture, pixels, at most 1920 x 1080.
         fps: frames per second.
         speed: how much faster than the simulation the film runs.
