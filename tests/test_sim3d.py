@@ -138,6 +138,16 @@ def test_a_command_out_of_the_field_is_to_stay() -> None:
     np.testing.assert_array_equal(command.velocities, np.zeros((2, 2)))
 
 
+def test_a_vehicles_own_limit_bounds_its_commands() -> None:
+    engine = BatchEngine(SMALL, 1, autoreset=False, threads=1)
+    world = MeasuredWorld(engine, speed_limit=2.0)
+    engine.reset()
+    world.command(np.zeros((2, 2)))
+    world.measure(SMALL.starts + 5.0, [(1.9, 0.0), (0.0, 4.0)])
+    np.testing.assert_array_equal(world.command(np.ones((2, 2))).velocities, [(2, 0.5), (0.5, 2)])
+    assert engine.config.v_clip == 5.0  # the observation's scale is the policy's
+
+
 def test_a_measured_collision_ends_the_episode() -> None:
     engine, world = measured()
     engine.reset()
