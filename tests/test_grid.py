@@ -28,6 +28,7 @@ from baselines.progress import Report
 from baselines.runs import RunFolder
 from baselines.storage import RunError
 from baselines.train import train
+from benchmarks import capacity
 from mbn_marl.cli import main
 from mbn_marl.errors import ConfigError
 from tests.dying import die_once
@@ -431,3 +432,12 @@ def test_duration(seconds: float, words: str) -> None:
 def test_a_path_and_a_url_are_stores_of_their_kind(tmp_path: Path) -> None:
     kinds: Mapping[str, type] = {str(tmp_path): FolderStore, "memory://runs": RemoteStore}
     assert {place: type(open_store(place)) for place in kinds} == kinds
+
+
+def test_capacity_counts_what_has_to_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capacity, "SPEEDS", {"a2c": 2.0})
+    budget = {"steps": 20}
+    chain = cells_of(spec_of("runs", settings=["C"], budget=budget))
+    assert [capacity.makespan(chain, workers) for workers in (1, 5)] == [20.0, 20.0]
+    three = cells_of(spec_of("runs", seeds=[0, 1, 2], budget=budget))
+    assert [capacity.makespan(three, workers) for workers in (1, 2, 3)] == [30.0, 20.0, 10.0]

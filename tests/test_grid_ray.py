@@ -40,6 +40,8 @@ GRID = {
 def cluster() -> Iterator[Any]:
     """A head that only schedules, and three nodes with a core each."""
     head = {**NODE, "num_cpus": 0, "include_dashboard": False}
+    patch = pytest.MonkeyPatch()
+    patch.setenv("RAY_worker_niceness", "0")
     made = cluster_utils.Cluster(initialize_head=True, head_node_args=head)
     try:
         for _ in range(3):
@@ -47,6 +49,7 @@ def cluster() -> Iterator[Any]:
         yield made
     finally:
         made.shutdown()
+        patch.undo()
 
 
 def spec_in(folder: Path) -> Path:
@@ -91,7 +94,8 @@ def test_a_grid_survives_the_loss_of_a_node(cluster: Any, tmp_path: Path) -> Non
             assert time.monotonic() < deadline
             time.sleep(0.005)
         node, victim = found
-        done = {one.cell.name: one.state for one in Status.of(grid).cells if one.standing == "done"}
+        states = grid.store.states()
+        done = {name: state for name, state in states.items() if state.state == "done"}
         cluster.remove_node(node, allow_graceful=False)
         said, _ = driver.communicate(timeout=300)
     finally:
