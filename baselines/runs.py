@@ -312,11 +312,13 @@ class RunFolder:
 
     def _clear_leftovers(self) -> None:
         """Clear what a killed process left half-written."""
-        for name in (*FIXED, *RESULTS, LIST, "policy"):
-            for leftover in self.path.glob(f".{name}.*"):
+        names = (*FIXED, *RESULTS, LIST, "policy")
+        patterns = (*(f".{name}.*" for name in names), ".*.tmp")  # the last one is of save_field
+        for leftover in (file for pattern in patterns for file in self.path.glob(pattern)):
+            if leftover.is_dir():
                 shutil.rmtree(leftover)
-        for leftover in self.path.glob(".*.tmp"):  # of save_field
-            leftover.unlink()
+            else:
+                leftover.unlink()
 
     @classmethod
     def open(cls, path: Path, *, trust: bool = False) -> Self:

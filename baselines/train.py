@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -68,13 +69,13 @@ def train(
     else:
         algorithm.check(task, hyperparameters)
         claim_folder(out, force=force)
-    with alone(out, "mbn train"):
+    with _writing_named(RunFolder(out)), alone(out, "mbn train"):
         if resume:
             folder = RunFolder.resume(out, resolved, task.field, command, trust=trust)
         else:
             folder = RunFolder.create(out, resolved, task.field, command, trust=trust)
         if not folder.finished:
-            with _divergence_named(folder), _writing_named(folder):
+            with _divergence_named(folder):
                 algorithm.train(task, hyperparameters, Recorder(folder, task, listener, wandb))
     return folder
 
@@ -119,6 +120,14 @@ def _writing_named(folder: RunFolder) -> Iterator[None]:
     Raises:
         RunError: naming the run, and where it can go on from.
     """
+    hook = threading.excepthook
+
+    def quiet(arguments: threading.ExceptHookArgs) -> None:
+        """Say nothing of what TensorBoard's thread hands on to its next call, which raises it."""
+        if not isinstance(arguments.exc_value, OSError):
+            hook(arguments)
+
+    threading.excepthook = quiet
     try:
         yield
     except (ConnectionError, InterruptedError):  # not about files
@@ -130,6 +139,8 @@ def _writing_named(folder: RunFolder) -> Iterator[None]:
             f"{folder.path} could not be written to ({error}); what was saved before is as it was: "
             f"--resume goes on from {steps}"
         ) from error
+    finally:
+        threading.excepthook = hook
 
 
 def resolve_hyperparameters(config: TrainConfig) -> Hyperparameters:

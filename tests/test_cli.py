@@ -98,7 +98,6 @@ def test_compare_writes_table_and_figures(
     with (out / "table.csv").open(newline="") as file:
         assert [row["algorithm"] for row in csv.DictReader(file)] == ["ppo", "mappo"]
     assert {path.name for path in out.iterdir() if path.is_file()} == {
-        ".lock",
         "aggregates.png",
         "command.txt",
         "comparison.json",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -267,9 +268,15 @@ def test_replay_writes_a_page_and_nothing_over_another(
         (lambda text: text[:500], "not JSON, or cut off"),
         (lambda text: '{"format": "other"}', "format: 'other'; expected an episode"),
         (lambda text: text.replace("episode/1", "episode/9", 1), "'mbn-episode/9'; expected"),
-        (lambda text: text.replace('"tau":1.0', '"tau":2.0'), "it does not replay"),
+        (lambda text: text.replace('"tau":1.0', '"tau":2.0'), "checksum: not that of"),
+        (
+            lambda text: re.sub(
+                '"checksum":".*"', '"checksum":null', text.replace('"tau":1.0', '"tau":2.0')
+            ),
+            "it does not replay",
+        ),
     ],
-    ids=["cut off", "foreign", "version", "tampered"],
+    ids=["cut off", "foreign", "version", "tampered", "tampered with care"],
 )
 def test_replay_says_what_is_wrong_with_a_file(
     content: Any,
@@ -342,6 +349,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(entry, run)
         config = json.loads((run / "config.json").read_text())
         (run / "config.json").write_text(json.dumps({**config, "seed": seed}))
+        (run / "checksums.json").unlink()
         (run / "command.txt").write_text(f"mbn train --seed {seed} <field>\n")
         evaluation = {name: card[name] for name in ("stochastic", "deterministic")}
         evaluation |= {"env_steps": 4096, "seconds": 2.0}

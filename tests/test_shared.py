@@ -143,7 +143,8 @@ def test_the_bridges_differ_by_the_time_limits_alone(max_steps: int, tmp_path: P
 def test_a_saved_policy_acts_as_before(normalized: bool, tmp_path: Path) -> None:
     config = config_of("ppo-shared", hyperparameters={"normalize_observation": normalized})
     run = train(config, tmp_path / "run")
-    assert {path.name for path in run.policy.iterdir()} == {"policy.json", "policy.safetensors"}
+    names = {"checksums.json", "policy.json", "policy.safetensors"}
+    assert {path.name for path in run.policy.iterdir()} == names
     policy = load_policy(run)
     assert isinstance(policy, SharedPolicy)
     assert (policy.normalization is not None) == normalized
@@ -165,6 +166,7 @@ def test_a_saved_policy_acts_as_before(normalized: bool, tmp_path: Path) -> None
 
 def test_a_damaged_policy_is_named(tmp_path: Path) -> None:
     run = train(config_of("ppo-shared"), tmp_path / "run")
+    (run.policy / "checksums.json").unlink()
     write_tensors(run.policy / "policy.safetensors", {"log_std": torch.zeros(2)})
     with pytest.raises(RunError, match=r"policy\.safetensors does not fit policy\.json"):
         load_policy(run)

@@ -1,0 +1,224 @@
+"""``python -m benchmarks.reliability.corruption``: damaged files, read by what reads them.
+
+Of each file of a checkpoint, a run folder, a study, and of a field and an episode, copies with one
+byte changed or with the end cut off. A copy has to be refused with a message that names it, or to
+be read as what was written: a byte of layout makes no difference. Anything else is a broken
+promise.
+"""
+
+from __future__ import annotations
+
+import random
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from baselines.algorithms import find_algorithm
+from baselines.paper.trainings import Training
+from baselines.progress import Report
+from baselines.results import Result
+from baselines.runs import RunFolder, TrainConfig
+from baselines.storage import read_json
+from baselines.train import train
+from baselines.tuning.study import open_study
+from baselines.tuning.trial import TuneConfig
+from baselines.tuning.tune import tune
+from benchmarks.reliability.kills import config_of, outcome
+from mbn_marl.config import make_config
+from mbn_marl.episode import load_episode, play, save_episode
+from mbn_marl.episode.files import to_file
+from mbn_marl.errors import MbnError
+from mbn_marl.field import catalogue, files, load_field
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Something that is read.
+
+    Attributes:
+        name: what it is.
+        folder: where it lies.
+        files: its files, relative to the folder.
+        read: reads all of them in a copy of the folder; what it returns has a ``repr`` that shows
+            everything.
+    """
+
+    name: str
+    folder: Path
+    files: tuple[Path, ...]
+    read: Callable[[Path], Any]
+
+
+@dataclass
+class Count:
+    """What became of damaged copies."""
+
+    damaged: int = 0
+    refused: int = 0
+    harmless: int = 0
+    crashed: int = 0
+    wrong: int = 0
+
+
+def damaged(data: bytes, random_: random.Random) -> bytes:
+    """``data`` with one byte changed, or cut off."""
+    place = random_.randrange(len(data))
+    if random_.random() < 0.3:
+        return data[:place]
+    changed = data[place] ^ random_.randrange(1, 256)
+    return data[:place] + bytes([changed]) + data[place + 1 :]
+
+
+def try_copies(subject: Subject, copies: int, scratch: Path, random_: random.Random) -> Count:
+    """Damage copies of a subject, one file of each, and read them."""
+    count, copy = Count(), scratch / "whole"
+    shutil.copytree(subject.folder, copy)
+    expected = repr(subject.read(copy))
+    shutil.rmtree(copy)
+    weights = [(subject.folder / file).stat().st_size ** 0.5 for file in subject.files]
+    for number in range(copies):
+        file = random_.choices(subject.files, weights)[0]
+        copy = scratch / str(number)
+        shutil.copytree(subject.folder, copy)
+        (copy / file).write_bytes(damaged((copy / file).read_bytes(), random_))
+        count.damaged += 1
+        try:
+            found = repr(subject.read(copy))
+        except MbnError as error:
+            count.refused += bool(str(error))
+        except Exception as error:  # every other one is what this looks for
+            print(f"{subject.name}, {file}: {type(error).__name__}: {error}", file=sys.stderr)
+            count.crashed += 1
+        else:
+            right = found == expected
+            count.harmless += right
+            count.wrong += not right
+            if not right:
+                print(f"{subject.name}, {file}: read as something else", file=sys.stderr)
+        shutil.rmtree(copy)
+    return count
+
+
+def subjects(folder: Path) -> Iterator[Subject]:
+    """All that is damaged, made in ``folder``."""
+    for family in ("decentralised", "SB3 on-policy", "SB3 off-policy"):
+        config = config_of(family)
+        stopped = _stopped(config, folder / f"stopped-{config.algorithm}")
+        assert stopped.checkpoint is not None
+        inside = _files(stopped.checkpoint)
+        place = stopped.checkpoint.relative_to(stopped.path)
+        parts = (*(place / path for path in inside), Path("progress.csv"))
+
+        def resume(copy: Path, config: TrainConfig = config) -> Any:
+            return outcome(train(config, copy, resume=True))
+
+        yield Subject(f"checkpoint of {config.algorithm}", stopped.path, parts, resume)
+        run = train(config, folder / f"run-{config.algorithm}")
+        read = tuple(path for path in _files(run.path) if path.parts[0] != "tensorboard")
+        yield Subject(f"run of {config.algorithm}", run.path, read, _read_run)
+    study = folder / "study"
+    trials = TuneConfig("a2c", "field_03", 0, 40, 20, 1, 2)
+    tune(trials, study, trials=3, processes=1, command="mbn tune")
+    at_top = tuple(path for path in _files(study) if len(path.parts) == 1)
+    unread = ("study.png", "trials.csv", "importances.json", "command.txt", "versions.json")
+    read = tuple(path for path in at_top if path.name not in unread)
+    yield Subject("study", study, read, _read_study)
+    place = folder / "fields"
+    shutil.copytree(str(catalogue._FOLDER), place)
+    named = tuple(path for path in _files(place) if path.suffix == ".yaml")
+    yield Subject("field of the catalogue", place, (*named, Path("checksums.json")), _read_fields)
+    (folder / "episode").mkdir()
+    actions = np.random.default_rng(0).uniform(-1, 1, (40, 3, 2)).astype(np.float32)
+    episode = play(load_field("field_03"), make_config({}), actions, source="test", seed=1)
+    path = save_episode(episode, folder / "episode" / "episode.json")
+    yield Subject("episode", path.parent, (Path(path.name),), _read_episode)
+
+
+def _stopped(config: TrainConfig, out: Path) -> RunFolder:
+    """A run that was interrupted after its second checkpoint."""
+
+    def interrupt(report: Report) -> None:
+        if len(RunFolder(out).evaluations) > 2:
+            raise InterruptedError
+
+    try:
+        train(config, out, listener=interrupt)
+    except InterruptedError:
+        return RunFolder.open(out)
+    raise RuntimeError("the run ended before it was interrupted")
+
+
+def _files(folder: Path) -> tuple[Path, ...]:
+    found = (path.relative_to(folder) for path in sorted(folder.rglob("*")) if path.is_file())
+    return tuple(path for path in found if not path.name.startswith("."))
+
+
+def _read_run(folder: Path) -> Any:
+    """What reports, evaluations and ``mbn zoo`` read."""
+    run = RunFolder.open(folder)
+    result, training = Result.read(run), Training.read(folder)
+    windows = {name: array.tolist() for name, array in vars(training.windows).items()}
+    versions = read_json(folder / "versions.json")
+    return outcome(run), result.config, result.field.to_dict(), windows, training.command, versions
+
+
+def _read_study(folder: Path) -> Any:
+    """What ``mbn tune --resume``, ``mbn report`` and ``--hyperparams`` read."""
+    trials = [
+        (trial.number, trial.state, trial.params, trial.values, trial.intermediate_values)
+        for trial in open_study(folder).get_trials()
+    ]
+    file = folder / "a2c.yaml"
+    best = find_algorithm("a2c").resolve({}, setting="B", file=file)
+    return trials, read_json(folder / "config.json"), best.model_dump()
+
+
+def _read_fields(folder: Path) -> Any:
+    """The catalogue, as if the package held these files."""
+    installed = catalogue._FOLDER
+    catalogue._FOLDER = folder
+    try:
+        read = files._catalogue_field.__wrapped__
+        return [read(name).to_dict() for name in catalogue.catalogue_names()]
+    finally:
+        catalogue._FOLDER = installed
+
+
+def _read_episode(folder: Path) -> Any:
+    return to_file(load_episode(folder / "episode.json")).model_dump()
+
+
+def main(sample: int = 500, seed: int = 0) -> int:
+    """Damage files and read them.
+
+    Args:
+        sample: how many damaged copies in all.
+        seed: of the damage.
+    """
+    table = Table(title="one byte changed, or the end cut off")
+    for heading in ("what", "copies", "refused", "read as written", "crashed", "read wrongly"):
+        table.add_column(heading, justify="left" if heading == "what" else "right")
+    random_, total = random.Random(seed), Count()
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as scratch:
+        made = list(subjects(Path(folder)))
+        for number, subject in enumerate(made):
+            copies = sample * (number + 1) // len(made) - sample * number // len(made)
+            count = try_copies(subject, copies, Path(scratch), random_)
+            table.add_row(subject.name, *map(str, vars(count).values()))
+            total = Count(*map(sum, zip(vars(total).values(), vars(count).values(), strict=True)))
+    table.add_row("all", *map(str, vars(total).values()))
+    Console().print(table)
+    return 1 if total.crashed or total.wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(tyro.cli(main))

@@ -1,0 +1,116 @@
+"""``python -m benchmarks.reliability.endurance``: a billion env-steps of the engine, with resets.
+
+All fields of the catalogue are in one batch. The memory of the process is compared before and after,
+and worlds drawn at random are looked at on the way.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+from shapely import Polygon, contains_xy
+
+from benchmarks.stepping import SETS
+from mbn_marl import BatchEngine
+from mbn_marl.field import catalogue_names
+
+LOOKS = 1000
+"""How often worlds are looked at."""
+WORLDS = 5
+"""How many of them each time."""
+ROUNDING = 0.01
+"""Units; positions are float32."""
+WARM_UP = 0.02
+"""The share of the steps before memory is measured for the first time."""
+
+
+def resident() -> int:
+    """The resident memory of this process, in bytes."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    (line,) = (line for line in lines if line.startswith("VmRSS"))
+    return int(line.split()[1]) * 1024
+
+
+def problems(engine: BatchEngine, worlds: list[int]) -> list[str]:
+    """What is not as it has to be, of numbers in all worlds, and of all else in some.
+
+    Args:
+        engine: after a step.
+        worlds: which ones to look at closely.
+    """
+    output = {"team rewards": engine.team_rewards, "state": engine.state(), **engine.metrics()}
+    found = [name for name, values in output.items() if not np.isfinite(values).all()]
+    for world in worlds:
+        found += [f"{name}, world {world}" for name, holds in facts(engine, world) if not holds]
+    return found
+
+
+def facts(engine: BatchEngine, world: int) -> Iterator[tuple[str, bool]]:
+    """What has to hold of a world since its reset, and whether it does (give or take rounding)."""
+    seen, config = engine.snapshot(world), engine.config
+    ground = Polygon(seen.field.vertices, seen.field.holes).buffer(ROUNDING)
+    yield "inside the field", bool(contains_xy(ground, seen.trail.reshape(-1, 2)).all())
+    yield "the trail ends here", bool((seen.trail[-1] == seen.positions).all())
+    yield "speed limit", bool((np.abs(seen.velocities) <= config.v_clip).all())
+    first, second = np.triu_indices(engine.n_robots, 1)
+    apart = np.linalg.norm(seen.positions[first] - seen.positions[second], axis=-1)
+    near = bool((apart < config.safety_distance).any())
+    unclear = bool((np.abs(apart - config.safety_distance) < ROUNDING).any())
+    yield "a collision is one", unclear or near == seen.collision
+    gaps = np.linalg.norm(seen.trail[:, :, None] - seen.field.rois, axis=-1)
+    close = gaps.min(axis=(0, 1))
+    unclear_rois = np.abs(close - config.roi_radius) < ROUNDING
+    visits = (close <= config.roi_radius) == seen.visited
+    yield "visits", bool((visits | unclear_rois).all())
+    yield "time limit", 0 <= seen.step <= config.max_steps
+
+
+def main(env_steps: int = 1_000_000_000, worlds: int = 8192, threads: int = 1) -> int:
+    """Step the engine with random actions.
+
+    Args:
+        env_steps: how many.
+        worlds: side by side.
+        threads: of the engine.
+    """
+    engine = BatchEngine(catalogue_names(), worlds, seed=0, threads=threads)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (SETS, worlds, engine.n_robots, 2)).astype(np.float32)
+    engine.reset()
+    calls = -(-env_steps // worlds)
+    every = max(1, calls // LOOKS)
+    episodes, looks, before = 0, 0, 0
+    broken: list[str] = []
+    started = time.perf_counter()
+    for call in range(calls):
+        observations, rewards, terminated, truncated = engine.step(actions[rng.integers(SETS)])
+        episodes += int(np.count_nonzero(terminated | truncated))
+        if call % every == 0:
+            looks += 1
+            finite = np.isfinite(rewards).all() and np.isfinite(observations).all()
+            broken += [] if finite else ["rewards or observations"]
+            broken += problems(engine, rng.integers(worlds, size=WORLDS).tolist())
+        if call == int(WARM_UP * calls):
+            before = resident()
+    seconds, after = time.perf_counter() - started, resident()
+    growth = after / before - 1.0
+    table = Table(title="the engine on ten fields, random actions", show_header=False)
+    table.add_row("env-steps", f"{calls * worlds:,}")
+    table.add_row("episodes that ended", f"{episodes:,}")
+    table.add_row("seconds", f"{seconds:,.0f} ({calls * worlds / seconds / 1e6:.1f} M env-steps/s)")
+    table.add_row("memory", f"{before / 2**20:.1f} MiB, then {after / 2**20:.1f} ({growth:+.2%})")
+    table.add_row("looks", f"{looks:,} at all worlds, {looks * WORLDS:,} at one")
+    table.add_row("broken", ", ".join(dict.fromkeys(broken)) or "nothing")
+    Console().print(table)
+    return 1 if broken or growth > 0.01 else 0
+
+
+if __name__ == "__main__":
+    sys.exit(tyro.cli(main))

@@ -1,0 +1,177 @@
+"""``python -m benchmarks.reliability.kills``: trainings killed at random moments, and resumed.
+
+Each run is trained in a process of its own, ended with ``kill -9`` at a moment drawn uniformly from
+the time that a whole run takes, resumed to its end, and compared with one that was left alone.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import random
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from baselines.centralized.policy import CentralizedPolicy
+from baselines.policies import load_policy
+from baselines.runs import RunFolder, TrainConfig
+from baselines.storage import read_text
+from baselines.train import train
+
+SMALL = {"policy_kwargs": {"net_arch": [8]}}
+ON_POLICY = {**SMALL, "n_steps": 32, "batch_size": 32}
+OFF_POLICY = {**SMALL, "learning_starts": 100, "batch_size": 16, "buffer_size": 300}
+TEAM = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8], "roi_radius": 4.0}
+FAMILIES: Mapping[str, tuple[str, dict[str, Any], int]] = {
+    "decentralised": ("mappo", {**TEAM, "action_repeat": [2, 1]}, 12_000),
+    "SB3 on-policy": ("ppo", {"num_envs": 2, "model": ON_POLICY}, 3_000),
+    "SB3 off-policy": ("tqc", {"num_envs": 2, "model": OFF_POLICY}, 800),
+    "random search": ("ars", {"num_envs": 1, "model": {"n_delta": 1, "n_top": 1}}, 4_000),
+    "shared": ("ppo-shared", {"num_envs": 2, "model": ON_POLICY}, 3_000),
+}
+"""Of each trainer an algorithm, its hyperparameters, and a budget of a second or two."""
+
+
+@dataclass
+class Count:
+    """What became of the killed runs of a family.
+
+    Attributes:
+        kills: runs that were killed before their end.
+        early: of these, killed before the first checkpoint.
+        lost: runs that could not be brought to their end.
+        missteps: runs whose steps do not add up.
+        unequal: runs that ended otherwise than one left alone.
+    """
+
+    kills: int = 0
+    early: int = 0
+    lost: int = 0
+    missteps: int = 0
+    unequal: int = 0
+
+    @property
+    def good(self) -> bool:
+        """Whether nothing was lost, and everything is equal."""
+        return not (self.lost or self.missteps or self.unequal)
+
+
+def config_of(family: str) -> TrainConfig:
+    """A run of a family, with six fresh evaluations and as many checkpoints on the way."""
+    name, hyperparameters, steps = FAMILIES[family]
+    return TrainConfig(
+        name,
+        "field_03",
+        steps=steps,
+        evaluate_every=steps // 7,
+        episodes=2,
+        environment={"max_steps": 50, "random_starts": True},
+        hyperparameters=hyperparameters,
+    )
+
+
+def killed_after(seconds: float, config: TrainConfig, out: Path) -> bool:
+    """Train in a new process that is killed after ``seconds``; whether it had not ended yet."""
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            begin_or_resume(config, out)
+            code = 0
+        finally:
+            os._exit(code)
+    time.sleep(seconds)
+    os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    if os.WIFEXITED(status) and os.WEXITSTATUS(status) != 0:
+        raise RuntimeError(f"the training in {out} failed before it was killed")
+    return os.WIFSIGNALED(status)
+
+
+def begin_or_resume(config: TrainConfig, out: Path) -> RunFolder:
+    """What one does after a crash: the same command, with --resume once there is a run."""
+    return train(config, out, resume=(out / "config.json").exists())
+
+
+def outcome(run: RunFolder) -> dict[str, Any]:
+    """All that a run recorded but the seconds, and its policy's parameters."""
+
+    def timeless(entry: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in entry.items() if "seconds" not in name}
+
+    policy: Any = load_policy(run)
+    network = policy.model.policy if isinstance(policy, CentralizedPolicy) else policy.network
+    lines = read_text(run.progress).splitlines()
+    rows = [timeless(row) for row in csv.DictReader(lines)]
+    normalization = getattr(policy, "normalization", None)
+    return {
+        "rows": rows,
+        "evaluations": [timeless(entry) for entry in run.evaluations],
+        "evaluation": timeless(run.evaluation),
+        "parameters": {name: value.tolist() for name, value in network.state_dict().items()},
+        "normalization": None if normalization is None else normalization.to_json(),
+    }
+
+
+def kill_family(family: str, kills: int, folder: Path, seed: int) -> Count:
+    """Kill and resume runs of a family until so many were killed."""
+    config, random_ = config_of(family), random.Random(f"{family} {seed}")
+    expected = outcome(train(config, folder / "warm"))  # this one compiles, too
+    started = time.perf_counter()
+    train(config, folder / "whole")
+    seconds = time.perf_counter() - started
+    count = Count()
+    while count.kills < kills:
+        out = folder / f"run{count.kills}"
+        if not killed_after(random_.uniform(0.0, seconds), config, out):
+            out.rename(folder / f"ended{random_.random()}")
+            continue
+        count.kills += 1
+        count.early += not list(out.glob("checkpoints/[0-9]*")) and not list(out.glob("policy"))
+        try:
+            found = outcome(begin_or_resume(config, out))
+        except Exception as error:  # whatever it is, the run is lost, and the table says so
+            print(f"{out}: {type(error).__name__}: {error}", file=sys.stderr)
+            count.lost += 1
+            continue
+        steps = [int(row["env_steps"]) for row in found["rows"]]
+        once = steps == sorted(set(steps)) and steps[-1] == found["evaluation"]["env_steps"]
+        count.missteps += not once
+        count.unequal += str(found) != str(expected)  # NaN included
+    return count
+
+
+def main(kills: int = 20, families: tuple[str, ...] = tuple(FAMILIES), seed: int = 0) -> int:
+    """Kill trainings of every family, and compare.
+
+    Args:
+        kills: of each family.
+        families: which ones.
+        seed: of the moments.
+    """
+    table = Table(title="kill -9 at random moments, then --resume")
+    for heading in ("family", "kills", "before a checkpoint", "lost", "steps wrong", "not equal"):
+        table.add_column(heading, justify="left" if heading == "family" else "right")
+    good = True
+    with tempfile.TemporaryDirectory() as folder:
+        for family in families:
+            place = Path(folder) / FAMILIES[family][0]
+            count = kill_family(family, kills, place, seed)
+            good &= count.good
+            table.add_row(f"{family} ({place.name})", *map(str, vars(count).values()))
+    Console().print(table)
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(tyro.cli(main))
