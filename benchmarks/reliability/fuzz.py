@@ -1,0 +1,383 @@
+"""``python -m benchmarks.reliability.fuzz``: what reads input gets input that nobody meant.
+
+Hypothesis edits valid files and makes up settings and command lines. Each input has to be taken, or
+refused with the suite's own error (``MbnError``; of fields ``FieldError``, of episodes
+``EpisodeError``, of settings ``ConfigError``) within a second of computing, and no file may be
+written outside the folder that the process is in.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import tyro
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import seed as seeded
+from hypothesis import strategies as st
+from rich.console import Console
+from rich.table import Table
+
+from baselines.algorithms import ALGORITHMS
+from baselines.hyperparameters import read_block
+from baselines.overrides import parse
+from baselines.runs import TrainConfig
+from baselines.train import prepare
+from mbn_marl.cli import main as mbn
+from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.episode import check_episode, load_episode, play, save_episode
+from mbn_marl.errors import ConfigError, EpisodeError, FieldError, MbnError
+from mbn_marl.field import catalogue_names, load_field
+from mbn_marl.field.catalogue import catalogue_file
+
+LONGEST = 1.0
+"""Seconds of computing that an input may take."""
+MEMORY = 16 * 2**30
+"""Bytes of address space: who asks for more gets an error, not the machine."""
+
+WORDS = (
+    *("", "0", "1", "-1", "3", "1e999", "nan", ".inf", "-0.0", "1_0", "0x1f", "1:30", "9" * 30),
+    *("null", "true", "~", "text", "'", '"', "[", "]", "{", "}", ",", ":", "- ", "\n", "\t", "  "),
+    *("&a", "*a", "<<: *a", "!!bool x", "!!python/object/apply:os.mkdir ['x']", "!!set {a}", "---"),
+    *(
+        "..",
+        "../x",
+        "/tmp/x",
+        "~/x",
+        "a/../../x",
+        "\x00",
+        "\ud800",
+        "\u202e",
+        "%s",
+        "{0}",
+        "#",
+        "?",
+    ),
+    *("vertices", "rois", "starts", "holes", "arena", "name", "format", "grid_size", "field"),
+)
+JUNK = st.one_of(st.sampled_from(WORDS), st.text(max_size=8), st.integers().map(str))
+LEAVES = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.integers(-2, 70),
+    st.floats(),
+    st.sampled_from((*WORDS, "float32", "team", "formal", "lidar")),
+)
+VALUES = st.recursive(
+    LEAVES,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(JUNK, inner, max_size=3),
+    max_leaves=5,
+)
+EDITS = st.lists(
+    st.tuples(st.integers(0, 1 << 20), st.integers(0, 9), JUNK), min_size=1, max_size=4
+)
+
+
+def edited(data: bytes, edits: list[tuple[int, int, str]]) -> bytes:
+    """``data`` with pieces taken out and words put in."""
+    for place, length, word in edits:
+        start = place % (len(data) + 1)
+        data = data[:start] + word.encode("utf-8", "surrogatepass") + data[start + length :]
+    return data
+
+
+@dataclass
+class Count:
+    """What became of the inputs of a target."""
+
+    inputs: int = 0
+    taken: int = 0
+    refused: int = 0
+    longest: float = 0.0
+    broken: list[str] = field(default_factory=list)
+
+
+class Guard:
+    """Notes writes outside a folder, for as long as it watches."""
+
+    CHANGES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.symlink")
+
+    def __init__(self, *folders: Path) -> None:
+        self._folders = tuple(str(folder.resolve()) for folder in folders)
+        self._watching = False
+        self.outside: list[str] = []
+        sys.addaudithook(self._hear)
+
+    def _hear(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if not self._watching or (event != "open" and event not in self.CHANGES):
+            return
+        if event == "open" and not (arguments[2] or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+            return
+        paths = arguments[:2] if event in ("os.rename", "os.link", "os.symlink") else arguments[:1]
+        for path in paths:
+            if isinstance(path, str | bytes | os.PathLike):
+                place = os.path.realpath(os.fsdecode(path))
+                if place != os.devnull and not place.startswith(self._folders):
+                    self.outside.append(f"{event} {place}")
+
+    @contextlib.contextmanager
+    def watching(self) -> Iterator[None]:
+        """Note what the block writes."""
+        self._watching = True
+        try:
+            yield
+        finally:
+            self._watching = False
+
+
+# The targets: each takes a drawn value, and raises what it raises.
+
+
+def read_field(data: bytes) -> None:
+    """The field reader."""
+    Path("field.yaml").write_bytes(data)
+    load_field("field.yaml")
+
+
+def read_episode(data: bytes) -> None:
+    """The episode reader, and the check in the engine."""
+    Path("episode.json").write_bytes(data)
+    check_episode(load_episode("episode.json"))
+
+
+def read_settings(drawn: tuple[str, dict[str, Any], list[str], bytes]) -> None:
+    """The settings of environment and training, and files of hyperparameters."""
+    algorithm, values, words, block = drawn
+    problems = []
+    for attempt in (
+        lambda: make_config(values),
+        lambda: prepare(_training(algorithm, values, words)),
+        lambda: read_block(_written("block.yaml", block), "N"),
+    ):
+        try:
+            attempt()
+        except ConfigError as error:
+            problems.append(error)
+    if problems:
+        raise problems[0]
+
+
+def _training(algorithm: str, values: dict[str, Any], words: list[str]) -> TrainConfig:
+    hyperparameters = parse(words)
+    environment = hyperparameters.pop("environment", {})
+    return TrainConfig(
+        algorithm,
+        "field_03",
+        environment={**values, **environment},
+        hyperparameters=hyperparameters,
+    )
+
+
+def _written(name: str, data: bytes) -> Path:
+    path = Path(name)
+    path.write_bytes(data)
+    return path
+
+
+def command_line(words: list[str]) -> None:
+    """The command line, up to where the hours of work would begin."""
+    heard = io.StringIO()
+    with contextlib.redirect_stdout(heard), contextlib.redirect_stderr(heard):
+        try:
+            code = mbn(words)
+        except SystemExit as error:
+            code = 2 if error.code else 0
+    if code not in (0, 2):
+        raise RuntimeError(f"exit code {code}")
+    if "Traceback" in heard.getvalue():
+        raise RuntimeError("a traceback was printed")
+    if code:
+        raise MbnError(heard.getvalue())
+
+
+class WouldWork(MbnError):
+    """Here the work would begin."""
+
+
+def _work(*arguments: Any, **options: Any) -> None:
+    raise WouldWork("here the work would begin")
+
+
+WORK = (
+    "baselines.train.train",
+    "baselines.compare.train_all_runs",
+    "baselines.tuning.tune.tune",
+    "baselines.evaluate.evaluate_both",
+    "baselines.wind.evaluate_in_wind",
+    "baselines.episode.record_episode",
+    "baselines.window.watch",
+    "baselines.window.play",
+    "mbn_marl.planning.plan",
+    "mbn_marl.cli.bench.Bench.run",
+)
+"""What takes long once its input is checked."""
+
+NAMES = [*NavigationConfig.model_fields, "unknown"]
+SETTINGS = st.dictionaries(st.sampled_from(NAMES), VALUES, max_size=4)
+KNOWN = ("entropy", "hidden", "num_worlds", "model.gamma", "model.learning_rate", "num_envs")
+OVERRIDES = st.lists(
+    st.builds("{}={}".format, st.sampled_from((*KNOWN, "environment.tau", "a.b", "")), JUNK),
+    max_size=3,
+)
+COMMANDS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "fields": (("field_03",), ("--figure", "--force")),
+    "train": (
+        ("ppo", "field_03"),
+        ("--setting", "--seed", "--steps", "--set", "--label", "--out", "--from", "--hyperparams"),
+    ),
+    "transfer": (("ppo",), ("--fields", "--source", "--steps", "--processes", "--out")),
+    "evaluate": (("zoo:field_03",), ("--episodes", "--field", "--json", "--record", "--seed")),
+    "compare": ((), ("--algos", "--fields", "--seeds", "--variants", "--out", "--steps")),
+    "tune": (("a2c",), ("--field", "--trials", "--steps", "--out", "--processes")),
+    "report": (("runs",), ("-o", "--paper", "--comparison", "--study", "--notes")),
+    "plan": (("field_03",), ("--time-limit", "--noise", "--episodes", "--export", "--out")),
+    "render": (("zoo:field_03",), ("-o", "--steps", "--seed", "--sampled", "--force")),
+    "replay": (("episode.json",), ("-o", "--title", "--force")),
+    "watch": (("field_03",), ("--policy", "--wind", "--speed", "--episodes", "--save")),
+    "zoo": ((), ("--add", "--out")),
+    "nonsense": ((), ("--help",)),
+}
+ENDINGS = st.sampled_from(
+    ("a.json", "a.gif", "a.html", "a.md", "out", "field.yaml", "episode.json")
+)
+
+
+@st.composite
+def command_lines(draw: st.DrawFn) -> list[str]:
+    """A command with its arguments, some of them wrong."""
+    command = draw(st.sampled_from(sorted(COMMANDS)))
+    needed, options = COMMANDS[command]
+    argument = JUNK | ENDINGS | st.sampled_from(("field_04", "mappo", "zoo:field_03", "2", "N"))
+    words = [draw(argument) if draw(st.integers(0, 3)) == 0 else word for word in needed]
+    for option in draw(st.lists(st.sampled_from(options), max_size=3)):
+        words += [option, *draw(st.lists(argument, max_size=2))]
+    return [command, *(word.replace("\x00", "") for word in words)]
+
+
+def targets() -> dict[str, tuple[Callable[[Any], None], st.SearchStrategy[Any], type, float]]:
+    """By name: what is called, with what, what it may raise, and its share of the inputs."""
+    fields = [catalogue_file(name) for name in catalogue_names()]
+    fields.append(
+        json.dumps({"format": "mbn-field/1", **load_field("field_03").to_dict()}).encode()
+    )
+    theirs = b"field: [[0, 0], [50, 0], [50, 50]]\ninit_positions: [[5, 2]]\n"
+    theirs += b"infected_locations: [[30, 10], [40, 20]]\ngrid_size: 60\n"
+    several = b"a:\n  " + theirs.replace(b"\n", b"\n  ").rstrip() + b"\nb: {field: []}\n"
+    authors = [
+        theirs,
+        several,
+        theirs.replace(b"[[5, 2]]", b"!!python/tuple [!!python/tuple [5, 2]]"),
+    ]
+    actions = np.random.default_rng(0).uniform(-1, 1, (3, 3, 2)).astype(np.float32)
+    episode = play(load_field("field_03"), make_config({}), actions, source="fuzz", seed=0)
+    whole = save_episode(episode, "whole.json").read_bytes()
+    unsigned = json.loads(whole)
+    del unsigned["checksum"]
+    episodes = [whole, json.dumps(unsigned).encode(), json.dumps(unsigned).encode()]
+    blocks = [b"N:\n  num_envs: 2\n  model: {gamma: 0.9}\n"]
+
+    def edits_of(files: list[bytes]) -> st.SearchStrategy[bytes]:
+        return st.builds(edited, st.sampled_from(files), EDITS)
+
+    drawn = st.tuples(st.sampled_from([*ALGORITHMS]), SETTINGS, OVERRIDES, edits_of(blocks))
+    return {
+        "field reader": (read_field, edits_of(fields), FieldError, 0.4),
+        "authors' format": (read_field, edits_of(authors), FieldError, 0.2),
+        "episode reader": (read_episode, edits_of(episodes), EpisodeError, 0.2),
+        "settings": (read_settings, drawn, ConfigError, 0.19),
+        "command line": (command_line, command_lines(), MbnError, 0.01),
+    }
+
+
+def fuzz(
+    call: Callable[[Any], None],
+    strategy: st.SearchStrategy[Any],
+    allowed: type,
+    inputs: int,
+    guard: Guard,
+    seed: int,
+) -> Count:
+    """Call with so many inputs; the first that breaks a promise is made small, and noted."""
+    count = Count()
+
+    @seeded(seed)
+    @settings(
+        max_examples=inputs,
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+        phases=(Phase.generate, Phase.shrink),
+    )
+    @given(strategy)
+    def one(drawn: Any) -> None:
+        count.inputs += 1
+        started = time.thread_time()
+        try:
+            with guard.watching():
+                call(drawn)
+            count.taken += 1
+        except allowed as error:
+            assert str(error), "the error says nothing"
+            count.refused += 1
+        seconds = time.thread_time() - started
+        count.longest = max(count.longest, seconds)
+        assert seconds <= LONGEST, f"{seconds:.1f} s"
+        assert not guard.outside, guard.outside[:3]
+
+    try:
+        one()
+    except BaseException as error:  # Hypothesis groups several
+        notes = "\n".join(getattr(error, "__notes__", []))
+        count.broken.append(f"{type(error).__name__}: {error}\n{notes}")
+        guard.outside.clear()
+    return count
+
+
+def main(inputs: int = 200_000, only: tuple[str, ...] = (), seed: int = 0) -> int:
+    """Fuzz what reads input.
+
+    Args:
+        inputs: in all.
+        only: these targets; by default all.
+        seed: of the inputs.
+    """
+    table = Table(title="inputs that nobody meant")
+    for heading in ("target", "inputs", "taken", "refused", "longest", "broken"):
+        table.add_column(heading, justify="left" if heading == "target" else "right")
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
+    good = True
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.chdir(folder))
+        for name in WORK:
+            stack.enter_context(patch(name, _work))
+        for algorithm in ALGORITHMS:
+            prepare(TrainConfig(algorithm, "field_03"))  # loads the libraries
+        guard = Guard(Path(folder), Path(os.environ.get("NUMBA_CACHE_DIR", folder)))
+        for name, (call, strategy, allowed, share) in targets().items():
+            if only and name not in only:
+                continue
+            count = fuzz(call, strategy, allowed, round(inputs * share), guard, seed)
+            good &= not count.broken
+            for text in count.broken:
+                print(f"{name}: {text}", file=sys.stderr)
+            numbers = (f"{n:,}" for n in (count.inputs, count.taken, count.refused))
+            table.add_row(name, *numbers, f"{count.longest:.2f} s", str(len(count.broken)))
+    Console().print(table)
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(tyro.cli(main))
