@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mbn_marl.checksums import read_checked
 from mbn_marl.config import describe
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, FieldError
+from mbn_marl.field import safe_yaml
 
 
 class Hyperparameters(BaseModel):
@@ -40,9 +40,11 @@ def read_blocks(path: Path) -> dict[str, Any]:
         ConfigError: the file is missing, is no YAML, or is not a mapping of mappings.
     """
     try:
-        text = read_checked(path.parent, path.name).decode("utf-8")
-        blocks = yaml.safe_load(text)
-    except (OSError, ValueError, yaml.YAMLError) as error:
+        data = read_checked(path.parent, path.name)
+        blocks = safe_yaml.parse(data, str(path), max_scalar=safe_yaml.MAX_TEXT)
+    except FieldError as error:
+        raise ConfigError(str(path), error.problems) from None
+    except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
     if not isinstance(blocks, dict) or not all(isinstance(one, dict) for one in blocks.values()):
         raise ConfigError(str(path), ["must be a mapping from names of blocks to mappings"])

@@ -6,28 +6,37 @@ import io
 import json
 import os
 import pickle
+import re
 import resource
 import shutil
 import subprocess
 import sys
+import tempfile
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 from baselines.policies import load_policy
 from baselines.progress import Report
 from baselines.runs import RunFolder, TrainConfig
 from baselines.storage import RunError, alone, claim_folder, read_arrays, seal, write_arrays
-from baselines.train import train
+from baselines.train import prepare, train
 from baselines.trust import TrustError, key_file, own_key
+from benchmarks.reliability import corruption, endurance
+from benchmarks.reliability import fuzz as fuzzing
+from benchmarks.stepping import cpu_backend
+from mbn_marl import BatchEngine
 from mbn_marl.checksums import check, is_signed, listed
 from mbn_marl.cli import main
-from mbn_marl.errors import DamageError, FieldError
+from mbn_marl.errors import DamageError, FieldError, MbnError
 from mbn_marl.field import catalogue, load_field
 
 SMALL = {"policy_kwargs": {"net_arch": [8]}}
@@ -395,3 +404,104 @@ def test_a_folder_with_something_else_in_it_is_not_claimed(tmp_path: Path) -> No
     (tmp_path / ".hidden").touch()
     with pytest.raises(RunError, match="already exists"):
         claim_folder(tmp_path)
+
+
+# The measurements of docs/reliability.md, in small
+
+
+def test_damaged_copies_are_counted(tmp_path: Path) -> None:
+    folder, scratch = tmp_path / "subject", tmp_path / "scratch"
+    for place in (folder, scratch):
+        place.mkdir()
+    shutil.copytree(str(catalogue._FOLDER), folder, dirs_exist_ok=True)
+    files = tuple(path.relative_to(folder) for path in folder.glob("*.yaml"))
+    subject = corruption.Subject("fields", folder, files, corruption._read_fields)
+    count = corruption.try_copies(subject, 20, scratch, Random(0))
+    assert count == corruption.Count(damaged=20, refused=20)
+    unchecked = replace(subject, read=lambda copy: [(copy / file).read_bytes() for file in files])
+    assert corruption.try_copies(unchecked, 5, scratch, Random(0)).wrong == 5
+    careless = replace(subject, read=lambda copy: _without_errors(copy, files))
+    assert corruption.try_copies(careless, 5, scratch, Random(0)).crashed > 0
+
+
+def _without_errors(folder: Path, files: tuple[Path, ...]) -> None:
+    """A reader that breaks down over what is damaged."""
+    for file in files:
+        if b"vertices:" not in (data := (folder / file).read_bytes()) or b"\nrois:" not in data:
+            raise KeyError(file)
+        data.decode("ascii")
+
+
+@pytest.fixture(scope="module")
+def guard(tmp_path_factory: pytest.TempPathFactory) -> fuzzing.Guard:
+    return fuzzing.Guard(tmp_path_factory.getbasetemp(), Path(tempfile.gettempdir(), "numba"))
+
+
+@pytest.mark.parametrize(
+    ("name", "inputs"), [("field reader", 150), ("episode reader", 60), ("settings", 60)]
+)
+def test_inputs_that_nobody_meant(
+    name: str,
+    inputs: int,
+    guard: fuzzing.Guard,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    call, strategy, allowed, _ = fuzzing.targets()[name]
+    prepare(_config("mappo"))  # loads the libraries
+    prepare(_config("ppo"))
+    count = fuzzing.fuzz(call, strategy, allowed, inputs, guard, seed=0)
+    assert count.broken == [] and count.inputs >= inputs and count.refused > inputs / 3
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda number: 1 // (number // 5), "ZeroDivisionError"),
+        (lambda number: Path("../outside").write_text("x"), "open /.*outside"),
+        (lambda number: sum(range(10**8)), r"\d\.\d s"),
+    ],
+    ids=["another error", "a file outside", "a hang"],
+)
+def test_a_broken_promise_is_noted(
+    call: Callable[[int], object],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / "in").mkdir()
+    monkeypatch.chdir(tmp_path / "in")
+    monkeypatch.setattr(fuzzing, "LONGEST", 0.2)
+    guard = fuzzing.Guard(tmp_path / "in")
+    numbers = st.integers(0, 9)
+    count = fuzzing.fuzz(lambda n: call(n) and None, numbers, MbnError, 5, guard, seed=0)
+    assert len(count.broken) == 1 and re.search(message, count.broken[0])
+
+
+def test_invariants_of_worlds() -> None:
+    engine = BatchEngine(["field_01", "field_03"], 4, seed=0, random_starts=True)
+    engine.reset()
+    for _ in range(50):
+        engine.step(engine.sample_actions())
+    assert endurance.problems(engine, [0, 1, 2, 3]) == []
+    now = cpu_backend(engine).now
+    now.x[0, 1] += 400.0
+    now.vy[0, 2] = np.float32(5.5)
+    now.team_return[3] = np.nan
+    found = endurance.problems(engine, [0, 1, 2, 3])
+    assert {"the trail ends here, world 1", "speed limit, world 2", "episode_return"} <= {*found}
+    assert not [problem for problem in found if problem.endswith("world 0")]
+
+
+def test_growth_of_memory_is_found(capsys: pytest.CaptureFixture[str]) -> None:
+    kept: list[np.ndarray] = []
+
+    def leak(*arguments: Any) -> list[str]:
+        kept.append(np.ones(1 << 13))
+        return []
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(endurance, "problems", leak)
+        assert endurance.main(env_steps=1 << 14, worlds=16) == 1
+    assert "nothing" in capsys.readouterr().out

@@ -1,7 +1,7 @@
 """``python -m benchmarks.reliability.endurance``: a billion env-steps of the engine, with resets.
 
-All fields of the catalogue are in one batch. The memory of the process is compared before and after,
-and worlds drawn at random are looked at on the way.
+All fields of the catalogue are in one batch. The memory of the process is compared before and
+after, and worlds drawn at random are looked at on the way.
 """
 
 from __future__ import annotations
@@ -99,6 +99,8 @@ def main(env_steps: int = 1_000_000_000, worlds: int = 8192, threads: int = 1) -
             broken += problems(engine, rng.integers(worlds, size=WORLDS).tolist())
         if call == int(WARM_UP * calls):
             before = resident()
+        if call % (every * LOOKS // 20) == 0:
+            print(f"{call * worlds:,}: {resident() / 2**20:.1f} MiB", file=sys.stderr, flush=True)
     seconds, after = time.perf_counter() - started, resident()
     growth = after / before - 1.0
     table = Table(title="the engine on ten fields, random actions", show_header=False)

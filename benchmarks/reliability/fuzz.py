@@ -203,12 +203,12 @@ def command_line(words: list[str]) -> None:
         raise MbnError(heard.getvalue())
 
 
-class WouldWork(MbnError):
+class WorkError(MbnError):
     """Here the work would begin."""
 
 
 def _work(*arguments: Any, **options: Any) -> None:
-    raise WouldWork("here the work would begin")
+    raise WorkError("here the work would begin")
 
 
 WORK = (
@@ -267,7 +267,9 @@ def command_lines(draw: st.DrawFn) -> list[str]:
     return [command, *(word.replace("\x00", "") for word in words)]
 
 
-def targets() -> dict[str, tuple[Callable[[Any], None], st.SearchStrategy[Any], type, float]]:
+def targets() -> dict[
+    str, tuple[Callable[[Any], None], st.SearchStrategy[Any], type[MbnError], float]
+]:
     """By name: what is called, with what, what it may raise, and its share of the inputs."""
     fields = [catalogue_file(name) for name in catalogue_names()]
     fields.append(
@@ -305,7 +307,7 @@ def targets() -> dict[str, tuple[Callable[[Any], None], st.SearchStrategy[Any], 
 def fuzz(
     call: Callable[[Any], None],
     strategy: st.SearchStrategy[Any],
-    allowed: type,
+    allowed: type[MbnError],
     inputs: int,
     guard: Guard,
     seed: int,

@@ -33,11 +33,11 @@ ON_POLICY = {**SMALL, "n_steps": 32, "batch_size": 32}
 OFF_POLICY = {**SMALL, "learning_starts": 100, "batch_size": 16, "buffer_size": 300}
 TEAM = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8], "roi_radius": 4.0}
 FAMILIES: Mapping[str, tuple[str, dict[str, Any], int]] = {
-    "decentralised": ("mappo", {**TEAM, "action_repeat": [2, 1]}, 12_000),
-    "SB3 on-policy": ("ppo", {"num_envs": 2, "model": ON_POLICY}, 3_000),
-    "SB3 off-policy": ("tqc", {"num_envs": 2, "model": OFF_POLICY}, 800),
-    "random search": ("ars", {"num_envs": 1, "model": {"n_delta": 1, "n_top": 1}}, 4_000),
-    "shared": ("ppo-shared", {"num_envs": 2, "model": ON_POLICY}, 3_000),
+    "decentralised": ("mappo", {**TEAM, "action_repeat": [2, 1]}, 6_000),
+    "SB3 on-policy": ("ppo", {"num_envs": 2, "model": ON_POLICY}, 1_500),
+    "SB3 off-policy": ("tqc", {"num_envs": 2, "model": OFF_POLICY}, 500),
+    "random search": ("ars", {"num_envs": 1, "model": {"n_delta": 1, "n_top": 1}}, 2_000),
+    "shared": ("ppo-shared", {"num_envs": 2, "model": ON_POLICY}, 1_500),
 }
 """Of each trainer an algorithm, its hyperparameters, and a budget of a second or two."""
 
@@ -169,6 +169,7 @@ def main(kills: int = 20, families: tuple[str, ...] = tuple(FAMILIES), seed: int
             count = kill_family(family, kills, place, seed)
             good &= count.good
             table.add_row(f"{family} ({place.name})", *map(str, vars(count).values()))
+            print(f"{family}: {count}", flush=True)
     Console().print(table)
     return 0 if good else 1
 

@@ -18,6 +18,9 @@ MAX_DEPTH = 12
 MAX_SCALAR = 200
 """Longer words or numbers have no use in a field, and huge integers are slow to handle."""
 
+MAX_TEXT = 4000
+"""Files that hold sentences, too, have longer ones."""
+
 _Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
@@ -65,12 +68,13 @@ _PlainLoader.add_implicit_resolver(  # numbers as JSON writes them, which YAML 1
 )
 
 
-def parse(data: bytes, source: str) -> object:
+def parse(data: bytes, source: str, *, max_scalar: int = MAX_SCALAR) -> object:
     """The one document in ``data``: nested dicts with word keys, lists, and plain scalars.
 
     Args:
         data: UTF-8 text, at most 64 KiB; lists at most 12 deep; no anchors or aliases.
         source: what the text is called in errors.
+        max_scalar: the most characters of a word or number.
 
     Raises:
         FieldError: for anything else, with line and column where they are known.
@@ -79,7 +83,7 @@ def parse(data: bytes, source: str) -> object:
         raise FieldError(source, [f"file: larger than {MAX_BYTES} bytes"])
     try:
         text = data.decode("utf-8")
-        _refuse_bombs(text, source)
+        _refuse_bombs(text, source, max_scalar)
         return yaml.load(text, Loader=_PlainLoader)  # stricter than SafeLoader
     except yaml.MarkedYAMLError as error:
         problem = f"{_place(error.problem_mark)}: {error.problem or error.context}"
@@ -91,7 +95,7 @@ def parse(data: bytes, source: str) -> object:
         raise FieldError(source, [f"file: not readable as YAML: {str(error)[:200]}"]) from None
 
 
-def _refuse_bombs(text: str, source: str) -> None:
+def _refuse_bombs(text: str, source: str, max_scalar: int) -> None:
     """Stop at what would cost memory, stack or time, before anything is built from it."""
     depth = 0
     for event in yaml.parse(text, Loader=_PlainLoader):
@@ -104,8 +108,8 @@ def _refuse_bombs(text: str, source: str) -> None:
                 raise FieldError(source, [f"{place}: nested deeper than {MAX_DEPTH}"])
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
-        elif isinstance(event, yaml.ScalarEvent) and len(event.value) > MAX_SCALAR:
-            raise FieldError(source, [f"{place}: longer than {MAX_SCALAR} characters"])
+        elif isinstance(event, yaml.ScalarEvent) and len(event.value) > max_scalar:
+            raise FieldError(source, [f"{place}: longer than {max_scalar} characters"])
 
 
 def _place(mark: Any) -> str:
