@@ -143,7 +143,7 @@ def test_what_the_paper_tuned_is_taken_or_skipped(name: str) -> None:
         ("N: {model: {policy_kwargs: {depth: 3}}}\n", "unexpected keyword argument 'depth'"),
         ("N: {model: {policy_kwargs: {net_arch: [-1]}}}\n", "no learner can be made with them: "),
         ("N: {environment: {gravity: 9.81}}\n", "gravity: unknown name; known: n_robots"),
-        ("N: {\n", "cannot be read: "),
+        ("N: {\n", "mine.yaml: 1 problem\n  - line 2, column 1: "),
     ],
 )
 def test_a_wrong_hyperparameter_file_is_one_clear_message(

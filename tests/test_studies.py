@@ -185,7 +185,7 @@ def test_sizes_are_not_for_speed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "--seeds", "0", "--steps", "9"]) == 2
     error = capsys.readouterr().err
     assert "seeds: for learning, sharing, ablations, not for speed" in error
-    assert "steps: for learning, sharing, ablations, population, not for speed" in error
+    assert "steps: for learning, sharing, ablations, population, grid, not for speed" in error
     assert main(["bench", "population", "--resume"]) == 2
     assert "resume: for learning, sharing, ablations, not for population" in capsys.readouterr().err
 
