@@ -60,19 +60,23 @@ def spec_in(folder: Path) -> Path:
     return path
 
 
-def node_at_work(cluster: Any, grid: Grid) -> tuple[Any, str] | None:
-    """A node that trains a cell past a checkpoint, and the cell, once some cells are done."""
+def node_at_work(cluster: Any, grid: Grid) -> tuple[Any, psutil.Process, str] | None:
+    """A node that trains a cell past a checkpoint, the process, held still, and the cell."""
     status = Status.of(grid)
     if status.count("done") < 4:
         return None
     for one in status.cells:
-        folder = RunFolder(grid.store.folder(one.cell.name))
-        if one.standing != "running" or one.state is None or folder.checkpoint is None:
+        if one.standing != "running" or one.state is None:
             continue
-        parents = [parent.pid for parent in psutil.Process(one.state.process).parents()]
+        process = psutil.Process(one.state.process)
+        process.suspend()
+        folder = RunFolder(grid.store.folder(one.cell.name))
+        parents = [parent.pid for parent in process.parents()]
         for node in cluster.worker_nodes:
-            if node.all_processes["raylet"][0].process.pid in parents:
-                return node, one.cell.name
+            inside = node.all_processes["raylet"][0].process.pid in parents
+            if inside and folder.checkpoint is not None and not folder.finished:
+                return node, process, one.cell.name
+        process.resume()
     return None
 
 
@@ -93,10 +97,11 @@ def test_a_grid_survives_the_loss_of_a_node(cluster: Any, tmp_path: Path) -> Non
             assert driver.poll() is None, "the grid was over before a node could be lost"
             assert time.monotonic() < deadline
             time.sleep(0.005)
-        node, victim = found
+        node, process, victim = found
         states = grid.store.states()
         done = {name: state for name, state in states.items() if state.state == "done"}
         cluster.remove_node(node, allow_graceful=False)
+        process.kill()  # with its node: held still, it would not notice
         said, _ = driver.communicate(timeout=300)
     finally:
         driver.kill()

@@ -137,7 +137,7 @@ def subjects(folder: Path) -> Iterator[Subject]:
     named = tuple(path for path in _files(place) if path.suffix == ".yaml")
     yield Subject("field of the catalogue", place, (*named, Path("checksums.json")), _read_fields)
     (folder / "episode").mkdir()
-    actions = np.random.default_rng(0).uniform(-1, 1, (40, 3, 2)).astype(np.float32)
+    actions = np.random.default_rng(0).uniform(-1, 1, (20, 3, 2)).astype(np.float32)
     episode = play(load_field("field_03"), make_config({}), actions, source="test", seed=1)
     path = save_episode(episode, folder / "episode" / "episode.json")
     yield Subject("episode", path.parent, (Path(path.name),), _read_episode)
