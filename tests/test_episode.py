@@ -6,6 +6,7 @@ import base64
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -176,6 +177,14 @@ def test_what_is_recorded_is_what_happened() -> None:
     assert episode.snapshot(2).team_return == episode.team_return
     with pytest.raises(EpisodeError, match="there are 4; the episode ends after 2 steps"):
         play(field, make_config({}), push)
+
+
+def test_an_episode_that_starts_outside_is_named() -> None:
+    episode = play(load_field("field_03"), make_config({}), np.zeros((1, 3, 2)), source="by hand")
+    positions = episode.positions.copy()
+    positions[0, 0, 0] = -7e11
+    with pytest.raises(EpisodeError, match=r"a\.json: 1 problem\n.*starts\[0\]: .*in field_03"):
+        check_episode(replace(episode, positions=positions), "a.json")
 
 
 def test_an_environment_that_goes_on_without_a_recorder(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import REWARD_TERMS, BatchEngine
 from mbn_marl.episode.episode import Array, Episode, Outcome
-from mbn_marl.errors import EpisodeError, MbnError
+from mbn_marl.errors import EpisodeError, MbnError, ProblemsError
 from mbn_marl.field import Field
 
 COMPARED = ("positions", "terms", "team_rewards")
@@ -94,10 +94,13 @@ def check_episode(episode: Episode, name: str = "episode") -> None:
         name: how errors call it, such as its file.
 
     Raises:
-        EpisodeError: naming the first step in which the engine does something else.
-        ConfigError: its field and configuration do not fit together.
+        EpisodeError: naming the first step in which the engine does something else, or what of
+            its field, configuration, starts and actions does not fit together.
     """
-    again = play(episode.field, episode.config, episode.actions, starts=episode.positions[0])
+    try:
+        again = play(episode.field, episode.config, episode.actions, starts=episode.positions[0])
+    except ProblemsError as error:
+        raise EpisodeError(name, error.problems) from None
     for what in COMPARED:
         ours, theirs = getattr(episode, what), getattr(again, what)
         if not np.array_equal(ours, theirs):
