@@ -12,9 +12,11 @@ from typing import Any
 from baselines.loggers import find_wandb
 from baselines.parallel import Job, train_all
 from baselines.progress import Listener
+from baselines.provenance import write_provenance
 from baselines.results import Result, Results
-from baselines.runs import RunFolder, TrainConfig, write_provenance
+from baselines.runs import RunFolder
 from baselines.storage import RunError, alone, claim_folder, read_json, write_json
+from baselines.task import TrainConfig
 from baselines.train import prepare
 from baselines.variants import Variant
 from mbn_marl.errors import ConfigError

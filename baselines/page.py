@@ -12,8 +12,8 @@ import numpy as np
 from baselines.episode import record_episode, write_animation, write_trajectories
 from baselines.place import Place
 from baselines.policies import load_policy
+from baselines.provenance import write_provenance
 from baselines.results import Kind, Result, Results, find_results
-from baselines.runs import write_provenance
 from baselines.statistics import RETURN_THRESHOLD
 from baselines.storage import write_json, write_text
 from baselines.summary import THRESHOLDS, Comparison, summarise

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Self
 
 from baselines.progress import Listener, Report
-from baselines.runs import DivergenceError, TrainConfig
 from baselines.storage import RunError, claim_folder
+from baselines.task import DivergenceError, TrainConfig
 from baselines.train import train
 from mbn_marl.errors import MbnError
 

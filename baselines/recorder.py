@@ -13,9 +13,10 @@ from baselines.evaluate import EVALUATION_SEED, Evaluation, evaluate
 from baselines.loggers import Logger, TensorBoard, WeightsAndBiases
 from baselines.policies import TrainedPolicy
 from baselines.progress import Listener, Report
-from baselines.runs import RunFolder, Task
+from baselines.runs import RunFolder
 from baselines.statistics import passes
 from baselines.storage import read_json, write_json
+from baselines.task import Task
 
 
 class EpisodeWindow:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from baselines.algorithms import Form, find_algorithm
 from baselines.folders import run_folders
-from baselines.runs import RunFolder, default_label
+from baselines.runs import RunFolder
 from baselines.storage import RunError
+from baselines.task import default_label
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field

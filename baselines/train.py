@@ -14,8 +14,9 @@ from baselines.hyperparameters import Hyperparameters
 from baselines.loggers import find_wandb
 from baselines.progress import Listener
 from baselines.recorder import Recorder
-from baselines.runs import DivergenceError, RunFolder, Task, TrainConfig
+from baselines.runs import RunFolder
 from baselines.storage import RunError, alone, claim_folder
+from baselines.task import DivergenceError, Task, TrainConfig
 from mbn_marl.config import make_config
 from mbn_marl.errors import ActionError, ConfigError, MbnError
 from mbn_marl.field import Field, load_field

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from baselines.parallel import Job
 from baselines.progress import Listener
-from baselines.runs import RunFolder, TrainConfig
+from baselines.runs import RunFolder
 from baselines.storage import RunError
+from baselines.task import TrainConfig
 from baselines.train import sizes, train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from baselines.hyperparameters import read_blocks, validate
-from baselines.runs import TrainConfig, default_label
+from baselines.task import TrainConfig, default_label
 
 
 class Variant(BaseModel):

@@ -8,7 +8,7 @@ import platform
 from pathlib import Path
 from typing import Any
 
-from baselines.runs import versions
+from baselines.provenance import versions
 
 PEERS = ("vmas", "mpe2")
 

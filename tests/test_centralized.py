@@ -20,8 +20,9 @@ from baselines.centralized.worlds import LearnersView, make_env
 from baselines.parallel import Job, train_all
 from baselines.policies import load_policy
 from baselines.recorder import EpisodeWindow
-from baselines.runs import RunFolder, Task, TrainConfig
+from baselines.runs import RunFolder
 from baselines.storage import RunError
+from baselines.task import Task, TrainConfig
 from baselines.train import train
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.cli import main

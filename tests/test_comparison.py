@@ -17,11 +17,12 @@ from baselines.compare import CompareConfig, train_all_runs
 from baselines.overrides import parse, words_of
 from baselines.progress import Report
 from baselines.results import Result, Results, find_results
-from baselines.runs import DivergenceError, RunFolder, TrainConfig
+from baselines.runs import RunFolder
 from baselines.storage import RunError, read_json, write_json
 from baselines.stratified import Estimate
 from baselines.summary import THRESHOLDS, summarise
 from baselines.table import print_comparison
+from baselines.task import DivergenceError, TrainConfig
 from baselines.train import train
 from baselines.variants import Variant, parse_variants, read_variants
 from mbn_marl.cli import main

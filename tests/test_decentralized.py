@@ -22,7 +22,7 @@ from baselines.decentralized.networks import GaussianPolicy, TeamShape
 from baselines.decentralized.rollout import Rollout, Worlds
 from baselines.decentralized.shaping import Approach
 from baselines.recorder import EpisodeWindow
-from baselines.runs import TrainConfig
+from baselines.task import TrainConfig
 from baselines.train import train
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError

@@ -8,7 +8,7 @@ import pytest
 
 from baselines.algorithms import ALGORITHMS
 from baselines.policies import load_policy
-from baselines.runs import TrainConfig
+from baselines.task import TrainConfig
 from baselines.train import train
 from mbn_marl.field import Field, save_field
 

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from baselines.progress import Report
-from baselines.runs import TrainConfig
 from baselines.storage import read_json
+from baselines.task import TrainConfig
 from baselines.train import train
 from mbn_marl.cli import main
 

@@ -26,8 +26,9 @@ from hypothesis import strategies as st
 
 from baselines.policies import load_policy
 from baselines.progress import Report
-from baselines.runs import RunFolder, TrainConfig
+from baselines.runs import RunFolder
 from baselines.storage import RunError, alone, claim_folder, read_arrays, seal, write_arrays
+from baselines.task import TrainConfig
 from baselines.train import prepare, train
 from baselines.trust import TrustError, key_file, own_key
 from benchmarks.reliability import corruption, endurance

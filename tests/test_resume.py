@@ -23,8 +23,9 @@ from baselines import recorder
 from baselines.algorithms import ALGORITHMS
 from baselines.policies import load_policy
 from baselines.progress import Report
-from baselines.runs import RunFolder, TrainConfig
+from baselines.runs import RunFolder
 from baselines.storage import RunError
+from baselines.task import TrainConfig
 from baselines.train import train
 from mbn_marl.cli import main
 from mbn_marl.errors import ConfigError

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from baselines.progress import Report, describe
-from baselines.runs import RunFolder, TrainConfig
+from baselines.runs import RunFolder
 from baselines.storage import RunError, alone, claim_folder, read_json, write_json
+from baselines.task import TrainConfig
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import load_field
 

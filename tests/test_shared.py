@@ -14,11 +14,12 @@ import torch
 from baselines.algorithms import ALGORITHMS, find_algorithm
 from baselines.policies import load_policy
 from baselines.recorder import EpisodeWindow
-from baselines.runs import RunFolder, Task, TrainConfig
+from baselines.runs import RunFolder
 from baselines.shared.policy import SharedPolicy
 from baselines.shared.policy import load_policy as load_shared
 from baselines.shared.worlds import engines, make_env
 from baselines.storage import RunError
+from baselines.task import Task, TrainConfig
 from baselines.tensors import write_tensors
 from baselines.train import train
 from mbn_marl.cli import main

@@ -17,8 +17,8 @@ from optuna.trial import TrialState, create_trial
 
 from baselines.algorithms import find_algorithm
 from baselines.paper import published
-from baselines.runs import DivergenceError
 from baselines.storage import RunError, write_json
+from baselines.task import DivergenceError
 from baselines.tuning import trial as trials_module
 from baselines.tuning.address import Address
 from baselines.tuning.space import Space

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from baselines.runs import RunFolder, TrainConfig
+from baselines.runs import RunFolder
+from baselines.task import TrainConfig
 from baselines.train import train
 from baselines.zoo import entries
 from baselines.zoo.entries import FOLDER, entry_names, read_card

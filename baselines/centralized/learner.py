@@ -21,8 +21,9 @@ from baselines.centralized.policy import (
     model_file,
 )
 from baselines.generators import restore_generators, save_generators
-from baselines.runs import RunFolder, Task
+from baselines.runs import RunFolder
 from baselines.storage import read_arrays, read_json, write_arrays, write_json
+from baselines.task import Task
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 
 WORLDS = "worlds.npz"

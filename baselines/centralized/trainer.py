@@ -20,7 +20,8 @@ from baselines.centralized.learner import policy_of, restore, save, transfer
 from baselines.centralized.worlds import make_env
 from baselines.policies import TrainedPolicy
 from baselines.recorder import ROW_STEPS, EpisodeWindow, Recorder
-from baselines.runs import RunFolder, Task
+from baselines.runs import RunFolder
+from baselines.task import Task
 from mbn_marl.errors import ConfigError
 
 REFUSALS = (

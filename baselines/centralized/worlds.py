@@ -8,7 +8,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from baselines.centralized.config import CentralizedConfig
 from baselines.recorder import EpisodeWindow
-from baselines.runs import Task
+from baselines.task import Task
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 
 

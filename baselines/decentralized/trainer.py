@@ -26,8 +26,8 @@ from baselines.decentralized.policy import DecentralizedPolicy
 from baselines.decentralized.rollout import Rollout, Worlds
 from baselines.decentralized.shaping import Approach
 from baselines.recorder import Recorder
-from baselines.runs import Task
 from baselines.storage import read_arrays, read_json, write_arrays, write_json
+from baselines.task import Task
 from baselines.tensors import moments_of, read_tensors, restore_moments, write_tensors
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine

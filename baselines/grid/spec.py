@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from baselines.algorithms import SETTINGS, Setting, find_algorithm
 from baselines.hyperparameters import validate
 from baselines.overrides import ENVIRONMENT, parse
-from baselines.runs import TrainConfig, default_label
+from baselines.task import TrainConfig, default_label
 from baselines.train import found_anywhere, prepare
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import catalogue_names, load_field

@@ -14,7 +14,7 @@ from baselines.paper.grid import MISSING, NOT_IN_PAPER
 from baselines.paper.tables import ALGORITHMS, Table, paper_tables, write_csv
 from baselines.paper.trainings import Training, find_trainings
 from baselines.place import Place
-from baselines.runs import write_provenance
+from baselines.provenance import write_provenance
 from baselines.storage import RunError, write_text
 from baselines.tuning.study import draw_study
 from mbn_marl.render.figures import save

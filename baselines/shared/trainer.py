@@ -9,10 +9,10 @@ from stable_baselines3.common.vec_env import VecEnv
 from baselines.centralized.config import CentralizedConfig, model_arguments
 from baselines.centralized.trainer import Keeping, check_maker, learn
 from baselines.recorder import EpisodeWindow, Recorder
-from baselines.runs import Task
 from baselines.shared.learner import restore, save
 from baselines.shared.policy import SharedPolicy
 from baselines.shared.worlds import make_env
+from baselines.task import Task
 
 
 def train(task: Task, hyperparameters: CentralizedConfig, recorder: Recorder) -> None:

@@ -13,7 +13,7 @@ from supersuit import concat_vec_envs_v1, pettingzoo_env_to_vec_env_v1
 from baselines.centralized.config import CentralizedConfig
 from baselines.centralized.worlds import LearnersView
 from baselines.recorder import EpisodeWindow
-from baselines.runs import Task
+from baselines.task import Task
 from mbn_marl.adapters.pettingzoo import NavigationParallelEnv, StepResult
 from mbn_marl.adapters.sb3 import SharedPolicyVecEnv
 from mbn_marl.engine import BatchEngine

@@ -13,7 +13,8 @@ from optuna.samplers import TPESampler
 from optuna.trial import TrialState
 
 from baselines.progress import Report
-from baselines.runs import MOST_SEED, DivergenceError, RunFolder, TrainConfig
+from baselines.runs import RunFolder
+from baselines.task import MOST_SEED, DivergenceError, TrainConfig
 from baselines.train import train
 from baselines.tuning.address import Address
 from baselines.tuning.space import Space

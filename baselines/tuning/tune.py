@@ -15,7 +15,7 @@ from optuna.trial import TrialState
 from baselines.algorithms import find_algorithm
 from baselines.cluster import Engine, Needs, connected, work_on_ray
 from baselines.parallel import work_all
-from baselines.runs import write_provenance
+from baselines.provenance import write_provenance
 from baselines.storage import RunError, alone, claim_folder, read_json, write_json, write_text
 from baselines.train import found_anywhere
 from baselines.tuning.address import Address

@@ -26,8 +26,9 @@ from baselines.algorithms import find_algorithm
 from baselines.paper.trainings import Training
 from baselines.progress import Report
 from baselines.results import Result
-from baselines.runs import RunFolder, TrainConfig
+from baselines.runs import RunFolder
 from baselines.storage import read_json
+from baselines.task import TrainConfig
 from baselines.train import train
 from baselines.tuning.study import open_study
 from baselines.tuning.trial import TuneConfig

@@ -34,7 +34,7 @@ from rich.table import Table
 from baselines.algorithms import ALGORITHMS
 from baselines.hyperparameters import read_block
 from baselines.overrides import parse
-from baselines.runs import TrainConfig
+from baselines.task import TrainConfig
 from baselines.train import prepare
 from mbn_marl.cli import main as mbn
 from mbn_marl.config import NavigationConfig, make_config

@@ -24,8 +24,9 @@ from rich.table import Table
 
 from baselines.centralized.policy import CentralizedPolicy
 from baselines.policies import load_policy
-from baselines.runs import RunFolder, TrainConfig
+from baselines.runs import RunFolder
 from baselines.storage import read_text
+from baselines.task import TrainConfig
 from baselines.train import train
 
 SMALL = {"policy_kwargs": {"net_arch": [8]}}

@@ -12,10 +12,12 @@ from typing import NamedTuple
 from baselines.paper.grid import Grid
 from baselines.parallel import Job, run_processes, spawning
 from baselines.progress import Listener
+from baselines.provenance import write_provenance
 from baselines.results import Result
-from baselines.runs import RunFolder, TrainConfig, write_provenance
+from baselines.runs import RunFolder
 from baselines.storage import RunError, alone, claim_folder, write_json, write_text
 from baselines.table import markdown
+from baselines.task import TrainConfig
 from benchmarks.results import Row
 from benchmarks.studies.learning import best_rows, bound, shown, targets_grid
 from benchmarks.studies.passing import FieldLine, best_return

@@ -65,7 +65,7 @@ class Train:
         from baselines.algorithms import SETTINGS
         from baselines.overrides import ENVIRONMENT, parse
         from baselines.progress import ProgressDisplay
-        from baselines.runs import TrainConfig
+        from baselines.task import TrainConfig
         from baselines.train import resolve_hyperparameters, train
         from mbn_marl.cli.evaluate import print_evaluations
         from mbn_marl.errors import ConfigError

@@ -49,8 +49,9 @@ class Transfer:
 
         from baselines.parallel import train_all
         from baselines.progress import ProgressDisplay
-        from baselines.runs import RunFolder, TrainConfig
+        from baselines.runs import RunFolder
         from baselines.storage import RunError
+        from baselines.task import TrainConfig
         from baselines.transfer import check_sizes, find_source, transfer_jobs, transfer_runs
         from mbn_marl.cli.evaluate import print_evaluations
         from mbn_marl.errors import ConfigError
