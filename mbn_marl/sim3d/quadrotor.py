@@ -79,24 +79,9 @@ class Quadrotor(Vehicle):
         for number, (x, y, _) in enumerate(ROTORS):
             place = (x * ARM, y * ARM, 0.03)
             disc = colour[:-1] + "0.55" if x > 0 else "0.75 0.77 0.8 0.55"
-            add(
-                body,
-                "geom",
-                class_="part",
-                type="cylinder",
-                pos=place,
-                size=(0.1, 0.004),
-                rgba=disc,
-            )
-            add(
-                body,
-                "geom",
-                class_="part",
-                type="cylinder",
-                pos=place,
-                size=(0.012, 0.02),
-                rgba=dark,
-            )
+            for size, rgba in (((0.1, 0.004), disc), ((0.012, 0.02), dark)):
+                shape = {"type": "cylinder", "pos": place, "size": size, "rgba": rgba}
+                add(body, "geom", class_="part", **shape)
             add(body, "site", name=f"{name}_rotor_{number}", pos=place)
 
     def add_motors(self, actuator: Element, name: str) -> None:
