@@ -47,7 +47,7 @@ class Algorithm:
         form: ``"centralized"``, the single MDP, or ``"decentralized"``, each robot acts on its own
             observation.
         package: the package of ``baselines`` that trains it, with one trainer for all its
-            algorithms: ``centralized`` and ``shared`` with Stable-Baselines3, ``decentralized``
+            algorithms: ``sb3`` and ``sb3.shared`` with Stable-Baselines3, ``torchrl``
             with TorchRL.
     """
 
@@ -91,7 +91,7 @@ class Algorithm:
         Raises:
             ConfigError: with what the library says against the hyperparameters.
         """
-        if self.package != "decentralized":
+        if self.package != "torchrl":
             self._module("trainer").check(task, hyperparameters)
 
     @property
@@ -110,16 +110,16 @@ class Algorithm:
 ALGORITHMS: Mapping[str, Algorithm] = {
     algorithm.name: algorithm
     for algorithm in (
-        Algorithm("a2c", "centralized", "centralized"),
-        Algorithm("ppo", "centralized", "centralized"),
-        Algorithm("trpo", "centralized", "centralized"),
-        Algorithm("ars", "centralized", "centralized"),
-        Algorithm("crossq", "centralized", "centralized"),
-        Algorithm("tqc", "centralized", "centralized"),
-        Algorithm("mappo", "decentralized", "decentralized"),
-        Algorithm("ippo", "decentralized", "decentralized"),
-        Algorithm("ppo-shared", "decentralized", "shared"),
-        Algorithm("ppo-supersuit", "decentralized", "shared"),
+        Algorithm("a2c", "centralized", "sb3"),
+        Algorithm("ppo", "centralized", "sb3"),
+        Algorithm("trpo", "centralized", "sb3"),
+        Algorithm("ars", "centralized", "sb3"),
+        Algorithm("crossq", "centralized", "sb3"),
+        Algorithm("tqc", "centralized", "sb3"),
+        Algorithm("mappo", "decentralized", "torchrl"),
+        Algorithm("ippo", "decentralized", "torchrl"),
+        Algorithm("ppo-shared", "decentralized", "sb3.shared"),
+        Algorithm("ppo-supersuit", "decentralized", "sb3.shared"),
     )
 }
 

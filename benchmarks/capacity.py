@@ -8,9 +8,9 @@ from __future__ import annotations
 import heapq
 from collections.abc import Mapping, Sequence
 
-from baselines.grid.spec import Cell, GridSpec, cells_of
-from baselines.grid.status import duration
-from baselines.paper.grid import Grid
+from baselines.compare.text_table import Grid
+from baselines.sweep.spec import Cell, GridSpec, cells_of
+from baselines.sweep.status import duration
 
 SPEEDS: Mapping[str, float] = {
     "a2c": 835.0,

@@ -12,12 +12,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
 
-from baselines.cluster import Needs, connected, work_on_ray
-from baselines.grid.run import Grid, run_grid
-from baselines.grid.spec import GridSpec, cells_of
-from baselines.grid.store import open_store
-from baselines.grid.work import Assignment, Claim, Outcome
-from baselines.parallel import work_all
+from baselines.sweep.processes import work_all
+from baselines.sweep.ray_cluster import Needs, connected, work_on_ray
+from baselines.sweep.run import Grid, run_grid
+from baselines.sweep.spec import GridSpec, cells_of
+from baselines.sweep.store import open_store
+from baselines.sweep.worker import Assignment, Claim, Outcome
 from benchmarks.results import Row
 
 EMPTY = 1000

@@ -8,7 +8,7 @@ import platform
 from pathlib import Path
 from typing import Any
 
-from baselines.provenance import versions
+from baselines.runs.provenance import versions
 
 PEERS = ("vmas", "mpe2")
 

@@ -11,7 +11,7 @@ from benchmarks.stepping import RandomSteps
 from benchmarks.timing import Case
 from mbn_marl import load_field
 
-ORACLE = Path(__file__).parents[1] / "tests" / "oracle.py"
+ORACLE = Path(__file__).parents[1] / "tests" / "support" / "oracle.py"
 """The tests are not installed: only a checkout has this file."""
 
 

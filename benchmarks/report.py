@@ -7,12 +7,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from baselines.storage import write_json
+from baselines.runs.files import write_json
 from benchmarks.figure import write_figure
 from benchmarks.load import ALLOWED
 from benchmarks.machine import machine_line
 from benchmarks.results import Curve, Part, Result, Row
-from mbn_marl.render.files import replacing
+from mbn_marl.files import replacing
 
 VERDICTS = {True: "[green]met[/]", False: "[red]missed[/]", None: "-"}
 

@@ -22,7 +22,7 @@ from mbn_marl import load_field, parallel_env
 from mbn_marl.config import NavigationConfig
 from mbn_marl.episode import play, save_episode
 from mbn_marl.errors import ActionError, MbnError
-from tests.pages import (
+from tests.support.pages import (
     EXTENDING,
     PAGES,
     README,

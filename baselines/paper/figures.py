@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
+from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
 from baselines.paper.summary import Summary, moving_mean, of_moving_means
 from baselines.paper.tables import algorithms_of, fields_of
 from baselines.paper.trainings import Training, windows_of
-from baselines.statistics import RETURN_THRESHOLD
 from mbn_marl.field import load_field
 from mbn_marl.optimum import optimal_return
 from mbn_marl.render import figures

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.stats import kendalltau
 
 from baselines.algorithms import SETTINGS
+from baselines.compare.text_table import MISSING, Grid
+from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
-from baselines.paper.grid import MISSING, Grid
 from baselines.paper.summary import first_reach
 from baselines.paper.tables import (
     ALGORITHMS,
@@ -19,7 +20,6 @@ from baselines.paper.tables import (
     fields_of,
 )
 from baselines.paper.trainings import Cell, Training
-from baselines.statistics import RETURN_THRESHOLD
 
 
 def coverage(trainings: Sequence[Training]) -> Grid:

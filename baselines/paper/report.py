@@ -9,13 +9,13 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from baselines.algorithms import SETTINGS, Setting
+from baselines.compare.text_table import MISSING, NOT_IN_PAPER
 from baselines.paper import figures, glance, published
-from baselines.paper.grid import MISSING, NOT_IN_PAPER
 from baselines.paper.tables import ALGORITHMS, Table, paper_tables, write_csv
 from baselines.paper.trainings import Training, find_trainings
-from baselines.place import Place
-from baselines.provenance import write_provenance
-from baselines.storage import RunError, write_text
+from baselines.runs.files import RunError, write_text
+from baselines.runs.provenance import write_provenance
+from baselines.runs.report_path import Place
 from baselines.tuning.study import draw_study
 from mbn_marl.render.figures import save
 

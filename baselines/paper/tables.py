@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from baselines.algorithms import SETTINGS
+from baselines.compare.text_table import MISSING, NOT_IN_PAPER, Grid
 from baselines.paper import published
-from baselines.paper.grid import MISSING, NOT_IN_PAPER, Grid
 from baselines.paper.summary import Summary, of_episodes, of_moving_means
 from baselines.paper.trainings import Training, windows_of
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from baselines.folders import run_folders
 from baselines.paper.windows import Windows
-from baselines.runs import RunFolder
-from baselines.storage import RunError, read_json
+from baselines.runs.discover import run_folders
+from baselines.runs.files import RunError, read_json
+from baselines.runs.folder import RunFolder
 from mbn_marl.field import Field, catalogue_names
 
 NEEDED = ("algorithm", "setting", "field", "seed")

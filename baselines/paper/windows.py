@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.storage import RunError, read_text
+from baselines.runs.files import RunError, read_text
 
 COLUMNS = {
     "env_steps": "env_steps",

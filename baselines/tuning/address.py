@@ -14,7 +14,7 @@ from optuna.exceptions import DuplicatedStudyError, StorageInternalError
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage
 from sqlalchemy.exc import SQLAlchemyError
 
-from baselines.storage import RunError
+from baselines.runs.files import RunError
 from baselines.tuning.journal import CheckedJournal
 
 JOURNAL = "study.log"

@@ -9,7 +9,7 @@ from typing import Any
 
 from optuna.storages.journal import JournalFileBackend
 
-from baselines.storage import RunError
+from baselines.runs.files import RunError
 from mbn_marl.checksums import check, digest_of_json
 from mbn_marl.errors import DamageError
 

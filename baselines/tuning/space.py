@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 from optuna import Trial
 
 from baselines.algorithms import find_algorithm
-from baselines.centralized.config import accepted_arguments
 from baselines.paper import published
+from baselines.sb3.config import accepted_arguments
 from mbn_marl.errors import MbnError
 
 LOGARITHMIC = {"learning_rate"}

@@ -26,7 +26,7 @@ from matplotlib.figure import Figure
 from optuna import Study
 from optuna.trial import FrozenTrial, TrialState
 
-from baselines.storage import RunError, read_json, seal
+from baselines.runs.files import RunError, read_json, seal
 from baselines.tuning.address import JOURNAL, Address
 from baselines.tuning.journal import cut_unfinished_line
 from mbn_marl.render.figures import StudyTrial, study_figure

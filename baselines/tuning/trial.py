@@ -12,10 +12,10 @@ from optuna.pruners import MedianPruner
 from optuna.samplers import TPESampler
 from optuna.trial import TrialState
 
-from baselines.progress import Report
-from baselines.runs import RunFolder
-from baselines.task import MOST_SEED, DivergenceError, TrainConfig
-from baselines.train import train
+from baselines.runs.folder import RunFolder
+from baselines.training.config import MOST_SEED, DivergenceError, TrainConfig
+from baselines.training.progress_bar import Report
+from baselines.training.train import train
 from baselines.tuning.address import Address
 from baselines.tuning.space import Space
 from baselines.tuning.study import DIVERGED

@@ -13,11 +13,11 @@ from optuna import Study
 from optuna.trial import TrialState
 
 from baselines.algorithms import find_algorithm
-from baselines.cluster import Engine, Needs, connected, work_on_ray
-from baselines.parallel import work_all
-from baselines.provenance import write_provenance
-from baselines.storage import RunError, alone, claim_folder, read_json, write_json, write_text
-from baselines.train import found_anywhere
+from baselines.runs.files import RunError, alone, claim_folder, read_json, write_json, write_text
+from baselines.runs.provenance import write_provenance
+from baselines.sweep.processes import work_all
+from baselines.sweep.ray_cluster import Engine, Needs, connected, work_on_ray
+from baselines.training.train import found_anywhere
 from baselines.tuning.address import Address
 from baselines.tuning.study import (
     CONFIG,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from baselines.runs import RunFolder
-from baselines.storage import read_json
+from baselines.runs.files import read_json
+from baselines.runs.folder import RunFolder
 from mbn_marl.errors import MbnError
 
 FOLDER = Path(__file__).parent

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from baselines.evaluate import EVALUATION_SEED, evaluate_both
-from baselines.policies import load_policy
-from baselines.runs import RunFolder
-from baselines.storage import RunError, read_json, replacing_folder, seal, write_json, write_text
+from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both
+from baselines.evaluation.policy import load_policy
+from baselines.runs.files import RunError, read_json, replacing_folder, seal, write_json, write_text
+from baselines.runs.folder import RunFolder
 from baselines.zoo.entries import CARD, PREFIX
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError

@@ -23,13 +23,13 @@ from rich.console import Console
 from rich.table import Table
 
 from baselines.algorithms import find_algorithm
+from baselines.compare.results import Result
 from baselines.paper.trainings import Training
-from baselines.progress import Report
-from baselines.results import Result
-from baselines.runs import RunFolder
-from baselines.storage import read_json
-from baselines.task import TrainConfig
-from baselines.train import train
+from baselines.runs.files import read_json
+from baselines.runs.folder import RunFolder
+from baselines.training.config import TrainConfig
+from baselines.training.progress_bar import Report
+from baselines.training.train import train
 from baselines.tuning.study import open_study
 from baselines.tuning.trial import TuneConfig
 from baselines.tuning.tune import tune

@@ -32,11 +32,11 @@ from rich.console import Console
 from rich.table import Table
 
 from baselines.algorithms import ALGORITHMS
-from baselines.hyperparameters import read_block
-from baselines.overrides import parse
-from baselines.task import TrainConfig
-from baselines.train import prepare
-from mbn_marl.cli import main as mbn
+from baselines.cli import main as mbn
+from baselines.training.config import TrainConfig
+from baselines.training.hyperparameters import read_block
+from baselines.training.overrides import parse
+from baselines.training.train import prepare
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.episode import check_episode, load_episode, play, save_episode
 from mbn_marl.errors import ConfigError, EpisodeError, FieldError, MbnError
@@ -213,16 +213,16 @@ def _work(*arguments: Any, **options: Any) -> None:
 
 
 WORK = (
-    "baselines.train.train",
-    "baselines.compare.train_all_runs",
+    "baselines.training.train.train",
+    "baselines.compare.run.train_all_runs",
     "baselines.tuning.tune.tune",
-    "baselines.evaluate.evaluate_both",
-    "baselines.wind.evaluate_in_wind",
-    "baselines.episode.record_episode",
-    "baselines.window.watch",
-    "baselines.window.play",
+    "baselines.evaluation.evaluate.evaluate_both",
+    "baselines.evaluation.wind.evaluate_in_wind",
+    "baselines.evaluation.rollout.record_episode",
+    "baselines.demo.interactive.watch",
+    "baselines.demo.interactive.play",
     "mbn_marl.planning.plan",
-    "mbn_marl.cli.bench.Bench.run",
+    "baselines.cli.bench.Bench.run",
 )
 """What takes long once its input is checked."""
 

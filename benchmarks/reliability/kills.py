@@ -22,12 +22,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from baselines.centralized.policy import CentralizedPolicy
-from baselines.policies import load_policy
-from baselines.runs import RunFolder
-from baselines.storage import read_text
-from baselines.task import TrainConfig
-from baselines.train import train
+from baselines.evaluation.policy import load_policy
+from baselines.runs.files import read_text
+from baselines.runs.folder import RunFolder
+from baselines.sb3.policy import CentralizedPolicy
+from baselines.training.config import TrainConfig
+from baselines.training.train import train
 
 SMALL = {"policy_kwargs": {"net_arch": [8]}}
 ON_POLICY = {**SMALL, "n_steps": 32, "batch_size": 32}

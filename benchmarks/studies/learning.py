@@ -11,10 +11,10 @@ from statistics import median
 
 from rich.console import Console
 
-from baselines.paper.grid import Grid
-from baselines.results import Result, Results
-from baselines.storage import write_json, write_text
-from baselines.table import markdown, rich_table
+from baselines.compare.results import Result, Results
+from baselines.compare.tables import markdown, rich_table
+from baselines.compare.text_table import Grid
+from baselines.runs.files import write_json, write_text
 from benchmarks.results import Row
 from benchmarks.studies.passing import FieldLine, Passing, known, passes
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from baselines import statistics
 from baselines.algorithms import SETTINGS
+from baselines.compare.results import Result
+from baselines.evaluation import intervals as statistics
 from baselines.paper import published
-from baselines.results import Result
 
 NEVER = float("inf")
 

@@ -9,15 +9,15 @@ from multiprocessing.sharedctypes import Synchronized, SynchronizedArray
 from pathlib import Path
 from typing import NamedTuple
 
-from baselines.paper.grid import Grid
-from baselines.parallel import Job, run_processes, spawning
-from baselines.progress import Listener
-from baselines.provenance import write_provenance
-from baselines.results import Result
-from baselines.runs import RunFolder
-from baselines.storage import RunError, alone, claim_folder, write_json, write_text
-from baselines.table import markdown
-from baselines.task import TrainConfig
+from baselines.compare.results import Result
+from baselines.compare.tables import markdown
+from baselines.compare.text_table import Grid
+from baselines.runs.files import RunError, alone, claim_folder, write_json, write_text
+from baselines.runs.folder import RunFolder
+from baselines.runs.provenance import write_provenance
+from baselines.sweep.processes import Job, run_processes, spawning
+from baselines.training.config import TrainConfig
+from baselines.training.progress_bar import Listener
 from benchmarks.results import Row
 from benchmarks.studies.learning import best_rows, bound, shown, targets_grid
 from benchmarks.studies.passing import FieldLine, best_return

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from baselines.compare import CompareConfig
-from baselines.variants import read_variants
+from baselines.compare.run import CompareConfig
+from baselines.compare.variants import read_variants
 from mbn_marl.field import catalogue_names
 
 
@@ -38,7 +38,7 @@ class Study:
         """The comparison, of the usual size where nothing else is said.
 
         Raises:
-            MbnError: as :class:`~baselines.compare.CompareConfig`.
+            MbnError: as :class:`~baselines.compare.run.CompareConfig`.
         """
         return CompareConfig(
             variants=read_variants(Path(__file__).with_name(f"{self.name}.yaml")),

@@ -24,7 +24,7 @@ from mbn_marl.episode.schema import (
 )
 from mbn_marl.errors import EpisodeError, MbnError
 from mbn_marl.field import Field
-from mbn_marl.render.files import replacing
+from mbn_marl.files import replacing
 from mbn_marl.version import __version__
 
 EXPECTED = f"an episode in the format {FORMAT}, as `mbn render -o episode.json` writes it"

@@ -13,11 +13,11 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from mbn_marl.errors import MbnError
+from mbn_marl.files import replacing
 from mbn_marl.render import style
 from mbn_marl.render.curve_panels import Panel, panels_figure
 from mbn_marl.render.curves import Curves, curves_figure
 from mbn_marl.render.estimates import intervals_figure, profiles_figure
-from mbn_marl.render.files import replacing
 from mbn_marl.render.maps import (
     draw_field,
     draw_trails,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError
-from mbn_marl.render.files import replacing
+from mbn_marl.files import replacing
 from mbn_marl.render.frames import checked_frames
 
 SLOWEST, FASTEST = 0.01, 50.0

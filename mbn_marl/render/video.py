@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError
-from mbn_marl.render.files import replacing
+from mbn_marl.files import replacing
 from mbn_marl.render.frames import check_frame, checked_frames
 
 FASTEST = 120.0

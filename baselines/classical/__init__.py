@@ -1,0 +1,1 @@
+"""Greedy and planner as policies, demonstrations, behaviour cloning."""

@@ -1,0 +1,111 @@
+"""Behaviour cloning from the planner's demonstrations, as an example of their use.
+
+``mbn plan field_03 --export demos.npz --episodes 100 --noise 0.2`` records demonstrations, and
+``python -m baselines.classical.cloning demos.npz field_03`` trains one network for the whole team
+on them and evaluates it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+import tyro
+from numpy.typing import NDArray
+from torch import nn
+
+from baselines.evaluation.evaluate import evaluate
+from baselines.runs.files import read_arrays
+from mbn_marl.field import load_field
+from mbn_marl.optimum import optimal_return, optimality_gap
+
+
+class ClonedPolicy:
+    """All robots' observations in, all robots' actions out.
+
+    Args:
+        observations: (K, n, obs_size), to take means and deviations from.
+        hidden: width of the two hidden layers.
+    """
+
+    observes: Literal["observations", "state"] = "observations"
+
+    def __init__(self, observations: torch.Tensor, hidden: int) -> None:
+        rows = observations.flatten(1)
+        self.mean, self.scale = rows.mean(0), rows.std(0) + 1e-3
+        self.network = nn.Sequential(
+            nn.Linear(rows.shape[1], hidden),
+            nn.Tanh(),
+            nn.Linear(hidden, hidden),
+            nn.Tanh(),
+            nn.Linear(hidden, 2 * observations.shape[1]),
+        )
+
+    def __call__(self, observations: torch.Tensor) -> torch.Tensor:
+        """Actions (K, n, 2), not clipped."""
+        rows = (observations.flatten(1) - self.mean) / self.scale
+        actions: torch.Tensor = self.network(rows)
+        return actions.view(len(rows), -1, 2)
+
+    def act(self, seen: NDArray[np.float32], *, deterministic: bool) -> NDArray[np.float32]:
+        """The cloned action; ``deterministic`` makes no difference."""
+        with torch.no_grad():
+            actions: NDArray[np.float32] = self(torch.from_numpy(seen)).numpy()
+        return actions
+
+
+def clone(
+    observations: NDArray[np.float32],
+    actions: NDArray[np.float32],
+    *,
+    updates: int = 3000,
+    hidden: int = 256,
+    seed: int = 0,
+) -> ClonedPolicy:
+    """Fit actions (K, n, 2) to observations (K, n, obs_size) by least squares."""
+    torch.manual_seed(seed)
+    inputs, targets = torch.from_numpy(observations), torch.from_numpy(actions)
+    policy = ClonedPolicy(inputs, hidden)
+    optimizer = torch.optim.Adam(policy.network.parameters(), lr=1e-3)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)
+    for _ in range(updates):
+        batch = torch.randint(len(inputs), (256,))
+        loss = nn.functional.mse_loss(policy(inputs[batch]), targets[batch])
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        schedule.step()
+    return policy
+
+
+@dataclass(frozen=True)
+class Clone:
+    """Train on demonstrations, evaluate, print."""
+
+    demonstrations: tyro.conf.Positional[Path]
+    """What `mbn plan --export` wrote."""
+    field: tyro.conf.Positional[str]
+    """The field that they are from."""
+    updates: int = 3000
+    """Steps of the optimiser, each on 256 samples."""
+    episodes: int = 20
+    """Of the evaluation."""
+
+
+def main(asked: Clone) -> None:
+    """Run the example."""
+    arrays, field = read_arrays(asked.demonstrations), load_field(asked.field)
+    policy = clone(arrays["observations"], arrays["actions"], updates=asked.updates)
+    result = evaluate(policy, field, {}, episodes=asked.episodes, deterministic=True).summary()
+    gap = optimality_gap(result["return_mean"], optimal_return(field))
+    print(
+        f"success {result['success_rate']:.0%}, return {result['return_mean']:,.0f}, "
+        f"makespan {result['makespan']}, gap {'unknown' if gap is None else f'{gap:.2%}'}"
+    )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Clone))

@@ -1,0 +1,71 @@
+"""Demonstrations for imitation learning: the planner at work, recorded as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.classical.controller import make_tracker
+from mbn_marl.engine import BatchEngine
+from mbn_marl.planning import Plan
+
+
+def record_demonstrations(
+    plan: Plan, settings: Mapping[str, Any], *, episodes: int = 1, noise: float = 0.0, seed: int = 0
+) -> dict[str, NDArray[Any]]:
+    """Episodes of the planner in closed loop, step after step, one episode after the other.
+
+    With noise, the robots do what the planner says and something random besides, and what is
+    recorded is what it says: so a learner sees how to come back from where it strays.
+
+    Args:
+        plan: what is followed; it has a makespan.
+        settings: of the environment that the plan was made for.
+        episodes: how many (> 0).
+        noise: standard deviation of what is added to the actions that are taken (>= 0).
+        seed: of the noise.
+
+    Returns:
+        With K steps in all: ``observations`` (K, n, obs_size) float32 and ``states`` (K, 4n+1)
+        float32 before the step, ``actions`` (K, n, 2) float32 as the planner says, ``taken`` the
+        same with the noise, ``rewards`` (K, n) float32, ``terminations`` and ``truncations`` (K,)
+        bool, ``successes`` (K,) bool of the step's whole episode, ``episodes`` (K,) int32, from 0.
+    """
+    engine = BatchEngine(plan.field, 1, autoreset="disabled", threads=1, **settings)
+    random = np.random.default_rng(seed)
+    rows: dict[str, list[Any]] = {}
+    for episode in range(episodes):
+        lengths = _record(engine, plan, settings, noise, random, rows)
+        rows.setdefault("successes", []).extend([engine.snapshot().success] * lengths)
+        rows.setdefault("episodes", []).extend([np.int32(episode)] * lengths)
+    return {name: np.array(values) for name, values in rows.items()}
+
+
+def _record(
+    engine: BatchEngine,
+    plan: Plan,
+    settings: Mapping[str, Any],
+    noise: float,
+    random: np.random.Generator,
+    rows: dict[str, list[Any]],
+) -> int:
+    """Append one episode to the rows; how many steps it took."""
+    tracker, observations, steps = make_tracker(plan, settings), engine.reset(), 0
+    ended = False
+    while not ended:
+        seen, state = engine.snapshot(), engine.state()[0]
+        wanted = tracker.act(seen.positions, seen.velocities, seen.visited)
+        added = random.normal(0.0, noise, wanted.shape) if noise else 0.0
+        taken = np.clip(wanted + added, -1.0, 1.0).astype(np.float32)
+        row = {"observations": observations[0].copy(), "states": state.astype(np.float32)}
+        observations, rewards, terminated, truncated = engine.step(taken[None])
+        row |= {"actions": wanted, "taken": taken, "rewards": rewards[0].astype(np.float32)}
+        row |= {"terminations": terminated[0], "truncations": truncated[0]}
+        for name, value in row.items():
+            rows.setdefault(name, []).append(value)
+        steps += 1
+        ended = bool(terminated[0] or truncated[0])
+    return steps

@@ -1,0 +1,139 @@
+"""``mbn grid``: many runs, declared in a file, on this machine or on a cluster."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from baselines.sweep.run import Grid as Cells
+
+ACTIONS = ("status", "fetch")
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Train a grid of runs that a YAML file declares, see docs/grid.md.
+
+    Finished runs are never made again, failed and interrupted ones go on from their last
+    checkpoint. `mbn grid status SPEC` shows how it stands, from any machine that sees the store;
+    `mbn grid fetch SPEC` copies the finished runs of a store elsewhere to --out.
+    """
+
+    words: Positional[Annotated[tuple[str, ...], arg(metavar="[status|fetch] SPEC")]]
+    """The YAML file, after what to do with it if not to train."""
+    engine: Literal["local", "ray"] = "local"
+    """local: processes of this machine. ray: a Ray cluster that is there already."""
+    processes: int = os.cpu_count() or 1
+    """local: runs at a time; each takes one core."""
+    address: str | None = None
+    """ray: HOST:PORT of the cluster; by default $RAY_ADDRESS, or the cluster this machine is in."""
+    trust: bool = False
+    """Load pickled files of the store whoever made them; it is needed where the machines' users
+    have homes of their own, and no key in common."""
+    check: bool = False
+    """Check the file and say what there is to do, but do nothing."""
+    out: Path | None = None
+    """fetch: the folder that the runs are copied into."""
+
+    def run(self, command_line: str) -> None:
+        """Do what is asked."""
+        from baselines.sweep.run import Grid as Cells
+        from baselines.sweep.spec import read_spec
+
+        action, path = self._parsed()
+        grid = Cells.of(read_spec(path))
+        if action == "status":
+            self._watch(grid)
+        elif action == "fetch":
+            self._fetch(grid)
+        else:
+            self._train(grid)
+
+    def _parsed(self) -> tuple[str, Path]:
+        """What to do, with which file."""
+        from mbn_marl.errors import ConfigError
+
+        action, *rest = (
+            self.words
+            if self.words[:1] and self.words[0] in ACTIONS
+            else (
+                "train",
+                *self.words,
+            )
+        )
+        problems = []
+        if len(rest) != 1:
+            problems.append(f"SPEC: one file is needed, not {len(rest)}")
+        if self.processes < 1:
+            problems.append(f"processes: at least 1, not {self.processes}")
+        if self.address is not None and self.engine != "ray":
+            problems.append("address: allowed with --engine ray")
+        if (action == "fetch") != (self.out is not None):
+            problems.append("out: needed by fetch, and allowed there alone")
+        if problems:
+            raise ConfigError("grid", problems)
+        return action, Path(rest[0])
+
+    def _train(self, grid: Cells) -> None:
+        from rich.console import Console
+
+        from baselines.sweep.run import run_grid
+        from baselines.sweep.status import live
+        from baselines.sweep.worker import Outcome
+
+        console = Console()
+        left = grid.left()
+        console.print(
+            f"{len(grid.cells)} runs, {len(grid.cells) - len(left)} of them done; {grid.place}",
+            soft_wrap=True,
+            highlight=False,
+        )
+        if self.check:
+            return
+
+        def tell(outcome: Outcome) -> None:
+            if not console.is_terminal:
+                error = "" if outcome.error is None else f" ({outcome.error})"
+                print(f"{outcome.name}: {outcome.state}{error}", flush=True)
+
+        with live(grid, console):
+            run_grid(
+                grid,
+                engine=self.engine,
+                processes=self.processes,
+                address=self.address,
+                trust=self.trust,
+                listener=tell,
+                note=console.print,
+            )
+
+    def _watch(self, grid: Cells) -> None:
+        import time
+
+        from rich.console import Console
+
+        from baselines.sweep.status import Status, live, show
+
+        console = Console()
+        if not console.is_terminal:
+            console.print(show(Status.of(grid)), soft_wrap=True, highlight=False)
+            return
+        with live(grid, console):
+            while Status.of(grid).count("done") < len(grid.cells):
+                time.sleep(grid.store.refresh)
+
+    def _fetch(self, grid: Cells) -> None:
+        from baselines.sweep.store import RemoteStore, fetch_all
+        from mbn_marl.errors import ConfigError
+
+        assert self.out is not None
+        if not isinstance(grid.store, RemoteStore):
+            raise ConfigError("grid", [f"store: {grid.place} is here already; nothing to fetch"])
+        names = sorted(grid.store.finished(grid.names))
+        fetch_all(grid.store, names, self.out)
+        print(f"{len(names)} of {len(grid.cells)} runs are finished and in {self.out}")

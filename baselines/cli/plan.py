@@ -1,0 +1,128 @@
+"""``mbn plan``: the proved optimum of a field, its plan, and demonstrations of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from mbn_marl.planning import Plan as FoundPlan
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Find the fewest steps in which the robots can visit every ROI, and prove it."""
+
+    field: Positional[Annotated[str, arg(metavar="FIELD")]]
+    """A name of `mbn fields`, or a field file."""
+    n_robots: int | None = None
+    """Team size; by default as many as the field has starts."""
+    wind: tuple[float, float] = (0.0, 0.0)
+    """Speed (units/step per step) and direction (degrees from +x) of the wind."""
+    time_limit: float = 60.0
+    """Seconds after which the best interval so far is returned."""
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """The folder to write; by default runs/plan-FIELD."""
+    force: bool = False
+    """If the folder or the file of --export exists, move it aside (to OUT.1, OUT.2, ...)."""
+    export: Path | None = None
+    """Write demonstrations to this .npz file: the plan, followed in closed loop."""
+    episodes: int = 1
+    """With --export: how many episodes."""
+    noise: float = 0.0
+    """With --export: standard deviation of what is added to the actions that are taken."""
+
+    def run(self, command_line: str) -> None:
+        """Plan, print, and write the files."""
+        from baselines.runs.files import claim_folder, write_json
+        from mbn_marl.config import make_config
+        from mbn_marl.errors import ConfigError
+        from mbn_marl.field import load_field
+        from mbn_marl.files import claim_file
+        from mbn_marl.planning import plan
+        from mbn_marl.planning.problem import make_problem
+
+        problems = []
+        if not self.time_limit > 0.0:
+            problems.append(f"time_limit: more than 0 seconds, not {self.time_limit}")
+        if self.episodes < 1:
+            problems.append(f"episodes: at least 1, not {self.episodes}")
+        if not self.noise >= 0.0:
+            problems.append(f"noise: 0 or more, not {self.noise}")
+        if self.export is None and (self.episodes, self.noise) != (1, 0.0):
+            problems.append("episodes, noise: for --export")
+        if self.export is not None and self.export.suffix != ".npz":
+            problems.append(f"export: allowed: a name that ends in .npz, not {self.export}")
+        if problems:
+            raise ConfigError("plan", problems)
+        field = load_field(self.field)
+        settings: dict[str, Any] = {"n_robots": self.n_robots, "wind": self.wind}
+        make_problem(field, make_config(settings))  # says what is wrong before anything is moved
+        if self.export is not None:
+            claim_file(self.export, force=self.force)
+        folder = claim_folder(self.out or Path(f"runs/plan-{field.name}"), force=self.force)
+        found = plan(field, time_limit=self.time_limit, **settings)
+        print_plan(found)
+        write_json(folder / "plan.json", {"command": command_line, **found.to_json()})
+        names = ["plan.json"]
+        if found.makespan is not None:
+            names += _write_plan(found, folder, settings)
+        print(f"written to {folder}: {', '.join(names)}")
+        if self.export is not None:
+            self._export(found, settings, self.export)
+
+    def _export(self, found: FoundPlan, settings: dict[str, Any], path: Path) -> None:
+        """Write the demonstrations."""
+        from baselines.classical.demonstrations import record_demonstrations
+        from baselines.runs.files import write_arrays
+
+        arrays = record_demonstrations(found, settings, episodes=self.episodes, noise=self.noise)
+        write_arrays(path, arrays, compress=True)
+        steps, good = len(arrays["actions"]), arrays["successes"]
+        share = sum(good[arrays["episodes"] == k][0] for k in range(self.episodes))
+        print(f"written to {path}: {steps} steps, {share} of {self.episodes} episodes succeed")
+
+
+def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> list[str]:
+    """The plan's actions and positions, its episode and its picture; their names."""
+    import numpy as np
+
+    from baselines.runs.files import write_arrays
+    from mbn_marl.config import make_config
+    from mbn_marl.episode import play, save_episode
+    from mbn_marl.render import figures
+
+    config = make_config(settings)
+    kind = ", proved optimal" if found.optimal else ""
+    episode = play(found.field, config, found.actions, source=f"plan{kind}")
+    save_episode(episode, folder / "episode.json")
+    write_arrays(folder / "plan.npz", {"actions": found.actions, "positions": found.trail})
+    figure = figures.trajectory_figure(
+        found.field,
+        found.trail,
+        visited=np.ones(len(found.field.rois), np.bool_),
+        wind=config.wind_increment(),
+        title=f"{found.field.name}: {found.makespan} steps{', optimal' if found.optimal else ''}",
+    )
+    figures.save(figure, folder / "plan.png")
+    return ["plan.npz", "plan.png", "episode.json"]
+
+
+def print_plan(found: FoundPlan) -> None:
+    """Print a plan as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"plan of {found.field.name}", show_header=False)
+    makespan = "none was found" if found.makespan is None else f"{found.makespan} steps"
+    table.add_row("makespan", makespan)
+    table.add_row("proved lower bound", f"{found.makespan_lower_bound} steps")
+    table.add_row("optimal", "yes, proved" if found.optimal else "not proved")
+    table.add_row("return", "-" if found.return_ is None else f"{found.return_:,.0f}")
+    for robot, rois in enumerate(found.assignment):
+        table.add_row(f"robot_{robot} visits", ", ".join(f"w{roi + 1}" for roi in rois) or "-")
+    table.add_row("took", f"{found.seconds:.2f} s")
+    Console().print(table)

@@ -1,0 +1,79 @@
+"""``mbn render``: an episode as JSON, GIF or video, or as a figure of its paths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from mbn_marl.episode import Episode
+
+
+@dataclass(frozen=True)
+class Render:
+    """Write an episode to a file: of the policy of a run, of random actions, or a recorded one."""
+
+    source: Positional[Annotated[str, arg(metavar="RUN|FIELD|EPISODE")]]
+    """The folder of a run, zoo:NAME (see `mbn zoo`), a name of `mbn fields`, a field file, or an
+    episode's file."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """A .json for the episode itself (see `mbn replay`), .gif or .mp4 for an animation, .png, .pdf
+    or .svg for its paths."""
+    sampled: bool = False
+    """Sample the policy's actions instead of taking their mean."""
+    seed: int = 0
+    """Of the world and of the sampled actions."""
+    steps: int | None = None
+    """Stop after so many steps; by default at the end of the episode."""
+    trust: bool = False
+    """Load pickled files of the run even if you did not make them; they can run any code."""
+    force: bool = False
+    """If the file exists, move it aside (to OUT.1, OUT.2, ...)."""
+
+    def run(self, command_line: str) -> None:
+        """Run the episode and write it."""
+        from baselines.evaluation.rollout import check_ending, write_episode
+        from mbn_marl.errors import ConfigError
+        from mbn_marl.files import claim_file
+
+        if self.steps is not None and self.steps < 1:
+            raise ConfigError("render", [f"steps: at least 1, not {self.steps}"])
+        check_ending(self.out)
+        episode = self._episode()
+        write_episode(episode, claim_file(self.out, force=self.force))
+        print(f"{episode.outcome}, {episode.steps} steps, return {episode.team_return:,.0f}")
+        print(f"written to {self.out}")
+
+    def _episode(self) -> Episode:
+        from baselines.demo.resolve import find_actor
+        from baselines.evaluation.rollout import record_episode
+        from mbn_marl.episode import check_episode, is_episode_file, load_episode
+        from mbn_marl.episode.files import EXPECTED
+        from mbn_marl.errors import ConfigError, FieldError
+
+        if is_episode_file(self.source):
+            if (self.sampled, self.seed, self.steps) != (False, 0, None):
+                problem = f"sampled, seed, steps: not for {self.source}, which is recorded already"
+                raise ConfigError("render", [problem])
+            episode = load_episode(self.source)
+            check_episode(episode, self.source)
+            return episode
+        try:
+            actor = find_actor(self.source, seed=self.seed, trust=self.trust)
+        except FieldError as error:
+            if not self.source.lower().endswith(".json"):
+                raise
+            raise FieldError(self.source, [*error.problems, f"nor is it {EXPECTED}"]) from None
+        kind = ", sampled actions" if self.sampled else ""
+        return record_episode(
+            actor.policy,
+            actor.field,
+            actor.settings,
+            deterministic=not self.sampled,
+            seed=self.seed,
+            limit=self.steps,
+            source=f"{actor.name}{kind}",
+        )

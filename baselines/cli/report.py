@@ -1,0 +1,93 @@
+"""``mbn report``: what runs recorded, as a page with tables and figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+
+@dataclass(frozen=True)
+class Report:
+    """Report on runs: the paper's tables and figures with ours beside them, or a comparison."""
+
+    runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUNS")]]
+    """Run folders, or folders that hold some; studies and what --force moved aside are left out
+    there, with --paper comparisons too."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """The folder to write, with the page paper.md or comparison.md in it; NAME.md for the page,
+    beside its folder NAME; or NAME.html for a comparison on one self-contained page."""
+    paper: bool = False
+    """The paper's experiments: its tables as Markdown, CSV and LaTeX, and its figures."""
+    comparison: bool = False
+    """The statistics of `mbn compare`, on runs that are there already."""
+    study: Path | None = None
+    """The folder of an `mbn tune`, to draw."""
+    notes: Path | None = None
+    """A Markdown file to put at the top of the page."""
+    trust: bool = False
+    """Load pickled files of the runs even if you did not make them; they can run any code."""
+    force: bool = False
+    """If there is a report already, move it aside (to OUT.1, OUT.2, ...)."""
+
+    def run(self, command_line: str) -> None:
+        """Write the report."""
+        from functools import partial
+
+        from rich.console import Console
+
+        from baselines.compare.html import SUFFIX, write_html_report
+        from baselines.compare.markdown import report_comparison
+        from baselines.compare.tables import print_comparison
+        from baselines.paper.report import write_report
+        from mbn_marl.errors import ConfigError
+
+        one_page = self.out.suffix.lower() == SUFFIX
+        problems = []
+        if one_page and self.paper:
+            problems.append(f"out: --paper writes a folder or .md, not {self.out}")
+        elif not one_page and self.paper == self.comparison:
+            problems.append("kind: --paper or --comparison is needed, or an out that ends in .html")
+        if not self.paper and (self.study is not None or self.notes is not None):
+            problems.append("study and notes: allowed with --paper")
+        if not self.runs:
+            problems.append("RUNS: at least one folder is needed")
+        if problems:
+            raise ConfigError("report", problems)
+        console = Console()
+        note = partial(console.print, soft_wrap=True, highlight=False)
+        if one_page:
+            comparison = write_html_report(
+                self.runs,
+                self.out,
+                command=command_line,
+                force=self.force,
+                trust=self.trust,
+                note=note,
+            )
+            print_comparison(comparison, console)
+            console.print(f"written to {self.out}")
+            return
+        if self.paper:
+            place = write_report(
+                self.runs,
+                self.out,
+                command=command_line,
+                study=self.study,
+                notes=self.notes,
+                force=self.force,
+                note=note,
+            )
+        else:
+            place, comparison = report_comparison(
+                self.runs,
+                self.out,
+                command=command_line,
+                force=self.force,
+                trust=self.trust,
+                note=note,
+            )
+            print_comparison(comparison, console)
+        console.print(f"written to {place.page}; tables and figures in {place.folder}")

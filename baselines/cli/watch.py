@@ -1,0 +1,98 @@
+"""``mbn watch`` and ``mbn play``: a policy in a window, alone or with a person."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from baselines.demo.interactive import Show
+    from baselines.demo.resolve import Actor
+    from mbn_marl.episode import Episode
+
+
+@dataclass(frozen=True)
+class _Window:
+    """What both commands take."""
+
+    source: Positional[Annotated[str, arg(metavar="FIELD|RUN")]]
+    """A name of `mbn fields`, a field file, the folder of a run, or zoo:NAME."""
+    policy: str | None = None
+    """In a field: the folder of a run, zoo:NAME, or random; by default the zoo's policy for that
+    field if there is one, else random."""
+    wind: tuple[float, float] | None = None
+    """Speed (units/step per step) and angle (degrees from +x) of the wind."""
+    sampled: bool = False
+    """Sample the policy's actions instead of taking their mean."""
+    seed: int = 0
+    """Of the worlds and of sampled actions."""
+    speed: float = 10.0
+    """Steps a second."""
+    episodes: int | None = None
+    """Close the window after so many."""
+    save: Path | None = None
+    """Write the last episode to this .json file (see `mbn replay`)."""
+    trust: bool = False
+    """Load pickled files of the run even if you did not make them; they can run any code."""
+    force: bool = False
+    """If that file exists, move it aside."""
+
+    def _actor(self) -> Actor:
+        from dataclasses import replace
+
+        from baselines.demo.resolve import find_actor, zoo_policy
+
+        chosen = self.policy or zoo_policy(self.source)
+        actor = find_actor(self.source, chosen, seed=self.seed, trust=self.trust)
+        if self.wind is None:
+            return actor
+        return replace(actor, settings={**actor.settings, "wind": self.wind})
+
+    def _show(self) -> Show:
+        from baselines.demo.interactive import Show
+        from mbn_marl.errors import MbnError
+
+        if self.save is not None:
+            if self.save.suffix.lower() != ".json":
+                raise MbnError(f"{self.save}: the file name has to end in .json")
+            if self.save.exists() and not self.force:
+                raise MbnError(f"{self.save} already exists; --force moves it aside")
+        return Show(not self.sampled, self.seed, self.speed, self.episodes)
+
+    def _keep(self, shown: list[Episode]) -> None:
+        from mbn_marl.episode import save_episode
+        from mbn_marl.files import claim_file
+
+        for episode in shown:
+            print(f"{episode.outcome}, {episode.steps} steps, return {episode.team_return:,.0f}")
+        if self.save is not None and shown:
+            save_episode(shown[-1], claim_file(self.save, force=self.force))
+            print(f"written to {self.save}")
+
+
+@dataclass(frozen=True)
+class Watch(_Window):
+    """Watch a policy in a window. Space pauses, R begins anew, Escape closes it."""
+
+    def run(self, command_line: str) -> None:
+        """Show episodes until the window is closed."""
+        from baselines.demo.interactive import watch
+
+        self._keep(watch(self._actor(), self._show()))
+
+
+@dataclass(frozen=True)
+class Play(_Window):
+    """Drive one robot with the arrow keys or W, A, S, D, while a policy drives the others."""
+
+    robot: int = 0
+    """Which robot is yours."""
+
+    def run(self, command_line: str) -> None:
+        """Show episodes until the window is closed."""
+        from baselines.demo.interactive import play
+
+        self._keep(play(self._actor(), self._show(), self.robot))

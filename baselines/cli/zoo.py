@@ -1,0 +1,66 @@
+"""``mbn zoo``: the trained policies that come with the package."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import arg
+
+
+@dataclass(frozen=True)
+class Zoo:
+    """List the trained policies that `mbn evaluate` and `mbn render` take as zoo:NAME."""
+
+    add: Annotated[Path | None, arg(metavar="RUN")] = None
+    """Make an entry of this finished run: evaluate its policy and write its card."""
+    out: Path | None = None
+    """The folder to make; by default the package's own, named as the run's field."""
+
+    def run(self, command_line: str) -> None:
+        """Print the cards, after adding one if a run is named."""
+        from baselines.runs.folder import RunFolder
+        from baselines.zoo.entries import FOLDER, entry_names, read_card
+        from baselines.zoo.make import make_entry
+        from mbn_marl.errors import ConfigError
+
+        if self.add is not None:
+            run = RunFolder.open(self.add)
+            print_cards([make_entry(run, self.out or FOLDER / run.field.name)])
+        elif self.out is not None:
+            raise ConfigError("zoo", ["out: allowed with --add"])
+        else:
+            print_cards([read_card(name) for name in entry_names()])
+
+
+def print_cards(cards: list[Mapping[str, Any]]) -> None:
+    """Print cards as a table, one a row: returns with sampled and with mean actions."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for heading in (
+        "policy",
+        "algorithm",
+        "env-steps",
+        "sampled\nactions",
+        "success",
+        "mean\nactions",
+        "optimum",
+    ):
+        table.add_column(heading, justify="left" if heading == "policy" else "right")
+    for card in cards:
+        sampled, optimum = card["stochastic"], card["optimum"]
+        table.add_row(
+            f"zoo:{card['name']}",
+            card["algorithm"],
+            f"{card['env_steps']:,}",
+            f"{sampled['return_mean']:,.0f}",
+            f"{sampled['success_rate']:.0%}",
+            f"{card['deterministic']['return_mean']:,.0f}",
+            "-" if optimum is None else f"{optimum:,.0f}",
+        )
+    Console().print(table)

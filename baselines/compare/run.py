@@ -1,0 +1,158 @@
+"""Train variants on fields with equal budgets, and compare what the runs recorded."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from baselines.compare.results import Result, Results
+from baselines.compare.variants import Variant
+from baselines.runs.files import RunError, alone, claim_folder, read_json, write_json
+from baselines.runs.folder import RunFolder
+from baselines.runs.provenance import write_provenance
+from baselines.sweep.processes import Job, train_all
+from baselines.training.config import TrainConfig
+from baselines.training.loggers import find_wandb
+from baselines.training.progress_bar import Listener
+from baselines.training.train import prepare
+from mbn_marl.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class CompareConfig:
+    """What to compare: every variant on every field with every seed.
+
+    Attributes:
+        variants: ways to train, each under a label of its own.
+        fields: catalogue names or paths.
+        seeds: one run each.
+        steps: env-steps of every run.
+        evaluate_every: env-steps between two fresh evaluations.
+        episodes: stochastic episodes of an evaluation.
+
+    Raises:
+        ConfigError: a list is empty or names something twice, two field files have the same name,
+            or a number is out of range.
+        MbnError: an algorithm or a field is not valid.
+    """
+
+    variants: tuple[Variant, ...]
+    fields: tuple[str, ...]
+    seeds: tuple[int, ...]
+    steps: int
+    evaluate_every: int
+    episodes: int
+
+    def __post_init__(self) -> None:
+        """Check everything before the first run starts."""
+        problems = []
+        lists: dict[str, Sequence[Any]] = {
+            "algorithms": [variant.name for variant in self.variants],
+            "fields": self.fields,
+            "seeds": self.seeds,
+        }
+        for name, values in lists.items():
+            if not values:
+                problems.append(f"{name}: at least one is needed")
+            problems += [
+                f"{name}: {value} is given twice"
+                for value in dict.fromkeys(values)
+                if values.count(value) > 1
+            ]
+        if problems:
+            raise ConfigError("comparison", problems)
+        names = [run.name for run in self.runs()]
+        if len(set(names)) < len(names):
+            raise ConfigError("comparison", ["fields: two files have the same name"])
+
+    def runs(self) -> list[TrainConfig]:
+        """The runs, seed by seed."""
+        return [
+            variant.training(
+                field,
+                seed,
+                steps=self.steps,
+                evaluate_every=self.evaluate_every,
+                episodes=self.episodes,
+            )
+            for seed, field, variant in itertools.product(self.seeds, self.fields, self.variants)
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values."""
+        values = {**vars(self), "variants": [variant.model_dump() for variant in self.variants]}
+        as_json: dict[str, Any] = json.loads(json.dumps(values))
+        return as_json
+
+
+def train_all_runs(
+    config: CompareConfig,
+    out: Path,
+    *,
+    command: str,
+    processes: int,
+    force: bool = False,
+    resume: bool = False,
+    wandb: str | None = None,
+    listener: Listener = lambda report: None,
+) -> Results:
+    """Train every run into a folder of its own under ``out``.
+
+    A learner that breaks down stops its own run alone; its label is then left out of the results,
+    which say so.
+
+    Args:
+        config: what to compare.
+        out: the folder of the comparison.
+        command: the exact command, recorded there.
+        processes: runs at a time.
+        force: move a folder that is already there aside.
+        resume: go on with the comparison in ``out``, which must be of the same configuration:
+            finished runs are kept, unfinished ones go on, missing ones are started.
+        wandb: a project of Weights & Biases to log to as well.
+        listener: is told where the runs stand.
+
+    Raises:
+        RunError: ``out`` already holds something, or another process compares there, or a run
+            failed, or every label has one that broke down.
+        ConfigError: with ``resume``, naming every entry of the configuration that differs.
+        MbnError: a hyperparameter or a setting of a variant is not valid, or Weights & Biases is
+            asked for and not installed.
+    """
+    if wandb is not None:
+        find_wandb()
+    for run in config.runs():
+        prepare(run)
+    if resume:
+        _check_same(config, out)
+    else:
+        claim_folder(out, force=force)
+    with alone(out, "mbn compare"):
+        if not resume:
+            write_json(out / "config.json", config.to_json())
+            write_provenance(out, command)
+        jobs = [Job.left(run, out / run.name, wandb) for run in config.runs()]
+        broken = train_all(jobs, processes, listener)
+    left_out = {job.config.shown_as for job in jobs if job.config.name in broken}
+    whole = [job for job in jobs if job.config.shown_as not in left_out]
+    if not whole:
+        raise RunError("nothing is left to compare:\n" + "\n".join(broken.values()))
+    return Results.of([Result.read(RunFolder.open(job.out)) for job in whole], broken)
+
+
+def _check_same(config: CompareConfig, out: Path) -> None:
+    """Whether the comparison in ``out`` is of this configuration."""
+    if not (out / "config.json").is_file():
+        raise RunError(f"{out} is not the folder of a comparison: it has no config.json")
+    recorded, asked = read_json(out / "config.json"), config.to_json()
+    problems = [
+        f"{name}: the comparison has {recorded.get(name)!r}, this command {asked.get(name)!r}"
+        for name in dict.fromkeys([*recorded, *asked])
+        if recorded.get(name) != asked.get(name)
+    ]
+    if problems:
+        raise ConfigError(f"{out} cannot be resumed", problems)

@@ -1,0 +1,76 @@
+"""What a comparison compares: algorithms, and variants of them under labels of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from baselines.training.config import TrainConfig, default_label
+from baselines.training.hyperparameters import read_blocks, validate
+
+
+class Variant(BaseModel):
+    """A way to train.
+
+    Attributes:
+        algorithm: a name of :data:`baselines.algorithms.ALGORITHMS`.
+        setting: one of those it has; C is no way to train of its own, but goes on from a run.
+        label: what the comparison calls it; ``None`` for the algorithm's own name.
+        hyperparameters: those that differ from the recorded ones.
+        environment: settings of the environment that differ from the algorithm's own.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    algorithm: str
+    setting: Literal["A", "B", "N"] = "N"
+    label: str | None = None
+    hyperparameters: dict[str, Any] = Field(default_factory=dict)
+    environment: dict[str, Any] = Field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """What tables and figures call it."""
+        return self.label or default_label(self.algorithm, self.setting)
+
+    def training(self, field: str, seed: int, **budget: Any) -> TrainConfig:
+        """Its training on a field with a seed.
+
+        Args:
+            field: a catalogue name or a path.
+            seed: of the run.
+            budget: ``steps``, ``evaluate_every`` and ``episodes``.
+
+        Raises:
+            MbnError: the algorithm is unknown or does not have the setting, or a number is not
+                allowed.
+        """
+        return TrainConfig(field=field, seed=seed, **self.model_dump(), **budget)
+
+
+def parse_variants(words: Sequence[str]) -> tuple[Variant, ...]:
+    """Variants from the command line: ``ALGO``, or ``ALGO:SETTING`` for another setting than N.
+
+    Raises:
+        ConfigError: naming an unknown setting and what is allowed.
+    """
+    pairs = [word.partition(":") for word in words]
+    return tuple(
+        validate(Variant, {"algorithm": name, "setting": setting if colon else "N"}, "comparison")
+        for name, colon, setting in pairs
+    )
+
+
+def read_variants(path: Path) -> tuple[Variant, ...]:
+    """Variants from a YAML file: a block for each, under its label.
+
+    Raises:
+        ConfigError: the file cannot be read, or naming every value of a block that is not valid.
+    """
+    return tuple(
+        validate(Variant, {**block, "label": str(label)}, f"{path}: {label}")
+        for label, block in read_blocks(path).items()
+    )

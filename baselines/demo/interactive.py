@@ -1,0 +1,143 @@
+"""Watching a policy in a window, and driving one of its robots."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Set as AbstractSet
+from typing import Any
+
+import numpy as np
+import torch
+
+from baselines.demo.resolve import Actor
+from mbn_marl.engine import BatchEngine
+from mbn_marl.episode import Episode, EpisodeRecorder
+from mbn_marl.errors import ConfigError
+from mbn_marl.render import Viewer
+
+SIZE = (720, 720)
+DIRECTIONS = {
+    "right": (1.0, 0.0),
+    "d": (1.0, 0.0),
+    "left": (-1.0, 0.0),
+    "a": (-1.0, 0.0),
+    "up": (0.0, 1.0),
+    "w": (0.0, 1.0),
+    "down": (0.0, -1.0),
+    "s": (0.0, -1.0),
+}
+"""The force along x and y that a key stands for."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Show:
+    """How episodes are shown.
+
+    Attributes:
+        deterministic: take the policy's mean action instead of a sampled one.
+        seed: of the worlds and of sampled actions.
+        speed: steps a second, above 0.
+        episodes: how many; ``None``: until the window is closed.
+        rest: seconds that the end of an episode stays.
+    """
+
+    deterministic: bool = True
+    seed: int = 0
+    speed: float = 10.0
+    episodes: int | None = None
+    rest: float = 1.5
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        problems = []
+        if not 0.0 < self.speed < math.inf:
+            problems.append(f"speed: a finite number above 0, not {self.speed:g}")
+        if self.episodes is not None and self.episodes < 1:
+            problems.append(f"episodes: at least 1, not {self.episodes}")
+        if problems:
+            raise ConfigError("window", problems)
+
+
+def watch(actor: Actor, how: Show) -> list[Episode]:
+    """Show episodes in a window. Space pauses, R begins anew, Escape closes it.
+
+    Returns:
+        What was shown.
+
+    Raises:
+        ImportError: pygame is not installed.
+        DisplayError: there is no display.
+    """
+    return _run(actor, how, None, "space: pause, R: again, Escape: close")
+
+
+def play(actor: Actor, how: Show, robot: int) -> list[Episode]:
+    """As :func:`watch`, but robot ``robot`` is pushed by a person: arrow keys, or W, A, S, D.
+
+    Raises:
+        ConfigError: there is no such robot.
+    """
+    robots = actor.settings.get("n_robots") or len(actor.field.starts)
+    if not 0 <= robot < robots:
+        raise ConfigError("window", [f"robot: 0 to {robots - 1}, not {robot}"])
+    return _run(actor, how, robot, f"you drive robot {robot}: arrows or WASD, R: again")
+
+
+def push(held: AbstractSet[str]) -> tuple[float, float]:
+    """The action, two numbers in [-1, 1], of the keys that are held down; opposite ones cancel."""
+    forces = [DIRECTIONS[key] for key in held if key in DIRECTIONS]
+    x, y = np.clip(np.sum(forces, axis=0) if forces else (0.0, 0.0), -1.0, 1.0)
+    return float(x), float(y)
+
+
+def _run(actor: Actor, how: Show, driven: int | None, hint: str) -> list[Episode]:
+    caption = f"{actor.field.name} - {actor.name} - {hint}"
+    viewer = Viewer("human", SIZE, frame_rate=how.speed, caption=caption)
+    engine = BatchEngine(actor.field, 1, seed=how.seed, autoreset=False, **actor.settings)
+    name = actor.name if driven is None else f"a person as robot {driven}, with {actor.name}"
+    finished = 0
+    with torch.random.fork_rng(devices=[]), EpisodeRecorder(engine, source=name) as recorder:
+        torch.manual_seed(how.seed)
+        while not viewer.closed and (how.episodes is None or finished < how.episodes):
+            finished += _one_episode(engine, viewer, actor, how, driven)
+    viewer.close()
+    return recorder.episodes
+
+
+def _one_episode(
+    engine: BatchEngine, viewer: Viewer, actor: Actor, how: Show, driven: int | None
+) -> bool:
+    """Show one episode and rest at its end; False if it was cut short."""
+    observations = engine.reset()
+    viewer.draw(engine.snapshot())
+    paused = False
+    while engine.running[0]:
+        if not paused:
+            observations = _step(engine, actor, observations, how, viewer, driven)
+        viewer.draw(engine.snapshot())
+        paused ^= "space" in viewer.pressed
+        if viewer.closed or "r" in viewer.pressed:
+            return False
+    for _ in range(round(how.rest * how.speed)):
+        viewer.draw(engine.snapshot())
+        if viewer.closed or viewer.pressed:
+            break
+    return True
+
+
+def _step(
+    engine: BatchEngine,
+    actor: Actor,
+    observations: Any,
+    how: Show,
+    viewer: Viewer,
+    driven: int | None,
+) -> Any:
+    """Let everybody act; returns the observations."""
+    policy = actor.policy
+    seen = engine.state() if policy.observes == "state" else observations
+    actions = np.array(policy.act(seen, deterministic=how.deterministic), np.float64)
+    if driven is not None:
+        actions[0, driven] = push(viewer.held)
+    return engine.step(actions)[0]

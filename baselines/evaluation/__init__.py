@@ -1,0 +1,1 @@
+"""What a policy does: evaluation, wind sweeps, recorded episodes, intervals."""

@@ -1,0 +1,63 @@
+"""What acts in an environment: trained policies and the random one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+
+from baselines.algorithms import find_algorithm
+from baselines.runs.folder import RunFolder
+
+
+class Policy(Protocol):
+    """A policy for a batch of worlds.
+
+    Attributes:
+        observes: ``"observations"``, the robots' own, (worlds, n, obs_size), or ``"state"``, the
+            paper's vector, (worlds, 4n+1).
+    """
+
+    observes: Literal["observations", "state"]
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        """Actions (worlds, n, 2); the engine clips them to [-1, 1].
+
+        Args:
+            seen: what ``observes`` names.
+            deterministic: take the mean action; otherwise sample from torch's generator.
+        """
+        ...
+
+
+class TrainedPolicy(Policy, Protocol):
+    """A policy that can be kept."""
+
+    def save(self, folder: Path) -> None:
+        """Write the policy's files into ``folder``, each one atomically."""
+        ...
+
+
+class RandomPolicy:
+    """Uniform actions in [-1, 1], reproducible from the seed."""
+
+    observes: Literal["observations", "state"] = "observations"
+
+    def __init__(self, seed: int = 0) -> None:
+        self._random = np.random.default_rng(seed)
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        """Sample actions; ``deterministic`` makes no difference."""
+        return self._random.uniform(-1.0, 1.0, size=(*seen.shape[:2], 2)).astype(np.float32)
+
+
+def load_policy(run: Path | RunFolder) -> TrainedPolicy:
+    """Load the latest policy of a run.
+
+    Raises:
+        RunError: there is no run, or it has saved no policy yet.
+    """
+    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    policy: TrainedPolicy = find_algorithm(folder.config["algorithm"]).load_policy(folder)
+    return policy

@@ -1,0 +1,124 @@
+"""One episode of a policy, and the files that show an episode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import chain, repeat
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from baselines.evaluation.policy import Policy
+from mbn_marl.engine import BatchEngine
+from mbn_marl.episode import Episode, EpisodeRecorder, save_episode
+from mbn_marl.errors import MbnError
+from mbn_marl.field import Field
+from mbn_marl.render import Viewer, write_gif, write_mp4
+
+ANIMATIONS = {".gif": write_gif, ".mp4": write_mp4}
+FIGURES = (".png", ".pdf", ".svg")
+FORMATS = (*ANIMATIONS, *FIGURES, ".json")
+REST = 20
+"""Frames that an animation rests on its end."""
+
+
+def record_episode(
+    policy: Policy,
+    field: Field,
+    settings: Mapping[str, Any],
+    *,
+    deterministic: bool = True,
+    seed: int = 0,
+    limit: int | None = None,
+    source: str = "",
+) -> Episode:
+    """An episode of a policy.
+
+    Args:
+        policy: what acts.
+        field: where.
+        settings: settings of the environment.
+        deterministic: take the mean action instead of a sampled one.
+        seed: of the world and of the sampled actions.
+        limit: stop after so many steps; ``None`` for the whole episode.
+        source: what the policy is, in words.
+    """
+    engine = BatchEngine(field, 1, seed=seed, autoreset="disabled", threads=1, **settings)
+    steps, ended = 0, False
+    with torch.random.fork_rng(devices=[]), EpisodeRecorder(engine, source=source) as recorder:
+        torch.manual_seed(seed)
+        observations = engine.reset()
+        while not ended and (limit is None or steps < limit):
+            seen = engine.state() if policy.observes == "state" else observations
+            actions = policy.act(seen, deterministic=deterministic)
+            observations, _, terminated, truncated = engine.step(actions)
+            ended = bool(terminated[0] or truncated[0])
+            steps += 1
+    return recorder.episodes[0]
+
+
+def write_episode(episode: Episode, path: Path) -> None:
+    """Write an episode as the end of ``path`` says: the episode, an animation, or its paths.
+
+    Raises:
+        MbnError: another ending, naming those allowed.
+    """
+    check_ending(path)
+    ending = path.suffix.lower()
+    if ending == ".json":
+        save_episode(episode, path)
+    elif ending in ANIMATIONS:
+        write_animation(episode, path)
+    else:
+        write_trajectories(episode, path)
+
+
+def check_ending(path: Path) -> Path:
+    """``path``, if an episode can be written there as far as its name goes.
+
+    Raises:
+        MbnError: naming the path and the endings allowed.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
+    return path
+
+
+def write_animation(episode: Episode, path: Path) -> None:
+    """Write the episode as a GIF or an MP4 that rests on its last frame."""
+    ANIMATIONS[path.suffix.lower()](_frames(episode), path)
+
+
+def _frames(episode: Episode) -> Iterator[NDArray[np.uint8]]:
+    viewer = Viewer("rgb_array")
+    last = repeat(episode.snapshot(episode.steps), REST)
+    for snapshot in chain(episode.snapshots(), last):
+        frame = viewer.draw(snapshot)
+        assert frame is not None  # in this mode there always is one
+        yield frame
+
+
+def write_trajectories(episode: Episode, path: Path, title: str | None = None) -> None:
+    """Write the robots' paths as a figure (png, pdf or svg)."""
+    from mbn_marl.render import figures
+
+    figures.save(draw_trajectories(episode, title), path)
+
+
+def draw_trajectories(episode: Episode, title: str | None = None) -> Any:
+    """The robots' paths as a matplotlib figure."""
+    from mbn_marl.render import figures
+
+    last = episode.snapshot(episode.steps)
+    return figures.trajectory_figure(
+        last.field,
+        last.trail,
+        visited=last.visited,
+        collision=last.collision,
+        wind=last.wind,
+        roi_radius=last.roi_radius,
+        title=title,
+    )

@@ -1,0 +1,222 @@
+"""Folders and files of runs: claimed without overwriting, written whole or not at all, checked."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import stat
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from filelock import FileLock, Timeout
+from numpy.typing import NDArray
+
+from mbn_marl.checksums import LIST, check, make_list, read_checked
+from mbn_marl.errors import MbnError
+from mbn_marl.files import free_name, replacing
+
+LOCK = ".lock"
+"""In a folder that a process is at work in: which one."""
+
+
+class RunError(MbnError):
+    """A run folder is missing, incomplete, at work, or would be overwritten."""
+
+
+def claim_folder(path: Path, *, force: bool = False) -> Path:
+    """Create the folder ``path`` for a new run or comparison.
+
+    Args:
+        path: the folder; parents are created.
+        force: a folder that is already there is moved aside to ``<path>.1``, ``<path>.2``, ...
+            (the first free name), so nothing is lost.
+
+    Raises:
+        RunError: ``path`` is a file, or a folder with something in it and ``force`` is not set or
+            a process is at work there.
+    """
+    if path.exists() and not path.is_dir():
+        raise RunError(f"{path} is a file; the output must be a folder")
+    if path.is_dir() and not all(map(_of_a_beginning, path.iterdir())):
+        if not force:
+            raise RunError(
+                f"{path} already exists; choose another --out, or pass --force to move it aside"
+            )
+        for lock in list(path.rglob(LOCK)):
+            with alone(lock.parent, "mbn"):
+                pass
+        path.rename(free_name(path))
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _of_a_beginning(path: Path) -> bool:
+    """Whether the file is one that a process leaves that is killed before it wrote anything."""
+    return path.name == LOCK or path.name.startswith(".config.json.")
+
+
+@contextmanager
+def alone(folder: Path, command: str, hint: str = "") -> Iterator[None]:
+    """Hold the lock of ``folder``; the system frees it whatever becomes of this process.
+
+    Args:
+        folder: it has to be there.
+        command: what works there, such as ``"mbn train"``.
+        hint: what to do instead.
+
+    Raises:
+        RunError: another process holds it.
+    """
+    place = folder / LOCK
+    lock = FileLock(place, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        holder = _holder(place, command)
+        raise RunError(f"{folder}: another {holder} is at work here{hint}") from None
+    try:
+        with suppress(OSError):  # whom to name is a courtesy; the lock itself is the system's
+            since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+            who = {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
+            place.write_text(json.dumps({"command": command, **who}) + "\n")
+        yield
+    finally:
+        with suppress(OSError):
+            place.unlink()  # while it is held: who has opened it meanwhile finds it gone, and waits
+        lock.release()
+
+
+def _holder(place: Path, command: str) -> str:
+    """Who holds a lock, in words; ``command`` if it has not said so yet."""
+    try:
+        holder = json.loads(place.read_text())
+        return "{command} (process {pid} on {host} since {since})".format(**holder)
+    except (OSError, ValueError, TypeError, KeyError):
+        return command
+
+
+def moved_aside(path: Path) -> bool:
+    """Whether ``path`` has a name that ``force`` gives, and what took its place is there."""
+    return path.suffix[1:].isdecimal() and path.with_suffix("").exists()
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write ``text`` atomically: a reader sees the old file or the new one, never a part."""
+    with replacing(path) as temporary:
+        temporary.write_text(text)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` as indented JSON, atomically. NaN and infinity are refused."""
+    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file of a run.
+
+    Raises:
+        RunError: the file is missing or is not JSON.
+        DamageError: it is not what was written.
+    """
+    try:
+        return json.loads(read_checked(path.parent, path.name))
+    except FileNotFoundError:
+        raise RunError(f"{path} is missing: {path.parent} is not a finished run") from None
+    except (ValueError, RecursionError) as error:  # not text, not JSON, or nested without end
+        if isinstance(error, MbnError):
+            raise
+        raise RunError(f"{path} is not valid JSON: {error}") from None
+
+
+def read_text(path: Path) -> str:
+    """Read a text file of a run.
+
+    Raises:
+        RunError: the file is missing or is not text.
+        DamageError: it is not what was written.
+    """
+    try:
+        return read_checked(path.parent, path.name).decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunError(f"{path} cannot be read: {error}") from None
+
+
+def seal(folder: Path, names: Iterable[str] | None = None, *, key: bytes | None = None) -> None:
+    """List the checksums of a folder's files there; who reads one from now on, checks it.
+
+    Arguments as for :func:`mbn_marl.checksums.make_list`.
+    """
+    write_json(folder / LIST, make_list(folder, names, key=key))
+
+
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bool = False) -> None:
+    """Write arrays by name as ``.npz``, atomically."""
+    save = np.savez_compressed if compress else np.savez
+    with replacing(path) as temporary:
+        save(temporary, allow_pickle=False, **arrays)
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read what :func:`write_arrays` wrote; no file can make this run code.
+
+    Raises:
+        RunError: the file is missing or damaged, or is another kind of archive.
+        DamageError: it is not what was written.
+    """
+    try:
+        check(path)
+        check_members(path)
+        with np.load(path, allow_pickle=False) as arrays:
+            return dict(arrays)
+    except MbnError:
+        raise
+    except UNREADABLE as error:
+        raise RunError(f"{path} cannot be read: {error}") from None
+
+
+UNREADABLE = (OSError, ValueError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error)
+"""What Python's and NumPy's readers raise for archives that are damaged."""
+
+
+def check_members(path: Path) -> None:
+    """Whether an archive names only files inside it.
+
+    Raises:
+        RunError: it names an absolute path, one that leads out of it, or a link.
+        OSError: it cannot be read.
+        BadZipFile: it is none.
+    """
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            name = PurePosixPath(member.filename.replace("\\", "/"))
+            leaves = name.is_absolute() or ".." in name.parts or ":" in member.filename
+            if leaves or stat.S_ISLNK(member.external_attr >> 16):
+                raise RunError(f"{path}: {member.filename!r} in it leads out of the archive")
+
+
+@contextmanager
+def replacing_folder(path: Path) -> Iterator[Path]:
+    """A new folder that takes the place of ``path`` when the block ends well, whole or not at all.
+
+    If the block fails or is killed, ``path`` is left as it was.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    try:
+        new = temporary / path.name
+        new.mkdir()
+        yield new
+        if path.exists():
+            path.rename(temporary / "old")
+        new.rename(path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

@@ -1,0 +1,67 @@
+"""Where a result comes from: the command, and the versions that it ran with."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from baselines.runs.files import write_json, write_text
+
+PACKAGES = (
+    "mbn-marl",
+    "numpy",
+    "numba",
+    "gymnasium",
+    "pettingzoo",
+    "sb3-contrib",
+    "stable-baselines3",
+    "supersuit",
+    "tensordict",
+    "torch",
+    "torchrl",
+)
+
+
+def write_provenance(path: Path, command: str) -> None:
+    """Record in the folder ``path`` the exact command, and the versions it ran with."""
+    write_text(path / "command.txt", command + "\n")
+    write_json(path / "versions.json", versions())
+
+
+def versions() -> dict[str, Any]:
+    """Python, packages, machine and git revision (``None`` outside a clone)."""
+    packages: dict[str, str | None] = {}
+    for name in PACKAGES:
+        try:
+            packages[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            packages[name] = None
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processors": os.cpu_count(),
+        "git_revision": _git_revision(),
+        "packages": packages,
+    }
+
+
+def _git_revision() -> str | None:
+    """The revision of the clone that this file lies in, with ``-dirty`` if it was changed."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
+            cwd=root,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return described.stdout.strip()

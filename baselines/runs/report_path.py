@@ -1,0 +1,48 @@
+"""Where a report goes: a page, and a folder beside it or around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from baselines.runs.files import claim_folder
+from mbn_marl.files import claim_file
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a report goes.
+
+    Attributes:
+        page: the Markdown page.
+        folder: everything else.
+    """
+
+    page: Path
+    folder: Path
+
+    @classmethod
+    def of(cls, out: Path, page: str) -> Place:
+        """``NAME.md`` is the page, beside its folder ``NAME``; any other path is the folder.
+
+        Args:
+            out: that path.
+            page: the name of the page in a folder.
+        """
+        if out.suffix == ".md":
+            return cls(out, out.with_suffix(""))
+        return cls(out / page, out)
+
+    def claim(self, *, force: bool) -> None:
+        """Make the folder.
+
+        Raises:
+            MbnError: something is there already and ``force``, which moves it aside, is not set.
+        """
+        if self.page.parent != self.folder:
+            claim_file(self.page, force=force)
+        claim_folder(self.folder, force=force)
+
+    def link(self, name: str) -> str:
+        """A file of the folder as the page refers to it."""
+        return (self.folder / name).relative_to(self.page.parent).as_posix()

@@ -1,0 +1,211 @@
+"""The hyperparameters of the centralised algorithms: ``hyperparams/<algorithm>.yaml``."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from baselines.training.hyperparameters import Hyperparameters, read_block, validate
+from mbn_marl.errors import ConfigError
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+FOLDER = Path(__file__).with_name("hyperparams")
+CLASSES = {
+    "a2c": "stable_baselines3:A2C",
+    "ppo": "stable_baselines3:PPO",
+    "trpo": "sb3_contrib:TRPO",
+    "ars": "baselines.sb3.ars:PopulationSearch",
+    "crossq": "sb3_contrib:CrossQ",
+    "tqc": "sb3_contrib:TQC",
+}
+RESERVED = ("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
+"""Arguments that the trainer gives itself."""
+OBJECTS = ("action_noise", "rollout_buffer_class", "replay_buffer_class")
+"""Arguments that are objects or classes, which no file can hold."""
+_COUNT, _SHARE, _AMOUNT = (1, math.inf), (0, 1), (0, math.inf)
+RANGES: Mapping[str, tuple[float, float]] = {
+    **dict.fromkeys(("n_steps", "batch_size", "n_epochs", "buffer_size", "train_freq"), _COUNT),
+    **dict.fromkeys(("policy_delay", "target_update_interval", "stats_window_size"), _COUNT),
+    **dict.fromkeys(("n_critic_updates", "cg_max_steps", "line_search_max_iter"), _COUNT),
+    **dict.fromkeys(("sub_sampling_factor", "n_delta", "n_top", "n_eval_episodes"), _COUNT),
+    **dict.fromkeys(("gamma", "gae_lambda", "tau", "line_search_shrinking_factor"), _SHARE),
+    **dict.fromkeys(("learning_rate", "delta_std", "clip_range", "clip_range_vf"), _AMOUNT),
+    **dict.fromkeys(("ent_coef", "vf_coef", "max_grad_norm", "rms_prop_eps"), _AMOUNT),
+    **dict.fromkeys(("target_kl", "cg_damping", "learning_starts"), _AMOUNT),
+    "top_quantiles_to_drop_per_net": _AMOUNT,
+    "gradient_steps": (-1, math.inf),
+}
+"""The least and the most that the numbers of ``model`` may be; the library does not check them."""
+TUNED_IN_PAPER = (
+    "learning_rate",
+    "gamma",
+    "gae_lambda",
+    "vf_coef",
+    "ent_coef",
+    "max_grad_norm",
+    "buffer_size",
+)
+"""What the paper tuned. It lists some for algorithms that have no such argument: these are skipped,
+and the run says so. Any other name that the library's class does not take is an error."""
+
+
+class CentralizedConfig(Hyperparameters):
+    """A setting of one algorithm. The defaults are setting A: the library's, on raw numbers.
+
+    Attributes:
+        num_envs: worlds stepped side by side.
+        normalize_observation: the learner sees the state normalised by its running mean and
+            variance, or raw.
+        reward_scale: the learner sees the reward times this.
+        policy: the library's name of the policy.
+        model: arguments of the library's class; ``{from: a, to: b}`` for a number falls linearly
+            over training.
+    """
+
+    num_envs: Annotated[int, Field(ge=1)] = 1
+    normalize_observation: bool = False
+    reward_scale: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] = 1.0
+    policy: str = "MlpPolicy"
+    model: dict[str, Any] = Field(default_factory=dict)
+
+
+class LinearSchedule(BaseModel):
+    """A number that changes linearly over training, as Stable-Baselines3 calls it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    start: float = Field(alias="from")
+    end: float = Field(alias="to")
+
+    def __call__(self, progress_remaining: float) -> float:
+        """The value with ``progress_remaining``, from 1 at the start to 0 at the end."""
+        return self.end + (self.start - self.end) * progress_remaining
+
+
+def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
+    """The library's class of an algorithm."""
+    module, name = CLASSES[algorithm].split(":")
+    found: type[BaseAlgorithm] = getattr(import_module(module), name)
+    return found
+
+
+def load(
+    algorithm: str,
+    setting: str,
+    overrides: Mapping[str, Any],
+    *,
+    num_envs: int | None = None,
+    file: Path | None = None,
+) -> CentralizedConfig:
+    """The hyperparameters of an algorithm under a setting, with ``overrides``.
+
+    Setting C fine-tunes with the values of A. An override of ``model`` changes the arguments it
+    names and leaves the others.
+
+    Args:
+        algorithm: its name.
+        setting: ``"A"``, ``"B"``, ``"C"`` or ``"N"``.
+        overrides: values by name, instead of the recorded ones.
+        num_envs: worlds side by side, instead of the recorded number.
+        file: a YAML file whose block of the setting takes the place of the recorded one.
+
+    Raises:
+        ConfigError: naming every unknown or invalid hyperparameter.
+    """
+    block = "A" if setting == "C" and file is None else setting
+    place = f"hyperparameters of {algorithm}" if file is None else str(file)
+    return read(file or FOLDER / f"{algorithm}.yaml", block, algorithm, overrides, num_envs, place)
+
+
+def read(
+    source: Path,
+    name: str,
+    learner: str,
+    overrides: Mapping[str, Any],
+    num_envs: int | None,
+    place: str,
+) -> CentralizedConfig:
+    """Read a block of a YAML file, with ``overrides``.
+
+    Args:
+        source: the file.
+        name: of the block.
+        learner: a name of :data:`CLASSES`, which says what ``model`` may have.
+        overrides: values by name, instead of the block's.
+        num_envs: worlds side by side, instead of the block's number.
+        place: what an error names.
+
+    Raises:
+        ConfigError: naming every unknown or invalid hyperparameter.
+    """
+    block = read_block(source, name)
+    given = {"num_envs": num_envs} if num_envs is not None else {}
+    values = {**block, **overrides, **given}
+    if isinstance(block.get("model"), dict) and "model" in overrides:
+        values["model"] = {**block["model"], **overrides["model"]}
+    config = validate(CentralizedConfig, values, place)
+    accepted = accepted_arguments(learner)
+    foreign = {name: value for name, value in config.model.items() if name not in accepted}
+    unknown = sorted(set(foreign) - set(TUNED_IN_PAPER))
+    if unknown:
+        known = ", ".join(sorted(accepted))
+        raise ConfigError(
+            place, [f"model.{name}: unknown name; known: {known}" for name in unknown]
+        )
+    kept = {name: value for name, value in config.model.items() if name in accepted}
+    problems = [
+        f"model.{name}: {problem} (got {value!r:.80})"
+        for name, value in kept.items()
+        for problem in _problems(name, value, accepted[name])
+    ]
+    if problems:
+        raise ConfigError(place, problems)
+    skipped = {**config.skipped, **foreign}
+    return config.model_copy(update={"model": kept, "skipped": skipped})
+
+
+def accepted_arguments(algorithm: str) -> dict[str, Any]:
+    """The names that ``model`` may have, with the types that the library's class says."""
+    parameters = inspect.signature(algorithm_class(algorithm)).parameters
+    return {
+        name: parameter.annotation
+        for name, parameter in parameters.items()
+        if name not in (*RESERVED, *OBJECTS)
+    }
+
+
+def model_arguments(config: CentralizedConfig) -> dict[str, Any]:
+    """The arguments of the library's class, with schedules as functions."""
+    own = deepcopy(config.model)  # the library writes into policy_kwargs
+    return {name: _scheduled(value) for name, value in own.items()}
+
+
+def _scheduled(value: Any) -> Any:
+    is_schedule = isinstance(value, dict) and set(value) == {"from", "to"}
+    return LinearSchedule(**value) if is_schedule else value
+
+
+def _problems(name: str, value: Any, its_type: Any) -> Iterator[str]:
+    """What is wrong with an argument of the library's class that has the type ``its_type``."""
+    strict = ConfigDict(strict=True, arbitrary_types_allowed=True)
+    try:
+        scheduled = TypeAdapter(its_type, config=strict).validate_python(_scheduled(value))
+    except ValidationError as error:
+        allowed = " or ".join(dict.fromkeys(problem["msg"] for problem in error.errors()))
+        yield allowed.replace("Input should be callable", "{from: number, to: number}")
+        return
+    ends = value.values() if isinstance(scheduled, LinearSchedule) else (value,)
+    least, most = RANGES.get(name, (-math.inf, math.inf))
+    for number in (end for end in ends if isinstance(end, int | float)):
+        if not (math.isfinite(number) and least <= number <= most):
+            upper = "" if math.isinf(most) else f" and at most {most}"
+            yield f"must be a finite number, at least {least:g}{upper}"

@@ -1,1 +1,0 @@
-"""PPO of Stable-Baselines3 with one policy for all robots, each robot a row of the batch."""

@@ -1,0 +1,66 @@
+"""A trained decentralised policy: saved without pickle, loaded to act."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+
+from baselines.runs.files import RunError, read_json, write_json
+from baselines.runs.folder import RunFolder
+from baselines.runs.tensors import read_tensors, write_tensors
+from baselines.torchrl.networks import GaussianPolicy, TeamShape
+
+WEIGHTS = "policy.safetensors"
+SHAPE = "policy.json"
+
+
+class DecentralizedPolicy:
+    """Each robot acts on its own observation.
+
+    Args:
+        network: the policy's network.
+    """
+
+    observes: Literal["observations", "state"] = "observations"
+
+    def __init__(self, network: GaussianPolicy) -> None:
+        self.network = network
+
+    @torch.no_grad()
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        """Actions (worlds, n, 2) for observations (worlds, n, obs_size)."""
+        device = self.network.log_std.device
+        mean, std = self.network(torch.from_numpy(seen).to(device))
+        mean, std = mean.cpu(), std.cpu()  # the noise is the same, whatever the device
+        actions = mean if deterministic else torch.normal(mean, std)
+        return actions.numpy()
+
+    def save(self, folder: Path) -> None:
+        """Write the weights (safetensors) and the network's shape (JSON) into ``folder``."""
+        write_json(folder / SHAPE, asdict(self.network.shape))
+        write_tensors(folder / WEIGHTS, self.network.state_dict())
+
+
+def load_policy(folder: Path) -> DecentralizedPolicy:
+    """Load a policy that :meth:`DecentralizedPolicy.save` wrote.
+
+    Raises:
+        RunError: a file is missing or does not fit.
+        DamageError: a file is not what was written.
+    """
+    shape = read_json(folder / SHAPE)
+    network = GaussianPolicy(TeamShape(**{**shape, "hidden": tuple(shape["hidden"])}))
+    try:
+        network.load_state_dict(read_tensors(folder / WEIGHTS))
+    except RuntimeError as error:
+        raise RunError(f"{folder / WEIGHTS} does not fit {SHAPE}: {error}") from None
+    return DecentralizedPolicy(network)
+
+
+def load(run: RunFolder) -> DecentralizedPolicy:
+    """Load the latest policy of a run."""
+    return load_policy(run.policy)

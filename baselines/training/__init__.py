@@ -1,0 +1,1 @@
+"""One training: configuration, hyperparameters, the loop around a learner, its logs."""

@@ -1,0 +1,276 @@
+"""The three forms and the oracle agree step by step, on random worlds and in every situation."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+from numpy.typing import NDArray
+
+from mbn_marl import Field
+from tests.support.forms import BatchForm, CentralizedForm, Outcome, ParallelForm, TeamSharingForm
+from tests.support.oracle import TERMS, Oracle, Step
+from tests.support.worlds import Pilot, World, random_field, worlds
+
+EXAMPLES = 7  # for each number of robots
+STEPS = 60
+TIE = {"float64": 1e-9, "float32": 1e-2}
+"""A decision closer than this to its threshold, in units, may fall either way by rounding."""
+ROUNDING = {"float64": 1e-12, "float32": 3e-6}
+"""Relative tolerance of sums whose order of additions is free."""
+SIGHT = 3e-7
+"""Tolerance of observations, whose scales are products with reciprocals."""
+DOUBT = 5e-4
+"""What is seen of walls in float32 is what is seen from somewhere this near, in units."""
+
+
+def situations(step: Step) -> dict[str, bool]:
+    """What happened in a step, by name."""
+    return {
+        "wall": any(step.wall),
+        "revisit": any(step.revisit),
+        "roi": any(step.reached),
+        "success": step.all_visited and not step.collided,
+        "collision": step.collided,
+        "truncated": step.truncated,
+        "known state": step.met_before,
+        "new state": not step.met_before,
+    }
+
+
+def check_outcome(outcome: Outcome, oracle: Oracle, step: Step, rounding: float) -> None:
+    """Positions, velocities, code and flags exactly; rewards to rounding."""
+    assert_array_equal(outcome.state, oracle.state())
+    assert (outcome.terminated, outcome.truncated) == (step.terminated, step.truncated)
+    assert outcome.team_reward == pytest.approx(step.team_reward, rel=rounding, abs=rounding * 1e5)
+    assert np.isfinite(outcome.state).all()
+
+
+def check_sights(outcome: Outcome, oracle: Oracle, dtype: str, missing: int = 0) -> None:
+    """What the robots see, to rounding; in float32 a ray along a wall or past a corner may jump.
+
+    ``missing`` is by how many ROIs the field has fewer than another of the batch.
+    """
+    for robot, observation in enumerate(outcome.observations):
+        low = high = oracle.observe(robot, missing)
+        if oracle.observation == "lidar" and dtype == "float32":
+            corners = [(dx, dy) for dx in (-DOUBT, DOUBT) for dy in (-DOUBT, DOUBT)]
+            views = [low, *(oracle.observe(robot, missing, corner) for corner in corners)]
+            low, high = np.min(views, axis=0), np.max(views, axis=0)
+        wrong = (observation < low - SIGHT) | (observation > high + SIGHT)
+        assert not wrong.any(), (robot, np.flatnonzero(wrong), observation[wrong], low[wrong])
+
+
+def check_rewards(outcome: Outcome, step: Step, rounding: float) -> None:
+    """Each agent's share, their sum, and the terms of each."""
+    close = {"rel": rounding, "abs": rounding * 1e5}
+    assert outcome.rewards == pytest.approx(step.rewards, **close)
+    assert sum(outcome.rewards) == pytest.approx(step.team_reward, **close)
+    for info, reward, terms in zip(outcome.infos, outcome.rewards, step.terms, strict=True):
+        logged = {term: info[f"reward/{term}"] for term in TERMS}
+        assert logged == pytest.approx(terms, **close)
+        assert sum(logged.values()) == pytest.approx(reward, **close)
+
+
+def check_infos(infos: list[dict[str, float]], oracle: Oracle, rounding: float) -> None:
+    """The measures of the episode so far, one info per robot."""
+    expected = oracle.metrics()
+    for robot, info in enumerate(infos):
+        for name in ("success", "collision", "rois_visited"):
+            assert info[name] == expected[name], name
+        assert info["wall_hits"] == expected["wall_hits"][robot]
+        for name in ("path_length", "impulse"):
+            value = pytest.approx(expected[name][robot], rel=1e3 * rounding, abs=1e3 * rounding)
+            assert info[name] == value, name
+
+
+def check_team_info(outcome: Outcome, infos: list[dict[str, float]], rounding: float) -> None:
+    """The centralised form's info: the robots' own values summed, the shared ones as they are."""
+    (team,) = outcome.infos
+    assert team.keys() == infos[0].keys()
+    for name, value in team.items():
+        shared = name in ("success", "collision", "rois_visited")
+        expected = infos[0][name] if shared else sum(info[name] for info in infos)
+        assert value == pytest.approx(expected, rel=rounding, abs=rounding * 1e5), name
+    logged = sum(team[f"reward/{term}"] for term in TERMS)
+    assert logged == pytest.approx(outcome.team_reward, rel=rounding, abs=rounding * 1e5)
+
+
+class Together:
+    """The oracle and the forms of one world, stepped together and compared in every step."""
+
+    def __init__(
+        self, field: Field, dtype: str, num_worlds: int = 1, which: int = 0, **options: Any
+    ) -> None:
+        options["dtype"] = self.dtype = dtype
+        self.rounding = ROUNDING[dtype]
+        self.oracle = Oracle(field, **options)
+        self.forms = (
+            ParallelForm(field, **options),
+            BatchForm(field, num_worlds, which, **options),
+            CentralizedForm(field, **options),
+            TeamSharingForm(field, **options),
+        )
+        self.reset()
+
+    def reset(self) -> None:
+        self.oracle.reset()
+        for form in self.forms:
+            assert_array_equal(form.reset(), self.oracle.state())
+
+    def follow(self, actions: NDArray[np.float32], step: Step) -> None:
+        """Take the step that the oracle has just taken."""
+        one, many, team, shared = outcomes = [form.step(actions) for form in self.forms]
+        for outcome in outcomes:
+            check_outcome(outcome, self.oracle, step, self.rounding)
+        check_sights(one, self.oracle, self.dtype)
+        for outcome in (one, many):
+            check_rewards(outcome, step, self.rounding)
+            check_infos(outcome.infos, self.oracle, self.rounding)
+        assert_array_equal(one.observations, many.observations)
+        assert_array_equal(one.observations, shared.observations)
+        check_team_info(team, one.infos, self.rounding)
+        assert team.team_reward == many.team_reward == shared.team_reward
+
+
+def compare(world: World, dtype: str, num_worlds: int, which: int) -> Counter[str]:
+    """Play a world for a while, through resets. Returns what happened how often."""
+    seen: Counter[str] = Counter()
+    together = Together(world.field, dtype, num_worlds, which, **world.settings)
+    pilot = Pilot(world, together.oracle)
+    for _ in range(STEPS):
+        actions = pilot.actions()
+        step = together.oracle.step(actions.tolist())
+        if step.margin < TIE[dtype]:
+            seen["tie"] += 1
+            break
+        together.follow(actions, step)
+        seen.update(situations(step))
+        if step.terminated or step.truncated:
+            together.reset()
+    return seen
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("rules", ["released", "formal"])
+def test_all_forms_agree_with_the_oracle(rules: Any, dtype: str) -> None:
+    seen: Counter[str] = Counter()
+
+    def agree(world: World, num_worlds: int, data: st.DataObject) -> None:
+        which = data.draw(st.integers(0, num_worlds - 1), label="world")
+        seen.update(compare(world, dtype, num_worlds, which))
+
+    for n in range(1, 8):
+        repeat = settings(max_examples=EXAMPLES)
+        repeat(given(worlds(n, rules), st.integers(1, 5), st.data())(agree))()
+    assert seen.pop("tie", 0) <= 7 * EXAMPLES / 4
+    assert min(seen.values()) >= 3, f"the random worlds hardly ever get into a situation: {seen}"
+
+
+SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
+DIAMOND = [(50.0, 0.0), (100.0, 50.0), (50.0, 100.0), (0.0, 50.0)]
+LETTER_L = [(0.0, 0.0), (100.0, 0.0), (100.0, 50.0), (60.0, 50.0), (60.0, 100.0), (0.0, 100.0)]
+HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
+STILL, RIGHT, LEFT, UP = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)
+TIES: dict[str, tuple[dict[str, Any], list[list[tuple[float, float]]]]] = {
+    "onto the outline, then beyond": (
+        {"vertices": SQUARE, "starts": [(99.5, 50.0)]},
+        [[RIGHT], [RIGHT]],
+    ),
+    "along the outline": ({"vertices": SQUARE, "starts": [(100.0, 50.0)]}, [[UP], [UP]]),
+    "into a corner, level with another": (
+        {"vertices": DIAMOND, "starts": [(95.0, 50.0)]},
+        [[RIGHT]] * 5,
+    ),
+    "level with an edge, then along it": (
+        {"vertices": LETTER_L, "starts": [(55.0, 50.0)]},
+        [[RIGHT]] * 6 + [[UP]],
+    ),
+    "onto a hole's boundary, then into it": (
+        {"vertices": SQUARE, "holes": [HOLE], "starts": [(39.5, 50.0)]},
+        [[RIGHT], [RIGHT], [UP]],
+    ),
+    "onto a hole's corner": (
+        {"vertices": SQUARE, "holes": [HOLE], "starts": [(39.5, 39.5)]},
+        [[(1.0, 1.0)], [(1.0, 1.0)], [UP]],
+    ),
+    "ROI at exactly the radius": (
+        {"vertices": SQUARE, "rois": [(20.0, 80.0), (60.0, 10.0)], "starts": [(10.0, 80.0)]},
+        [[STILL]],
+    ),
+    "robots at exactly the safety distance, then closer": (
+        {"vertices": SQUARE, "starts": [(20.0, 20.0), (30.0, 20.0)]},
+        [[STILL, STILL], [RIGHT, LEFT]],
+    ),
+}
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("reward", ["released", "formal"])
+@pytest.mark.parametrize("case", TIES)
+def test_ties_fall_as_in_the_oracle(case: str, reward: str, dtype: str) -> None:
+    shape, script = TIES[case]
+    together = Together(Field(**{"rois": [(60.0, 25.0)], **shape}), dtype, 3, 1, reward=reward)
+    margins = []
+    for actions in script:
+        step = together.oracle.step(actions)
+        together.follow(np.array(actions, np.float32), step)
+        margins.append(step.margin)
+    assert min(margins) == 0.0
+
+
+@pytest.mark.parametrize("reward", ["released", "formal"])
+def test_collision_wins_over_success(reward: str) -> None:
+    field = Field(vertices=SQUARE, rois=[(46.0, 50.0)], starts=[(35.0, 50.0), (57.0, 50.0)])
+    together = Together(field, "float64", reward=reward, f_max=8.0, v_clip=8.0)
+    step = together.oracle.step([RIGHT, LEFT])
+    assert step.all_visited
+    assert step.collided
+    together.follow(np.array([RIGHT, LEFT], np.float32), step)
+
+
+@pytest.mark.parametrize("reward", ["released", "formal"])
+def test_a_robot_on_the_ground_of_another(reward: str) -> None:
+    field = Field(vertices=SQUARE, rois=[(90.0, 90.0)], starts=[(20.0, 20.0), (31.0, 20.0)])
+    together = Together(field, "float64", reward=reward, safety_distance=0.0, f_max=5.5, v_clip=11)
+    revisits = []
+    for actions in [[RIGHT, LEFT], [RIGHT, LEFT]]:
+        step = together.oracle.step(actions)
+        together.follow(np.array(actions, np.float32), step)
+        revisits.append(step.revisit)
+    assert revisits == [[False, True], [False, False]]
+
+
+@pytest.mark.parametrize("observation", ["relative", "lidar"])
+def test_fields_of_one_batch_are_each_the_field_alone(observation: str) -> None:
+    rng = np.random.default_rng(5)
+    fields = [
+        random_field(rng, corners=corners, with_hole=hole, n_rois=n_rois, n_starts=3)
+        for corners, hole, n_rois in [(3, False, 2), (8, True, 7), (5, True, 4)]
+    ]
+    options = {"dtype": "float64", "wind": (0.1, 30.0), "f_max": 2.0, "max_steps": 50}
+    options["observation"] = observation
+    behaviours = ("seek", "uniform", "push")
+    for which in range(6):
+        world = World(fields[which % 3], options, behaviours, seed=which)
+        oracle = Oracle(world.field, **options)
+        pilot = Pilot(world, oracle)
+        form = BatchForm(fields, 6, which, **options)
+        assert_array_equal(form.reset(), oracle.state())
+        for _ in range(120):
+            actions = pilot.actions()
+            step = oracle.step(actions.tolist())
+            assert step.margin > TIE["float64"]
+            outcome = form.step(actions)
+            check_outcome(outcome, oracle, step, ROUNDING["float64"])
+            check_sights(outcome, oracle, "float64", missing=7 - len(oracle.rois))
+            check_rewards(outcome, step, ROUNDING["float64"])
+            check_infos(outcome.infos, oracle, ROUNDING["float64"])
+            if outcome.ended:
+                oracle.reset()
+                assert_array_equal(form.reset(), oracle.state())

@@ -1,0 +1,357 @@
+"""The report on the paper's experiments: cells by hand, what is missing, and how it says no."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from baselines.cli import main
+from baselines.compare.text_table import Grid
+from baselines.paper import figures, glance, published
+from baselines.paper.summary import first_reach, moving_mean
+from baselines.paper.tables import paper_tables
+from baselines.paper.trainings import find_trainings
+from baselines.paper.windows import Windows
+from baselines.runs.files import RunError, write_json
+from baselines.runs.folder import RunFolder
+from mbn_marl.field import load_field, save_field
+from mbn_marl.optimum import optimal_return
+
+NOTHING = (0, np.nan, np.nan, np.nan, np.nan)
+Row = tuple[float, float, float, float, float]
+"""Episodes, mean, SD, smallest and largest return of a window of training."""
+
+
+def make_run(
+    folder: Path,
+    rows: Sequence[Row],
+    *,
+    algorithm: str = "ppo",
+    setting: str = "A",
+    field: str = "field_01",
+    seed: int = 33,
+    finished: bool = True,
+    every: int = 1000,
+) -> Path:
+    """A run folder with these rows, one every ``every`` env-steps."""
+    path = folder / f"{algorithm}-{setting}-{Path(field).stem}-seed{seed}"
+    config = {"algorithm": algorithm, "setting": setting, "field": field, "seed": seed}
+    run = RunFolder.create(path, config, load_field(field), f"mbn train {algorithm} {field}")
+    for index, (episodes, mean, sd, low, high) in enumerate(rows, start=1):
+        run.append_progress(
+            {
+                "env_steps": index * every,
+                "seconds": 1.0,
+                "episodes": episodes,
+                "return_mean": mean,
+                "return_std": sd,
+                "return_min": low,
+                "return_max": high,
+                "success_rate": 0.0,
+            }
+        )
+    if finished:
+        stochastic = {"success_rate": 0.25, "return_mean": -1234.0}
+        write_json(path / "evaluation.json", {"stochastic": stochastic})
+    return path
+
+
+def report(folder: Path, *options: str) -> str:
+    """The page of a report on the runs in ``folder``, which is in its subfolder ``out``."""
+    assert main(["report", "--paper", str(folder), "-o", str(folder / "out"), *options]) == 0
+    return (folder / "out" / "paper.md").read_text()
+
+
+def cells(path: Path, *key: str) -> list[list[str]]:
+    """What follows ``key`` in the lines of a CSV file that begin with it."""
+    lines = csv.reader(io.StringIO(path.read_text()))
+    return [line[len(key) :] for line in lines if line[: len(key)] == list(key)]
+
+
+# ---------------------------------------------------------------- numbers by hand
+
+
+def test_a_cell_is_the_mean_sd_max_and_range_of_all_its_episodes(tmp_path: Path) -> None:
+    # Episodes of 0, 1, 4 and -9 million: mean -1; squares 1 + 4 + 25 + 64, so SD sqrt(23.5).
+    # Their moving means, a row each: 0.5, 0.5 and 5/3 in field_01, -9 in field_03.
+    half = (2, 0.5e6, 0.5e6, 0.0, 1e6)
+    make_run(tmp_path, [half, NOTHING, (1, 4e6, 0.0, 4e6, 4e6)])
+    make_run(tmp_path, [(1, -9e6, 0.0, -9e6, -9e6)], field="field_03")
+    page = report(tmp_path)
+    numbers = {"mean": "-1.0000", "SD": "4.8477", "max": "4.0000", "range": "13.0000"}
+    paper = {"mean": "-0.2128", "SD": "0.1846", "max": "-0.0900", "range": "3.7044"}
+    for name, number in numbers.items():
+        assert f"| {name} | {paper[name]} | {number} |" in page
+    algorithms = tmp_path / "out" / "algorithms.csv"
+    (shown,) = cells(algorithms, "PPO", "A", "here", "single episodes", "1e6 reward")
+    assert [float(word) for word in shown] == pytest.approx([-1.0, 23.5**0.5, 4.0, 13.0])
+    means = [0.5, 0.5, 5 / 3, -9.0]
+    (shown,) = cells(algorithms, "PPO", "A", "here", "moving means of 100 episodes", "1e6 reward")
+    by_hand = [np.mean(means), np.std(means), 5 / 3, 5 / 3 + 9.0]
+    assert [float(word) for word in shown] == pytest.approx(by_hand, rel=1e-6)
+    fields = tmp_path / "out" / "fields.csv"
+    (shown,) = cells(fields, "field_01", "A", "here", "single episodes", "reward")
+    by_hand = [5e6 / 3, np.std([0.0, 1e6, 4e6]), 4e6, 4e6]
+    assert [float(word) for word in shown] == pytest.approx(by_hand)
+    assert "1,666,666.7" in (tmp_path / "out" / "fields.tex").read_text()
+    assert (
+        "PPO & mean & $-$0.2128 & $-$1.0000 &" in (tmp_path / "out" / "algorithms.tex").read_text()
+    )
+
+
+def test_the_moving_mean_is_over_the_latest_hundred_episodes(tmp_path: Path) -> None:
+    rows = [NOTHING, (60, 10, 0, 10, 10), (60, 20, 0, 20, 20), NOTHING, (100, 50, 0, 50, 50)]
+    windows = Windows.read(make_run(tmp_path, rows) / "progress.csv")
+    steps, means = moving_mean(windows)
+    assert steps.tolist() == [2000, 3000, 4000, 5000]
+    assert means.tolist() == [10.0, 15.0, 15.0, 50.0]
+    assert first_reach(windows, 15.0) == 3000
+    assert first_reach(windows, 10.0) == 3000, "not before a hundred episodes have ended"
+    assert first_reach(windows, 51.0) is None
+
+
+def test_the_papers_numbers_stand_in_its_units(tmp_path: Path) -> None:
+    make_run(tmp_path, [(1, 0, 0, 0, 0)])
+    page = report(tmp_path)
+    assert "per algorithm in **1e6 reward** and those per field in\n  **reward**" in page
+    table, per_field = tmp_path / "out" / "algorithms.csv", tmp_path / "out" / "fields.csv"
+    crossq = ["", "1e6 reward", "0.119", "0.1113", "0.1595", "1.678"]
+    assert cells(table, "CrossQ", "C", "paper") == [crossq]
+    assert cells(per_field, "field_03", "C", "paper") == [
+        ["", "reward", "32867.09", "264073", "159490", "22615808"]
+    ]
+
+
+def test_no_number_of_the_paper_exceeds_the_proved_optimum() -> None:
+    for name in published.fields():
+        optimum = optimal_return(load_field(name))
+        for setting in published.settings():
+            cell = published.of_field(name, setting)
+            assert cell is not None and optimum is not None
+            assert cell.maximum <= optimum
+
+
+# ---------------------------------------------------------------- what is missing, what is ours
+
+
+def test_missing_cells_say_so_and_setting_n_is_marked_as_ours(tmp_path: Path) -> None:
+    make_run(tmp_path, [(1, 5e5, 0, 5e5, 5e5)], setting="N")
+    page = report(tmp_path)
+    heading = "| A paper | A here | B paper | B here | C paper | C here | N here, ours |"
+    assert page.count(heading) == 4
+    assert (
+        "| PPO | mean | -0.2128 | missing | -0.1807 | missing | -0.3310 | missing | 0.5000 |"
+    ) in page
+    assert "Setting C: the paper's: as A, from a policy trained on another field: missing." in page
+    assert "curves_N.png" in page and not (tmp_path / "out" / "curves_A.png").exists()
+    table = tmp_path / "out" / "algorithms.csv"
+    assert cells(table, "TQC", "A", "here", "single episodes") == [["1e6 reward", "", "", "", ""]]
+
+
+def test_runs_that_are_not_the_papers_have_rows_of_their_own(tmp_path: Path) -> None:
+    file = tmp_path / "orchard.yaml"
+    save_field(load_field("field_03"), file)
+    make_run(tmp_path, [(1, 1e6, 0, 1e6, 1e6)], field=str(file))
+    make_run(tmp_path, [(1, 3e6, 0, 3e6, 3e6)])
+    make_run(tmp_path, [(1, 2e6, 0, 2e6, 2e6)], algorithm="ippo", setting="N")
+    page = report(tmp_path)
+    assert "| PPO | mean | -0.2128 | 3.0000 |" in page, "over the paper's fields alone"
+    assert "| orchard | mean | – | 1,000,000.0 | – |" in page  # noqa: RUF001
+    ippo = "| IPPO | mean | – | missing | – | missing | – | missing | 2.0000 |"  # noqa: RUF001
+    assert ippo in page
+    shown = cells(tmp_path / "out" / "fields.csv", "field_01", "N", "here", "single episodes")
+    assert shown == [["reward", "", "", "", ""]], "over the paper's algorithms alone"
+
+
+def test_what_was_run_and_who_got_there(tmp_path: Path) -> None:
+    good = (100, 120_000, 0, 120_000, 120_000)
+    make_run(tmp_path, [(1, 0, 0, 0, 0), good], every=200_000)
+    make_run(tmp_path, [(1, 0, 0, 0, 0)], seed=34, finished=False)
+    runs = find_trainings([tmp_path])
+    assert glance.coverage(runs).lines[4][:3] == ("PPO", "A", "2 x 1k to 400k, 1 unfinished")
+    assert glance.success(runs).lines[4][:3] == ("PPO", "A", "25%, -1,234")
+    assert glance.reached(runs).lines[1] == (
+        "PPO",
+        "1 of 2, soonest 400k",
+        "missing",
+        "missing",
+        "missing",
+    )
+
+
+def test_rankings_are_compared_by_kendalls_tau(tmp_path: Path) -> None:
+    # The paper under A: CrossQ, TRPO, PPO. Here PPO, CrossQ, TRPO: one pair of three agrees.
+    for algorithm, mean in {"ppo": 3e6, "crossq": 2e6, "trpo": 1e6}.items():
+        make_run(tmp_path, [(1, mean, 0, mean, mean)], algorithm=algorithm)
+    lines = glance.ranking(paper_tables(find_trainings([tmp_path]))).lines
+    paper = "CrossQ > TRPO > TQC > PPO > ARS > A2C"
+    assert lines[0] == ("A", "single episodes", paper, "PPO > CrossQ > TRPO", "-0.33")
+    assert lines[2][3:] == ("missing", "missing")
+
+
+# ---------------------------------------------------------------- figures
+
+
+def texts(figure: Figure, axes: int) -> list[str]:
+    """The labels of the y axis."""
+    return [label.get_text() for label in figure.axes[axes].get_yticklabels()]
+
+
+def test_curves_have_a_panel_a_field_and_a_look_an_algorithm(tmp_path: Path) -> None:
+    rows: list[Row] = [(100, 10, 0, 10, 10), (100, 20, 0, 20, 20)]
+    make_run(tmp_path, rows)
+    make_run(tmp_path, rows, field="field_03", algorithm="tqc")
+    make_run(tmp_path, rows, field="field_07", setting="B")
+    figure = figures.learning_curves(find_trainings([tmp_path]), "A")
+    assert figure is not None
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles == ["field_01", "field_03"]
+    ppo, tqc = (axes.lines[0] for axes in figure.axes)
+    assert ppo.get_xydata().tolist() == [[1000, 10], [2000, 20]]
+    assert ppo.get_color() != tqc.get_color() and ppo.get_marker() != tqc.get_marker()
+    assert figures.learning_curves(find_trainings([tmp_path]), "C") is None
+
+
+def test_settings_are_set_against_each_other_in_the_cells_that_both_have(tmp_path: Path) -> None:
+    for setting, mean in {"A": -3e5, "B": 1e5}.items():
+        make_run(tmp_path, [(1, mean, 0, mean, mean)], setting=setting)
+    make_run(tmp_path, [(1, 0, 0, 0, 0)], field="field_03")
+    runs = find_trainings([tmp_path])
+    figure = figures.against(runs, "A", "B")
+    assert figure is not None
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["PPO"]
+    assert texts(figure, 0) == ["field_01", "these together", "paper, all ten"]
+    joined = [line.get_xdata() for line in figure.axes[0].lines if len(line.get_xdata()) == 2]
+    assert list(joined[0]) == [-3e5, 1e5]
+    assert list(joined[2]) == pytest.approx([-0.2128e6, -0.1807e6])
+    assert figures.against(runs, "A", "C") is None
+
+
+def test_the_overview_has_the_ten_fields() -> None:
+    titles = [axes.get_title(loc="left") for axes in figures.overview().axes]
+    assert titles == [f"field_{number:02d}" for number in range(1, 11)]
+
+
+# ---------------------------------------------------------------- files
+
+
+def test_a_page_can_stand_beside_its_folder_with_notes_on_top(tmp_path: Path) -> None:
+    make_run(tmp_path / "runs", [(1, 0, 0, 0, 0)])
+    notes = tmp_path / "notes.md"
+    notes.write_text("CrossQ was not run.\n")
+    page = tmp_path / "docs" / "paper.md"
+    words = ["report", "--paper", str(tmp_path / "runs"), "-o", str(page), "--notes", str(notes)]
+    assert main(words) == 0
+    text = page.read_text()
+    assert text.splitlines()[2] == "CrossQ was not run."
+    assert "](paper/curves_A.png)" in text and "](paper/algorithms.csv)" in text
+    assert {file.name for file in (tmp_path / "docs" / "paper").iterdir()} == {
+        *("algorithms.csv", "algorithms.tex", "fields.csv", "fields.tex"),
+        *("curves_A.png", "fields.png", "command.txt", "versions.json"),
+    }
+    assert main(words) == 2, "nothing is overwritten"
+    assert main([*words, "--force"]) == 0
+    assert (tmp_path / "docs" / "paper.md.1").read_text() == text
+
+
+def test_comparisons_and_what_was_moved_aside_are_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "runs", [(1, 3e6, 0, 3e6, 3e6)])
+    make_run(tmp_path / "old", [(1, 9e6, 0, 9e6, 9e6)]).rename(run.with_name(f"{run.name}.1"))
+    demo = tmp_path / "runs" / "demo"
+    make_run(demo, [(1, 9e6, 0, 9e6, 9e6)])
+    make_run(demo, [(1, 9e6, 0, 9e6, 9e6)], seed=34)
+    write_json(demo / "config.json", {"variants": []})
+    page = tmp_path / "page.md"
+    words = ["report", "--paper", str(tmp_path / "runs"), "-o", str(page)]
+    assert main(words) == 0
+    assert "| PPO | mean | -0.2128 | 3.0000 |" in page.read_text()
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == [
+        f"left out: {demo}, a comparison; name it to report on its runs",
+        f"left out: {run}.1, moved aside by --force",
+    ]
+    assert [training.seed for training in find_trainings([demo])] == [33, 34]
+    (aside,) = find_trainings([run.with_name(f"{run.name}.1")])
+    assert aside.windows.mean.tolist() == [9e6]
+
+
+def test_latex_escapes_what_it_has_to() -> None:
+    grid = Grid("a_b, 5%", ("field", "x"), (("field_01", "-1.5"), ("", "2"), ("c&d", "3")))
+    latex = grid.latex("tab:x")
+    assert r"\caption{a\_b, 5\%}" in latex
+    assert "field\\_01 & $-$1.5 \\\\\n & 2 \\\\\n\\addlinespace\nc\\&d & 3 \\\\" in latex
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "RUNS: at least one folder"),
+        (["runs"], "kind: --paper or --comparison"),
+        (["--paper", "nowhere"], "nowhere is not a folder"),
+        (["--paper", "empty"], "empty is not a run folder, and holds none"),
+        (["--paper", "runs", "--study", "empty"], "empty is not the folder of a study"),
+        (["--paper", "runs", "--notes", "none.md"], "none.md"),
+        (["--paper", "runs", "--notes", "latin.md"], "latin.md is not a text file in UTF-8"),
+        (["--paper", "runs", "copy"], "same algorithm, setting, field and seed"),
+        (["--paper", "old"], "config.json has no setting"),
+    ],
+)
+def test_wrong_input_is_one_clear_message(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in ("runs", "copy", "old"):
+        run = make_run(tmp_path / name, [(1, 0, 0, 0, 0)])
+        if name == "old":
+            write_json(run / "config.json", {"algorithm": "ppo", "field": "field_01", "seed": 0})
+            (run / "checksums.json").unlink()
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "latin.md").write_bytes("très".encode("latin-1"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["report", *arguments, "-o", "out"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("mbn: error: ") and message in error
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("return_std", "deviation", "has no column return_std"),
+        ("1000,", "many,", "line 2: a number is missing"),
+        ("2000,1,1,0,0,0,0", "2000,1,1,0,0", "line 3: a number is missing"),
+        ("2000,", "1000,", "env_steps have to increase"),
+        ("2000,1,1,0", "2000,1,1,nan", "line 3: episodes have to be 0 or more, with finite"),
+    ],
+)
+def test_progress_that_cannot_be_read_names_the_place(
+    old: str, new: str, message: str, tmp_path: Path
+) -> None:
+    path = make_run(tmp_path, [(1, 0, 0, 0, 0)] * 2) / "progress.csv"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(RunError, match=f"progress.csv.*{message}"):
+        Windows.read(path)
+
+
+@pytest.mark.parametrize("rows", [[], [NOTHING]], ids=["no row yet", "no episode yet"])
+def test_a_run_without_an_ended_episode_is_missing(rows: list[Row], tmp_path: Path) -> None:
+    make_run(tmp_path, rows, finished=False)
+    runs = find_trainings([tmp_path])
+    assert glance.coverage(runs).lines[4][2] == f"1 x {len(rows)}k, 1 unfinished"
+    assert {table.grid().lines[4][3] for table in paper_tables(runs)[:2]} == {"missing"}
+    assert figures.learning_curves(runs, "A") is None
+    assert figures.against(runs, "A", "A") is None
+    assert first_reach(runs[0].windows, 0.0) is None

@@ -1,0 +1,175 @@
+"""Evaluation of a trained policy in wind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+from baselines.cli import main
+from baselines.evaluation import wind as wind_module
+from baselines.evaluation.evaluate import Evaluation
+from baselines.evaluation.intervals import Interval, share_interval
+from baselines.evaluation.wind import evaluate_in_wind, parse_speeds, with_intervals
+from mbn_marl.engine import BatchEngine
+from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.field import Field
+from mbn_marl.render import figures
+
+SQUARE = Field(
+    vertices=[(0, 0), (200, 0), (200, 200), (0, 200)],
+    rois=[(130, 100)],
+    starts=[(100, 100), (20, 100)],
+)
+
+
+class Still:
+    """Robots without force: the wind alone moves them."""
+
+    observes: Literal["observations", "state"] = "state"
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        return np.zeros((len(seen), 2, 2), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("text", "speeds"),
+    [
+        ("0", [0.0]),
+        ("0, 0.25,1", [0.0, 0.25, 1.0]),
+        ("0,0.1,..,0.5", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]),
+        ("0.4,0.3,..,0.1,0", [0.4, 0.3, 0.2, 0.1, 0.0]),
+        ("0,0.1,..,0.2", [0.0, 0.1, 0.2]),
+    ],
+)
+def test_speeds(text: str, speeds: list[float]) -> None:
+    assert parse_speeds(text) == speeds
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "'' is no number"),
+        ("0,fast", "'fast' is no number"),
+        ("-0.1", "-0.1 is no speed; allowed: 0 and above"),
+        ("0,inf", "inf is no speed"),
+        ("nan", "nan is no speed"),
+        ("0,..,0.5", "'..' needs two numbers before it"),
+        ("0,0.1,..", "'..' needs a number after it"),
+        ("0,0.2,..,0.5", "even steps of 0.2 from 0.2 do not reach 0.5"),
+        ("0,0,..,0.5", "even steps of 0 from 0 do not reach 0.5"),
+        ("0,0.1,..,0", "even steps of 0.1 from 0.1 do not reach 0"),
+        ("0,1,..,5000", "even steps of 1 from 1 do not reach 5000"),
+        (",".join(["0"] * 101), "101 speeds; allowed: up to 100"),
+    ],
+)
+def test_wrong_speeds(text: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_speeds(text)
+    assert message in str(caught.value)
+
+
+def test_wind_carries_the_robots() -> None:
+    # Along x each step adds the speed v to the velocity: after t steps v t (t + 1) / 2. The ROI's
+    # edge is 20 units away: v = 0.5 gets there at t = 9 (22.5), v = 1 at t = 6 (21).
+    rows = evaluate_in_wind(Still(), SQUARE, {}, [0.5, 1.0], 0.0, episodes=2, seed=1)
+    assert [row["wind_speed"] for row in rows] == [0.5, 0.5, 1.0, 1.0]
+    assert [row["deterministic"] for row in rows] == [False, True, False, True]
+    assert [row["makespan"] for row in rows] == [9.0, 9.0, 6.0, 6.0]
+    assert {row["wind_angle"] for row in rows} == {0.0}
+    away = evaluate_in_wind(Still(), SQUARE, {"max_steps": 4}, [0.5], 180.0, episodes=1, seed=1)
+    assert [row["success_rate"] for row in away] == [0.0, 0.0]
+    assert away[0]["makespan_interval"] is None
+
+
+def test_share_interval_is_wilsons() -> None:
+    # z = 1.96: centre (8 + z^2 / 2) / (10 + z^2) = 0.7168, half width 0.2267
+    interval = share_interval([True] * 8 + [False] * 2)
+    assert interval.mean == 0.8
+    assert interval.low == pytest.approx(0.4902, abs=2e-4)
+    assert interval.high == pytest.approx(0.9433, abs=2e-4)
+    assert share_interval([True]) == Interval(1.0, pytest.approx(0.2065, abs=2e-4), 1.0)
+    with pytest.raises(ValueError, match="at least one"):
+        share_interval([])
+
+
+def test_the_makespan_is_of_the_successful_alone() -> None:
+    evaluation = Evaluation(
+        deterministic=False,
+        seed=0,
+        returns=[1.0, 2.0, 3.0],
+        successes=[True, False, True],
+        collisions=[False] * 3,
+        steps=[10, 1000, 20],
+        rois_visited=[1, 0, 1],
+        wall_hits=[0, 0, 0],
+    )
+    result = with_intervals(evaluation)
+    assert result["makespan_interval"] == {"mean": 15.0, "low": 10.0, "high": 20.0}
+    assert result["return_interval"]["mean"] == 2.0
+    assert result["success_interval"]["mean"] == pytest.approx(2 / 3)
+
+
+def test_panels_show_every_episode() -> None:
+    lasts = {}
+    for speed in (0.0, 0.5, 1.0, 2.0):
+        engine = BatchEngine(SQUARE, 1, autoreset=False, wind=(speed, 30.0))
+        engine.reset()
+        for _ in range(3):
+            engine.step(np.zeros((1, 2, 2)))
+        lasts[f"wind {speed:g}"] = engine.snapshot()
+    figure = figures.trajectory_panels(lasts)
+    assert [axes.get_title("left") for axes in figure.axes] == list(lasts)
+    assert figure.axes[0].get_xlabel().startswith("0 of 1 ROIs, 3 steps, return")
+    arrows = [
+        len([a for a in axes.texts if a.get_text().startswith("wind")]) for axes in figure.axes
+    ]
+    assert arrows == [0, 1, 1, 1]
+    with pytest.raises(MbnError, match="at least one episode"):
+        figures.trajectory_panels({})
+
+
+def test_evaluate_in_wind_from_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = tmp_path / "run"
+    tiny = ["--steps", "5", "--episodes", "1", "--setting", "A", "--out", str(run)]
+    assert main(["train", "a2c", "field_03", *tiny]) == 0
+    capsys.readouterr()
+    wind = ["--wind-speeds", "0,0.2,..,0.4", "--wind-angle", "30", "--episodes", "2"]
+    assert main(["evaluate", str(run), *wind]) == 0
+    printed = capsys.readouterr().out
+    assert "wind at 30 degrees" in printed and "makespan" in printed
+    result = json.loads((run / "wind.json").read_text())
+    assert result["command"].startswith("mbn evaluate")
+    assert [row["wind_speed"] for row in result["results"]] == [0.0, 0.0, 0.2, 0.2, 0.4, 0.4]
+    assert all(len(row["per_episode"]["returns"]) == 2 for row in result["results"])
+    assert (run / "wind.png").read_bytes()[:4] == b"\x89PNG"
+    other = ["--json", str(tmp_path / "w.json"), "--figure", str(tmp_path / "w.svg")]
+    assert main(["evaluate", str(run), "--wind-speeds", "0.1", "--episodes", "1", *other]) == 0
+    assert (tmp_path / "w.json").is_file() and (tmp_path / "w.svg").is_file()
+    assert main(["evaluate", str(run), "--figure", "x.png"]) == 2
+    assert "figure: allowed with --wind-speeds" in capsys.readouterr().err
+    assert main(["evaluate", str(run), "--wind-speeds", "x"]) == 2
+    assert "'x' is no number" in capsys.readouterr().err
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise OSError("no space is left")
+
+    monkeypatch.setattr(wind_module, "write_panels", fail)
+    again = ["evaluate", str(run), "--wind-speeds", "1", "--episodes", "1"]
+    before = (run / "wind.json").read_text()
+    assert main(again) == 2
+    assert "wind.json already exists" in capsys.readouterr().err
+    assert (run / "wind.json").read_text() == before
+    assert main([*again, "--force"]) == 2
+    assert "no space is left" in capsys.readouterr().err
+    assert (run / "wind.json").read_text() != before, "what was evaluated is not lost"
+    assert (run / "wind.json.1").read_text() == before
+    monkeypatch.setattr(wind_module, "evaluate_in_wind", fail)
+    capsys.readouterr()
+    assert main(["evaluate", str(run), "--wind-speeds", "1", "--figure", "x.bmp"]) == 2
+    assert ".png" in capsys.readouterr().err, "the name is looked at before the evaluation"

@@ -1,0 +1,138 @@
+"""Watching and driving in a window that nobody sees."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.cli import main
+from baselines.demo.interactive import Show, play, push, watch
+from baselines.demo.resolve import Actor, find_actor, zoo_policy
+from baselines.evaluation.policy import RandomPolicy
+from mbn_marl import Field, load_field
+from mbn_marl.episode import load_episode
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import save_field
+from mbn_marl.render import Viewer
+
+pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
+
+FAST = Show(speed=5000.0, episodes=1, rest=0.0)
+
+
+@pytest.fixture(autouse=True)
+def no_screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """SDL's driver that shows nothing; the display is closed afterwards."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.display.quit()
+
+
+def at_frames(monkeypatch: pytest.MonkeyPatch, events: dict[int, tuple[int, int]]) -> None:
+    """Post key events (kind, key) before the frames of these numbers are drawn."""
+    draw: Callable[..., Any] = Viewer.draw
+    frames = iter(range(100_000))
+
+    def drawing(viewer: Viewer, snapshot: Any) -> Any:
+        if (frame := next(frames)) in events:
+            kind, key = events[frame]
+            pygame.event.post(pygame.event.Event(kind, key=key))
+        return draw(viewer, snapshot)
+
+    monkeypatch.setattr(Viewer, "draw", drawing)
+
+
+def still(max_steps: int = 6) -> Actor:
+    """Robots that a policy does not move."""
+
+    class Still(RandomPolicy):
+        def act(self, seen: Any, *, deterministic: bool) -> Any:
+            return np.zeros((*seen.shape[:2], 2), np.float32)
+
+    return Actor(Still(), load_field("field_03"), {"max_steps": max_steps}, "still")
+
+
+def test_watching_shows_whole_episodes() -> None:
+    (episode,) = watch(find_actor("field_03", "zoo:field_03"), FAST)
+    assert (episode.outcome, episode.steps) == ("success", 17)
+    assert not pygame.display.get_init(), "the window is closed"
+
+
+def test_keys_push_and_opposite_ones_cancel() -> None:
+    assert push(set()) == (0.0, 0.0)
+    assert push({"right", "w"}) == (1.0, 1.0)
+    assert push({"left", "right", "down"}) == (0.0, -1.0)
+    assert push({"a", "left", "x"}) == (-1.0, 0.0)
+
+
+def test_a_person_drives_one_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Right is held from the second frame to the fourth: the steps after those frames."""
+    right = pygame.K_RIGHT
+    at_frames(monkeypatch, {1: (pygame.KEYDOWN, right), 3: (pygame.KEYUP, right)})
+    (episode,) = play(still(), FAST, robot=1)
+    assert episode.actions[:, 1, 0].tolist() == [0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    assert not episode.actions[:, [0, 2]].any() and not episode.actions[:, 1, 1].any()
+    assert episode.source == "a person as robot 1, with still"
+
+
+def test_space_pauses_r_begins_anew_and_escape_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    down = pygame.KEYDOWN
+    at_frames(
+        monkeypatch,
+        {
+            2: (down, pygame.K_SPACE),
+            8: (down, pygame.K_SPACE),
+            10: (down, pygame.K_r),
+            14: (down, pygame.K_ESCAPE),
+        },
+    )
+    first, second = watch(still(100), Show(speed=5000.0, rest=0.0))
+    assert first.steps == 4, "two before the pause and two after it"
+    assert second.steps == 3 and second.outcome == "unfinished"
+
+
+def test_the_commands_save_what_was_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "watched.json"
+    quick = ("--episodes", "1", "--speed", "5000")
+    wind = ("--wind", "0.1", "30")
+    assert main(["watch", "field_03", *quick, *wind, "--save", str(out)]) == 0
+    episode = load_episode(out)
+    assert episode.source == "zoo:field_03 in field_03" and episode.config.wind == (0.1, 30.0)
+    assert main(["play", "field_03", "--robot", "2", *quick, "--save", str(out)]) == 2
+    assert "watched.json already exists" in capsys.readouterr().err
+    assert zoo_policy("nowhere") is None
+
+
+def test_what_cannot_be_shown_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small = tmp_path / "small.yaml"
+    save_field(
+        Field([(0, 0), (50, 0), (0, 50)], rois=[(9, 9)], starts=[(20, 20)], name="small"), small
+    )
+    recording = tmp_path / "recording.json"
+    recording.write_text('{"format": "mbn-episode/1"')
+    for arguments, message in (
+        (["watch", str(recording)], "is an episode; `mbn replay` plays it"),
+        (["play", "field_03", "--robot", "3"], "robot: 0 to 2, not 3"),
+        (["watch", "field_03", "--speed", "0"], "above 0, not 0"),
+        (["watch", "field_03", "--speed", "inf"], "above 0, not inf"),
+        (["watch", "field_00"], "known: field_01"),
+        (["watch", "zoo:field_03", "--policy", "random"], "zoo:field_03 has its own"),
+        (["watch", "field_03", "--save", "a.txt"], "has to end in .json"),
+    ):
+        assert main(arguments) == 2
+        assert message in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="for 3 robots and 6 ROIs; small has 1 robots and 1 ROIs"):
+        find_actor(str(small), "zoo:field_03")
+    monkeypatch.delenv("SDL_VIDEODRIVER")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert main(["watch", "field_03"]) == 2
+    assert "needs a display" in capsys.readouterr().err

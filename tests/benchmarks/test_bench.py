@@ -1,0 +1,260 @@
+"""``mbn bench``: its harness by hand, and every row of its table in a tiny run."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from rich.console import Console
+
+from baselines.cli import main
+from benchmarks import plain, speed
+from benchmarks.load import OtherLoad
+from benchmarks.parts import OBSERVATIONS, PARTS, REWARDS, PartialSteps
+from benchmarks.plain import plain_cases
+from benchmarks.report import print_result, write_result
+from benchmarks.results import Result, Row
+from benchmarks.sizes import SIZES, USUAL, make_field, measure_sizes
+from benchmarks.speed import STAGES, measure_speed
+from benchmarks.timing import Budget, Case, Timing, interleaved
+from mbn_marl import BatchEngine, load_field
+
+TINY = Budget(
+    rounds=2, seconds=0.0, warm_up=3, worlds=8, many_worlds=16, sized_worlds=2, startup=False
+)
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    """A whole run, as small as it can be."""
+    stages: list[None] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("benchmarks.peers.VMAS_WORLDS", (8,))
+        patch.setattr("benchmarks.adapters.ROWS", 4)
+        measured = measure_speed("mbn bench speed", TINY, lambda: stages.append(None))
+    assert len(stages) == STAGES
+    return measured
+
+
+# -- the harness -----------------------------------------------------------------------------------
+
+
+def test_medians_and_ratios_by_hand() -> None:
+    fast, slow = Timing(np.array([1.0, 2.0, 30.0])), Timing(np.array([4.0, 10.0, 60.0]))
+    assert (fast.median, fast.rate) == (2.0, 0.5)
+    assert fast.times_faster_than(slow) == 4.0  # of 4, 5, 2
+    assert slow.longer_than(fast) == 8.0  # of 3, 8, 30
+
+
+def test_cases_take_turns_and_prepare_first() -> None:
+    turns: list[str] = []
+    cases = [
+        Case(
+            name,
+            run=lambda calls, name=name: turns.append(f"run {name} {calls}"),
+            prepare=lambda calls, name=name: turns.append(f"prepare {name} {calls}"),
+        )
+        for name in "ab"
+    ]
+    timings = interleaved(cases, Budget(rounds=2, seconds=0.0))
+    turn = [f"{what} {name} 1" for name in "ab" for what in ("prepare", "run")]
+    assert turns[-8:] == 2 * turn
+    assert {name: timing.seconds.shape for name, timing in timings.items()} == {
+        "a": (2,),
+        "b": (2,),
+    }
+
+
+def test_seconds_are_per_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = {"now": 0.0}
+    monkeypatch.setattr("benchmarks.timing.perf_counter", lambda: clock["now"])
+
+    def run(calls: int) -> None:
+        clock["now"] += 0.5 * calls
+
+    timing = interleaved([Case("a", run, units=10.0)], Budget(rounds=3, seconds=4.0))["a"]
+    assert timing.seconds.tolist() == [0.05] * 3
+    assert clock["now"] == 0.5 * (1 + 1 + 2 + 3 * 8)  # warm-up, calibration, three turns of 4 s
+
+
+@pytest.mark.parametrize(
+    ("value", "target", "at_least", "met"),
+    [
+        (3.0, 2.0, True, True),
+        (2.0, 2.0, True, True),
+        (1.9, 2.0, True, False),
+        (1.9, 2.0, False, True),
+        (2.1, 2.0, False, False),
+        (None, 2.0, True, None),
+        (1.0, None, True, None),
+    ],
+)
+def test_a_target_is_met(
+    value: float | None, target: float | None, at_least: bool, met: bool | None
+) -> None:
+    assert Row("a", value, "x", target, at_least).met is met
+
+
+# -- what is measured ------------------------------------------------------------------------------
+
+
+def test_the_last_part_is_the_whole_step() -> None:
+    """So the parts cannot go away from the engine's step unseen."""
+    settings: dict[str, Any] = {"max_steps": 60, "random_starts": True, "seed": 1}
+    whole, parts = (BatchEngine("field_01", 300, **settings) for _ in range(2))
+    whole.reset()
+    steps = PartialSteps(parts, OBSERVATIONS)
+    for _ in range(150):
+        actions = whole.sample_actions()
+        expected = (*whole.step(actions), whole.team_rewards, whole.state())
+        steps.step(actions)
+        output = parts._backend.output
+        arrays = (output.observations, output.rewards, output.terminated, output.truncated)
+        for got, wanted in zip((*arrays, parts.team_rewards, parts.state()), expected, strict=True):
+            assert got.tobytes() == wanted.tobytes()
+
+
+def test_rewards_without_memory_differ_in_revisits_only() -> None:
+    settings: dict[str, Any] = {"max_steps": 60, "random_starts": True, "seed": 1}
+    whole, parts = (BatchEngine("field_01", 300, **settings) for _ in range(2))
+    whole.reset()
+    steps = PartialSteps(parts, REWARDS)
+    small, medium = parts.config.reward.small, parts.config.reward.medium
+    revisits = 0
+    for _ in range(100):
+        actions = whole.sample_actions()
+        _, rewards, *_ = whole.step(actions)
+        steps.step(actions)
+        assert parts.state().tobytes() == whole.state().tobytes()
+        difference = parts._backend.output.rewards - rewards
+        revisits += np.count_nonzero(difference)
+        assert np.isin(difference, [0.0, medium - small]).all()
+    assert revisits > 0
+
+
+@pytest.mark.parametrize("quantity", SIZES)
+def test_synthetic_fields_have_the_sizes(quantity: str) -> None:
+    for count in SIZES[quantity]:
+        field = make_field(**{**USUAL, quantity: count})
+        sizes = {"robots": field.starts, "ROIs": field.rois, "edges": field.edges}
+        assert {name: len(items) for name, items in sizes.items()} == {**USUAL, quantity: count}
+
+
+def test_usual_sizes_are_the_catalogues() -> None:
+    field = load_field("field_03")
+    sizes = {"robots": len(field.starts), "ROIs": len(field.rois), "edges": len(field.edges)}
+    assert sizes == USUAL
+
+
+def test_growth_is_the_law_that_made_the_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    costs = {"robots": lambda n: 7 + 5 * n + 2 * n * n, "ROIs": lambda n: 3 + 4 * n}
+
+    def timings(cases: list[Case], budget: Budget) -> dict[str, Timing]:
+        law = costs["robots" if len(cases) == 3 else "ROIs"]
+        return {case.name: Timing(np.array([1e-9 * law(int(case.name))])) for case in cases}
+
+    monkeypatch.setattr("benchmarks.sizes.interleaved", timings)
+    sizes = {"robots": (1, 2, 5), "ROIs": (1, 24)}
+    robots, rois = measure_sizes(TINY, lambda: None, sizes)
+    assert robots.growth == "about 7 + 5 robots + 2 robots^2 ns"
+    assert rois.growth == "about 3 + 4 ROIs ns"
+    assert robots.nanoseconds == pytest.approx((14, 25, 82))
+
+
+# -- the result ------------------------------------------------------------------------------------
+
+
+def test_every_row_has_a_figure_or_a_reason(result: Result) -> None:
+    rows = [row.to_json() for row in result.rows]
+    assert len({row["name"] for row in rows}) == len(rows) == 13
+    for row in rows:
+        assert row.keys() == {"name", "value", "unit", "target", "at_least", "note", "met"}
+        assert (row["value"] is None) == ("needs" in row["note"])
+        assert row["met"] is None or isinstance(row["met"], bool)
+    with_target = [row for row in rows if row["target"] is not None]
+    assert len(with_target) == 12
+    # The share of an overhead may come out at or below zero in so small a run.
+    rates = [row for row in rows if "over the engine" not in row["name"]]
+    assert all(row["value"] is None or row["value"] > 0 for row in rates)
+
+
+def test_parts_and_curves(result: Result) -> None:
+    assert [part.name for part in result.parts] == [*PARTS, "checks around the kernel"]
+    assert [curve.quantity for curve in result.curves] == list(SIZES)
+    for curve in result.curves:
+        assert curve.sizes == SIZES[curve.quantity]
+        assert min(curve.nanoseconds) > 0
+
+
+def test_it_is_written_and_printed(result: Result, tmp_path: Path) -> None:
+    write_result(result, tmp_path)
+    stored = json.loads((tmp_path / "speed.json").read_text())
+    assert stored["command"] == "mbn bench speed"
+    assert stored["rows"] == [row.to_json() for row in result.rows]
+    assert stored["machine"]["cores"] >= 1
+    assert stored["machine"]["packages"]["numba"]
+    assert imread(tmp_path / "speed.png").shape[1] > 1000
+    console = Console(record=True, width=200)
+    print_result(result, console)
+    text = console.export_text()
+    for row in result.rows:
+        assert row.name in text
+    assert stored["machine"]["processor"] in text
+
+
+@pytest.mark.parametrize(("cores", "doubtful"), [(None, False), (0.05, False), (1.25, True)])
+def test_a_run_beside_others_is_said_to_be_invalid(
+    result: Result, cores: float | None, doubtful: bool
+) -> None:
+    console = Console(record=True, width=200)
+    print_result(dataclasses.replace(result, other_cores=cores), console)
+    assert ("not valid" in console.export_text()) == doubtful
+
+
+def test_load_of_others_leaves_out_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By hand: 100 ticks a second; 6 s of work in 4 s, of which 1 s was ours."""
+    stat, clock, own = tmp_path / "stat", {"now": 10.0}, [3.0, 0.5, 0.0, 0.0, 0.0]
+    monkeypatch.setattr("benchmarks.load.STAT", stat)
+    monkeypatch.setattr("benchmarks.load.perf_counter", lambda: clock["now"])
+    monkeypatch.setattr("os.sysconf", lambda name: 100)
+    monkeypatch.setattr("os.times", lambda: tuple(own))
+    stat.write_text("cpu  500 20 80 9000 50 0 0 0 0 0\n")
+    others = OtherLoad()
+    stat.write_text("cpu  900 40 180 9900 90 10 20 50 0 0\n")
+    clock["now"], own[0], own[2] = 14.0, 3.5, 0.5
+    assert others.cores() == pytest.approx((6.0 - 1.0) / 4.0)
+    stat.unlink()
+    assert others.cores() is None
+
+
+def test_the_command_writes_a_folder_once(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    result: Result,
+) -> None:
+    monkeypatch.setattr(speed, "measure_speed", lambda command, *_: result)
+    out = tmp_path / "bench"
+    assert main(["bench", "speed", "--out", str(out)]) == 0
+    assert {path.name for path in out.iterdir()} == {"speed.json", "speed.png"}
+    capsys.readouterr()
+    assert main(["bench", "--out", str(out)]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+def test_an_unknown_subject_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["bench", "sped"])
+    assert caught.value.code == 2
+    assert re.search(r"\{?speed", capsys.readouterr().err)
+
+
+def test_without_a_checkout_the_row_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plain, "ORACLE", Path("nowhere/oracle.py"))
+    assert plain_cases() == []

@@ -1,0 +1,231 @@
+"""The studies of `mbn bench`: targets by hand, and the commands."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from baselines.cli import main
+from baselines.compare.results import Results
+from baselines.training.train import prepare, resolve
+from benchmarks.studies.learning import makespan, target_rows, write_targets
+from benchmarks.studies.passing import FieldLine, Passing, best_return, paper_best, passes
+from benchmarks.studies.population import Board
+from benchmarks.studies.study import STUDIES, Study
+from mbn_marl.field import catalogue_names
+from tests.baselines.test_comparison import CONFIG, make_run
+
+GOOD = {
+    "return_mean": 150_000.0,
+    "success_rate": 0.99,
+    "deterministic_success_rate": 1.0,
+    "deterministic_return_mean": 155_000.0,
+}
+LOW, RARE, STUCK = (
+    {**GOOD, "return_mean": 99_999.0},
+    {**GOOD, "success_rate": 0.98},
+    {**GOOD, "deterministic_success_rate": 0.0},
+)
+
+
+def evaluations(*entries: dict[str, Any]) -> list[dict[str, Any]]:
+    """A history with one entry every 100,000 env-steps and 10 seconds."""
+    return [
+        {**entry, "env_steps": 100_000 * number, "wall_seconds": 10.0 * number, "seconds": 1.0}
+        for number, entry in enumerate(entries, start=1)
+    ]
+
+
+def final(entry: dict[str, Any], deterministic_return: float) -> dict[str, Any]:
+    """A final evaluation after 1,000 seconds."""
+    sampled = {"return_mean": entry["return_mean"], "success_rate": entry["success_rate"]}
+    mean = {
+        "return_mean": deterministic_return,
+        "success_rate": entry["deterministic_success_rate"],
+        "makespan": None,
+    }
+    return {
+        "env_steps": 500_000,
+        "seconds": 900.0,
+        "wall_seconds": 1000.0,
+        "stochastic": {**sampled, "makespan": None},
+        "deterministic": mean,
+    }
+
+
+def results(folder: Path) -> Results:
+    """Two fields, two seeds, two labels."""
+    histories = {
+        ("mappo", "field_01", 0): (evaluations(LOW, GOOD, LOW), final(GOOD, 158_800.0)),
+        ("mappo", "field_01", 1): (evaluations(RARE, STUCK, GOOD), final(RARE, 158_000.0)),
+        ("mappo", "field_10", 0): (evaluations(GOOD), final(GOOD, 157_000.0)),
+        ("mappo", "field_10", 1): (evaluations(LOW, LOW, LOW, GOOD), final(GOOD, 156_000.0)),
+        ("true", "field_01", 0): (evaluations(LOW), final(STUCK, 0.0)),
+        ("true", "field_01", 1): (evaluations(GOOD), final(GOOD, 158_000.0)),
+        ("true", "field_10", 0): (evaluations(GOOD), final(GOOD, 0.0)),
+        ("true", "field_10", 1): (evaluations(GOOD), final(GOOD, 0.0)),
+    }
+    return Results.of(
+        [
+            make_run(folder, label=label, field=field, seed=seed, recorded=recorded)
+            for (label, field, seed), recorded in histories.items()
+        ]
+    )
+
+
+def test_a_run_passes_at_the_first_evaluation_that_meets_everything(tmp_path: Path) -> None:
+    found = results(tmp_path)
+    first, second = found.cells["mappo", "field_01"]
+    assert Passing.of(first) == Passing(200_000, 20.0)
+    assert Passing.of(second) == Passing(300_000, 30.0)
+    assert (passes(first), passes(second)) == (True, False)
+    assert Passing.of(found.cells["true", "field_01"][0]).env_steps == float("inf")
+
+
+def test_a_field_is_summarised_by_medians(tmp_path: Path) -> None:
+    found = results(tmp_path)
+    line = FieldLine.of(found.cells["mappo", "field_01"])
+    assert (line.passed, line.runs) == (1, 2)
+    assert (line.env_steps, line.worst_env_steps) == (250_000, 300_000)
+    assert (line.seconds, line.success_rate) == (25.0, 0.985)
+    assert (line.deterministic_median, line.deterministic_best) == (158_400.0, 158_800.0)
+    assert (line.optimum, line.paper_best) == (158_800.0, 158_800.0)
+    stuck = FieldLine.of(found.cells["true", "field_01"])
+    assert (stuck.env_steps, stuck.worst_env_steps) == (None, None)
+
+
+def test_the_best_return_may_be_one_on_the_way(tmp_path: Path) -> None:
+    better = {**GOOD, "deterministic_return_mean": 158_800.0}
+    history = evaluations(GOOD, better, GOOD)
+    run = make_run(tmp_path, field="field_01", recorded=(history, final(GOOD, 158_000.0)))
+    line = FieldLine.of([run])
+    assert (line.deterministic_median, line.deterministic_best) == (158_000.0, 158_800.0)
+    assert best_return(run) == line.deterministic_best
+
+
+def test_workers_take_jobs_up_in_order() -> None:
+    assert makespan([3.0, 1.0, 1.0, 4.0], 1) == 9.0
+    assert makespan([3.0, 1.0, 1.0, 4.0], 2) == 6.0  # 3 then nothing; 1, 1, then 4
+
+
+def test_targets_are_scaled_to_the_runs(tmp_path: Path) -> None:
+    rows = target_rows(results(tmp_path), processes=2)
+    seen = [(row.value, row.target, row.met) for row in rows]
+    assert seen == [
+        (3, 4, False),  # of 4 final policies
+        (3, 4, False),  # the same: none had an aid; 0.8 of 4, rounded up
+        (400_000, 1_500_000, True),  # the slowest
+        (30.0, 36.0, True),  # the seeds: max(20, 10) and max(30, 40)
+        (1, 2, False),  # 158,400 is within 0.5 % of 158,800, 156,500 not of 157,870
+        (2, 2, True),  # 158,800 and 157,000 against the paper's 158,800 and 156,351
+        (1, 1, True),  # the optimum of field_01
+        (2000.0, 360.0, False),  # 4 runs of 1,000 s, two at a time
+    ]
+
+
+def test_a_run_that_never_passes_leaves_no_number(tmp_path: Path) -> None:
+    found = results(tmp_path)
+    never = Results(("true",), found.fields, found.cells)
+    rows = target_rows(never, processes=1)
+    assert (rows[2].value, rows[2].met) == (None, None)
+    assert rows[3].value is None  # one of the two seeds is infinite, and so is their mean
+    write_targets(never, rows, tmp_path)
+    assert "| never | <= 1,500,000 | missed |" in (tmp_path / "learning.md").read_text()
+
+
+def test_the_targets_are_written(tmp_path: Path) -> None:
+    found = results(tmp_path)
+    write_targets(found, target_rows(found, 2), tmp_path)
+    page = (tmp_path / "learning.md").read_text()
+    assert "| field_01 | 1/2 | 250,000 | 300,000 | 25.0 |" in page
+    assert "| mappo: final policies that pass | 3 of 4 | >= 4 | missed |" in page
+    stored = json.loads((tmp_path / "learning.json").read_text())
+    assert stored["targets"][0]["met"] is False
+    assert [line["label"] for line in stored["fields"]] == ["mappo", "mappo", "true", "true"]
+
+
+def test_the_papers_best_are_its_largest_numbers() -> None:
+    assert paper_best("field_10") == 156_351.0
+    assert paper_best("own") is None
+
+
+@pytest.mark.parametrize("study", STUDIES.values(), ids=str)
+def test_a_study_can_be_trained(study: Study) -> None:
+    config = study.config()
+    assert config.fields == (study.fields or tuple(catalogue_names()))
+    assert config.seeds == study.seeds
+    for run in config.runs()[: len(config.variants)]:
+        assert resolve(*prepare(run))["label"] == run.label
+
+
+def test_the_variants_of_sharing_are_five() -> None:
+    labels = [variant.name for variant in STUDIES["sharing"].config().variants]
+    assert labels == ["full", "full+id", "none", "ppo-shared", "ppo-supersuit"]
+
+
+def test_the_benchmark_of_learning_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("benchmarks.studies.study.read_variants", lambda path: CONFIG.variants)
+    monkeypatch.setattr("baselines.compare.markdown.write_animation", lambda episode, path: None)
+    out = tmp_path / "bench"
+    size = ("--fields", "field_03", "--seeds", "0", "--steps", "1", "--processes", "1")
+    assert main(["bench", "learning", *size, "--out", str(out)]) == 0
+    assert "mappo-tiny: final policies that pass" in capsys.readouterr().out
+    assert (out / "learning.md").is_file() and (out / "comparison.md").is_file()
+    stored = json.loads((out / "learning.json").read_text())
+    assert [row["value"] for row in stored["targets"][:4]] == [0, 0, None, None]
+
+
+def test_sizes_are_not_for_speed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "--seeds", "0", "--steps", "9"]) == 2
+    error = capsys.readouterr().err
+    assert "seeds: for learning, sharing, ablations, not for speed" in error
+    assert "steps: for learning, sharing, ablations, population, grid, not for speed" in error
+    assert main(["bench", "population", "--resume"]) == 2
+    assert "resume: for learning, sharing, ablations, not for population" in capsys.readouterr().err
+
+
+def test_every_variant_of_the_ablations_differs_from_the_recorded_setting() -> None:
+    runs = STUDIES["ablations"].config(fields=("field_03",), seeds=(0,)).runs()
+    resolved = [resolve(*prepare(run)) for run in runs]
+    parts = [(found["hyperparameters"], found["environment"]) for found in resolved]
+    assert resolved[0]["label"] == "recorded"
+    assert all(part not in parts[:index] for index, part in enumerate(parts))
+
+
+def test_a_population_takes_up_the_unsolved_field_with_the_fewest_runs(tmp_path: Path) -> None:
+    board, later = Board.of(2), time.time() + 1e6
+    taken = [board.take(later) for _ in range(3)]
+    assert taken == [(0, 0), (1, 0), (0, 1)]
+    recorded = evaluations(GOOD), final(GOOD, 159_490.0)
+    optimum = make_run(tmp_path, field="field_03", recorded=recorded)
+    board.enter(0, make_run(tmp_path, field="field_01", recorded=recorded), seconds=100.0)
+    board.enter(1, optimum, seconds=50.0)
+    assert board.take(later) == (0, 2)  # field 1 is solved
+    assert board.take(time.time() + 99.0) is None  # the slowest run took longer
+    board.enter(0, optimum, seconds=1.0)
+    assert board.take(later) is None  # all are solved
+
+
+def test_a_population_is_trained_and_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "population"
+    size = ("--fields", "field_03", "field_05", "--steps", "1", "--minutes", "0.001")
+    command = ["bench", "population", *size, "--processes", "2", "--out", str(out)]
+    assert main(command) == 0  # each process begins one run, and has no time for another
+    told = capsys.readouterr().out
+    assert "mappo-field_03-seed0: " in told and "mappo-field_05-seed0: " in told
+    stored = json.loads((out / "population.json").read_text())
+    assert [row["value"] for row in stored["targets"][:2]] == [0, 0]
+    assert [row["met"] for row in stored["targets"]] == [False] * 3
+    assert stored["fields"]["field_03"]["runs"] == 1
+    assert "| field_05 | mappo-field_05-seed0 | 1 |" in (out / "population.md").read_text()
+    command[command.index("0.001")] = "0"
+    assert main(command) == 2
+    assert "minutes: must be above 0" in capsys.readouterr().err

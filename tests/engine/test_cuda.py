@@ -1,0 +1,149 @@
+"""The CUDA backend: all of it in Numba's simulator; compiled for a GPU; on one, where there is one.
+
+The last two skip where they cannot run, and say why.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbn_marl import BatchEngine
+from mbn_marl.config import make_config
+from mbn_marl.engine.constants import Constants, make_record
+from mbn_marl.engine.observation import observation_table
+from mbn_marl.engine.state import make_episode, make_geometry, make_memory, make_output
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import load_field
+
+torch = pytest.importorskip("torch")
+ROOT = Path(__file__).parents[2]
+needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")
+MOST_LOCAL_BYTES = 128
+
+
+def test_in_the_simulator() -> None:
+    """Runs the tests of ``simulated_cuda.py``: the simulator is chosen when numba is imported."""
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "tests/support/simulated_cuda.py"],
+        cwd=ROOT,
+        env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_an_unknown_device_lists_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match="device: 'tpu'; allowed: 'cpu', 'cuda'"):
+        BatchEngine("field_01", 2, device="tpu")  # type: ignore[arg-type]
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_cuda_that_is_not_to_be_had_is_one_error_that_says_what_is_missing() -> None:
+    with pytest.raises(ConfigError) as caught:
+        BatchEngine("field_01", 2, device="cuda")
+    assert len(caught.value.problems) == 1
+    for part in ("NVIDIA GPU", "numba-cuda", "pip install 'mbn_marl[cuda]'", "torch finds no GPU"):
+        assert part in str(caught.value)
+
+
+def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
+    """The PTX of every kernel for three robots, by name."""
+    from numba import cuda, typeof, types
+
+    from mbn_marl.engine import cuda_kernels as kernels
+
+    field = load_field("field_01")
+    config = make_config({"dtype": dtype, "n_robots": 3, **settings})
+    real = np.dtype(dtype)
+    record = make_record(config, 3, field.arena, "same_step", 0)
+    values = (v if isinstance(v, int) else real.type(v) for v in record[0].item())
+    size = len(observation_table(config, 3, len(field.rois), field.arena))
+    worlds = 2
+    p, g = Constants(*values), make_geometry([field], config, 3, worlds)
+    now = make_episode(worlds, 3, real)
+    mem, out = make_memory(worlds, 3, config, now), make_output(worlds, 3, size, real)
+    word = np.zeros(1, np.int64)
+    control = kernels.Control(word, word, word)
+    call = kernels.Call(np.zeros((worlds, 3, 2), real), np.zeros(worlds, np.bool_))
+    rows = (np.zeros((worlds, 3, 12)),)
+    bits = np.uint32 if dtype == "float32" else np.uint64
+    step = kernels.make_step(3, size, real.type, bits)
+    work: dict[str, tuple[Any, tuple[Any, ...]]] = {
+        "step": (step, (p, g, mem, now, now, out, call, control)),
+        "reset": (kernels.make_reset(size), (p, g, mem, now, out, call, control)),
+        "infos": (kernels.infos, (p, g, mem, now, now, out, rows)),
+        "states": (kernels.states, (g, mem, now, (np.zeros((worlds, 13), real),))),
+        "draw": (kernels.draw, (control, (np.zeros((worlds, 3, 2), np.float32),))),
+    }
+    made = {}
+    for name, (function, arguments) in work.items():
+        signature = types.void(*map(typeof, arguments))
+        with kernels.rounded_products():
+            made[name], _ = cuda.compile_ptx(function, signature, cc=(9, 0), device=False)
+    return made
+
+
+@pytest.mark.parametrize("settings", [{}, {"reward": "formal"}, {"observation": "lidar"}], ids=str)
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_the_kernels_compile_for_a_gpu(
+    dtype: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without one: PTX for compute capability 9.0."""
+    if importlib.util.find_spec("numba_cuda") is None:
+        pytest.skip("numba-cuda is not installed")
+    from numba.cuda import dispatcher
+    from numba.cuda.cudadrv import nvrtc, nvvm
+
+    try:
+        nvvm.LibDevice()
+        nvrtc.get_arch_option(9, 0)
+    except Exception as error:
+        pytest.skip(f"no CUDA compiler: {str(error).splitlines()[0]}")
+    h100 = SimpleNamespace(compute_capability=(9, 0))
+    monkeypatch.setattr(dispatcher, "get_current_device", lambda: h100)
+    for name, ptx in compiled_kernels(dtype, settings).items():
+        depots = [int(size) for size in re.findall(r"__local_depot\d+\[(\d+)\]", ptx)]
+        assert sum(depots) <= MOST_LOCAL_BYTES, name  # else arrays have left the registers
+        assert not re.search(r"\.func|\bcall", ptx), name  # all is inlined
+        # A product without a rounding mode may still be contracted when PTX becomes machine code.
+        unrounded = re.findall(r"\b(?:mul|add|sub)\.f(?:32|64)", ptx)
+        fused = re.findall(r"\bfma\S*", ptx)
+        assert not unrounded, name
+        assert name == "infos" or not fused, name  # whose hypot is the library's
+
+
+@needs_gpu
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_equals_the_cpu_on_a_gpu_also_as_a_graph(dtype: Any) -> None:
+    settings: dict[str, Any] = {"random_starts": True, "max_steps": 90, "dtype": dtype, "seed": 2}
+    cpu = BatchEngine("field_03", 1000, **settings)
+    gpu = BatchEngine("field_03", 1000, device="cuda", **settings)
+    assert (gpu.reset().cpu().numpy() == cpu.reset()).all()  # type: ignore[attr-defined]
+    graph, actions = None, None
+    for t in range(400):
+        if t == 200:
+            graph = torch.cuda.CUDAGraph()
+            with torch.cuda.graph(graph):
+                actions = gpu.sample_actions()
+                results = gpu.step(actions)
+        if graph is None:
+            actions = gpu.sample_actions()
+            results = gpu.step(actions)
+        else:
+            graph.replay()
+        drawn = cpu.sample_actions()
+        assert (actions.cpu().numpy() == drawn).all()  # type: ignore[union-attr]
+        for expected, tensor in zip(cpu.step(drawn), results, strict=True):
+            np.testing.assert_array_equal(tensor.cpu().numpy(), expected)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(gpu.state().cpu().numpy(), cpu.state())  # type: ignore[attr-defined]

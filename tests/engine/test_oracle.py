@@ -1,0 +1,170 @@
+"""The oracle itself, before anything is compared with it: golden episodes, and ties by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tests.golden import FIELDS, Episode, load_episodes
+from tests.support.oracle import Oracle
+
+EPISODES = load_episodes()
+
+SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
+STILL = (0.0, 0.0)
+
+
+def make_field(starts, rois=((90.0, 90.0),), vertices=SQUARE, holes=()):
+    return SimpleNamespace(
+        vertices=vertices, rois=rois, starts=starts, holes=holes, arena=(1000.0, 1000.0)
+    )
+
+
+@pytest.mark.parametrize("episode", EPISODES, ids=lambda episode: episode.id)
+def test_golden_episode(episode: Episode) -> None:
+    field = make_field(**FIELDS[episode.field])
+    oracle = Oracle(field, n_robots=episode.n_robots, wind=episode.wind)
+    n = episode.n_robots
+    for t, action in enumerate(episode.actions.tolist()):
+        step = oracle.step(action)
+        state = np.array(oracle.state())
+        assert step.team_reward == episode.rewards[t]
+        assert step.terminated == episode.terminated[t]
+        assert state[-1] == episode.codes[t + 1]
+        np.testing.assert_allclose(
+            state[: 2 * n], episode.positions[t + 1].ravel(), rtol=0, atol=1e-9
+        )
+        np.testing.assert_allclose(
+            state[2 * n : -1], episode.velocities[t + 1].ravel(), rtol=0, atol=1e-9
+        )
+    assert oracle.episode_return == episode.episode_return
+
+
+def test_all_episodes_are_there() -> None:
+    assert len(EPISODES) == 107
+    assert sum(len(episode.rewards) for episode in EPISODES) == 16_886
+
+
+def test_first_step_by_hand() -> None:
+    oracle = Oracle(make_field(starts=[(20.0, 20.0)]), wind=(0.25, 90.0), mass=2.0)
+    step = oracle.step([(1.0, -3.0)])
+    x, y, vx, vy, code = oracle.state()
+    assert (x, vx, code) == (pytest.approx(20.25), pytest.approx(0.25), 0)
+    assert (y, vy) == (20.0, 0.0)  # force clipped to -0.5, / 2 = -0.25, and the wind undoes it
+    assert step.team_reward == -10.0
+
+
+def test_speed_is_clipped_per_axis() -> None:
+    oracle = Oracle(make_field(starts=[(2.0, 50.0)]))
+    for _ in range(15):
+        oracle.step([(1.0, 0.0)])
+    assert oracle.robots[0].vx == 5.0
+    assert oracle.robots[0].x == 2.0 + sum(0.5 * k for k in range(1, 11)) + 5 * 5.0
+
+
+def test_the_boundary_is_inside_and_beyond_it_the_robot_stays_and_pays() -> None:
+    oracle = Oracle(make_field(starts=[(99.5, 50.0)]))
+    assert oracle.step([(1.0, 0.0)]).wall == [False]
+    assert oracle.robots[0].x == 100.0
+    step = oracle.step([(-1.0, 0.0)])  # the velocity is back to 0: it stays, on known ground
+    assert (step.wall, step.team_reward) == ([False], -100.0)
+    step = oracle.step([(1.0, 0.0)])
+    assert (step.wall, step.team_reward) == ([True], -10_100.0)
+    assert oracle.state()[:4] == (100.0, 50.0, 0.0, 0.0)
+
+
+def test_a_hole_is_outside_and_its_boundary_inside() -> None:
+    hole = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
+    oracle = Oracle(make_field(starts=[(39.5, 50.0)], holes=[hole]))
+    assert oracle.step([(1.0, 0.0)]).wall == [False]
+    assert oracle.robots[0].x == 40.0
+    assert oracle.step([(1.0, 0.0)]).wall == [True]
+    assert oracle.robots[0].x == 40.0
+
+
+def test_standing_still_the_start_is_new_ground_once() -> None:
+    oracle = Oracle(make_field(starts=[(20.0, 20.0)]))
+    rewards = [oracle.step([STILL]).team_reward for _ in range(3)]
+    assert rewards == [-10.0, -100.0, -100.0]
+
+
+def test_the_later_robot_sees_the_ground_of_the_earlier_one_in_the_same_step() -> None:
+    field = make_field(starts=[(20.0, 20.0), (20.0, 20.0)])
+    step = Oracle(field, safety_distance=0.0).step([STILL, STILL])
+    assert step.revisit == [False, True]
+    assert step.team_reward == -110.0
+
+
+def test_roi_at_exactly_the_radius_is_visited_by_the_lowest_index() -> None:
+    field = make_field(starts=[(80.0, 90.0), (100.0, 90.0)], rois=[(90.0, 90.0), (10.0, 10.0)])
+    oracle = Oracle(field)
+    step = oracle.step([STILL, STILL])
+    assert step.reached == [1, 0]
+    assert oracle.visit_code == 2  # the first ROI is the most significant of two bits
+    assert step.team_reward == 10_000.0 - 20.0
+
+
+def test_exactly_the_safety_distance_is_no_collision_and_closer_is() -> None:
+    apart = Oracle(make_field(starts=[(20.0, 20.0), (30.0, 20.0)]))
+    assert not apart.step([STILL, STILL]).terminated
+    step = apart.step([(1.0, 0.0), STILL])
+    assert step.terminated
+    assert step.team_reward == -100_000.0
+    assert step.rewards == [-50_000.0, -50_000.0]
+
+
+def test_collision_wins_over_success() -> None:
+    starts = [(90.0, 90.0), (92.0, 90.0)]
+    released = Oracle(make_field(starts))
+    assert released.step([STILL, STILL]).team_reward == -100_000.0
+    assert (released.success, released.collision) == (False, True)
+    formal = Oracle(make_field(starts), reward="formal")
+    assert formal.step([STILL, STILL]).team_reward == -100_000.0 + 100_000.0 - 10.0 + 10.0
+
+
+def test_clean_success_returns_the_formula() -> None:
+    field = make_field(starts=[(20.0, 20.0), (50.0, 20.0)], rois=[(28.0, 12.0), (50.0, 40.0)])
+    oracle = Oracle(field)
+    while not oracle.step([(1.0, 0.0), (0.25, 1.0)]).terminated and oracle.steps < 50:
+        pass
+    assert oracle.success
+    assert oracle.episode_return == 2 * 10_000 + 100_000 - 2 * 10 * oracle.steps
+
+
+def test_formal_reward_by_hand() -> None:
+    field = make_field(starts=[(20.0, 20.0), (0.0, 60.0)])
+    oracle = Oracle(field, reward="formal")
+    assert oracle.step([STILL, STILL]).team_reward == -10.0 - 100.0  # the state of the reset
+    assert oracle.step([(1.0, 0.0), STILL]).team_reward == -10.0 + 10.0  # clean and new
+    step = oracle.step([(1.0, 0.0), (-1.0, 0.0)])  # one outside: no charge for a clean step
+    assert step.team_reward == -10_000.0 + 10.0
+    assert step.terms[0] == dict(step.terms[0], step=5.0, wall=0.0)
+    assert step.terms[1] == dict(step.terms[1], step=5.0, wall=-10_000.0)
+
+
+def test_the_time_limit_truncates_and_never_terminates() -> None:
+    oracle = Oracle(make_field(starts=[(20.0, 20.0)]), max_steps=2)
+    first, second = oracle.step([STILL]), oracle.step([STILL])
+    assert (first.terminated, first.truncated) == (False, False)
+    assert (second.terminated, second.truncated) == (False, True)
+
+
+def test_metrics_by_hand() -> None:
+    oracle = Oracle(make_field(starts=[(0.0, 50.0)], rois=[(0.0, 50.0), (90.0, 90.0)]))
+    oracle.step([(1.0, 0.0)])  # to x = 0.5
+    oracle.step([(-1.0, 0.0)])  # velocity 0: stays
+    oracle.step([(-1.0, 0.0)])  # back to x = 0
+    oracle.step([(-1.0, 0.0)])  # into the wall
+    assert oracle.metrics() == {
+        "success": False,
+        "collision": False,
+        "rois_visited": 1,
+        "steps": 4,
+        "episode_return": 10_000.0 - 10.0 - 100.0 - 10.0 - 100.0 - 10_000.0,
+        "wall_hits": [1],
+        "path_length": [1.0],
+        "impulse": [1.0],  # |0.5 - 0.5 - 0.5 - 0.5|
+        "return_": [-220.0],
+    }

@@ -1,0 +1,355 @@
+"""Episodes: recorded from every form of the environment, kept as JSON, replayed bit for bit."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from mbn_marl import BatchEngine, centralized_env, env, load_field, parallel_env
+from mbn_marl.config import make_config
+from mbn_marl.episode import (
+    Episode,
+    EpisodeRecorder,
+    check_episode,
+    load_episode,
+    play,
+    save_episode,
+)
+from mbn_marl.errors import ConfigError, EpisodeError, MbnError
+
+SETTINGS: dict[str, Any] = {"wind": (0.2, 30.0), "max_steps": 40}
+ROOT = Path(__file__).parents[2]
+
+
+def moves(steps: int, robots: int = 3, seed: int = 0) -> Any:
+    """Random actions (steps, robots, 2), some of them beyond what is allowed."""
+    return np.random.default_rng(seed).normal(0.0, 0.7, (steps, robots, 2)).astype(np.float32)
+
+
+def drive_parallel(chosen: Any) -> tuple[Any, list[float]]:
+    world = parallel_env("field_03", **SETTINGS)
+    with EpisodeRecorder(world, source="test") as recorder:
+        world.reset(seed=5)
+        for one in chosen:
+            world.step(dict(zip(world.agents, one, strict=True)))
+    return recorder, world.state()[:6].tolist()
+
+
+def drive_aec(chosen: Any) -> tuple[Any, list[float]]:
+    world = env("field_03", **SETTINGS)
+    world.reset(seed=5)
+    with EpisodeRecorder(world, source="test") as recorder:
+        for one in chosen.reshape(-1, 2):
+            world.step(one)
+    return recorder, world.state()[:6].tolist()
+
+
+def drive_gymnasium(chosen: Any) -> tuple[Any, list[float]]:
+    world = gymnasium.make("mbn/field_03-v0", **SETTINGS)
+    with EpisodeRecorder(world, source="test") as recorder:
+        world.reset(seed=5)
+        for one in chosen:
+            state, *_ = world.step(one)
+    return recorder, state[:6].tolist()
+
+
+def drive_batch(chosen: Any) -> tuple[Any, list[float]]:
+    engine = BatchEngine(["field_02", "field_03"], 6, seed=5, **SETTINGS)
+    with EpisodeRecorder(engine, world=3, source="test") as recorder:
+        engine.reset()
+        for one in chosen:
+            batch = engine.sample_actions()
+            batch[3] = one
+            engine.step(batch)
+    return recorder, engine.state()[3, :6].tolist()
+
+
+def drive_torchrl(chosen: Any) -> tuple[Any, list[float]]:
+    torch = pytest.importorskip("torch")
+    adapters = pytest.importorskip("mbn_marl.adapters.torchrl")
+    world = adapters.NavigationEnv("field_03", 2, seed=5, **SETTINGS)
+    with EpisodeRecorder(world, world=1, source="test") as recorder:
+        data = world.reset()
+        for one in chosen:
+            both = np.stack([np.zeros_like(one), one])
+            data["robots", "action"] = torch.from_numpy(both)
+            data = world.step(data)["next"]
+    return recorder, data["state"][1, :6].tolist()
+
+
+def drive_sb3(chosen: Any) -> tuple[Any, list[float]]:
+    adapters = pytest.importorskip("mbn_marl.adapters.sb3")
+    world = adapters.CentralizedVecEnv("field_03", 2, seed=5, **SETTINGS)
+    with EpisodeRecorder(world, world=1, source="test") as recorder:
+        world.reset()
+        for one in chosen:
+            states, *_ = world.step(np.stack([np.zeros_like(one), one]).reshape(2, -1, 2))
+    return recorder, states[1, :6].tolist()
+
+
+DRIVES = [drive_parallel, drive_aec, drive_gymnasium, drive_batch, drive_torchrl, drive_sb3]
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_every_form_of_the_environment_can_be_recorded(
+    drive: Callable[[Any], tuple[Any, list[float]]], tmp_path: Path
+) -> None:
+    recorder, end = drive(moves(20))
+    (episode,) = recorder.episodes
+    assert (episode.steps, episode.seed, episode.source) == (20, 5, "test")
+    assert episode.outcome == "unfinished" and episode.field == load_field("field_03")
+    assert episode.positions[-1].ravel().tolist() == end
+    loaded = load_episode(save_episode(episode, tmp_path / "episode.json"))
+    check_episode(loaded)
+    assert_same(loaded, episode)
+
+
+def assert_same(one: Episode, other: Episode) -> None:
+    """Equal in everything, bit for bit."""
+    for name in ("field", "config", "outcome", "source", "seed"):
+        assert getattr(one, name) == getattr(other, name), name
+    for name in ("actions", "positions", "visits", "terms", "team_rewards"):
+        mine, theirs = getattr(one, name), getattr(other, name)
+        assert mine.dtype == theirs.dtype and mine.tobytes() == theirs.tobytes(), name
+
+
+@pytest.mark.parametrize("autoreset", ["same_step", "next_step", "disabled"])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"random_starts": True, "safety_distance": 3.0},
+        {"reward": "formal", "dtype": "float64", "reward_sharing": "team"},
+    ],
+    ids=["random starts", "formal"],
+)
+def test_episode_after_episode(autoreset: Any, settings: dict[str, Any]) -> None:
+    engine = BatchEngine("field_03", 3, autoreset=autoreset, max_steps=12, **settings)
+    returns, total = [], 0.0
+    with EpisodeRecorder(engine, world=2) as recorder:
+        engine.reset()
+        for _ in range(40):
+            if autoreset == "disabled" and not engine.running.all():
+                engine.reset_worlds(~engine.running)
+            _, _, terminated, truncated = engine.step(engine.sample_actions())
+            total += float(engine.team_rewards[2])
+            if terminated[2] or truncated[2]:
+                returns.append(total)
+                total = 0.0
+    episodes = recorder.episodes
+    assert len(returns) >= 3
+    finished = [one for one in episodes if one.outcome != "unfinished"]
+    assert [one.team_return for one in finished] == pytest.approx(returns, rel=1e-12)
+    starts = {one.positions[0].tobytes() for one in episodes}
+    assert len(starts) == (len(episodes) if "random_starts" in settings else 1)
+    for one in episodes:
+        check_episode(one)
+
+
+def test_what_is_recorded_is_what_happened() -> None:
+    """Two robots go for an ROI each, worked out by hand; the third stays."""
+    from mbn_marl import Field
+
+    field = Field(
+        [(0, 0), (100, 0), (100, 100), (0, 100)],
+        rois=[(20.0, 20.0), (60.0, 20.0)],
+        starts=[(9.0, 20.0), (48.5, 20.0), (80.0, 80.0)],
+    )
+    push = np.zeros((4, 3, 2))
+    push[:, 0] = push[:, 1] = (1.0, 0.0)
+    episode = play(field, make_config({"max_steps": 9}), push[:2], source="by hand")
+    # After t steps of full thrust: 0.5, then 1.5 further.
+    assert episode.positions[:, 0, 0].tolist() == [9.0, 9.5, 10.5]
+    assert episode.visits.tolist() == [2, 2]
+    assert episode.outcome == "success" and episode.team_return == 20_000 + 100_000 - 4 * 10 - 110
+    revisit = episode.terms[:, :, 1]
+    assert revisit.tolist() == [[0, 0, 0], [0, 0, -100]]
+    assert episode.snapshot(1).visited.tolist() == [False, False]
+    assert not episode.snapshot(1).success and episode.snapshot(2).success
+    assert episode.snapshot(2).team_return == episode.team_return
+    with pytest.raises(EpisodeError, match="there are 4; the episode ends after 2 steps"):
+        play(field, make_config({}), push)
+
+
+def test_an_episode_that_starts_outside_is_named() -> None:
+    episode = play(load_field("field_03"), make_config({}), np.zeros((1, 3, 2)), source="by hand")
+    positions = episode.positions.copy()
+    positions[0, 0, 0] = -7e11
+    with pytest.raises(EpisodeError, match=r"a\.json: 1 problem\n.*starts\[0\]: .*in field_03"):
+        check_episode(replace(episode, positions=positions), "a.json")
+
+
+def test_an_environment_that_goes_on_without_a_recorder(tmp_path: Path) -> None:
+    world = centralized_env("field_03")
+    world.reset(seed=0)
+    world.step(np.zeros((3, 2)))
+    with EpisodeRecorder(world) as recorder:
+        world.step(np.zeros((3, 2)))  # in the middle of an episode: not recorded
+        world.reset()
+        world.step(np.ones((3, 2)))
+    world.step(np.zeros((3, 2)))
+    (episode,) = recorder.episodes
+    assert episode.actions.tolist() == [[[1.0, 1.0]] * 3]
+    assert not world.engine.listeners
+
+
+def test_what_cannot_be_recorded_is_named() -> None:
+    with pytest.raises(MbnError, match="Env: no environment of mbn_marl"):
+        EpisodeRecorder(gymnasium.Env())
+    with pytest.raises(MbnError, match="world 4; allowed: 0 to 3"):
+        EpisodeRecorder(BatchEngine("field_03", 4), world=4)
+
+
+def test_starts_that_do_not_fit_are_listed() -> None:
+    for starts, message in (
+        (np.zeros((2, 2)), r"starts: shape \(2, 2\) of float64"),
+        (np.full((3, 2), 5.0), r"starts\[0\]: \[5.0, 5.0\]; allowed: in field_03"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            BatchEngine("field_03", 1, starts=starts)
+    with pytest.raises(ConfigError, match="allowed without random_starts"):
+        BatchEngine("field_03", 1, starts=load_field("field_03").starts, random_starts=True)
+
+
+# ---------------------------------------------------------------- files
+
+
+@pytest.fixture
+def document(tmp_path: Path) -> dict[str, Any]:
+    """The content of an episode's file."""
+    episode = play(load_field("field_03"), make_config({}), moves(12), source="test", seed=1)
+    path = save_episode(episode, tmp_path / "whole.json")
+    content: dict[str, Any] = json.loads(path.read_text())
+    del content["checksum"]  # tests change the rest
+    return content
+
+
+def test_the_file_is_small_and_can_be_read_without_this_package(document: dict[str, Any]) -> None:
+    packed = document["positions"]
+    assert packed["dtype"] == "float32" and packed["shape"] == [13, 3, 2]
+    positions = np.frombuffer(base64.b64decode(packed["data"]), "<f4").reshape(13, 3, 2)
+    assert np.array_equal(positions[0], load_field("field_03").starts.astype(np.float32))
+    coded = document["rewards"]["robots"]
+    indices = np.frombuffer(base64.b64decode(coded["indices"]["data"]), "<u1")
+    assert set(np.asarray(coded["values"])[indices]) <= {0.0, -10.0, -100.0, -10_000.0, 10_000.0}
+    assert document["wind"] == [0.0, 0.0] and "wind" not in document["config"]
+
+
+def _edited(change: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
+    def edit(text: str) -> str:
+        content = json.loads(text)
+        change(content)
+        return json.dumps(content)
+
+    return edit
+
+
+def _move_a_robot(content: dict[str, Any]) -> None:
+    packed = content["positions"]
+    positions = np.frombuffer(base64.b64decode(packed["data"]), "<f4").copy()
+    positions[6 * 4] = np.nextafter(positions[6 * 4], np.float32(1e9))  # robot 0 after 4 steps
+    packed["data"] = base64.b64encode(positions.tobytes()).decode()
+
+
+BAD: dict[str, tuple[Callable[[str], str], str]] = {
+    "cut off": (lambda text: text[: len(text) // 2], "not JSON, or cut off"),
+    "nested": (lambda text: "[" * 100_000, "not JSON, or cut off"),
+    "not text": (lambda text: "\udc80", "not JSON, or cut off"),
+    "empty": (lambda text: "", "not JSON, or cut off"),
+    "foreign": (lambda text: '{"a": 1}', "format: there is none; expected an episode"),
+    "a list": (lambda text: "[1, 2]", "format: there is none; expected an episode"),
+    "another version": (
+        _edited(lambda content: content.update(format="mbn-episode/2")),
+        "format: 'mbn-episode/2'; expected an episode in the format mbn-episode/1",
+    ),
+    "missing": (_edited(lambda content: content.pop("actions")), "actions: Field required"),
+    "too much": (_edited(lambda content: content.update(note=1)), "note: unknown name; known: "),
+    "shape": (
+        _edited(lambda content: content.update(steps=11)),
+        r"positions: shape (13, 3, 2); allowed: (12, 3, 2)",
+    ),
+    "bytes": (
+        _edited(lambda content: content["actions"].update(data="AAAA")),
+        "actions: data: 3 bytes; a float32 [12, 3, 2] has 288",
+    ),
+    "not base64": (
+        _edited(lambda content: content["actions"].update(data="?")),
+        "actions: data: not base64",
+    ),
+    "visits": (
+        _edited(lambda content: content["visits"].append(99)),
+        "visits: 7; allowed: 6, one for each ROI",
+    ),
+    "return": (
+        _edited(lambda content: content.update(team_return=1.0)),
+        "team_return: 1.0; allowed: 9550.0, the sum",
+    ),
+    "field": (_edited(lambda content: content["field"].update(vertices=[])), "field: "),
+    "config": (_edited(lambda content: content["config"].update(tau=-1)), "tau: "),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_file_that_is_no_episode_is_named(
+    case: str, document: dict[str, Any], tmp_path: Path
+) -> None:
+    change, message = BAD[case]
+    path = tmp_path / "bad.json"
+    path.write_text(change(json.dumps(document)), "utf-8", "surrogateescape")
+    with pytest.raises(EpisodeError) as caught:
+        load_episode(path)
+    assert str(path) in str(caught.value) and message in str(caught.value)
+
+
+def test_a_change_without_the_engine_is_found(tmp_path: Path) -> None:
+    episode = play(load_field("field_03"), make_config({}), moves(12), source="test", seed=1)
+    path = save_episode(episode, tmp_path / "episode.json")
+    text = path.read_text()
+    path.write_text(text.replace('"source":"test"', '"source":"tess"'))
+    with pytest.raises(EpisodeError, match="checksum: not that of what is here"):
+        load_episode(path)
+    path.write_text(json.dumps(json.loads(text), indent=1))  # the layout does not count
+    assert load_episode(path).source == "test"
+
+
+def test_what_the_engine_does_not_do_again_is_found(
+    document: dict[str, Any], tmp_path: Path
+) -> None:
+    """A single bit of one position: the step is named."""
+    path = tmp_path / "bent.json"
+    _move_a_robot(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(EpisodeError, match=r"bent.*\n.*positions: .* from step 4 on"):
+        check_episode(load_episode(path), str(path))
+    content = {**document, "outcome": "success"}
+    path.write_text(json.dumps(content))
+    with pytest.raises(EpisodeError, match="positions"):
+        check_episode(load_episode(path))
+
+
+def test_a_name_that_does_not_end_in_json(document: dict[str, Any], tmp_path: Path) -> None:
+    episode = load_episode(tmp_path / "whole.json")
+    with pytest.raises(MbnError, match=r"\.json"):
+        save_episode(episode, tmp_path / "episode.txt")
+
+
+def test_the_code_of_the_documentation_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (ROOT / "docs" / "replay.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert len(blocks) == 2
+    for block in blocks:
+        exec(compile(block, "replay.md", "exec"), names)
+    (recorded,) = names["recorder"].episodes
+    assert np.array_equal(names["positions"], recorded.positions)

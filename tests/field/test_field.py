@@ -1,0 +1,325 @@
+"""Fields: the value, and the rules, each by a case worked out by hand."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mbn_marl.errors import FieldError
+from mbn_marl.field import Field, load_field, save_field
+from tests.support.field_cases import HOLE, SQUARE, circle, square
+
+
+def problems_of(**changes: Any) -> list[str]:
+    """The problems of the square field with ``changes``."""
+    with pytest.raises(FieldError) as caught:
+        square(**changes)
+    return caught.value.problems
+
+
+class TestValue:
+    def test_arrays_edges_and_defaults(self) -> None:
+        field = square()
+        assert field.vertices.dtype == np.float64
+        np.testing.assert_array_equal(field.vertices, SQUARE)
+        np.testing.assert_array_equal(field.holes[0], HOLE)
+        np.testing.assert_array_equal(field.edges[0], [0, 0, 100, 0])
+        np.testing.assert_array_equal(field.edges[3], [0, 100, 0, 0])
+        np.testing.assert_array_equal(field.edges[7], [40, 60, 40, 40])
+        assert field.edges.shape == (8, 4)
+        assert field.polygon.area == 100 * 100 - 20 * 20
+        assert (field.arena, field.name, field.optimal_makespan) == ((1000, 1000), "custom", None)
+
+    def test_arrays_are_accepted(self) -> None:
+        same = square(
+            vertices=np.array(SQUARE, dtype=np.float32),
+            rois=np.array([[90, 90]], dtype=np.int64),
+            holes=np.array([HOLE]),
+            arena=np.array([1000, 1000]),
+        )
+        assert same == square()
+
+    def test_equal_by_value(self) -> None:
+        assert square() == square()
+        assert hash(square()) == hash(square())
+        assert square(starts=[(-0.0, 0.0)]) == square(starts=[(0.0, 0.0)])
+        assert not np.signbit(square(starts=[(-0.0, 0.0)]).starts).any()
+        for change in (
+            {"vertices": SQUARE[1:] + SQUARE[:1]},
+            {"rois": [(90.0, 91.0)]},
+            {"starts": [(10.0, 10.0)]},
+            {"holes": ()},
+            {"arena": (100, 100)},
+            {"name": "other"},
+            {"optimal_makespan": 3},
+        ):
+            assert square(**change) != square()
+        assert square() != "custom"
+
+    def test_immutable(self) -> None:
+        field = square()
+        with pytest.raises(AttributeError, match="immutable"):
+            field.name = "other"
+        with pytest.raises(AttributeError, match="immutable"):
+            del field.rois
+        for array in (field.vertices, field.rois, field.starts, field.edges, *field.holes):
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 1.0
+            with pytest.raises(ValueError, match="WRITEABLE"):
+                array.setflags(write=True)
+
+    def test_copies_are_equal(self) -> None:
+        field = square(name="mine", optimal_makespan=24, arena=(200.0, 100.0))
+        assert pickle.loads(pickle.dumps(field)) == field
+        assert copy.deepcopy(field) == field
+        assert Field(**field.to_dict()) == field
+        json.dumps(field.to_dict())
+
+    def test_repr(self) -> None:
+        assert repr(square()) == (
+            "<Field 'custom': 4 vertices, 1 holes, 1 ROIs, 2 starts, arena 1000 x 1000>"
+        )
+
+
+class TestRules:
+    """One invalid field per rule: the exact place, and no other problem."""
+
+    @pytest.mark.parametrize(
+        ("changes", "place", "words"),
+        [
+            ({"vertices": SQUARE[:2]}, "vertices", "at least 3, got 2"),
+            ({"vertices": "triangle"}, "vertices", "expected a list, got str"),
+            ({"rois": []}, "rois", "at least 1, got 0"),
+            ({"rois": None}, "rois", "expected a list, got NoneType"),
+            ({"starts": ()}, "starts", "at least 1, got 0"),
+            ({"holes": [HOLE[:2]]}, "holes[0]", "at least 3, got 2"),
+            ({"holes": 3}, "holes", "expected a list, got int"),
+            ({"rois": [(90, 80 + k / 4) for k in range(25)]}, "rois", "at most 24, got 25"),
+            ({"rois": [(90, 90), (90, 90, 0)]}, "rois[1]", "two numbers (x, y), got 3 entries"),
+            ({"rois": [(90, 90), 7]}, "rois[1]", "two numbers (x, y), got int"),
+            ({"starts": [(10, "9")]}, "starts[0].y", "expected a number, got the text '9'"),
+            ({"starts": [(True, 10)]}, "starts[0].x", "expected a number, got bool"),
+            ({"starts": [(10, 1j)]}, "starts[0].y", "expected a number, got complex"),
+            ({"starts": [(math.nan, 10)]}, "starts[0].x", "finite number"),
+            ({"rois": [(90, math.inf)]}, "rois[0].y", "finite number"),
+            ({"rois": [(90, 10**5000)]}, "rois[0].y", "finite number"),
+            ({"vertices": [*SQUARE, (-math.inf, 50)]}, "vertices[4].x", "finite number"),
+            ({"vertices": [*SQUARE, (-1, 50)]}, "vertices[4]", "outside the arena"),
+            (
+                {"vertices": [*SQUARE[:3], (0, 99)], "arena": (100, 99)},
+                "vertices[2]",
+                "(100.0, 100.0) is outside the arena [0, 100] x [0, 99]",
+            ),
+            ({"arena": (0, 100)}, "arena", "two positive sides"),
+            ({"arena": (100, 1e7)}, "arena.y", "at most 1e+06"),
+            ({"arena": 100}, "arena", "two numbers (x, y), got int"),
+            ({"vertices": [*SQUARE, (0, 0)]}, "vertices[4]", "duplicate of vertices[0]"),
+            ({"rois": [(90, 90), (80, 80), (90, 90)]}, "rois[2]", "duplicate of rois[0]"),
+            ({"starts": [(10, 10), (10, 10)]}, "starts[1]", "duplicate of starts[0]"),
+            ({"holes": [[*HOLE, HOLE[1]]]}, "holes[0][4]", "duplicate of holes[0][1]"),
+            (
+                {"vertices": [SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]]},
+                "vertices",
+                "vertices[0]-vertices[1] meets vertices[2]-vertices[3]",
+            ),
+            (  # the last corner lies on the first edge
+                {"vertices": [*SQUARE, (50, 0)]},
+                "vertices",
+                "vertices[0]-vertices[1] meets vertices[3]-vertices[4]",
+            ),
+            ({"vertices": [(0, 0), (50, 50), (100, 100)]}, "vertices", "has no area"),
+            (  # a spike
+                {"vertices": [(0, 0), (100, 0), (50, 0), (50, 50)]},
+                "vertices",
+                "vertices[0]-vertices[1] meets vertices[2]-vertices[3]",
+            ),
+            (
+                {"holes": [[HOLE[0], HOLE[2], HOLE[1], HOLE[3]]]},
+                "holes[0]",
+                "holes[0][0]-holes[0][1] meets holes[0][2]-holes[0][3]",
+            ),
+            ({"holes": [[(70, 70), (110, 70), (70, 90)]]}, "holes[0]", "inside the field"),
+            ({"holes": [[(210, 70), (310, 70), (210, 90)]]}, "holes[0]", "inside the field"),
+            ({"holes": [[(70, 70), (100, 75), (70, 80)]]}, "holes[0]", "without touching"),
+            ({"holes": [SQUARE[:3]]}, "holes[0]", "without touching"),
+            (
+                {"holes": [HOLE, [(60, 60), (70, 60), (70, 70)]]},
+                "holes[1]",
+                "touches or overlaps holes[0]",
+            ),
+            (  # one hole inside another
+                {"holes": [HOLE, [(45, 45), (55, 45), (50, 55)]]},
+                "holes[1]",
+                "touches or overlaps holes[0]",
+            ),
+            ({"rois": [(100.5, 50)]}, "rois[0]", "outside the field"),
+            ({"starts": [(10, 10), (50, 50)]}, "starts[1]", "inside holes[0]"),
+            (
+                {"starts": [(10, 10), (30, 10), (16, 18 - 1e-9)]},  # 6-8-10 triangle, but for 1e-9
+                "starts[2]",
+                "units from starts[0], less than the safety distance 10",
+            ),
+            ({"name": "../up"}, "name", "letters, digits"),
+            ({"name": "line\n"}, "name", "letters, digits"),
+            ({"name": ""}, "name", "letters, digits"),
+            ({"name": "x" * 65}, "name", "1 to 64"),
+            ({"name": 7}, "name", "letters, digits"),
+            ({"optimal_makespan": 0}, "optimal_makespan", "whole number"),
+            ({"optimal_makespan": 2.5}, "optimal_makespan", "whole number"),
+            ({"optimal_makespan": True}, "optimal_makespan", "whole number"),
+        ],
+    )
+    def test_rule(self, changes: dict[str, Any], place: str, words: str) -> None:
+        changes = {"holes": ()} | changes if "vertices" in changes else changes
+        (problem,) = problems_of(**changes)
+        assert problem.startswith(f"{place}: ")
+        assert words in problem
+
+    def test_too_many_robots_and_corners(self) -> None:
+        starts = [(5 + 10 * (k % 9), 5 + 10 * (k // 9)) for k in range(65)]
+        assert problems_of(starts=starts, holes=()) == ["starts: expected at most 64, got 65"]
+        ring = circle(501)
+        assert problems_of(vertices=ring, holes=()) == ["vertices: expected at most 500, got 501"]
+        assert problems_of(vertices=circle(497), starts=[(30, 30)], rois=[(20, 50)]) == [
+            "holes: expected at most 500 corners in the outline and all holes, got 501"
+        ]
+
+    def test_the_limits_themselves_are_valid(self) -> None:
+        starts = [(5 + 10 * (k % 8), 5 + 10 * (k // 8)) for k in range(64)]
+        field = square(starts=starts, rois=[(k, 99) for k in range(24)], holes=())
+        assert (len(field.starts), len(field.rois)) == (64, 24)
+        assert len(square(vertices=circle(496), starts=[(30, 30)], rois=[(20, 50)]).edges) == 500
+
+    def test_the_largest_field_survives_a_round_trip(self, tmp_path: Path) -> None:
+        starts = [(x / 2 + 25, y / 2 + 25) for x, y in circle(12)]
+        rois = [(x / 1.5 + 10, y / 1.5 + 10) for x, y in circle(24)]
+        field = Field(circle(500), rois, starts)
+        save_field(field, tmp_path / "custom.yaml")
+        assert load_field(tmp_path / "custom.yaml") == field
+
+    def test_boundaries_belong_to_the_field(self) -> None:
+        slanted = [(0.0, 0.0), (90.0, 30.0), (0.0, 60.0)]
+        field = Field(
+            slanted, rois=[(45.0, 15.0)], starts=[(0.0, 0.0), (0.0, 10.0)], arena=(90, 60)
+        )
+        assert len(field.starts) == 2
+        assert len(square(rois=[(40.0, 50.0), (60.0, 60.0), (100.0, 0.0)]).rois) == 3
+
+    def test_a_point_one_float_outside_is_outside(self) -> None:
+        slanted = [(0.0, 0.0), (90.0, 30.0), (0.0, 60.0)]
+        below = (45.0, math.nextafter(15.0, 0.0))
+        assert problems_of(vertices=slanted, rois=[below], starts=[(1.0, 10.0)], holes=()) == [
+            f"rois[0]: {below} is outside the field"
+        ]
+
+    def test_starts_at_the_safety_distance_are_valid(self) -> None:
+        assert len(square(starts=[(10, 10), (16, 18)]).starts) == 2
+
+    def test_all_problems_at_once(self) -> None:
+        problems = problems_of(
+            vertices=[*SQUARE, (0.0, 0.0)],
+            rois=[(90, 90), (150, 50), (50, 50), (math.nan, 1)],
+            starts=[(10, 10), (12, 10), (2000, 10)],
+            holes=[HOLE, [(55, 55), (80, 55), (80, 80)], [(1, 1), (2, 2)]],
+            arena=(1000, -1),
+            name="no/slash",
+            optimal_makespan=-1,
+        )
+        places = sorted(problem.split(": ")[0] for problem in problems)
+        assert places == [
+            "arena",
+            "holes[1]",
+            "holes[2]",
+            "name",
+            "optimal_makespan",
+            "rois[1]",
+            "rois[2]",
+            "rois[3].x",
+            "starts[1]",
+            "starts[2]",
+            "vertices[4]",
+        ]
+
+    def test_the_message_lists_every_problem(self) -> None:
+        with pytest.raises(FieldError, match="2 problems") as caught:
+            square(rois=[(150, 50), (160, 50)])
+        assert "rois[0]" in str(caught.value)
+        assert "rois[1]" in str(caught.value)
+
+
+numbers = (
+    st.floats(allow_nan=True, allow_infinity=True)
+    | st.integers(-(10**400), 10**400)
+    | st.sampled_from([0, 1, 2, 50, 100, 5e-324, 1e-200, 1e6, 1e6 + 1])
+)
+scalars = numbers | st.none() | st.booleans() | st.text(max_size=5) | st.binary(max_size=3)
+lists = st.lists(st.lists(numbers, min_size=2, max_size=2), min_size=1, max_size=12)
+trees = st.recursive(scalars, lambda inner: st.lists(inner, max_size=5), max_leaves=20)
+
+
+class TestHostileArguments:
+    @settings(max_examples=150, deadline=None)
+    @given(
+        vertices=lists | trees,
+        rois=lists | trees,
+        starts=lists | trees,
+        holes=st.lists(lists, max_size=3) | trees,
+        arena=st.tuples(numbers, numbers) | trees,
+        name=st.just("custom") | scalars,
+        optimal_makespan=st.none() | scalars,
+    )
+    def test_only_field_errors(self, **values: Any) -> None:
+        try:
+            field = Field(**values)
+        except FieldError as error:
+            assert error.problems
+        else:
+            assert field.polygon.is_valid
+
+    @settings(max_examples=150, deadline=None)
+    @given(
+        ring=st.lists(
+            st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=3, max_size=7, unique=True
+        ),
+        point=st.tuples(st.integers(0, 4), st.integers(0, 4)),
+    )
+    def test_inside_agrees_with_exact_integer_arithmetic(
+        self, ring: list[tuple[int, int]], point: tuple[int, int]
+    ) -> None:
+        corner = ring[0]
+        try:
+            Field(ring, rois=[corner], starts=[corner])
+        except FieldError:
+            return  # not a simple polygon
+        try:
+            Field(ring, rois=[point], starts=[corner])
+        except FieldError as error:
+            assert error.problems == [
+                f"rois[0]: {(float(point[0]), float(point[1]))} is outside the field"
+            ]
+            assert not _inside_or_on(ring, point)
+        else:
+            assert _inside_or_on(ring, point)
+
+
+def _inside_or_on(ring: list[tuple[int, int]], point: tuple[int, int]) -> bool:
+    """Even-odd rule on integers, the boundary included; exact."""
+    x, y = point
+    inside = False
+    for (ax, ay), (bx, by) in zip(ring, [*ring[1:], ring[0]], strict=True):
+        cross = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
+        within = min(ax, bx) <= x <= max(ax, bx) and min(ay, by) <= y <= max(ay, by)
+        if cross == 0 and within:
+            return True
+        if (ay > y) != (by > y) and (cross > 0) == (by > ay):
+            inside = not inside
+    return inside

@@ -1,0 +1,272 @@
+"""Field files: the catalogue, the format, and hostile input."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from mbn_marl.errors import FieldError
+from mbn_marl.field import FORMAT, Field, catalogue_names, json_schema, load_field, save_field
+from mbn_marl.field.safe_yaml import MAX_BYTES, MAX_DEPTH
+from tests.golden import FIELDS
+from tests.support.field_cases import VALID_FILE, problems_of_file, square, write
+
+# "Returns 160000 - 30 T*" of the ten fields, proved; the field with index k is field_{k+1:02d}.
+OPTIMAL_MAKESPANS = [40, 40, 17, 29, 31, 39, 25, 35, 83, 71]
+
+
+class TestCatalogue:
+    def test_registry_is_the_files_on_disk(self) -> None:
+        on_disk = sorted(Path(entry.name).stem for entry in _catalogue_files())
+        assert catalogue_names() == on_disk == [f"field_{k:02d}" for k in range(1, 11)]
+
+    @pytest.mark.parametrize("name", catalogue_names())
+    def test_field_is_the_golden_one(self, name: str) -> None:
+        field = load_field(name)
+        golden = FIELDS[name]
+        assert field.to_dict() == {
+            "name": name,
+            "optimal_makespan": OPTIMAL_MAKESPANS[catalogue_names().index(name)],
+            "arena": [1000.0, 1000.0],
+            "vertices": golden["vertices"],
+            "holes": [],
+            "rois": golden["rois"],
+            "starts": golden["starts"],
+        }
+
+    def test_files_name_their_schema(self) -> None:
+        for entry in _catalogue_files():
+            first = entry.read_text(encoding="utf-8").splitlines()[0]
+            assert first == "# yaml-language-server: $schema=field.schema.json"
+
+    def test_committed_schema_is_the_models(self) -> None:
+        text = files("envs_catalog").joinpath("field.schema.json").read_text(encoding="utf-8")
+        assert json.loads(text) == json_schema()
+
+    def test_schema_holds_the_limits(self) -> None:
+        schema = json_schema()
+        assert schema["required"] == ["format", "vertices", "rois", "starts"]
+        assert schema["additionalProperties"] is False
+        assert schema["properties"]["format"]["const"] == FORMAT
+        assert schema["properties"]["rois"]["maxItems"] == 24
+        assert schema["properties"]["starts"]["maxItems"] == 64
+
+    def test_unknown_name_suggests_and_lists(self) -> None:
+        with pytest.raises(FieldError, match=r"did you mean .*field_03") as caught:
+            load_field("field_3")
+        assert all(name in str(caught.value) for name in catalogue_names())
+        with pytest.raises(FieldError, match=r"unknown field; known: field_01"):
+            load_field("zebra")
+
+
+def _catalogue_files() -> list[Any]:
+    return [entry for entry in files("envs_catalog").iterdir() if entry.name.endswith(".yaml")]
+
+
+class TestFiles:
+    @pytest.mark.parametrize("name", ["custom_5x8", "custom_7x10"])
+    def test_round_trip_of_golden_fields(self, tmp_path: Path, name: str) -> None:
+        field = Field(**FIELDS[name], name=name)
+        save_field(field, tmp_path / "copy.yaml")
+        assert load_field(tmp_path / "copy.yaml") == field
+
+    def test_round_trip_of_everything(self, tmp_path: Path) -> None:
+        field = square(
+            rois=[(1e-7, 0.1 + 0.2), (100 / 3, math.pi)],
+            arena=(100.0, 123.456),
+            name="123",
+            optimal_makespan=24,
+        )
+        save_field(field, tmp_path / "copy.yaml")
+        assert load_field(str(tmp_path / "copy.yaml")) == field
+
+    def test_a_field_loads_as_itself(self) -> None:
+        field = square()
+        assert load_field(field) is field
+
+    def test_name_defaults_to_the_stem(self, tmp_path: Path) -> None:
+        assert load_field(write(tmp_path, VALID_FILE, "my field.yaml")).name == "my_field"
+        assert load_field(write(tmp_path, VALID_FILE + "name: given")).name == "given"
+
+    def test_empty_optional_keys_are_absent(self, tmp_path: Path) -> None:
+        path = write(tmp_path, VALID_FILE + "holes:\narena:\noptimal_makespan:\n")
+        assert load_field(path) == load_field(write(tmp_path, VALID_FILE))
+
+    def test_json_and_its_numbers(self, tmp_path: Path) -> None:
+        field = square(rois=[(1e-7, 50.0)])
+        document = {"format": FORMAT, **field.to_dict()}
+        assert load_field(write(tmp_path, json.dumps(document), "field.json")) == field
+
+    def test_a_failed_save_leaves_the_old_file(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        path = tmp_path / "field.yaml"
+        save_field(square(), path)
+
+        def disk_full(descriptor: int) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr("os.fsync", disk_full)
+        with pytest.raises(OSError, match="No space left"):
+            save_field(square(name="newer"), path)
+        assert load_field(path) == square()
+        assert list(tmp_path.iterdir()) == [path]
+
+    def test_structure_and_geometry_are_reported_together(self, tmp_path: Path) -> None:
+        problems = problems_of_file(
+            tmp_path,
+            "format: mbn-field/9\ncolour: red\nvertices: [[0, 0], [100, 0], [100, 100], [0, x]]\n"
+            "starts: [[10, 10], [11, 10]]\n",
+        )
+        assert [problem.split(": ")[0] for problem in problems] == [
+            "format",
+            "colour",
+            "vertices[3].y",
+            "rois",
+            "starts[1]",
+        ]
+        assert "known: format, name" in problems[1]
+
+    @pytest.mark.parametrize(
+        ("text", "problem"),
+        [
+            ("", "format: missing"),
+            ("- 1\n- 2\n", "format: missing"),
+            ("vertices: []\n", "format: missing"),
+            ("format: [1\n", "line 2, column 1: "),
+            ("format: a\nformat: b\n", "line 2, column 1: duplicate key 'format'"),
+            ("{1: 2}\n", "line 1, column 2: a key must be a plain word"),
+            ("{[a, b]: 2}\n", "line 1, column 2: a key must be a plain word"),
+            ("<<: {format: a}\n", "line 1, column 1: a key must be a plain word"),
+            ("a: &anchor 1\n", "line 1, column 4: anchors and aliases are not allowed"),
+            ("a: *anchor\n", "line 1, column 4: anchors and aliases are not allowed"),
+            ("--- 1\n--- 2\n", "line 2, column 1: "),
+            ("a: !!map [1]\n", "line 1, column 4: expected a mapping"),
+            ("a: !!seq {b: 1}\n", "line 1, column 4: expected a sequence"),
+            ("a: !!bool maybe\n", "file: not readable as YAML"),
+            ('a: !!int ""\n', "file: not readable as YAML"),
+            ("a: !!float x\n", "file: not readable as YAML"),
+            ("a: 2020-99-99\n", "line 1, column 4: the tag"),
+            ("\x00", "file: not readable as YAML"),
+            ("a: " + "9" * 201, "line 1, column 4: longer than 200 characters"),
+            ("[" * (MAX_DEPTH + 1), f"line 1, column {MAX_DEPTH + 1}: nested deeper"),
+        ],
+    )
+    def test_unreadable_text(self, tmp_path: Path, text: str, problem: str) -> None:
+        (found,) = problems_of_file(tmp_path, text)
+        assert found.startswith(problem)
+
+    @pytest.mark.parametrize(
+        "source", ["missing.yaml", "no/such/file", "", ".", "\x00", "a" * 5000, "\ud800", "x#y"]
+    )
+    def test_unreadable_path(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        with pytest.raises(FieldError):
+            load_field(source)
+
+    @pytest.mark.parametrize("source", [None, 3, b"field_01", ["field_01"], {"vertices": []}])
+    def test_source_of_the_wrong_type(self, source: Any) -> None:
+        with pytest.raises(FieldError, match="expected a name, a path or a Field, got"):
+            load_field(source)
+
+    def test_folders_devices_and_binary_files(self, tmp_path: Path) -> None:
+        with pytest.raises(FieldError, match="not a regular file"):
+            load_field(tmp_path)
+        with pytest.raises(FieldError, match="not a regular file"):
+            load_field("/dev/zero")
+        (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\xfa")
+        with pytest.raises(FieldError, match="not readable as YAML"):
+            load_field(tmp_path / "binary.yaml")
+        with pytest.raises(FieldError, match="there is no 'a' to pick"):
+            load_field(f"{write(tmp_path, VALID_FILE)}#a")
+
+
+class TestHostileFiles:
+    @pytest.mark.parametrize(
+        "tag",
+        [
+            "!!python/object/apply:os.system",
+            "!!python/object/new:os.system",
+            "!!python/name:os.system",
+            "!!python/module:os",
+            "!!python/object:os.system",
+            "!custom",
+        ],
+    )
+    def test_tags_run_no_code(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tag: str
+    ) -> None:
+        def forbidden(command: str) -> int:
+            raise AssertionError(f"ran {command}")
+
+        monkeypatch.setattr("os.system", forbidden)
+        (problem,) = problems_of_file(tmp_path, f"{VALID_FILE}name: {tag} [touch gone]\n")
+        assert "is not allowed" in problem
+
+    def test_alias_bomb(self, tmp_path: Path) -> None:
+        lines = ["a0: &a0 [1, 1]"]
+        lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 30)]
+        assert "anchors" in problems_of_file(tmp_path, "\n".join(lines))[0]
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "[" * 60_000,
+            "{a: " * 15_000,
+            "- " * 30_000,
+            "? " * 30_000,
+            "a:\n" + "- [1, 2]\n" * 7_000,
+            f"{VALID_FILE}holes: [" + "[1, 1]," * 9_000 + "]",
+            f"{VALID_FILE}holes: [" + "[[1,1],[2,1],[2,2]]," * 3_200 + "]",
+            " " * MAX_BYTES,
+            "#" * (10 * MAX_BYTES),
+        ],
+        ids=["lists", "maps", "dashes", "keys", "rows", "points", "rings", "blank", "large"],
+    )
+    def test_no_hang(self, tmp_path: Path, text: str) -> None:
+        path = write(tmp_path, text)
+        started = time.process_time()
+        with pytest.raises(FieldError):
+            load_field(path)
+        assert time.process_time() - started < 1.0
+
+    @settings(max_examples=150, deadline=None)
+    @given(text=st.text(max_size=400))
+    @example(text="!!timestamp x")
+    @example(text="!!binary x")
+    @example(text="!!set {a}")
+    @example(text="!!omap [a: 1]")
+    @example(text="a: 1" + ":59" * 60)
+    def test_any_text_is_a_field_error(
+        self, tmp_path_factory: pytest.TempPathFactory, text: str
+    ) -> None:
+        path = tmp_path_factory.getbasetemp() / "fuzz.yaml"
+        path.write_bytes(text.encode("utf-8", "surrogatepass"))
+        with pytest.raises(FieldError):
+            load_field(path)
+
+    @settings(max_examples=150, deadline=None)
+    @given(data=st.data())
+    def test_a_damaged_file_is_a_field_or_a_field_error(
+        self, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+    ) -> None:
+        content = bytearray(VALID_FILE.encode())
+        for _ in range(data.draw(st.integers(1, 4))):
+            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+        path = tmp_path_factory.getbasetemp() / "damaged.yaml"
+        path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
+        try:
+            field = load_field(path)
+        except FieldError:
+            return
+        assert Field(**field.to_dict()) == field

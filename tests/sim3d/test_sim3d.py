@@ -1,0 +1,467 @@
+"""Off the plane: the deployment loop, vehicles with dynamics, and what they are seen doing."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from baselines.classical.controller import make_classical
+from baselines.cli.main import main
+from baselines.evaluation.policy import load_policy
+from baselines.evaluation.rollout import record_episode
+from baselines.zoo.entries import open_run
+from mbn_marl.engine import BatchEngine, MeasuredWorld
+from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
+from mbn_marl.field import Field, load_field, save_field
+from mbn_marl.sim3d import Deployment, Mission, PlaneSimulator, Scale, Simulator, deploy
+from mbn_marl.sim3d.deployment import Policy
+from mbn_marl.sim3d.loading import load_mujoco
+from mbn_marl.sim3d.vehicle import Vehicle
+
+if find_spec("mujoco") is None:
+    pytest.skip("MuJoCo is not installed", allow_module_level=True)
+
+from mbn_marl.sim3d.mujoco_simulator import MujocoSimulator
+from mbn_marl.sim3d.quadrotor import Quadrotor, attitude_error, wanted_attitude
+from mbn_marl.sim3d.scene import SPRAYED_WEED
+
+BEND = [(200, 150), (300, 150), (300, 170), (220, 170), (220, 250), (200, 250)]
+"""A hole that is not convex."""
+SMALL = Field(
+    vertices=[(100, 100), (400, 100), (400, 300), (100, 300)],
+    holes=[BEND],
+    rois=[(150, 150), (350, 250), (250, 200)],
+    starts=[(120, 120), (380, 120)],
+    name="bend",
+)
+
+
+class Wander:
+    """Actions that look at nothing but the observation, and push into walls."""
+
+    observes = "observations"
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        return (np.floor(seen[:, :, :2] * 185.0) % 3 - 1).astype(np.float32)
+
+
+def start(simulator: Simulator, field: Field = SMALL, **mission: Any) -> None:
+    simulator.reset(Mission(field, field.starts, **mission))
+
+
+def drive(simulator: Simulator, velocity: tuple[float, float], steps: int) -> None:
+    simulator.command(np.tile(velocity, (2, 1)))
+    for _ in range(steps):
+        simulator.step()
+
+
+# -- the plane is the environment ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("policy", "field", "settings"),
+    [
+        ("greedy", "field_03", {}),
+        ("greedy", "field_01", {"wind": (0.3, 30.0)}),
+        ("wander", "field_03", {"max_steps": 200}),
+        ("wander", "field_04", {"max_steps": 60, "reward": "formal", "random_starts": True}),
+        ("zoo", "field_03", {"wind": (0.1, 30.0)}),
+    ],
+)
+def test_the_plane_gives_the_environments_own_episode(
+    policy: str, field: str, settings: Mapping[str, Any]
+) -> None:
+    place, acting = load_field(field), policy
+    if acting == "zoo":
+        run = open_run(f"zoo:{field}")
+        settings = {**run.config["environment"], **settings}
+    makers = {
+        "greedy": lambda: make_classical("greedy", place, {}),
+        "wander": Wander,
+        "zoo": lambda: load_policy(run),
+    }
+    ours = deploy(makers[acting](), place, settings, PlaneSimulator(), seed=3).episode
+    theirs = record_episode(makers[acting](), place, settings, seed=3)
+    for name in ("actions", "positions", "visits", "terms", "team_rewards"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
+    assert (ours.outcome, ours.config) == (theirs.outcome, theirs.config)
+    if policy == "wander":
+        assert (ours.terms[..., 2] < 0).any() == (theirs.terms[..., 2] < 0).any()
+
+
+def measured(**settings: Any) -> tuple[BatchEngine, MeasuredWorld]:
+    engine = BatchEngine(SMALL, 1, autoreset=False, threads=1, **settings)
+    return engine, MeasuredWorld(engine)
+
+
+def test_positions_are_judged_where_they_were_measured() -> None:
+    engine, world = measured()
+    engine.reset()
+    command = world.command(np.ones((2, 2)))
+    np.testing.assert_array_equal(command.velocities, np.full((2, 2), 0.5))
+    world.measure([(141.0, 150.0), (380.0, 120.0)], [(9.0, -9.0), (0.0, 0.0)])
+    now = engine.snapshot()
+    assert now.visited.tolist() == [True, False, False]
+    np.testing.assert_array_equal(now.velocities[0], (5.0, -5.0))  # as far as the MDP knows speeds
+    assert engine.team_rewards[0] == 10_000.0 - 2 * 10.0
+
+
+def test_a_robot_outside_pays_and_is_where_it_is() -> None:
+    engine, world = measured()
+    engine.reset()
+    world.command(np.zeros((2, 2)))
+    world.measure([(120.0, 99.0), (380.0, 120.0)], np.zeros((2, 2)))
+    assert engine.team_rewards[0] == -10_000.0 - 2 * 10.0
+    np.testing.assert_array_equal(engine.snapshot().positions[0], (120.0, 99.0))
+    assert engine.metrics()["wall_hits"][0].tolist() == [1, 0]
+
+
+def test_a_command_out_of_the_field_is_to_stay() -> None:
+    engine, world = measured()
+    engine.reset()
+    world.command(np.zeros((2, 2)))
+    world.measure([(120.0, 102.0), (380.0, 120.0)], [(0.0, -4.0), (0.0, 0.0)])
+    command = world.command(np.zeros((2, 2)))
+    assert command.allowed.tolist() == [False, True]
+    np.testing.assert_array_equal(command.velocities, np.zeros((2, 2)))
+
+
+def test_a_vehicles_own_limit_bounds_its_commands() -> None:
+    engine = BatchEngine(SMALL, 1, autoreset=False, threads=1)
+    world = MeasuredWorld(engine, speed_limit=2.0)
+    engine.reset()
+    world.command(np.zeros((2, 2)))
+    world.measure(SMALL.starts + 5.0, [(1.9, 0.0), (0.0, 4.0)])
+    np.testing.assert_array_equal(world.command(np.ones((2, 2))).velocities, [(2, 0.5), (0.5, 2)])
+    assert engine.config.v_clip == 5.0  # the observation's scale is the policy's
+
+
+def test_a_measured_collision_ends_the_episode() -> None:
+    engine, world = measured()
+    engine.reset()
+    world.command(np.zeros((2, 2)))
+    world.measure([(150.0, 120.0), (159.9, 120.0)], np.zeros((2, 2)))
+    assert engine.snapshot().collision
+    with pytest.raises(StepError, match="has ended"):
+        world.command(np.zeros((2, 2)))
+
+
+def test_what_cannot_be_measured_is_an_error() -> None:
+    engine, world = measured()
+    engine.reset()
+    with pytest.raises(ActionError, match=re.escape("(2, 2)")):
+        world.measure([(1.0, 2.0)], [(0.0, 0.0)])
+    with pytest.raises(ActionError, match="finite"):
+        world.measure(np.full((2, 2), np.nan), np.zeros((2, 2)))
+    with pytest.raises(MbnError, match="one world"):
+        MeasuredWorld(BatchEngine(SMALL, 2, autoreset=False))
+
+
+def test_a_scale_is_above_zero() -> None:
+    with pytest.raises(ConfigError, match=r"metres: 0\.0"):
+        Scale(metres=0.0)
+    assert Scale(0.2, 0.5).speed == 0.4
+    assert Scale(0.2, 0.5).acceleration(tau=2.0) == 0.4
+
+
+# -- the quadrotor ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wind", [(0.0, 0.0), (0.4, 0.3)])
+def test_hovering_holds_its_height(wind: tuple[float, float]) -> None:
+    simulator = MujocoSimulator()
+    start(simulator, wind=wind)
+    simulator.data.qpos[2] = 0.45  # the first one begins 10 cm too high
+    for step in range(12):
+        simulator.step()
+        if step >= 2:
+            assert np.abs(simulator.motion().heights - 0.35).max() < 0.02
+
+
+def test_a_velocity_settles_within_a_step() -> None:
+    simulator = MujocoSimulator()
+    start(simulator)
+    for direction in ((1.0, 0.0), (0.0, -1.0)):
+        drive(simulator, direction, 1)
+        for _ in range(3):
+            error = simulator.motion().velocities - direction
+            assert np.abs(error).max() < 0.05  # of a unit/step, after one step of the MDP
+            assert np.abs(simulator.motion().heights - 0.35).max() < 0.02
+            simulator.step()
+
+
+@pytest.mark.parametrize("scale", [Scale(), Scale(0.2, 0.5)])
+def test_wind_moves_a_free_body_as_it_moves_a_point_mass(scale: Scale) -> None:
+    simulator = MujocoSimulator(Quadrotor(velocity_gain=0.0), scale=scale)
+    wind = 0.2 * np.array([math.cos(math.radians(30)), math.sin(math.radians(30))])
+    start(simulator, wind=tuple(wind))
+    simulator.step()
+    gained = simulator.motion().velocities
+    np.testing.assert_allclose(gained, [wind, wind], rtol=0.1)
+    angles = np.degrees(np.arctan2(gained[:, 1], gained[:, 0]))
+    np.testing.assert_allclose(angles, 30.0, atol=1.0)
+
+
+def test_a_steered_body_resists_the_wind() -> None:
+    simulator = MujocoSimulator()
+    start(simulator, wind=(0.4, 0.0))
+    drive(simulator, (0.0, 0.0), 5)
+    assert 0.02 < simulator.motion().velocities[0, 0] < 0.2
+
+
+def test_attitudes_agree_with_the_cross_product() -> None:
+    push = np.array([[0.0, 0.0, 9.81], [3.0, -2.0, 9.0]])
+    wanted = wanted_attitude(push)
+    np.testing.assert_allclose(wanted @ wanted.transpose(0, 2, 1), [np.eye(3)] * 2, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(wanted), 1.0)
+    np.testing.assert_allclose(wanted[1, :, 2], push[1] / np.linalg.norm(push[1]))
+    small = 1e-3
+    turned = np.array([[[1, 0, 0], [0, 1, -small], [0, small, 1]]])  # about +x
+    np.testing.assert_allclose(attitude_error(turned, np.eye(3)[None]), [[small, 0, 0]], atol=1e-9)
+
+
+def test_an_obstacle_stops_a_quadrotor() -> None:
+    field = Field(SMALL.vertices, SMALL.rois, [(190, 200), (380, 120)], [BEND])
+    simulator = MujocoSimulator()
+    start(simulator, field)
+    drive(simulator, (1.0, 0.0), 25)
+    free = simulator.motion().positions
+    assert free[1, 0] > 400.0  # nothing in its way
+    assert free[0, 0] < 202.0  # the block begins at 200
+
+
+def test_three_quadrotors_are_far_faster_than_time() -> None:
+    field = load_field("field_03")
+    simulator = MujocoSimulator()
+    policy = make_classical("greedy", field, {})
+    flown = deploy(policy, field, {}, simulator)
+    assert simulator.seconds == pytest.approx(flown.episode.steps)
+    assert simulator.seconds / flown.seconds >= 20.0
+
+
+# -- the balancing robot ---------------------------------------------------------------------------
+
+
+def lean(simulator: MujocoSimulator) -> float:
+    """The most that a vehicle's axis is off the vertical, degrees."""
+    return float(np.degrees(np.arccos(simulator.senses().rotations[:, 2, 2].min())))
+
+
+def test_the_balancer_stays_up_and_drives_where_it_is_told() -> None:
+    simulator = MujocoSimulator("balancer")
+    assert simulator.speed_limit == 2.0
+    start(simulator)
+    for velocity in ((2.0, 0.0), (0.0, 1.5), (-1.0, -1.0), (0.0, 0.0)):
+        for _ in range(6):
+            drive(simulator, velocity, 1)
+            assert lean(simulator) < 15.0
+        error = simulator.motion().velocities - velocity
+        assert np.abs(error).max() < 0.15
+
+
+def test_the_balancer_stays_up_in_wind() -> None:
+    simulator = MujocoSimulator("balancer")
+    start(simulator, wind=(0.4, 0.2))
+    for _ in range(20):
+        simulator.step()
+        assert lean(simulator) < 15.0
+    assert simulator.motion().velocities[0, 0] > 0.02  # and is blown along
+
+
+def test_without_control_the_balancer_falls() -> None:
+    class Idle(type(MujocoSimulator("balancer").vehicle)):  # type: ignore[misc]
+        def control(self, senses: Any, commands: Any) -> Any:
+            return np.zeros((len(commands), 2))
+
+    simulator = MujocoSimulator(Idle())
+    start(simulator)
+    simulator.data.qvel[4] = 0.1
+    for _ in range(4):
+        simulator.step()
+    assert lean(simulator) > 45.0
+
+
+# -- the whole way ---------------------------------------------------------------------------------
+
+
+def flown(policy: Policy, vehicle: str | Vehicle = "quadrotor", **settings: Any) -> Deployment:
+    with MujocoSimulator(vehicle) as simulator:
+        return deploy(policy, SMALL, settings, simulator)
+
+
+def test_a_policy_of_the_plane_flies() -> None:
+    policy = make_classical("greedy", SMALL, {})
+    ideal = deploy(policy, SMALL, {}, PlaneSimulator())
+    real = flown(make_classical("greedy", SMALL, {}))
+    assert ideal.success and real.success
+    assert ideal.makespan is not None and real.makespan is not None
+    assert 0.9 * ideal.makespan <= real.makespan <= 1.3 * ideal.makespan
+    assert 0.01 < real.tracking_error < 0.3  # units
+    assert real.separation is not None and real.separation > 10.0
+    assert ideal.tracking_error < 1e-4
+
+
+def test_a_deployment_measures_what_happened() -> None:
+    real = flown(Wander(), max_steps=30)
+    episode = real.episode
+    assert (episode.outcome, episode.steps) == ("truncated", 30)
+    assert real.makespan is None
+    gaps = [math.dist(*moment) for moment in episode.positions.tolist()]
+    assert real.separation == pytest.approx(min(gaps))
+    missed = np.diff(episode.positions.astype(float), axis=0) - real.commands
+    assert real.tracking_error == pytest.approx(np.sqrt((missed**2).sum(axis=2).mean()))
+
+
+def test_the_scene_has_what_the_field_has() -> None:
+    simulator = MujocoSimulator()
+    start(simulator)
+    names = [simulator.model.geom(k).name for k in range(simulator.model.ngeom)]
+    assert [name for name in names if name.startswith("weed")] == ["weed_0", "weed_1", "weed_2"]
+    assert sum(name.startswith("obstacle") for name in names) == len(BEND) - 2
+    np.testing.assert_allclose(simulator.model.geom("weed_1").pos[:2], (10.0, 5.0))
+    np.testing.assert_allclose(simulator.motion().positions, SMALL.starts)
+    before = simulator.model.geom("weed_1").rgba.copy()
+    simulator.spray(1)
+    after = simulator.model.geom("weed_1").rgba
+    np.testing.assert_allclose(after, [float(part) for part in SPRAYED_WEED.split()])
+    assert not np.allclose(before, after)
+    np.testing.assert_array_equal(simulator.model.geom("weed_0").rgba, before)
+
+
+@pytest.mark.parametrize("name", ["field_01", "field_10"])
+def test_any_field_makes_a_scene(name: str) -> None:
+    field = load_field(name)
+    simulator = MujocoSimulator("balancer")
+    start(simulator, field)
+    simulator.step()
+    np.testing.assert_allclose(simulator.motion().positions, field.starts, atol=0.5)
+
+
+def test_an_unknown_vehicle_names_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match="quadrotor, balancer"):
+        MujocoSimulator("helicopter")
+
+
+def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ImportError, match=r"mbn_marl\[sim3d\]"):
+        MujocoSimulator()
+
+
+# -- the command -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_file(tmp_path: Path) -> str:
+    path = tmp_path / "bend.yaml"
+    save_field(SMALL, path)
+    return str(path)
+
+
+def test_the_command_compares_and_writes(
+    small_file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbers, figure = tmp_path / "numbers.json", tmp_path / "paths.png"
+    outputs = ["--json", str(numbers), "--figure", str(figure)]
+    command = ["deploy", "greedy", "--field", small_file, "--compare", *outputs]
+    assert main(command) == 0
+    rows = json.loads(numbers.read_text())["deployments"]
+    assert [row["sim"] for row in rows] == ["plane", "mujoco"]
+    assert all(row["success"] for row in rows)
+    ratio = rows[1]["makespan"] / rows[0]["makespan"]
+    assert f"{ratio:.2f}" in capsys.readouterr().out
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    assert main(command) == 2
+    assert "already exists" in capsys.readouterr().err
+
+
+def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
+    numbers, figure = tmp_path / "numbers.json", tmp_path / "panels.png"
+    command = ["deploy", "greedy", "--field", small_file, "--wind-speeds", "0.1,0.2"]
+    assert main([*command, "--json", str(numbers), "--figure", str(figure)]) == 0
+    rows = json.loads(numbers.read_text())["deployments"]
+    assert [(row["wind_speed"], row["wind_angle"]) for row in rows] == [(0.1, 30.0), (0.2, 30.0)]
+    assert rows[0]["strongest_wind"] == 0.2
+    assert figure.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (["greedy"], "field: greedy has none of its own"),
+        (["zoo", "--field", "nowhere"], "nowhere"),
+        (["zoo:field_03", "--sim", "plane", "--compare"], "compare: allowed with mujoco"),
+        (["zoo:field_03", "--sim", "plane", "--video", "x.mp4"], "video: allowed with mujoco"),
+        (["zoo:field_03", "--figure", "x.png"], "figure: allowed with --compare"),
+        (["zoo:field_03", "--metres-per-unit", "0"], "metres: 0"),
+        (["zoo:field_03", "--video", "x.avi"], "has to end in .mp4"),
+    ],
+)
+def test_the_command_says_what_is_wrong(
+    options: list[str], problem: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["deploy", *options]) == 2
+    assert problem in capsys.readouterr().err
+
+
+# -- the film --------------------------------------------------------------------------------------
+
+
+def can_draw() -> bool:
+    """Whether MuJoCo finds an OpenGL that draws without a display."""
+    mujoco = load_mujoco()
+    try:
+        model = mujoco.MjModel.from_xml_string("<mujoco/>")
+        mujoco.Renderer(model, 16, 16).close()
+    except Exception:  # whatever the platform's OpenGL raises
+        return False
+    return True
+
+
+needs_opengl = pytest.mark.skipif(
+    not can_draw(), reason="no OpenGL without a display (Debian: libegl1 libgl1)"
+)
+
+
+@needs_opengl
+def test_drawing_does_not_depend_on_who_loads_mujoco_first() -> None:
+    code = """
+import warnings; warnings.simplefilter("ignore")
+import mujoco
+from mbn_marl.sim3d.loading import load_mujoco
+load_mujoco().Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()
+"""
+    free = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    subprocess.run([sys.executable, "-c", code], check=True, env=free)
+
+
+@needs_opengl
+def test_a_film_shows_the_mission(tmp_path: Path) -> None:
+    field = Field([(0, 0), (60, 0), (60, 45), (0, 45)], [(30, 22)], [(15, 20)], name="yard")
+    save_field(field, tmp_path / "yard.yaml")
+    video, numbers = tmp_path / "mission.mp4", tmp_path / "numbers.json"
+    command = ["deploy", "greedy", "--field", str(tmp_path / "yard.yaml"), "--json", str(numbers)]
+    assert main([*command, "--video", str(video), "--camera", "top"]) == 0
+    steps = json.loads(numbers.read_text())["deployments"][0]["steps"]
+    reader = imageio_ffmpeg.read_frames(str(video))
+    width, height = next(reader)["size"]
+    frames = [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader]
+    assert (width, height) == (960, 720)
+    assert len(frames) == 10 * steps + 1 + 20  # 20 a second, at twice the speed; then a rest
+    first, *_, last = (frame.astype(int) for frame in frames)
+    middle = np.s_[300:330, 500:530]  # on the area of the weed, right of the path
+    assert first[middle].mean(axis=(0, 1))[0] > first[middle].mean(axis=(0, 1))[1] + 20  # orange
+    assert last[middle].mean(axis=(0, 1))[1] > last[middle].mean(axis=(0, 1))[0] + 20  # green
+    assert np.abs(first - last).sum(axis=2).max() > 100

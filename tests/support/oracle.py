@@ -1,0 +1,378 @@
+"""The MDP a second time: slow, one world at a time, robot by robot.
+
+It shares nothing with the package, so that a mistake would have to be made twice to go unseen.
+Geometry is asked of shapely (the engine has its own), distances of ``math.hypot`` (the engine
+compares squares). :attr:`Step.margin` tells how close the step came to a tie; a test that compares
+two implementations stops where the margin is mere rounding.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from tests.support.wall_senses import WallSenses
+
+TERMS = ("step", "revisit", "wall", "roi", "success", "collision")
+REALS: Mapping[str, Any] = {"float64": float, "float32": np.float32}
+
+
+class FieldLike(Protocol):
+    """What the oracle needs of a field: coordinates in arena units."""
+
+    vertices: Any
+    rois: Any
+    starts: Any
+    holes: Any
+    arena: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The weights r_s, r_m, r_l, r_inf of a reward profile and the rules that use them."""
+
+    rules: str
+    small: float = 10.0
+    medium: float = 100.0
+    large: float = 10_000.0
+    infinite: float = 100_000.0
+
+
+@dataclass
+class Robot:
+    """One robot: position (units), velocity (units/step), and its sums over the episode."""
+
+    x: Any
+    y: Any
+    vx: Any
+    vy: Any
+    impulse_x: float = 0.0
+    impulse_y: float = 0.0
+    path_length: float = 0.0
+    wall_hits: int = 0
+    return_: float = 0.0
+
+    @property
+    def position(self) -> NDArray[Any]:
+        """(2,), units."""
+        return np.array([self.x, self.y])
+
+    @property
+    def velocity(self) -> NDArray[Any]:
+        """(2,), units/step."""
+        return np.array([self.vx, self.vy])
+
+    @property
+    def impulse(self) -> float:
+        """Length of the sum of its forces times tau."""
+        return math.hypot(self.impulse_x, self.impulse_y)
+
+
+@dataclass
+class Step:
+    """What happened in one step.
+
+    Attributes:
+        wall, revisit: one flag a robot. reached: ROIs that each robot visited first.
+        all_visited, collided: of the world. met_before: the joint state had been met before.
+        margin: least distance, in units, of any decision of the step from its threshold.
+        terms: one dict a robot, its individual reward by term.
+        team_reward: the centralised reward. rewards: one a robot, after reward sharing.
+        terminated, truncated: the ends of an episode.
+    """
+
+    wall: list[bool] = field(default_factory=list)
+    revisit: list[bool] = field(default_factory=list)
+    reached: list[int] = field(default_factory=list)
+    all_visited: bool = False
+    collided: bool = False
+    met_before: bool = False
+    margin: float = math.inf
+    terms: list[dict[str, float]] = field(default_factory=list)
+    team_reward: float = 0.0
+    rewards: list[float] = field(default_factory=list)
+    terminated: bool = False
+    truncated: bool = False
+
+
+class Oracle:
+    """One world of the multi-robot navigation MDP.
+
+    The settings have the names, units and defaults of the engine's. ``reward`` is ``"released"``,
+    ``"formal"`` or any object with the attributes of :class:`Profile`; ``mass`` is one number or
+    one per robot.
+    """
+
+    def __init__(
+        self,
+        field: FieldLike,
+        *,
+        n_robots: int | None = None,
+        reward: Any = "released",
+        reward_sharing: str = "individual",
+        wind: tuple[float, float] = (0.0, 0.0),
+        max_steps: int = 1000,
+        dtype: str = "float64",
+        f_max: float = 0.5,
+        v_clip: float = 5.0,
+        tau: float = 1.0,
+        mass: float | Sequence[float] = 1.0,
+        safety_distance: float = 10.0,
+        roi_radius: float = 10.0,
+        observation: str = "relative",
+        one_hot: bool = False,
+        sensing_radius: float = 100.0,
+    ) -> None:
+        real = self.real = REALS[dtype]
+        self.n = len(field.starts) if n_robots is None else n_robots
+        self.starts = [(float(x), float(y)) for x, y in field.starts]
+        self.rois = [(real(x), real(y)) for x, y in field.rois]
+        self.width, self.height = (real(side) for side in field.arena)
+        self.polygon = shapely.Polygon(field.vertices, field.holes)
+        self.boundary = self.polygon.boundary
+        shapely.prepare(self.polygon)
+        shapely.prepare(self.boundary)
+        self.profile = Profile(rules=reward) if isinstance(reward, str) else reward
+        self.team_sharing = reward_sharing == "team"
+        speed, angle = wind
+        self.wind_x = real(speed * math.cos(math.radians(angle)))
+        self.wind_y = real(speed * math.sin(math.radians(angle)))
+        masses = [mass] * self.n if isinstance(mass, int | float) else list(mass)
+        self.masses = [real(one) for one in masses]
+        self.f_max, self.v_clip, self.tau = real(f_max), real(v_clip), real(tau)
+        self.safety_distance, self.roi_radius = safety_distance, roi_radius
+        self.max_steps = max_steps
+        self.observation, self.one_hot = observation, one_hot
+        self.sensing_radius = sensing_radius
+        self.reset()
+
+    def reset(self, positions: Sequence[Sequence[float]] | None = None) -> None:
+        """Start an episode, at the field's own starts or at ``positions`` (n, 2)."""
+        zero = self.real(0.0)
+        spots = self.starts[: self.n] if positions is None else positions
+        self.robots = [Robot(self.real(x), self.real(y), zero, zero) for x, y in spots]
+        self.visited = [False] * len(self.rois)
+        self.stood_on: set[tuple[float, float]] = set()
+        self.joint_states = {self.state()}
+        self.steps = 0
+        self.episode_return = 0.0
+        self.success = self.collision = False
+
+    @property
+    def visit_code(self) -> int:
+        """The visit bits as a number; the first ROI is the most significant bit."""
+        return int("".join("1" if seen else "0" for seen in self.visited), 2)
+
+    def state(self) -> tuple[float, ...]:
+        """The paper's vector (4n+1,): all positions, all velocities, the visit code."""
+        positions = [value for robot in self.robots for value in (robot.x, robot.y)]
+        velocities = [value for robot in self.robots for value in (robot.vx, robot.vy)]
+        return (*positions, *velocities, float(self.visit_code))
+
+    def step(self, actions: Sequence[Sequence[float]]) -> Step:
+        """Move every robot by ``actions`` (n, 2), numbers that are clipped to [-1, 1]."""
+        step = Step()
+        for robot, mass, action in zip(self.robots, self.masses, actions, strict=True):
+            step.wall.append(self._move(robot, mass, action, step))
+            spot = (robot.x, robot.y)
+            step.revisit.append(spot in self.stood_on)
+            self.stood_on.add(spot)
+            step.reached.append(self._visit(robot, step))
+        step.all_visited = all(self.visited)
+        step.collided = self._any_collision(step)
+        state = self.state()
+        step.met_before = state in self.joint_states
+        self.joint_states.add(state)
+        self.steps += 1
+        self._end(step)
+        self._reward(step)
+        return step
+
+    def observe(
+        self, i: int, missing: int = 0, shift: tuple[float, float] = (0.0, 0.0)
+    ) -> NDArray[np.float32]:
+        """What robot i sees, (size,), or would see if it stood elsewhere by ``shift``.
+
+        ``missing`` is by how many ROIs the field has fewer than another of a batch: they are seen
+        as visited, and where the first one is.
+        """
+        here = self.robots[i]
+        me = replace(here, x=here.x + self.real(shift[0]), y=here.y + self.real(shift[1]))
+        rois = [*zip(self.rois, self.visited, strict=True), *[(self.rois[0], True)] * missing]
+        others = [other for other in self.robots if other is not here]
+        if self.observation == "state":
+            seen = [body.position for body in (me, *others)]
+            seen += [body.velocity for body in (me, *others)]
+            seen.append(np.array([self.visit_code]))
+        else:
+            half = np.array([self.width, self.height]) / 2
+            low_x, low_y, high_x, high_y = self.polygon.bounds
+            middle = np.array([low_x + high_x, low_y + high_y]) / 2
+            centre = middle if self.observation == "lidar" else half
+            seen = [(me.position - centre) / half, me.velocity / self.v_clip]
+            for other in others:
+                turn = (other.velocity - me.velocity) / (2 * self.v_clip)
+                seen += self._sight(other.position - me.position, turn)
+                if self.observation == "lidar":
+                    distance = math.dist(other.position, me.position)
+                    seen.append([max(0.0, 1.0 - distance / self.sensing_radius)])
+            for roi, visited in rois:
+                offset = np.array(roi) - me.position
+                seen += self._sight(offset)
+                if self.observation == "lidar":
+                    seen.append(offset / (math.hypot(*offset) + 1.0))
+                seen.append([visited])
+            if self.observation == "lidar":
+                seen.append(self._walls(me, self.masses[i]))
+        if self.one_hot:
+            seen.append(np.eye(self.n)[i])
+        return np.concatenate(seen).astype(np.float32)
+
+    def _sight(self, offset: NDArray[Any], *more: NDArray[Any]) -> list[NDArray[Any]]:
+        """Something at an offset, in arenas; ``local`` flags it, or blanks what is too far."""
+        entries = [offset / np.array([self.width, self.height]), *more]
+        if self.observation != "local":
+            return entries
+        near = math.hypot(*offset) <= self.sensing_radius
+        return [np.array([near]), *(near * entry for entry in entries)]
+
+    def _walls(self, me: Robot, mass: Any) -> list[float]:
+        """What ``lidar`` sees of the walls."""
+        axes = [(self.f_max / mass, wind) for wind in (self.wind_x, self.wind_y)]
+        senses = WallSenses(self.polygon, float(self.v_clip), float(self.tau), self.sensing_radius)
+        return senses.entries(me.position.astype(float), me.velocity.astype(float), axes)
+
+    def metrics(self) -> dict[str, Any]:
+        """Sums over the episode so far, under the engine's names."""
+        return {
+            "success": self.success,
+            "collision": self.collision,
+            "rois_visited": sum(self.visited),
+            "steps": self.steps,
+            "episode_return": self.episode_return,
+            "wall_hits": [robot.wall_hits for robot in self.robots],
+            "path_length": [robot.path_length for robot in self.robots],
+            "impulse": [robot.impulse for robot in self.robots],
+            "return_": [robot.return_ for robot in self.robots],
+        }
+
+    def _move(self, robot: Robot, mass: Any, action: Sequence[float], step: Step) -> bool:
+        """Rules 1 to 3. Returns whether the robot tried to leave the field."""
+        real = self.real
+        force_x = clip(real(action[0]), real(-1.0), real(1.0)) * self.f_max
+        force_y = clip(real(action[1]), real(-1.0), real(1.0)) * self.f_max
+        robot.vx = clip(robot.vx + force_x / mass + self.wind_x, -self.v_clip, self.v_clip)
+        robot.vy = clip(robot.vy + force_y / mass + self.wind_y, -self.v_clip, self.v_clip)
+        x = robot.x + robot.vx * self.tau
+        y = robot.y + robot.vy * self.tau
+        step.margin = min(step.margin, self.boundary.distance(shapely.Point(x, y)))
+        outside = not shapely.intersects_xy(self.polygon, x, y)
+        if outside:
+            robot.vx = robot.vy = real(0.0)
+            robot.wall_hits += 1
+            x, y = robot.x, robot.y
+        x, y = clip(x, real(0.0), self.width), clip(y, real(0.0), self.height)
+        robot.path_length += math.hypot(x - robot.x, y - robot.y)
+        robot.impulse_x += float(force_x * self.tau)
+        robot.impulse_y += float(force_y * self.tau)
+        robot.x, robot.y = x, y
+        return outside
+
+    def _visit(self, robot: Robot, step: Step) -> int:
+        """Rule 5. Returns how many ROIs the robot is the first to reach."""
+        count = 0
+        for index, (x, y) in enumerate(self.rois):
+            if not self.visited[index]:
+                distance = math.hypot(robot.x - x, robot.y - y)
+                step.margin = min(step.margin, abs(distance - self.roi_radius))
+                if distance <= self.roi_radius:
+                    self.visited[index] = True
+                    count += 1
+        return count
+
+    def _any_collision(self, step: Step) -> bool:
+        """The predicate of rule 7: some pair is closer than the safety distance."""
+        found = False
+        for i, one in enumerate(self.robots):
+            for other in self.robots[:i]:
+                distance = math.hypot(one.x - other.x, one.y - other.y)
+                step.margin = min(step.margin, abs(distance - self.safety_distance))
+                found = found or distance < self.safety_distance
+        return found
+
+    def _end(self, step: Step) -> None:
+        """Rules 6 to 8: a collision wins over success, both over the time limit."""
+        self.collision = step.collided
+        self.success = step.all_visited and not step.collided
+        step.terminated = step.all_visited or step.collided
+        step.truncated = self.steps >= self.max_steps and not step.terminated
+
+    def _reward(self, step: Step) -> None:
+        rule = {"released": released_reward, "formal": formal_reward}[self.profile.rules]
+        step.team_reward, step.terms = rule(step, self.profile)
+        shares = [math.fsum(terms.values()) for terms in step.terms]
+        step.rewards = [step.team_reward] * self.n if self.team_sharing else shares
+        self.episode_return += step.team_reward
+        for robot, reward in zip(self.robots, step.rewards, strict=True):
+            robot.return_ += reward
+
+
+def released_reward(step: Step, profile: Profile) -> tuple[float, list[dict[str, float]]]:
+    """The released code's reward: the team's, and each robot's share by term."""
+    n = len(step.wall)
+    if step.collided:
+        return -profile.infinite, [by_term(collision=-profile.infinite / n) for _ in range(n)]
+    team = profile.infinite if step.all_visited else 0.0
+    shares = []
+    for wall, revisit, reached in zip(step.wall, step.revisit, step.reached, strict=True):
+        own = by_term(
+            step=0.0 if revisit else -profile.small,
+            revisit=-profile.medium if revisit else 0.0,
+            wall=-profile.large if wall else 0.0,
+            roi=profile.large * reached,
+        )
+        team += sum(own.values())
+        own["success"] = profile.infinite / n if step.all_visited else 0.0
+        shares.append(own)
+    return team, shares
+
+
+def formal_reward(step: Step, profile: Profile) -> tuple[float, list[dict[str, float]]]:
+    """The paper's section 3, R = R_C + R_I + R_F + R_V: the team's, and each robot's share."""
+    n = len(step.wall)
+    r_c = -profile.infinite if step.collided else 0.0
+    r_i = profile.infinite if step.all_visited else profile.large * sum(step.reached)
+    r_f = -profile.large * sum(step.wall) if any(step.wall) else -profile.small
+    r_v = -profile.medium if step.met_before else profile.small
+    shares = []
+    for wall, reached in zip(step.wall, step.reached, strict=True):
+        own = by_term(
+            wall=-profile.large if wall else 0.0,
+            roi=0.0 if step.all_visited else profile.large * reached,
+            success=profile.infinite / n if step.all_visited else 0.0,
+            collision=r_c / n,
+        )
+        if not any(step.wall):
+            own["step"] -= profile.small / n
+        if step.met_before:
+            own["revisit"] -= profile.medium / n
+        else:
+            own["step"] += profile.small / n
+        shares.append(own)
+    return r_c + r_i + r_f + r_v, shares
+
+
+def by_term(**values: float) -> dict[str, float]:
+    """A reward by term; the terms that are not given are zero."""
+    return {name: values.get(name, 0.0) for name in TERMS}
+
+
+def clip(value: Any, low: Any, high: Any) -> Any:
+    """``value`` limited to [low, high]."""
+    return min(max(value, low), high)

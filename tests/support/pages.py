@@ -1,0 +1,127 @@
+"""The code blocks of the README and of the site's pages, and a reader who does what they say."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import tyro
+
+from baselines.cli import main
+from baselines.cli.main import Command
+
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+EXTENDING = ROOT / "docs" / "extending.md"
+PAGES = [README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+BLOCK = re.compile(r"^```(.*?)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+FILE_NAME = re.compile(r"# (\S+\.ya?ml)\n")
+
+BUDGET = "--steps 1 --evaluate-every 4096 --episodes 2"
+TINY: Mapping[str, str] = {
+    "train": BUDGET,
+    "transfer": f"{BUDGET} --fields field_03",
+    "compare": f"{BUDGET} --fields field_03 --seeds 0 --processes 1",
+    "tune": f"{BUDGET} --trials 1 --processes 1",
+    "evaluate": "--episodes 2",
+    "plan": "--time-limit 5",
+    "render": "--steps 5",
+    "watch": "--episodes 1 --speed 1000",
+}
+"""What the reader adds to a command, so that it takes a moment."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A code block.
+
+    Attributes:
+        language: what follows the backticks; empty for output.
+        text: the code.
+    """
+
+    language: str
+    text: str
+
+
+def blocks_of(page: Path) -> list[Block]:
+    """The code blocks of a page, in order; those of Sphinx's directives are none."""
+    found = BLOCK.findall(page.read_text(encoding="utf-8"))
+    return [Block(language, text) for language, text in found if not language.startswith("{")]
+
+
+def commands_of(block: Block) -> Iterator[list[str]]:
+    """The command lines of a block for the shell, as words, without comments."""
+    for line in block.text.replace("\\\n", " ").splitlines():
+        if words := shlex.split(line, comments=True):
+            yield words
+
+
+def write_file(block: Block, folder: Path) -> None:
+    """Write the file that a YAML block shows, if it begins with a file's name."""
+    if name := FILE_NAME.match(block.text):
+        path = folder / name[1]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(block.text, encoding="utf-8")
+
+
+def run_mbn(words: Sequence[str]) -> None:
+    """Run ``mbn`` with a tiny budget; benchmarks are parsed only, they have tests of their own."""
+    if words[0] == "bench":
+        parse_mbn(words)
+    else:
+        assert main([*words, *TINY.get(words[0], "").split()]) == 0, shlex.join(words)
+
+
+def parse_mbn(words: Sequence[str]) -> None:
+    """Check that there is such a command."""
+    if "--help" not in words:
+        tyro.cli(Command, args=words, config=(tyro.conf.FlagCreatePairsOff,))
+
+
+def check_tool(words: Sequence[str]) -> None:
+    """Check that what a line of make, pip or python names is there."""
+    match words:
+        case ["make", target]:
+            makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+            assert re.search(rf"^{target}:", makefile, re.MULTILINE), words
+        case ["pip", "install", *rest]:
+            project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+            extras = project["project"]["optional-dependencies"]
+            named = re.search(r"\[(.*)\]", rest[-1])
+            assert rest[-1].startswith(".") and (named is None or named[1] in extras), words
+        case ["python", "-m", module, *_]:
+            assert find_spec(module), words
+        case ["python", file, *_]:
+            assert (ROOT / file).is_file(), words
+        case _:
+            raise AssertionError(f"no reader can check {shlex.join(words)}")
+
+
+def run_page(page: Path, folder: Path) -> None:
+    """Do what a page says, in order, with ``folder`` as the working directory.
+
+    Python shares its names through the page. Commands on pages of results are parsed only: they
+    are the record of what was run.
+    """
+    names: dict[str, object] = {"__name__": "__main__"}
+    run = parse_mbn if "results" in page.parts or page.name == "grid.md" else run_mbn
+    for block in blocks_of(page):
+        match block.language:
+            case "python":
+                exec(compile(block.text, str(page), "exec"), names)
+            case "yaml":
+                write_file(block, folder)
+            case "sh":
+                for words in commands_of(block):
+                    run(words[1:]) if words[0] == "mbn" else check_tool(words)
+            case "":
+                pass
+            case other:
+                raise AssertionError(f"{page.name}: no reader runs {other!r} blocks")

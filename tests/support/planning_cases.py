@@ -1,0 +1,153 @@
+"""Instances for the planner's tests, and an independent brute-force answer for small ones."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from mbn_marl.field import Field
+from tests.support.worlds import points_within, ring
+
+U_SHAPE = Field(
+    [
+        (100, 100),
+        (400, 100),
+        (400, 400),
+        (300, 400),
+        (300, 150),
+        (200, 150),
+        (200, 400),
+        (100, 400),
+    ],
+    rois=[(350, 380), (150, 380), (250, 110)],
+    starts=[(120, 390), (140, 390)],
+)
+
+
+def labyrinth(lanes: int, width: float = 20.0, length: float = 950.0, wall: float = 20.0) -> Field:
+    """Lanes one above the other, joined at alternating ends; an ROI at each end of the way."""
+    boxes = [shapely.box(10, y, 10 + length, y + width) for y in _heights(lanes, width, wall)]
+    for k, y in enumerate(_heights(lanes - 1, width, wall)):
+        x = 10 + (length - width if k % 2 == 0 else 0)
+        boxes.append(shapely.box(x, y, x + width, y + 2 * width + wall))
+    outline = np.array(shapely.union_all(boxes).exterior.coords)[:-1]
+    end = 10 + (lanes - 1) * (width + wall) + width / 2
+    return Field(outline, rois=[(20, end), (80, 20)], starts=[(20, 20), (40, 20)])
+
+
+def _heights(lanes: int, width: float, wall: float) -> list[float]:
+    return [10 + k * (width + wall) for k in range(lanes)]
+
+
+def small_field(seed: int, n: int = 2, m: int = 2) -> Field:
+    """A convex field that a robot crosses in a dozen steps."""
+    rng = np.random.default_rng(seed)
+    outline = shapely.MultiPoint(rng.uniform(0, 1, (8, 2)) * 70.0 + 300.0).convex_hull
+    inner = outline.buffer(-0.5)
+    return Field(
+        np.array(outline.exterior.coords)[:-1],
+        rois=points_within(rng, inner, m, 15.0),
+        starts=points_within(rng, inner, n, 11.0),
+    )
+
+
+def star_field(seed: int) -> Field:
+    """A star-shaped field with a hole, three robots and four ROIs."""
+    rng = np.random.default_rng(seed)
+    outline = ring(rng, np.array([500.0, 500.0]), 8, 80.0, 200.0)
+    hole = ring(rng, np.array([500.0, 500.0]), 4, 10.0, 25.0)
+    inner = shapely.Polygon(outline, [hole]).buffer(-2.0)
+    return Field(
+        outline,
+        rois=points_within(rng, inner, 4, 20.0),
+        starts=points_within(rng, inner, 3, 15.0),
+        holes=[hole],
+    )
+
+
+def brute_force(field: Field, radius: float, wind: tuple[float, float] = (0.0, 0.0)) -> int:
+    """The least makespan without collisions: every partition, every order, all visit times.
+
+    One linear program in the forces for each, discs as 48-gons of circumradius ``radius`` (so a
+    radius of 10 is at most optimistic about nothing, 10 / cos(pi / 48) about everything).
+    """
+    robots, rois = range(len(field.starts)), range(len(field.rois))
+    for steps in range(1, 200):
+        reach = {
+            (i, chosen): _can_visit(field, i, chosen, steps, radius, wind)
+            for i in robots
+            for size in range(len(rois) + 1)
+            for chosen in itertools.combinations(rois, size)
+        }
+        for owners in itertools.product(robots, repeat=len(rois)):
+            shares = [tuple(j for j in rois if owners[j] == i) for i in robots]
+            if all(reach[i, share] for i, share in enumerate(shares)):
+                return steps
+    raise AssertionError("not within 200 steps")
+
+
+def _can_visit(
+    field: Field,
+    i: int,
+    chosen: tuple[int, ...],
+    steps: int,
+    radius: float,
+    wind: tuple[float, float],
+) -> bool:
+    return any(
+        _feasible(field, i, order, times, steps, radius, wind)
+        for order in itertools.permutations(chosen)
+        for times in itertools.combinations_with_replacement(range(1, steps + 1), len(chosen))
+    )
+
+
+def _feasible(
+    field: Field,
+    i: int,
+    order: tuple[int, ...],
+    times: tuple[int, ...],
+    steps: int,
+    radius: float,
+    wind: tuple[float, float],
+) -> bool:
+    """Whether there are forces, one for each step and axis, that do it."""
+    once = np.tril(np.ones((steps, steps)))
+    pushes = np.arange(1, steps + 1)
+    velocity = [once * 0.5, once * 0.5]
+    drift = [w * pushes for w in wind]
+    position = [once @ v for v in velocity]
+    carried = [start + once @ d for start, d in zip(field.starts[i], drift, strict=True)]
+    rows: list[NDArray[np.float64]] = []
+    limits: list[float] = []
+
+    def add(step: int, x: float, y: float, limit: float) -> None:
+        """The position after ``step`` steps has to satisfy x px + y py <= limit."""
+        rows.append(np.concatenate([x * position[0][step - 1], y * position[1][step - 1]]))
+        limits.append(limit - x * carried[0][step - 1] - y * carried[1][step - 1])
+
+    zero = np.zeros((steps, steps))
+    for axis in (0, 1):
+        blocks = [zero, zero]
+        blocks[axis] = velocity[axis]
+        rows += [*np.hstack(blocks), *-np.hstack(blocks)]
+        limits += [*(5.0 - drift[axis]), *(5.0 + drift[axis])]
+    corners = np.array(shapely.geometry.polygon.orient(field.polygon).exterior.coords)
+    for a, b in itertools.pairwise(corners):
+        x, y = b[1] - a[1], a[0] - b[0]
+        for step in range(1, steps + 1):
+            add(step, x, y, x * a[0] + y * a[1])
+    for j, step in zip(order, times, strict=True):
+        for k in range(48):
+            angle = (2 * k + 1) * math.pi / 48
+            x, y = math.cos(angle), math.sin(angle)
+            inner = radius * math.cos(math.pi / 48)
+            add(step, x, y, x * field.rois[j, 0] + y * field.rois[j, 1] + inner)
+    result = linprog(
+        np.zeros(2 * steps), A_ub=np.array(rows), b_ub=limits, bounds=(-1.0, 1.0), method="highs"
+    )
+    return result.status == 0

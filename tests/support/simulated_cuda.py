@@ -1,0 +1,308 @@
+"""The CUDA backend in Numba's simulator, where kernels are Python and threads are Python's.
+
+``test_cuda.py`` runs this file in a process of its own, with NUMBA_ENABLE_CUDASIM=1. The functions
+of the MDP that the kernels call are compiled for the CPU, so all that differs from a GPU is the
+kernels' own code. torch's tensors lie on the CPU: ``SimulatedDevice`` is the only stand-in.
+"""
+
+from __future__ import annotations
+
+import copy
+import sys
+import threading
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numba.cuda.simulator.kernelapi import FakeCUDAShared
+from numpy.typing import NDArray
+
+from mbn_marl import BatchEngine
+from mbn_marl.engine import cuda, cuda_kernels
+from mbn_marl.errors import ActionError, ConfigError, StepError
+from tests.engine.test_golden import golden_field
+from tests.golden import Episode, load_episodes
+
+EVERY_NINTH = sorted(load_episodes(), key=lambda episode: len(episode.actions))[::9]
+WORLDS = 3  # with two threads in a block: the last block is not full
+# No test has one world or one robot alone: strides of other kinds would be other types to compile.
+SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 40, "wind": (0.05, 40.0)}
+
+
+class SimulatedDevice:
+    """Stands in for ``cuda.Device``: torch's CPU tensors, Numba's simulator."""
+
+    torch = torch.device("cpu")
+
+    def array(self, tensor: torch.Tensor) -> NDArray[Any]:
+        return tensor.numpy()
+
+    def is_capturing(self) -> bool:
+        return False
+
+    def launch(self, kernel: Any, blocks: int, threads: int, *arguments: Any) -> None:
+        kernel[blocks, threads](*arguments)
+
+
+@pytest.fixture(autouse=True)
+def simulator(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(cuda, "Device", SimulatedDevice)
+    monkeypatch.setattr(cuda_kernels, "MOST_THREADS", 2)
+    allocate, lock = FakeCUDAShared.array, threading.Lock()
+
+    def allocate_once(*arguments: Any) -> Any:
+        """The simulator's own would give two threads that ask at once an array each.
+
+        It tells arrays apart by the line that asks, now this one: a kernel may have one.
+        """
+        with lock:
+            return allocate(*arguments)
+
+    monkeypatch.setattr(FakeCUDAShared, "array", allocate_once)
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)  # the simulator polls its threads
+    yield
+    sys.setswitchinterval(interval)
+
+
+def pair(field: Any = "field_03", **settings: Any) -> tuple[BatchEngine, BatchEngine]:
+    """The same engine on the CPU and on the simulated device."""
+    return (
+        BatchEngine(field, WORLDS, seed=11, threads=1, **settings),
+        BatchEngine(field, WORLDS, seed=11, device="cuda", **settings),
+    )
+
+
+def assert_same(cpu: BatchEngine, gpu: BatchEngine) -> None:
+    """Everything that the engines tell, bit for bit."""
+    terminated = cpu._backend.output.terminated | cpu._backend.output.truncated
+    told = {
+        "observations": (cpu._backend.output.observations, gpu._backend.output.observations),
+        "rewards": (cpu._backend.output.rewards, gpu._backend.output.rewards),
+        "terminated": (cpu._backend.output.terminated, gpu._backend.output.terminated),
+        "truncated": (cpu._backend.output.truncated, gpu._backend.output.truncated),
+        "team_rewards": (cpu.team_rewards, gpu.team_rewards),
+        "state": (cpu.state(), gpu.state()),
+        "infos": (cpu.infos(), gpu.infos()),
+        "reward_terms": (cpu.reward_terms(), gpu.reward_terms()),
+    }
+    if cpu.autoreset == "same_step":
+        told["final observations"] = (
+            cpu.final_observations[terminated],
+            gpu.final_observations[torch.from_numpy(terminated)],
+        )
+        told["final state"] = (cpu.final_state()[terminated], gpu.final_state()[terminated])
+    theirs = gpu.metrics()
+    told |= {name: (value, theirs[name]) for name, value in cpu.metrics().items()}
+    for name, (expected, tensor) in told.items():
+        assert isinstance(tensor, torch.Tensor), name
+        got = tensor.numpy()
+        assert got.dtype == expected.dtype, name
+        np.testing.assert_array_equal(got, expected, name)
+
+
+def run(cpu: BatchEngine, gpu: BatchEngine, steps: int) -> int:
+    """Step both alike; how many episodes ended."""
+    ended = 0
+    np.testing.assert_array_equal(gpu.reset().numpy(), cpu.reset())
+    for _ in range(steps):
+        actions = cpu.sample_actions()
+        np.testing.assert_array_equal(gpu.sample_actions().numpy(), actions)
+        _, _, terminated, truncated = cpu.step(actions)
+        gpu.step(torch.from_numpy(actions))
+        ended += int((terminated | truncated).sum())
+        assert_same(cpu, gpu)
+    return ended
+
+
+@pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
+def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
+    assert run(*pair(autoreset=autoreset, **SETTINGS), steps=300) >= 15
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"field": ["field_01", "field_02"], "observation": "local", "one_hot": True},
+        {"field": ["field_05", "field_09"], "observation": "lidar"},
+        {"reward": "formal", "observation": "state", "n_robots": 2},
+        {"reward_sharing": "team", "mass": (1.0, 1.5, 2.0), "f_max": 3.0},
+    ],
+    ids=lambda settings: ", ".join(settings),
+)
+def test_equals_the_cpu_in_other_configurations(settings: dict[str, Any]) -> None:
+    run(*pair(**(SETTINGS | settings)), steps=60)
+
+
+@pytest.mark.parametrize("episode", EVERY_NINTH, ids=lambda episode: episode.id)
+def test_golden_episode(episode: Episode) -> None:
+    field = golden_field(episode.field)
+    engine = BatchEngine(
+        field, 2, device="cuda", n_robots=episode.n_robots, wind=episode.wind, autoreset=False
+    )
+    engine.reset()
+    for t, actions in enumerate(episode.actions):
+        _, _, terminated, truncated = engine.step(torch.from_numpy(np.stack([actions, actions])))
+        assert float(engine.team_rewards[0]) == episode.rewards[t]
+        assert bool(terminated[0]) == episode.terminated[t]
+        assert bool(truncated[0]) == (t == 999 and not episode.terminated[t])
+    state, n = engine.state()[0].numpy(), episode.n_robots
+    np.testing.assert_allclose(state[: 2 * n], episode.positions[-1].ravel(), rtol=0, atol=0.005)
+    assert state[4 * n] == episode.codes[-1]
+
+
+def test_worlds_that_have_ended_wait_for_their_reset() -> None:
+    cpu, gpu = pair(autoreset="disabled", **SETTINGS)
+    run_on = np.array([True, True, True])
+    cpu.reset(), gpu.reset()
+    resets = 0
+    for _ in range(130):
+        actions = cpu.sample_actions()
+        assert (gpu.sample_actions().numpy() == actions).all()
+        _, _, terminated, truncated = cpu.step(actions, run_on)
+        gpu.step(torch.from_numpy(actions), torch.from_numpy(run_on))
+        assert_same(cpu, gpu)
+        run_on = run_on & ~(terminated | truncated)
+        if run_on.sum() <= 1:
+            resets += int((~run_on).sum())
+            again = cpu.reset_worlds(~run_on)
+            assert (gpu.reset_worlds(torch.from_numpy(~run_on)).numpy() == again).all()
+            assert_same(cpu, gpu)
+            run_on = np.array([True, True, True])
+    assert resets >= 4
+
+
+def test_a_fault_rests_its_world_and_is_raised_at_the_next_reset() -> None:
+    _, gpu = pair(**SETTINGS)
+    with pytest.raises(StepError, match="world 0 was never reset"):
+        gpu.step(torch.zeros(WORLDS, 3, 2))
+        gpu.reset()
+    gpu.reset()
+    before = gpu.state()
+    actions = torch.ones(WORLDS, 3, 2)
+    actions[1, 2, 0] = torch.nan
+    actions[2, 0, 1] = torch.inf
+    _, rewards, terminated, truncated = gpu.step(actions.double())
+    moved = (gpu.state() != before).any(dim=1)
+    assert moved.tolist() == [True, False, False]
+    assert not rewards[1:].any() and not (terminated | truncated).any()
+    with pytest.raises(ActionError, match=r"actions\[1\] .* not finite"):
+        gpu.snapshot()
+    assert gpu.snapshot(0).step == 1
+    assert gpu.snapshot(1).step == 0
+    gpu.step(torch.ones(WORLDS, 3, 2), torch.tensor([True, True, False]))
+    with pytest.raises(StepError, match="world 2 is left out"):
+        gpu.reset_worlds(torch.ones(WORLDS, dtype=torch.bool))
+
+
+@pytest.mark.parametrize(
+    ("actions", "problem"),
+    [
+        (np.zeros((WORLDS, 3, 2)), "actions: ndarray; allowed: a torch tensor on cpu"),
+        (torch.zeros(WORLDS, 2, 3), r"actions: shape \(3, 2, 3\); allowed: \(3, 3, 2\)"),
+        (torch.zeros(WORLDS, 3, 2, dtype=torch.bool), "actions: dtype torch.bool"),
+    ],
+)
+def test_shapes_and_types_are_checked_at_once(actions: Any, problem: str) -> None:
+    _, gpu = pair()
+    gpu.reset()
+    with pytest.raises(ActionError, match=problem):
+        gpu.step(actions)
+    with pytest.raises(ActionError, match=r"mask: shape \(2,\)"):
+        gpu.reset_worlds(torch.ones(2, dtype=torch.bool))
+
+
+def test_outputs_are_written_in_place_and_a_copy_goes_on_alike() -> None:
+    _, gpu = pair(**SETTINGS)
+    first = gpu.reset()
+    for _ in range(20):
+        assert gpu.step(gpu.sample_actions())[0] is first
+    twin = copy.deepcopy(gpu)
+    for _ in range(30):
+        actions = gpu.sample_actions()
+        ahead = [tensor.clone() for tensor in gpu.step(actions)]
+        assert (twin.sample_actions() == actions).all()
+        assert all((a == b).all() for a, b in zip(ahead, twin.step(actions), strict=True))
+    assert twin.step(actions)[0] is not first
+
+
+def test_saved_worlds_go_on_alike() -> None:
+    _, gpu = pair(**SETTINGS)
+    gpu.reset()
+    for _ in range(20):
+        gpu.step(gpu.sample_actions())
+    saved = gpu.save_state()
+    _, other = pair(**SETTINGS)
+    other.reset(99)
+    other.load_state(saved)
+    for _ in range(30):
+        actions = gpu.sample_actions()
+        assert (other.sample_actions() == actions).all()
+        ahead = gpu.step(actions)
+        assert all((a == b).all() for a, b in zip(ahead, other.step(actions), strict=True))
+
+
+def test_seeds() -> None:
+    cpu, gpu = pair(**SETTINGS)
+    cpu.reset(), gpu.reset()
+    for seed in (5, None, 5):
+        assert (gpu.reset(seed).numpy() == cpu.reset(seed)).all()
+        assert (gpu.sample_actions().numpy() == cpu.sample_actions()).all()
+
+
+def test_snapshot() -> None:
+    cpu, gpu = pair(**SETTINGS)
+    run(cpu, gpu, 10)
+    expected, got = vars(cpu.snapshot(1)), vars(gpu.snapshot(1))
+    assert expected.keys() == got.keys()
+    for name in expected.keys() - {"field"}:
+        np.testing.assert_array_equal(got[name], expected[name], name)
+
+
+def test_torchrl_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The environment with the device's engine: its rollout is that of the CPU's."""
+    from mbn_marl.adapters import torchrl
+
+    made = []
+    for device in ("cpu", "cuda"):
+        engine = partial(BatchEngine, seed=3)
+        monkeypatch.setattr(
+            torchrl,
+            "BatchEngine",
+            lambda *a, engine=engine, d=device, **k: engine(*a, **k | {"device": d}),
+        )
+        env = torchrl.NavigationEnv("field_03", WORLDS, seed=3, **SETTINGS)
+        torch.manual_seed(0)
+        made.append(env.rollout(60, break_when_any_done=False))
+        assert env.engine.device == device
+    assert made[0]["next", "done"].any()
+    assert (made[0] == made[1]).all()
+
+
+def test_the_simulator_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    with pytest.raises(ConfigError, match=r"an NVIDIA GPU.*mbn_marl\[cuda\].*CUDASIM"):
+        BatchEngine("field_03", 2, device="cuda")
+
+
+def test_recorders_note_the_same() -> None:
+    """Starts, actions and rewards of every episode of a world, and what the engines tell of it."""
+    from mbn_marl.episode import EpisodeRecorder
+
+    cpu, gpu = pair(**{**SETTINGS, "max_steps": 3})
+    with EpisodeRecorder(cpu, 1) as ours, EpisodeRecorder(gpu, 1) as theirs:
+        for engine in (cpu, gpu):
+            engine.reset(5)
+        for _ in range(8):
+            actions = cpu.sample_actions()
+            cpu.step(actions)
+            gpu.step(torch.from_numpy(actions.copy()))
+            assert cpu.running.all() and gpu.running.all()
+    assert cpu.seed == gpu.seed == 5
+    assert len(ours._tapes) == len(theirs._tapes) >= 3
+    for tape, other in zip(ours._tapes, theirs._tapes, strict=True):
+        assert np.array_equal(tape.starts, other.starts) and tape.rewards == other.rewards
+        assert np.array_equal(tape.actions, other.actions)

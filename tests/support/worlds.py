@@ -1,0 +1,150 @@
+"""Random worlds for property tests: fields, settings and robots that get into every situation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import shapely
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from mbn_marl import Field
+from mbn_marl.config import RewardProfile
+from tests.support.oracle import Oracle
+
+BEHAVIOURS = ("seek", "uniform", "lattice", "push", "still")
+OWN_WEIGHTS = {"name": "own", "small": 0.3, "medium": 7.0, "large": 11.0, "infinite": 50.0}
+APART = 10.0
+
+
+@dataclass(frozen=True)
+class World:
+    """A field with as many starts as robots, settings of the environment, and how robots behave."""
+
+    field: Field
+    settings: dict[str, Any]
+    behaviours: tuple[str, ...]
+    seed: int
+
+
+@st.composite
+def worlds(draw: st.DrawFn, n: int, rules: Literal["released", "formal"]) -> World:
+    """A random world of n robots: its field, weights, wind, masses, limits, behaviours."""
+    seed = draw(st.integers(0, 2**32 - 1))
+    rng = np.random.default_rng(seed)
+    field = random_field(
+        rng,
+        corners=draw(st.integers(3, 9)),
+        with_hole=draw(st.booleans()),
+        n_rois=draw(st.integers(1, 8)),
+        n_starts=n,
+    )
+    settings = {
+        "reward": draw(st.sampled_from([rules, RewardProfile(rules=rules, **OWN_WEIGHTS)])),
+        "wind": draw(st.sampled_from([(0.0, 0.0), (0.1, 30.0), (0.3, 217.0)])),
+        "mass": draw(st.sampled_from([1.0, 1.7, tuple(0.5 + 0.3 * k for k in range(n))])),
+        "f_max": draw(st.sampled_from([3.0, 0.5])),
+        "tau": draw(st.sampled_from([1.0, 0.7])),
+        "roi_radius": draw(st.sampled_from([10.0, 30.0])),
+        "safety_distance": draw(st.sampled_from([APART, 3.0])),
+        "max_steps": draw(st.sampled_from([40, 7, 1000])),
+        "observation": draw(st.sampled_from(["relative", "local", "state", "lidar"])),
+        "sensing_radius": draw(st.sampled_from([60.0, 17.3])),
+        "one_hot": draw(st.booleans()),
+    }
+    one = st.sampled_from(BEHAVIOURS)
+    behaviours = draw(
+        st.one_of(one.map(lambda all_: [all_] * n), st.lists(one, min_size=n, max_size=n))
+    )
+    return World(field, settings, tuple(behaviours), seed)
+
+
+def random_field(
+    rng: np.random.Generator, *, corners: int, with_hole: bool, n_rois: int, n_starts: int
+) -> Field:
+    """A star-shaped polygon, rarely convex, perhaps with a hole about its centre."""
+    centre = rng.uniform(300.0, 700.0, 2)
+    outline = ring(rng, centre, corners, 50.0, 110.0)
+    polygon = shapely.Polygon(outline)
+    holes = []
+    if with_hole:
+        room = polygon.boundary.distance(shapely.Point(centre))
+        holes.append(ring(rng, centre, 4, 0.2 * room, 0.5 * room))
+        polygon = shapely.Polygon(outline, holes)
+    inner = polygon.buffer(-0.01)
+    return Field(
+        vertices=outline,
+        holes=holes,
+        rois=points_within(rng, inner, n_rois, 0.1),
+        starts=points_within(rng, inner, n_starts, APART),
+    )
+
+
+def ring(
+    rng: np.random.Generator, centre: NDArray[Any], corners: int, nearest: float, farthest: float
+) -> list[tuple[float, float]]:
+    """A ring about ``centre``: corners at rising angles and random distances."""
+    angles = (np.arange(corners) + rng.uniform(0.0, 0.45, corners)) * (2 * math.pi / corners)
+    radii = rng.uniform(nearest, farthest, corners)
+    return [
+        (float(centre[0] + r * math.cos(a)), float(centre[1] + r * math.sin(a)))
+        for r, a in zip(radii, angles, strict=True)
+    ]
+
+
+def points_within(
+    rng: np.random.Generator, area: shapely.Geometry, count: int, apart: float
+) -> list[tuple[float, float]]:
+    """Random points of ``area``, none closer than ``apart`` to another."""
+    low_x, low_y, high_x, high_y = area.bounds
+    points: list[tuple[float, float]] = []
+    while len(points) < count:
+        x, y = float(rng.uniform(low_x, high_x)), float(rng.uniform(low_y, high_y))
+        free = all(math.dist((x, y), other) >= apart for other in points)
+        if free and shapely.intersects_xy(area, x, y):
+            points.append((x, y))
+    return points
+
+
+class Pilot:
+    """Chooses the actions of a world's robots; looks at the oracle to seek ROIs."""
+
+    def __init__(self, world: World, oracle: Oracle) -> None:
+        self.behaviours, self.oracle = world.behaviours, oracle
+        self.rng = np.random.default_rng(world.seed)
+        self.directions = self.rng.uniform(-1.5, 1.5, (len(world.behaviours), 2))
+
+    def actions(self) -> NDArray[np.float32]:
+        """Actions (n, 2); some lie outside [-1, 1]."""
+        rows = [self._action(robot) for robot in range(len(self.behaviours))]
+        return np.array(rows, np.float32)
+
+    def _action(self, robot: int) -> Any:
+        match self.behaviours[robot]:
+            case "uniform":
+                return self.rng.uniform(-1.2, 1.2, 2)
+            case "lattice":
+                return self.rng.integers(-1, 2, 2)
+            case "push":
+                if self.rng.random() < 0.05:
+                    self.directions[robot] = self.rng.uniform(-1.5, 1.5, 2)
+                return self.directions[robot]
+            case "still":
+                return np.zeros(2)
+            case _:
+                return self._toward_roi(robot)
+
+    def _toward_roi(self, robot: int) -> NDArray[Any]:
+        body = self.oracle.robots[robot]
+        position = np.array([body.x, body.y], float)
+        velocity = np.array([body.vx, body.vy], float)
+        targets = [
+            np.array(roi, float) - position
+            for roi, seen in zip(self.oracle.rois, self.oracle.visited, strict=True)
+            if not seen
+        ]
+        nearest = min(targets, key=np.linalg.norm, default=np.zeros(2))
+        return np.clip(nearest / 4.0, -4.0, 4.0) - velocity
