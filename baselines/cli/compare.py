@@ -89,11 +89,10 @@ def train_and_compare(
         RunError: a learner broke down; all else is done and written.
         MbnError: as ``train_all_runs``.
     """
-    from rich.console import Console
-
     from baselines.compare.markdown import PAGE, write_comparison
     from baselines.compare.run import train_all_runs
     from baselines.compare.tables import print_comparison
+    from baselines.console import console
     from baselines.runs.files import RunError
     from baselines.runs.report_path import Place
     from baselines.training.progress_bar import ProgressDisplay
@@ -117,7 +116,7 @@ def train_and_compare(
             wandb=wandb,
             listener=display,
         )
-    print_comparison(write_comparison(results, Place.of(out, PAGE)), Console())
+    print_comparison(write_comparison(results, Place.of(out, PAGE)), console())
     if results.broken:
         errors = "\n".join(results.broken.values())
         raise RunError(f"{out / PAGE} leaves out the variants of runs that broke down:\n{errors}")

@@ -180,8 +180,9 @@ class Deploy:
 def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Print deployments (as ``summarise`` has them, with ``sim``) as a table, one a row."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table
+
+    from baselines.console import console
 
     caption = (
         "ratio: to the plane's makespan; apart: the smallest distance of two robots, units;\n"
@@ -213,4 +214,4 @@ def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
             f"{row['tracking_error']:.2f}",
             "-" if row["sim"] == "plane" or pace is None else f"{pace:.0f}",
         )
-    Console().print(table)
+    console().print(table)

@@ -175,8 +175,9 @@ def print_evaluations(
         optimum: the proved best return, from which the gap is measured; ``None`` for no gap.
     """
     from rich import box
-    from rich.console import Console
     from rich.table import Table
+
+    from baselines.console import console
 
     table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     headings = ["actions", "episodes", "return", "min", "max", "success", "makespan"]
@@ -196,13 +197,14 @@ def print_evaluations(
             "-" if makespan is None else f"{makespan:.1f}",
             *([] if gap is None else [f"{gap:.2%}"]),
         )
-    Console().print(table)
+    console().print(table)
 
 
 def print_winds(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Print what ``evaluate_in_wind`` returns as a table, one entry a row."""
-    from rich.console import Console
     from rich.table import Table
+
+    from baselines.console import console
 
     table = Table(title=title, caption="intervals: 95 % over the episodes")
     for heading in ("wind", "actions", "success", "return", "makespan"):
@@ -215,7 +217,7 @@ def print_winds(rows: Sequence[Mapping[str, Any]], title: str) -> None:
             _interval(row["return_interval"], "{:,.0f}"),
             _interval(row["makespan_interval"], "{:.1f}"),
         )
-    Console().print(table)
+    console().print(table)
 
 
 def _interval(interval: Mapping[str, float | None] | None, form: str) -> str:

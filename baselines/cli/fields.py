@@ -26,9 +26,9 @@ class Fields:
 
     def run(self, command_line: str) -> None:
         """Print the table, and draw the figure if one is asked for."""
-        from rich.console import Console
         from rich.table import Table
 
+        from baselines.console import console
         from mbn_marl.field import catalogue_names, load_field
         from mbn_marl.optimum import optimal_return
 
@@ -49,7 +49,7 @@ class Fields:
                 "-" if field.optimal_makespan is None else str(field.optimal_makespan),
                 "-" if optimum is None else f"{optimum:,.0f}",
             )
-        Console().print(table)
+        console().print(table)
         if self.figure is not None:
             self._draw(fields, self.figure)
 

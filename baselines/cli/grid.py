@@ -80,15 +80,14 @@ class Grid:
         return action, Path(rest[0])
 
     def _train(self, grid: Cells) -> None:
-        from rich.console import Console
-
+        from baselines.console import console
         from baselines.sweep.run import run_grid
         from baselines.sweep.status import live
         from baselines.sweep.worker import Outcome
 
-        console = Console()
+        screen = console()
         left = grid.left()
-        console.print(
+        screen.print(
             f"{len(grid.cells)} runs, {len(grid.cells) - len(left)} of them done; {grid.place}",
             soft_wrap=True,
             highlight=False,
@@ -97,11 +96,11 @@ class Grid:
             return
 
         def tell(outcome: Outcome) -> None:
-            if not console.is_terminal:
+            if not screen.is_terminal:
                 error = "" if outcome.error is None else f" ({outcome.error})"
                 print(f"{outcome.name}: {outcome.state}{error}", flush=True)
 
-        with live(grid, console):
+        with live(grid, screen):
             run_grid(
                 grid,
                 engine=self.engine,
@@ -109,21 +108,20 @@ class Grid:
                 address=self.address,
                 trust=self.trust,
                 listener=tell,
-                note=console.print,
+                note=screen.print,
             )
 
     def _watch(self, grid: Cells) -> None:
         import time
 
-        from rich.console import Console
-
+        from baselines.console import console
         from baselines.sweep.status import Status, live, show
 
-        console = Console()
-        if not console.is_terminal:
-            console.print(show(Status.of(grid)), soft_wrap=True, highlight=False)
+        screen = console()
+        if not screen.is_terminal:
+            screen.print(show(Status.of(grid)), soft_wrap=True, highlight=False)
             return
-        with live(grid, console):
+        with live(grid, screen):
             while Status.of(grid).count("done") < len(grid.cells):
                 time.sleep(grid.store.refresh)
 

@@ -113,8 +113,9 @@ def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> lis
 
 def print_plan(found: FoundPlan) -> None:
     """Print a plan as a table."""
-    from rich.console import Console
     from rich.table import Table
+
+    from baselines.console import console
 
     table = Table(title=f"plan of {found.field.name}", show_header=False)
     makespan = "none was found" if found.makespan is None else f"{found.makespan} steps"
@@ -125,4 +126,4 @@ def print_plan(found: FoundPlan) -> None:
     for robot, rois in enumerate(found.assignment):
         table.add_row(f"robot_{robot} visits", ", ".join(f"w{roi + 1}" for roi in rois) or "-")
     table.add_row("took", f"{found.seconds:.2f} s")
-    Console().print(table)
+    console().print(table)

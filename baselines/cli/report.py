@@ -36,11 +36,10 @@ class Report:
         """Write the report."""
         from functools import partial
 
-        from rich.console import Console
-
         from baselines.compare.html import SUFFIX, write_html_report
         from baselines.compare.markdown import report_comparison
         from baselines.compare.tables import print_comparison
+        from baselines.console import console
         from baselines.paper.report import write_report
         from mbn_marl.errors import ConfigError
 
@@ -56,8 +55,8 @@ class Report:
             problems.append("RUNS: at least one folder is needed")
         if problems:
             raise ConfigError("report", problems)
-        console = Console()
-        note = partial(console.print, soft_wrap=True, highlight=False)
+        screen = console()
+        note = partial(screen.print, soft_wrap=True, highlight=False)
         if one_page:
             comparison = write_html_report(
                 self.runs,
@@ -67,8 +66,8 @@ class Report:
                 trust=self.trust,
                 note=note,
             )
-            print_comparison(comparison, console)
-            console.print(f"written to {self.out}")
+            print_comparison(comparison, screen)
+            screen.print(f"written to {self.out}")
             return
         if self.paper:
             place = write_report(
@@ -89,5 +88,5 @@ class Report:
                 trust=self.trust,
                 note=note,
             )
-            print_comparison(comparison, console)
-        console.print(f"written to {place.page}; tables and figures in {place.folder}")
+            print_comparison(comparison, screen)
+        screen.print(f"written to {place.page}; tables and figures in {place.folder}")

@@ -49,8 +49,7 @@ class Tune:
 
     def run(self, command_line: str) -> None:
         """Tune, with a progress bar, and say how to train with the result."""
-        from rich.console import Console
-
+        from baselines.console import console
         from baselines.tuning.display import TuneDisplay
         from baselines.tuning.space import Space
         from baselines.tuning.study import ended, open_study
@@ -72,11 +71,11 @@ class Tune:
             num_envs=self.num_envs,
         )
         out = self.out or Path("runs") / f"tune-{self.algorithm}-{Path(self.field).stem}"
-        console = Console()
+        screen = console()
         for name in Space.of(self.algorithm).skipped:
-            console.print(f"skipped: {name}, since {self.algorithm} has no such argument")
+            screen.print(f"skipped: {name}, since {self.algorithm} has no such argument")
         before = len(ended(open_study(out))) if self.resume else 0
-        with TuneDisplay(self.trials, before, self.steps, console) as display:
+        with TuneDisplay(self.trials, before, self.steps, screen) as display:
             path = tune(
                 config,
                 out,
@@ -90,7 +89,7 @@ class Tune:
                 force=self.force,
                 listener=display,
             )
-        console.print(
+        screen.print(
             f"written to {out}: trials.csv, study.png, {path.name}. To train with it:\n"
             f"mbn train {self.algorithm} FIELD --setting B --hyperparams {path}",
             soft_wrap=True,

@@ -38,8 +38,9 @@ class Zoo:
 def print_cards(cards: list[Mapping[str, Any]]) -> None:
     """Print cards as a table, one a row: returns with sampled and with mean actions."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table
+
+    from baselines.console import console
 
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for heading in (
@@ -63,4 +64,4 @@ def print_cards(cards: list[Mapping[str, Any]]) -> None:
             f"{card['deterministic']['return_mean']:,.0f}",
             "-" if optimum is None else f"{optimum:,.0f}",
         )
-    Console().print(table)
+    console().print(table)
