@@ -1,14 +1,13 @@
 """What is printed keeps numbers and labels whole."""
 
-import os
-import pty
-import subprocess
+import io
 import sys
 
 import pytest
 from rich.table import Table
 
-from baselines.console import console
+from baselines.console import WholeCells, console
+from tests.support.terminal import in_terminal
 
 LABELS = [f"a-rather-long-label-{k}" for k in range(8)]
 PRINT = """
@@ -17,6 +16,25 @@ from baselines.console import console
 table = Table("a-rather-long-label-0", "text " * 40)
 console().print(table)
 """
+
+
+def wide_table() -> Table:
+    """Two columns of names, and four of numbers that take 12 columns each."""
+    looks = {"box": None, "padding": (0, 1, 0, 0), "pad_edge": False}
+    table = Table(title="the title", caption="the caption", **looks)
+    for heading in ("algorithm", "setting"):
+        table.add_column(heading, justify="left")
+    for k in range(4):
+        table.add_column(f"number-{k}", justify="right")
+    table.add_row("ppo", "N", *["-11,972,196"] * 4)
+    return table
+
+
+def printed(width: int) -> list[list[str]]:
+    """The words of each line that is not empty."""
+    out = io.StringIO()
+    WholeCells(width=width, file=out).print(wide_table())
+    return [line.split() for line in out.getvalue().splitlines() if line.strip()]
 
 
 def test_a_pipe_gets_a_table_in_its_natural_width(
@@ -33,17 +51,25 @@ def test_a_pipe_gets_a_table_in_its_natural_width(
 
 
 def test_a_terminal_keeps_its_width() -> None:
-    leader, follower = pty.openpty()
-    environment = {**os.environ, "COLUMNS": "50", "TERM": "xterm"}
-    process = subprocess.Popen([sys.executable, "-c", PRINT], stdout=follower, env=environment)
-    os.close(follower)
-    written = b""
-    try:
-        while block := os.read(leader, 4096):
-            written += block
-    except OSError:  # the other end is closed
-        pass
-    os.close(leader)
-    assert process.wait() == 0
-    border = written.decode().splitlines()[0]
+    border = in_terminal([sys.executable, "-c", PRINT], columns=50).splitlines()[0]
     assert border[0] == "┏" and len(border) == 50
+
+
+def test_a_table_that_is_too_wide_is_printed_in_blocks() -> None:
+    # Names take 9 + 1 + 7 columns, each number 1 + 11: two fit into 42 columns, not into 40.
+    number, names = "-11,972,196", ["algorithm", "setting"]
+    assert printed(42) == [
+        ["the", "title"],
+        [*names, "number-0", "number-1"],
+        ["ppo", "N", number, number],
+        [*names, "number-2", "number-3"],
+        ["ppo", "N", number, number],
+        ["the", "caption"],
+    ]
+    assert [line for line in printed(40) if line[0] == "algorithm"] == [
+        [*names, f"number-{k}"] for k in range(4)
+    ]
+    assert printed(66)[1:3] == [
+        [*names, *(f"number-{k}" for k in range(4))],
+        ["ppo", "N", *[number] * 4],
+    ]
