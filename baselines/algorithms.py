@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
-from mbn_marl.errors import MbnError
+from mbn_marl.errors import MbnError, unknown
 
 Form = Literal["centralized", "decentralized"]
 Setting = Literal["A", "B", "C", "N"]
@@ -131,5 +131,5 @@ def find_algorithm(name: str) -> Algorithm:
         MbnError: the name is unknown; the message lists the known ones.
     """
     if name not in ALGORITHMS:
-        raise MbnError(f"unknown algorithm {name!r}; known: {', '.join(ALGORITHMS)}")
+        raise MbnError(f"{name}: {unknown('algorithm', name, ALGORITHMS)}")
     return ALGORITHMS[name]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, TypedDict
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, unknown
 
 MAX_ROBOTS = 64
 MAX_ROIS = 24
@@ -109,8 +109,8 @@ class NavigationConfig(BaseModel):
     def _profile_by_name(cls, value: object) -> object:
         if isinstance(value, str):
             if value not in REWARD_PROFILES:
-                known = ", ".join(map(repr, REWARD_PROFILES))
-                raise ValueError(f"unknown profile {value!r}; known: {known}, or a RewardProfile")
+                wrong = unknown("profile", value, REWARD_PROFILES)
+                raise ValueError(f"{wrong}, or a RewardProfile")
             return REWARD_PROFILES[value]
         return value
 
@@ -163,15 +163,25 @@ def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
 
     Args:
         error: what pydantic raised.
-        model: what was to be made; its fields are the known names.
+        model: what was to be made; its fields, and those of the models in it, are the known names.
     """
     lines = []
     for problem in error.errors():
         place = ".".join(map(str, problem["loc"])) or model.__name__
         if problem["type"] == "extra_forbidden":
-            message = f"unknown name; known: {', '.join(model.model_fields)}"
+            *path, name = problem["loc"]
+            message = unknown("name", str(name), _level(model, path).model_fields)
         else:
             message = problem["msg"].removeprefix("Value error, ")
             message += f" (got {problem['input']!r:.80})"
         lines.append(f"{place}: {message}")
     return lines
+
+
+def _level(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseModel]:
+    """Return the model that the value at ``path`` inside ``model`` is validated as."""
+    for name in path:
+        field = model.model_fields.get(str(name))
+        if field is not None and isinstance(field.annotation, type):
+            model = field.annotation if issubclass(field.annotation, BaseModel) else model
+    return model

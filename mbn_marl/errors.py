@@ -3,10 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 
 
 class MbnError(ValueError):
     """Base of every error that bad input can cause."""
+
+
+def unknown(kind: str, name: str, known: Iterable[str]) -> str:
+    """Return what is wrong with a name that is none of ``known``: what may be meant, and all.
+
+    Args:
+        kind: of the name, such as ``"field"``.
+        name: as it was given.
+        known: the names that there are.
+    """
+    names = list(known)
+    close = get_close_matches(name[:100], names, n=3, cutoff=0.7)
+    hint = f" (did you mean {' or '.join(close)}?)" if close else ""
+    return f"unknown {kind}{hint}; known: {', '.join(names) or 'none'}"
 
 
 class ProblemsError(MbnError):

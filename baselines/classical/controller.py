@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from baselines.evaluation.policy import Policy
 from mbn_marl.config import make_config
-from mbn_marl.errors import MbnError
+from mbn_marl.errors import MbnError, unknown
 from mbn_marl.field import Field
 from mbn_marl.planning import Plan, plan
 from mbn_marl.planning.greedy import Greedy
@@ -90,7 +90,7 @@ def make_classical(
     if name == "greedy":
         return ControllerPolicy(problem, lambda positions: Greedy(problem, positions))
     if name != "planner":
-        raise MbnError(f"unknown policy {name!r}; known: {', '.join(CLASSICAL)}")
+        raise MbnError(f"{name}: {unknown('policy', name, CLASSICAL)}")
     found = plan(field, time_limit=time_limit, **settings)
     return ControllerPolicy(problem, lambda _: make_tracker(found, settings))
 

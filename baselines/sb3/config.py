@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from baselines.training.hyperparameters import Hyperparameters, read_block, validate
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, unknown
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -155,11 +155,10 @@ def read(
     config = validate(CentralizedConfig, values, place)
     accepted = accepted_arguments(learner)
     foreign = {name: value for name, value in config.model.items() if name not in accepted}
-    unknown = sorted(set(foreign) - set(TUNED_IN_PAPER))
-    if unknown:
-        known = ", ".join(sorted(accepted))
+    if strange := sorted(set(foreign) - set(TUNED_IN_PAPER)):
+        known = sorted(accepted)
         raise ConfigError(
-            place, [f"model.{name}: unknown name; known: {known}" for name in unknown]
+            place, [f"model.{name}: {unknown('name', name, known)}" for name in strange]
         )
     kept = {name: value for name, value in config.model.items() if name in accepted}
     problems = [

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mbn_marl.checksums import read_checked
 from mbn_marl.config import describe
-from mbn_marl.errors import ConfigError, FieldError
+from mbn_marl.errors import ConfigError, FieldError, unknown
 from mbn_marl.field import safe_yaml
 
 
@@ -59,8 +59,7 @@ def read_block(path: Path, name: str) -> dict[str, Any]:
     """
     blocks = read_blocks(path)
     if name not in blocks:
-        there = ", ".join(map(str, blocks)) or "none"
-        raise ConfigError(str(path), [f"{name}: no such block; there: {there}"])
+        raise ConfigError(str(path), [f"{name}: {unknown('block', name, map(str, blocks))}"])
     block: dict[str, Any] = blocks[name]
     return block
 

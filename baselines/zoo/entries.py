@@ -7,7 +7,7 @@ from typing import Any
 
 from baselines.runs.files import read_json
 from baselines.runs.folder import RunFolder
-from mbn_marl.errors import MbnError
+from mbn_marl.errors import MbnError, unknown
 
 FOLDER = Path(__file__).parent
 PREFIX = "zoo:"
@@ -40,5 +40,5 @@ def open_run(source: str, *, trust: bool = False) -> RunFolder:
         return RunFolder.open(Path(source), trust=trust)
     name, known = source.removeprefix(PREFIX), entry_names()
     if name not in known:
-        raise MbnError(f"unknown policy {source!r}; in the zoo: {', '.join(known) or 'none'}")
+        raise MbnError(f"{source}: {unknown('policy', name, known)}")
     return RunFolder.open(FOLDER / name)

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, TypeGuard
 
-from mbn_marl.errors import FieldError
+from mbn_marl.errors import FieldError, unknown
 from mbn_marl.field.field import Field
 
 UNITS = 10.0
@@ -44,9 +44,7 @@ def field_from_set(document: Mapping[str, Any], source: str, name: str) -> Field
         FieldError: listing every problem, its place in the set's own words (coordinates in units).
     """
     known = [*_KEYS, "grid_size"]
-    problems = [
-        f"{key}: unknown name; known: {', '.join(known)}" for key in document if key not in known
-    ]
+    problems = [f"{key}: {unknown('name', key, known)}" for key in document if key not in known]
     grid = _scaled(document.get("grid_size", DEFAULT_GRID))
     lists = {ours: _scaled(document.get(key, [])) for key, ours in _KEYS.items()}
     try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import yaml
 from pydantic import ValidationError
 
 from mbn_marl.config import describe
-from mbn_marl.errors import DamageError, FieldError
+from mbn_marl.errors import DamageError, FieldError, unknown
 from mbn_marl.field import authors
 from mbn_marl.field.catalogue import catalogue_file, catalogue_names
 from mbn_marl.field.field import DEFAULT_ARENA, Field
@@ -114,10 +113,7 @@ def _read(path: Path) -> bytes:
 def _not_found(text: str) -> FieldError:
     if os.sep in text or text.endswith(_SUFFIXES):
         return FieldError(text, ["file: does not exist"])
-    names = catalogue_names()
-    close = get_close_matches(text[:MAX_NAME], names, n=3, cutoff=0.7)
-    hint = f" (did you mean {' or '.join(close)}?)" if close else ""
-    return FieldError(text, [f"unknown field{hint}; known: {', '.join(names)}, or a file's path"])
+    return FieldError(text, [f"{unknown('field', text, catalogue_names())}, or a file's path"])
 
 
 def _chosen(

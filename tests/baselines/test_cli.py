@@ -118,7 +118,7 @@ def test_compare_writes_table_and_figures(
     [
         (
             ["train", "sac", "field_03"],
-            "unknown algorithm 'sac'; known: a2c, ppo, trpo, ars, crossq, tqc, mappo, ippo",
+            "sac: unknown algorithm; known: a2c, ppo, trpo, ars, crossq, tqc, mappo, ippo",
         ),
         (["train", "ppo", "field_00"], "known: field_01"),
         (["train", "ppo", "field_03", "--steps", "0"], "steps: must be at least 1"),

@@ -111,9 +111,12 @@ def test_setting_c_brings_the_run_it_begins_with() -> None:
     ("changes", "message"),
     [
         ({"algorithms": []}, "algorithms: "),
-        ({"algorithm": ["ppo"]}, "algorithm: unknown name; known: store, algorithms"),
+        (
+            {"algorithm": ["ppo"]},
+            "algorithm: unknown name (did you mean algorithms?)",
+        ),
         ({"algorithms": ["ppo", "ppo"]}, "algorithms: ppo is given twice"),
-        ({"algorithms": ["sac"]}, "unknown algorithm 'sac'; known: a2c"),
+        ({"algorithms": ["sac"]}, "sac: unknown algorithm; known: a2c"),
         ({"algorithms": ["mappo"]}, "settings: mappo has N, and none is asked for"),
         ({"fields": ["field_00"]}, "known: field_01"),
         ({"settings": ["D"]}, "settings.0: "),

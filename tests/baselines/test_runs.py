@@ -106,7 +106,7 @@ def test_train_config_lists_every_number_out_of_range() -> None:
 
 
 def test_train_config_names_unknown_algorithms_and_fields() -> None:
-    with pytest.raises(MbnError, match=r"unknown algorithm 'sac'; known: a2c, .*, ippo"):
+    with pytest.raises(MbnError, match="sac: unknown algorithm"):
         TrainConfig("sac", "field_03")
     with pytest.raises(MbnError, match="field_99"):
         TrainConfig("ppo", "field_99")

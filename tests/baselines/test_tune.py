@@ -257,7 +257,7 @@ def test_importances_need_enough_finished_trials(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["sac"], "unknown algorithm 'sac'; known: a2c, ppo"),
+        (["sac"], "sac: unknown algorithm; known: a2c, ppo"),
         (["ippo"], "ippo has no ranges to tune it in; those that have: a2c, ppo, trpo"),
         (["ppo", "--field", "field_00"], "known: field_01"),
         (["ppo", "--steps", "0"], "steps: must be at least 1"),

@@ -113,7 +113,10 @@ def test_an_unknown_name_lists_the_known_ones(
     shutil.copytree(zoo / "tiny", zoo / "other")
     assert main([*command, "zoo:../tiny"]) == 2
     error = capsys.readouterr().err
-    assert error == "mbn: error: unknown policy 'zoo:../tiny'; in the zoo: other, tiny\n"
+    assert (
+        error
+        == "mbn: error: zoo:../tiny: unknown policy (did you mean tiny?); known: other, tiny\n"
+    )
 
 
 def test_the_package_is_not_written_to(zoo: Path, capsys: pytest.CaptureFixture[str]) -> None:
