@@ -1,8 +1,8 @@
 """The classical baseline: greedy assignment and a point-to-point controller that can always brake.
 
-Each robot goes straight to the next corner or ROI on its way, as fast as it can while it can still
-stop there. An action is taken only if the robot could brake to rest after it without leaving the
-field or coming too close to the others, should they brake too. The wind shows in the first step.
+Each robot moves straight to the next corner or ROI, as fast as it can still stop there. It takes an
+action only if it could then brake to rest inside the field and apart from the others, if they brake
+too. The first step reveals the wind.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from mbn_marl.planning.problem import Floats, Problem
 from mbn_marl.planning.roadmap import Roadmap, make_roadmap
 
 CLEARANCES = (4.0, 2.0, 1.0, 0.3, 0.0)
-"""Distances to keep from walls when planning ways, in units: the largest that closes no way."""
+"""Clearances to try between paths and walls, in units; the first that closes no path is used."""
 STIR = 0.05
-"""Robots with nothing to do stir by so much of their force: standing costs a revisit."""
+"""Share of the force with which idle robots stir, since standing still costs a revisit."""
 LONGEST_BRAKE = 60
 TURNS = (0.0, 60.0, -60.0, 120.0, -120.0)
-"""Directions to try when the straight way is not free, in degrees from it."""
+"""Directions to try in turn, in degrees from the wanted one."""
 
 
 class Greedy:
-    """Drives one team through one episode.
+    """Controls one team through one episode.
 
     Args:
-        problem: the instance; it may be in other positions than the field's starts.
-        positions: (n, 2): where the robots are.
+        problem: the instance.
+        positions: (n, 2), where the robots start, which need not be the field's starts, units.
     """
 
     def __init__(self, problem: Problem, positions: Floats) -> None:
         self.problem = problem
-        self.roadmap = free_ways(problem, positions)
+        self.roadmap = clear_roadmap(problem, positions)
         self.queues = assign(self.roadmap, problem.n, problem.m)
         self.steps = 0
         self.from_rest: NDArray[np.float32] | None = None
@@ -47,7 +47,7 @@ class Greedy:
     def act(
         self, positions: FloatArray, velocities: FloatArray, visited: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
-        """Actions (n, 2) in [-1, 1].
+        """Return actions (n, 2) in [-1, 1].
 
         Args:
             positions: (n, 2), units.
@@ -83,7 +83,7 @@ class Greedy:
     def _wishes(
         self, i: int, position: Floats, velocity: Floats, visited: NDArray[np.bool_]
     ) -> list[Floats]:
-        """Velocities that robot i would like to have, the best first."""
+        """Return the velocities for robot i to try, the best first."""
         queue = self.queues[i]
         while queue and visited[queue[0]]:
             queue.pop(0)
@@ -96,7 +96,7 @@ class Greedy:
         return [wanted, 0.5 * wanted, 0.25 * wanted, *(0.5 * one for one in turned[1:])]
 
     def _speed(self, i: int, offset: Floats) -> Floats:
-        """The highest velocity along ``offset`` from which the robot can stop at its end."""
+        """Return the highest velocity along ``offset`` from which robot i can stop at its end."""
         tau = self.problem.config.tau
         brake = np.maximum(self.problem.forces[i] - np.abs(self.problem.wind), 1e-3)
         far = np.abs(offset) / tau
@@ -106,7 +106,7 @@ class Greedy:
         return np.asarray(offset / tau * scale)
 
     def _within_force(self, i: int, change: Floats) -> Floats:
-        """The change of velocity nearest to ``change`` that force and wind can make."""
+        """Return the possible change of velocity that is nearest to ``change``."""
         force, wind = self.problem.forces[i], self.problem.wind
         return np.clip(change, wind - force, wind + force)
 
@@ -115,7 +115,7 @@ class Greedy:
         return np.clip(velocity, -top, top)
 
     def _coast(self, i: int, position: Floats, velocity: Floats) -> Floats:
-        """(k, 2): the positions in which robot i brakes to rest, the last one where it rests."""
+        """Return (k, 2): robot i's positions while it brakes; the last one is where it rests."""
         path = []
         for _ in range(LONGEST_BRAKE):
             velocity = self._limited(velocity + self._within_force(i, -velocity))
@@ -126,7 +126,7 @@ class Greedy:
         return np.array(path)
 
     def _free(self, path: Floats, others: list[Floats]) -> bool:
-        """Whether a path stays in the field and away from the others'."""
+        """Return whether a path stays in the field and away from the other paths."""
         if not np.all(shapely.intersects_xy(self.polygon, path[:, 0], path[:, 1])):
             return False
         least = self.problem.config.safety_distance * 1.01
@@ -139,8 +139,8 @@ class Greedy:
         return True
 
 
-def free_ways(problem: Problem, positions: Floats) -> Roadmap:
-    """The ways between the robots and the ROIs, in this order, clear of walls where possible."""
+def clear_roadmap(problem: Problem, positions: Floats) -> Roadmap:
+    """Return the roadmap of the robots, then the ROIs, clear of walls where possible."""
     places = np.concatenate([positions, problem.rois])
     for clearance in CLEARANCES:
         area = problem.field.polygon.buffer(-clearance, join_style="mitre")
@@ -153,7 +153,7 @@ def free_ways(problem: Problem, positions: Floats) -> Roadmap:
 
 
 def assign(roadmap: Roadmap, n: int, m: int) -> list[list[int]]:
-    """A queue of ROIs for each robot: always the visit that can be made the earliest comes next."""
+    """Return a queue of ROIs for each robot; the earliest possible visit is always added next."""
     at, walked = list(range(n)), np.zeros(n)
     queues: list[list[int]] = [[] for _ in range(n)]
     left = set(range(m))

@@ -1,4 +1,4 @@
-"""Least steps of single legs in closed form, and what follows for whole sets of ROIs.
+"""Least steps of single legs in closed form, and the bounds that follow for sets of ROIs.
 
 Sets of ROIs are bit masks: ROI j is the bit ``1 << j``.
 """
@@ -21,25 +21,63 @@ NEVER = 1 << 40
 """More steps than any plan has."""
 
 
-def first_steps(problem: Problem, slack: float, most: int) -> Ints:
-    """(n, m): the least steps in which each robot, at rest at first, reaches each ROI's disc.
+@dataclass(frozen=True, eq=False)
+class Legs:
+    """Least steps of single legs.
 
-    At least one: ROIs are visited after steps, not at the start.
+    Attributes:
+        first: (n, m), from each robot's start, at rest, to each ROI's disc; at least 1, because
+            ROIs are visited after steps, not at the start.
+        between: (m, m), from disc to disc, with any velocities at both.
     """
-    steps = np.empty((problem.n, problem.m), np.int64)
-    for i, (start, drive) in enumerate(zip(problem.starts, problem.drives, strict=True)):
-        for j, roi in enumerate(problem.rois):
-            steps[i, j] = _first(roi - start, drive, problem.config.roi_radius + slack, most)
-    return steps
+
+    first: Ints
+    between: Ints
+
+
+def proved_legs(problem: Problem, slack: float, most: int) -> Legs:
+    """Return least steps that hold in the engine, from the dynamics and the field's shape.
+
+    Args:
+        problem: the instance.
+        slack: allowance for rounding, in units.
+        most: entries above this are :data:`NEVER`.
+    """
+    free = _free_legs(problem, slack, most)
+    if problem.convex:
+        return free
+    places = np.concatenate([problem.starts, problem.rois])
+    roadmap = make_roadmap(_steppable(problem, slack), places, largest=True)
+    around = roadmap_legs(problem, roadmap, problem.config.roi_radius + slack, most)
+    return Legs(np.maximum(free.first, around.first), np.maximum(free.between, around.between))
+
+
+def _free_legs(problem: Problem, slack: float, most: int) -> Legs:
+    """Return least steps without walls."""
+    radius = problem.config.roi_radius + slack
+    stride = problem.config.v_clip * problem.config.tau
+    first = np.empty((problem.n, problem.m), np.int64)
+    between = np.zeros((problem.m, problem.m), np.int64)
+    for j, roi in enumerate(problem.rois):
+        for i, (start, drive) in enumerate(zip(problem.starts, problem.drives, strict=True)):
+            first[i, j] = _first(roi - start, drive, radius, most)
+        for k in range(j):
+            offset = np.abs(roi - problem.rois[k])
+
+            def meets(count: int, offset: Floats = offset) -> bool:
+                return math.hypot(*np.maximum(offset - stride * count, 0.0)) <= 2.0 * radius
+
+            between[j, k] = between[k, j] = _least(meets, most)
+    return Legs(first, between)
 
 
 def _first(offset: Floats, drive: Drive, radius: float, most: int) -> int:
-    """The least L whose box of reachable offsets meets the disc about ``offset``."""
+    """Return the least number of steps whose box of reachable offsets meets the disc."""
 
     def meets(steps: int) -> bool:
         gaps = []
         for axis in (0, 1):
-            rate = drive.rise[axis] if offset[axis] > 0 else drive.fall[axis]
+            rate, _ = drive.rates(axis, offset[axis])
             reach = reach_from_rest(rate, drive.top, drive.tau, steps)
             gaps.append(max(abs(float(offset[axis])) - reach, 0.0))
         return math.hypot(*gaps) <= radius
@@ -47,25 +85,35 @@ def _first(offset: Floats, drive: Drive, radius: float, most: int) -> int:
     return max(_least(meets, most), 1)
 
 
-def steps_between(problem: Problem, slack: float, most: int) -> Ints:
-    """(m, m): the least steps from one disc to another, with any velocities at both."""
-    config = problem.config
-    apart = 2.0 * (config.roi_radius + slack)
-    steps = np.zeros((problem.m, problem.m), np.int64)
-    for j in range(problem.m):
-        for k in range(j):
-            offset = np.abs(problem.rois[j] - problem.rois[k])
+def roadmap_legs(problem: Problem, roadmap: Roadmap, radius: float, most: int) -> Legs:
+    """Return least steps if no path between two places is shorter than the roadmap's.
 
-            def meets(count: int, offset: Floats = offset) -> bool:
-                gaps = np.maximum(offset - config.v_clip * config.tau * count, 0.0)
-                return math.hypot(*gaps) <= apart
+    Args:
+        problem: the instance.
+        roadmap: of the starts, then the ROIs, measured by larger coordinates.
+        radius: of the discs.
+        most: entries above this are :data:`NEVER`.
+    """
+    n, m, config = problem.n, problem.m, problem.config
+    first = np.empty((n, m), np.int64)
+    for i, drive in enumerate(problem.drives):
+        rate = max(*drive.rise, *drive.fall)
+        for j in range(m):
+            far = roadmap.lengths[i, n + j] - radius
 
-            steps[j, k] = steps[k, j] = _least(meets, most)
-    return steps
+            def reaches(steps: int, far: float = far, rate: float = rate) -> bool:
+                return far <= reach_from_rest(rate, config.v_clip, config.tau, steps)
+
+            first[i, j] = max(_least(reaches, most), 1)
+    stride = config.v_clip * config.tau
+    steps = np.ceil((roadmap.lengths[n : n + m, n : n + m] - 2.0 * radius) / stride - 1e-9)
+    between = np.where(steps <= most, np.maximum(steps, 0.0), NEVER).astype(np.int64)
+    np.fill_diagonal(between, 0)
+    return Legs(first, between)
 
 
 def _least(meets: Callable[[int], bool], most: int) -> int:
-    """The least count in [0, most] for which ``meets`` holds, from there on always; or NEVER."""
+    """Return the least count in [0, most] from which the monotone ``meets`` holds, or NEVER."""
     if not meets(most):
         return NEVER
     low, high = -1, most
@@ -75,99 +123,30 @@ def _least(meets: Callable[[int], bool], most: int) -> int:
     return high
 
 
-def tails(between: Ints) -> Ints:
-    """(2^m, m): the least steps in which the ROIs of a set are visited, coming from ROI j.
+def set_bounds(legs: Legs) -> tuple[Ints, Ints]:
+    """Return lower bounds of the steps in which the ROIs of a set are visited.
 
-    Held and Karp's recursion; entries whose set holds j are of no use.
+    This is Held and Karp's recursion.
+
+    Returns:
+        The bounds (n, 2^m) from each robot's start, and (2^m, m) from each ROI, where entries
+        whose set contains the ROI itself are meaningless.
     """
-    m = len(between)
-    table = np.zeros((1 << m, m), np.int64)
+    n, m = legs.first.shape
+    steps = np.concatenate([legs.between, legs.first])
+    table = np.zeros((1 << m, m + n), np.int64)
     for mask in range(1, 1 << m):
         chosen = [k for k in range(m) if mask >> k & 1]
         after = np.array([table[mask & ~(1 << k), k] for k in chosen])
-        table[mask] = np.minimum((between[:, chosen] + after).min(axis=1), NEVER)
-    return table
-
-
-def set_bounds(first: Ints, tail: Ints) -> Ints:
-    """(n, 2^m): a lower bound of the steps in which each robot visits the ROIs of each set."""
-    n, m = first.shape
-    bounds = np.zeros((n, 1 << m), np.int64)
-    for mask in range(1, 1 << m):
-        chosen = [k for k in range(m) if mask >> k & 1]
-        after = np.array([tail[mask & ~(1 << k), k] for k in chosen])
-        bounds[:, mask] = np.minimum((first[:, chosen] + after).min(axis=1), NEVER)
-    return bounds
-
-
-@dataclass(frozen=True, eq=False)
-class Legs:
-    """Least steps of single legs.
-
-    Attributes:
-        first: (n, m), from each robot's start, at rest, to each ROI's disc; at least 1.
-        between: (m, m), from disc to disc, with any velocities at both.
-    """
-
-    first: Ints
-    between: Ints
-
-
-def proved_legs(problem: Problem, slack: float, most: int) -> Legs:
-    """Least steps that hold in the engine: by the dynamics, and by the shape of the field.
-
-    Args:
-        problem: the instance.
-        slack: what rounding may do, in units.
-        most: entries above this are :data:`NEVER`.
-    """
-    first = first_steps(problem, slack, most)
-    between = steps_between(problem, slack, most)
-    if problem.convex:
-        return Legs(first, between)
-    area = _steppable(problem, slack)
-    radius = problem.config.roi_radius + slack
-    around = way_legs(problem, make_roadmap(area, _places(problem), largest=True), radius, most)
-    return Legs(np.maximum(first, around.first), np.maximum(between, around.between))
-
-
-def way_legs(problem: Problem, roadmap: Roadmap, radius: float, most: int) -> Legs:
-    """Least steps if no way between two places is shorter than the roadmap's.
-
-    Args:
-        problem: the instance.
-        roadmap: of the starts and the ROIs, in this order, by larger coordinates.
-        radius: of the discs.
-        most: entries above this are :data:`NEVER`.
-    """
-    n, m = problem.n, problem.m
-    first, between = np.empty((n, m), np.int64), np.zeros((m, m), np.int64)
-    for i, drive in enumerate(problem.drives):
-        rate = max(*drive.rise, *drive.fall)
-        for j in range(m):
-            far = roadmap.lengths[i, n + j] - radius
-
-            def reaches(steps: int, far: float = far, rate: float = rate) -> bool:
-                top, tau = problem.config.v_clip, problem.config.tau
-                return far <= reach_from_rest(rate, top, tau, steps)
-
-            first[i, j] = max(_least(reaches, most), 1)
-    stride = problem.config.v_clip * problem.config.tau
-    steps = np.ceil((roadmap.lengths[n : n + m, n : n + m] - 2.0 * radius) / stride - 1e-9)
-    between = np.where(steps <= most, np.maximum(steps, 0.0), NEVER).astype(np.int64)
-    np.fill_diagonal(between, 0)
-    return Legs(first, between)
-
-
-def _places(problem: Problem) -> Floats:
-    return np.concatenate([problem.starts, problem.rois])
+        table[mask] = np.minimum((steps[:, chosen] + after).min(axis=1), NEVER)
+    return np.ascontiguousarray(table[:, m:].T), table[:, :m]
 
 
 def _steppable(problem: Problem, slack: float) -> shapely.Geometry:
-    """What the straight lines between a robot's positions after its steps cannot leave.
+    """Return an area that straight lines between consecutive positions of a robot cannot leave.
 
-    Only these positions have to be in the field. Each point of the line between two of them is
-    within half a step of one. The ROIs' discs belong to it, so that each is one place.
+    Only the positions have to be in the field; every point of such a line is within half a step
+    of one of them. The ROIs' discs are included, so that each disc is one place.
     """
     config = problem.config
     half = math.hypot(0.5, 0.5) * config.v_clip * config.tau + slack

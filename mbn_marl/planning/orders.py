@@ -1,4 +1,4 @@
-"""Whether one robot can pass discs in a given order: branch and bound on the steps of visits."""
+"""Branch and bound on the steps at which one robot visits discs in a given order."""
 
 from __future__ import annotations
 
@@ -17,22 +17,21 @@ from mbn_marl.planning.relaxation import (
     Region,
     Relaxation,
     Solved,
-    Windows,
-    at_steps,
     velocities,
 )
+from mbn_marl.planning.windows import StepWindows, fixed_windows
 
 ROOM = 0.02
-"""Discs passed with this much to spare, in units, are good enough to stop looking for better."""
+"""The search stops at visits with this much room inside the discs, in units."""
 BETTER = 1e-3
-"""By how much more room another choice has to have to be worth finding."""
+"""Further visits are searched for only if they have this much more room, in units."""
 OUTSIDE = 1e-4
-"""A path may leave the region by this much, in units."""
+"""Tolerance of the test that a path stays in the region, in units."""
 MOST_VIAS = 60
 
 
 class OutOfTimeError(Exception):
-    """The time limit struck."""
+    """The time limit was reached."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class Visits:
     Attributes:
         steps: one for each disc, in order.
         inflation: the least inflation of the discs at these steps, units; negative is room.
-        path: (steps[-1], 2): the positions after each step, in the hull.
+        path: (steps[-1], 2), the positions after each step, inside the hull, units.
     """
 
     steps: tuple[int, ...]
@@ -52,15 +51,15 @@ class Visits:
 
 @dataclass
 class Search:
-    """Decides for one robot whether discs can be passed in order, in windows of steps.
+    """Searches steps at which one robot can visit discs in order, within windows.
 
     Attributes:
         start: where it rests at step 0.
-        drive: what moves it.
+        drive: its limits per step.
         region: the convex set that it must not leave.
-        slack: discs may be missed by this much, in units: what rounding can do.
+        slack: allowance of the discs for rounding, in units.
         highs: the solver.
-        deadline: when to give up, on the clock ``time.monotonic``.
+        deadline: the end of the search, on the clock ``time.monotonic``.
     """
 
     start: tuple[float, float]
@@ -70,8 +69,8 @@ class Search:
     highs: highspy.Highs
     deadline: float
 
-    def possible(self, discs: tuple[Disc, ...], windows: Windows) -> bool:
-        """Whether the relaxation allows the windows; ``False`` is a proof that none can."""
+    def possible(self, discs: tuple[Disc, ...], windows: StepWindows) -> bool:
+        """Return whether the relaxation allows the windows; ``False`` is a proof that they fail."""
         tight = windows.tightened()
         if tight is None:
             return False
@@ -79,8 +78,8 @@ class Search:
         solved = relaxation.solve(self.highs, tight, relaxation.tangents(), self.slack)
         return solved.bound <= self.slack
 
-    def visits(self, discs: tuple[Disc, ...], windows: Windows) -> Visits | None:
-        """Steps for the discs, within the windows; ``None`` is a proof that there are none.
+    def visits(self, discs: tuple[Disc, ...], windows: StepWindows) -> Visits | None:
+        """Return steps for the discs, within the windows; ``None`` is a proof that none exist.
 
         Raises:
             OutOfTimeError: at the deadline.
@@ -108,9 +107,9 @@ class Search:
         return best
 
     def _follow(
-        self, relaxation: Relaxation, windows: Windows, solved: Solved, enough: float
+        self, relaxation: Relaxation, windows: StepWindows, solved: Solved, enough: float
     ) -> Visits | None:
-        """With all times fixed: keep the whole path in the region, step by step where needed."""
+        """Keep the whole path in the region, for fixed times, by further stops where needed."""
         steps, stops = windows.first, list(windows.first)
         for _ in range(MOST_VIAS):
             path = interpolate(self.start, self.drive, solved.points)
@@ -121,14 +120,18 @@ class Search:
             place = bisect.bisect(stops, worst + 1)
             stops.insert(place, worst + 1)
             relaxation = relaxation.with_via(place)
-            solved = relaxation.solve(self.highs, at_steps(stops), relaxation.tangents(), enough)
+            solved = relaxation.solve(
+                self.highs, fixed_windows(stops), relaxation.tangents(), enough
+            )
             if solved.bound > enough:
                 return None
         return Visits(steps, solved.inflation, path)
 
 
-def _branch(relaxation: Relaxation, windows: Windows, solved: Solved) -> tuple[Windows, Windows]:
-    """Two halves of the windows, neither of which allows the solution; the likelier one last."""
+def _branch(
+    relaxation: Relaxation, windows: StepWindows, solved: Solved
+) -> tuple[StepWindows, StepWindows]:
+    """Return two parts of the windows that exclude the solution, the likelier one last."""
     ends = solved.points[:, TIME]
     lengths = np.diff(ends, prepend=0.0)
     least, most = np.array(windows.least), np.array(windows.most)
@@ -143,7 +146,7 @@ def _branch(relaxation: Relaxation, windows: Windows, solved: Solved) -> tuple[W
 
 
 def interpolate(start: tuple[float, float], drive: Drive, points: Floats) -> Floats:
-    """The positions after every step of a motion through ``points``, (k, 5) as in a relaxation."""
+    """Return the positions after every step of a motion through a relaxation's ``points``."""
     path = [np.zeros((0, 2))]
     before = np.array([*start, 0.0, 0.0, 0.0])
     for now in points:
@@ -156,7 +159,7 @@ def interpolate(start: tuple[float, float], drive: Drive, points: Floats) -> Flo
 
 
 def _moves(drive: Drive, axis: int, length: int, before: Floats, now: Floats) -> Floats:
-    """Velocities of one axis in a leg, between the fastest and the slowest of its ends."""
+    """Return one axis's velocities in a leg, between the slowest and the fastest possible."""
     least, most = velocities(drive, axis, length, before[VX + axis], now[VX + axis])
     wanted = (now[axis] - before[axis]) / drive.tau
     spread = float((most - least).sum())

@@ -1,4 +1,4 @@
-"""Sharing the ROIs out among the robots: the partition whose slowest robot is the fastest."""
+"""Partitions of the ROIs among the robots, by dynamic programming over subsets."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from mbn_marl.planning.legs import NEVER, Ints
 
 
 def least_makespan(bounds: Ints) -> int:
-    """The least T such that the robots can share all ROIs, each within its bound.
+    """Return the least T by which the robots can visit all ROIs if each takes just its bound.
 
     Args:
-        bounds: (n, 2^m), steps; ROI sets as bit masks.
+        bounds: (n, 2^m), steps for each robot and ROI set (a bit mask).
     """
     return int(_bottleneck(bounds)[-1])
 
 
 def cheapest_partition(costs: Ints) -> list[int] | None:
-    """The partition of all ROIs with the least sum of costs, a mask a robot.
+    """Return the partition of all ROIs with the least sum of costs.
 
     Args:
-        costs: (n, 2^m), of each robot's set, :data:`NEVER` for a set that it cannot have.
+        costs: (n, 2^m), of each robot and ROI set; :data:`NEVER` excludes a set.
 
     Returns:
         A mask for each robot, or ``None`` if there is no partition.
@@ -40,7 +40,7 @@ def cheapest_partition(costs: Ints) -> list[int] | None:
 
 @numba.njit(cache=True)
 def _bottleneck(bounds: Ints) -> Ints:
-    """(2^m,): the least bottleneck with which all robots together have exactly each set."""
+    """Return (2^m,): the least bottleneck with which the robots together visit each set."""
     best: Ints = bounds[0].copy()
     for i in range(1, len(bounds)):
         now = np.empty_like(best)
@@ -58,7 +58,7 @@ def _bottleneck(bounds: Ints) -> Ints:
 
 @numba.njit(cache=True)
 def _cheapest(costs: Ints) -> tuple[Ints, Ints]:
-    """(n, 2^m) twice: least costs of the first robots having exactly a set; the last one's part."""
+    """Return the least costs of robots 0 to i together visiting a set, and robot i's part."""
     total = np.empty_like(costs)
     choice = np.zeros_like(costs)
     total[0] = costs[0]

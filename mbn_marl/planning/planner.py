@@ -1,4 +1,4 @@
-"""``plan``: the proved optimum of a field, or the best interval that the time allowed."""
+"""``plan``: the proved optimum of a field, or the best interval within a time limit."""
 
 from __future__ import annotations
 
@@ -15,45 +15,44 @@ from mbn_marl.config import Settings, make_config
 from mbn_marl.engine import FieldLike
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, load_field
-from mbn_marl.planning.coordination import Verified, coordinate
+from mbn_marl.planning.coordination import coordinate
 from mbn_marl.planning.greedy import Greedy
 from mbn_marl.planning.guide import make_guide
 from mbn_marl.planning.legs import proved_legs
 from mbn_marl.planning.orders import OutOfTimeError
 from mbn_marl.planning.partition import least_makespan
 from mbn_marl.planning.problem import Floats, Problem, make_problem
-from mbn_marl.planning.replay import Stage
+from mbn_marl.planning.replay import Playback, Player
 from mbn_marl.planning.team import Team
 
 GREEDY_SHARE, BOUND_SHARE = 0.5, 0.8
-"""Shares of the time limit by which the greedy plan and the bound have to be there."""
+"""Shares of the time limit after which the greedy plan and the bound are abandoned."""
 MOST_ROIS = 11
-"""With more ROIs the bound is that of some of them, and the plan is the greedy controller's."""
+"""With more ROIs, the bound is that of a subset, and the plan is the greedy controller's."""
 PARTITIONS = 6
-"""Ways to share the ROIs out that are tried at one makespan."""
+"""Partitions of the ROIs that are tried at one makespan."""
 
 
 class UnsolvableError(MbnError):
-    """No team can visit every ROI within an episode without pushing outside the field: proved."""
+    """It is proved that no team visits every ROI within an episode without leaving the field."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What is known of the best that n robots can do in a field with m ROIs.
+    """The best plan found for n robots, and a proved bound.
 
     Makespans are those of clean plans, in which no robot ever pushes outside the field.
 
     Attributes:
-        field: where.
+        field: the field.
         makespan: T, the steps of the best plan found; ``None`` if none was found.
-        makespan_lower_bound: no clean plan has fewer steps: proved.
+        makespan_lower_bound: the proved least number of steps of any clean plan.
         actions: (T, n, 2) float32 in [-1, 1], verified in the engine; (0, n, 2) without a plan.
-        return_: the team's return with these actions, as replayed, in reward units; ``None``
-            without a plan.
-        assignment: for each robot the ROIs that it visits, in order.
+        return_: the team's return with these actions, in reward units; ``None`` without a plan.
+        assignment: the ROIs that each robot visits, in order.
         visit_steps: the steps at which ROIs are visited, rising.
-        trail: (T + 1, n, 2), units: the replayed positions, the starts first.
-        seconds: how long it took, in seconds, compiling aside.
+        trail: (T + 1, n, 2), the positions from the starts on, units.
+        seconds: the time taken, in seconds, without compiling.
     """
 
     field: Field
@@ -72,7 +71,7 @@ class Plan:
         return self.makespan == self.makespan_lower_bound
 
     def to_json(self) -> dict[str, Any]:
-        """All but the arrays, as JSON values; ROIs and robots are numbered from 0."""
+        """Return all but the arrays as JSON values; ROIs and robots are numbered from 0."""
         return {
             "field": self.field.to_dict(),
             "makespan": self.makespan,
@@ -90,34 +89,34 @@ def plan(field: FieldLike, *, time_limit: float = 60.0, **settings: Unpack[Setti
 
     Args:
         field: a catalogue name, a file, or a :class:`Field`.
-        time_limit: seconds after which the best interval so far is returned; compiling the engine,
-            the first time that a configuration is used, comes on top.
-        **settings: see :class:`mbn_marl.config.NavigationConfig`: ``n_robots``, ``wind``, ...
+        time_limit: seconds after which the best interval so far is returned, not counting the
+            engine's compilation for a new configuration.
+        **settings: the fields of :class:`mbn_marl.config.NavigationConfig`.
 
     Raises:
         UnsolvableError: it is proved that no clean plan visits every ROI within an episode.
         ConfigError: a setting or the time limit is not valid.
-        FieldError: the field is not.
+        FieldError: the field is not valid.
     """
     if not time_limit > 0.0:
         raise ConfigError("plan", [f"time_limit: expected more than 0 seconds, got {time_limit}"])
     problem = make_problem(load_field(field), make_config(settings))
-    stage = Stage(problem)
+    player = Player(problem)
     began = time.monotonic()
     refuse_unsolvable(problem)
-    best = drive_greedily(problem, stage, began + GREEDY_SHARE * time_limit)
+    best = plan_greedily(problem, player, began + GREEDY_SHARE * time_limit)
     part = _hardest(problem)
     team = prove(part, began + BOUND_SHARE * time_limit)
     if part is problem:
-        most = problem.config.max_steps if best is None else best.replay.steps - 1
-        best = _search(problem, stage, team, most, began + time_limit) or best
-    return _report(problem, team.bound, best, time.monotonic() - began)
+        most = problem.config.max_steps if best is None else len(best.actions) - 1
+        best = _search(problem, player, team, most, began + time_limit) or best
+    return _result(problem, team.bound, best, time.monotonic() - began)
 
 
 def _hardest(problem: Problem) -> Problem:
-    """The instance with as many ROIs as can be shared out exactly, those far from each other.
+    """Return the instance, or one with :data:`MOST_ROIS` of its ROIs that are far apart.
 
-    What bounds these bounds all.
+    A bound for some of the ROIs is one for all.
     """
     if problem.m <= MOST_ROIS:
         return problem
@@ -131,7 +130,11 @@ def _hardest(problem: Problem) -> Problem:
 
 
 def refuse_unsolvable(problem: Problem) -> None:
-    """Raise an error if single legs already show that an episode is too short."""
+    """Check that every ROI can be reached within an episode.
+
+    Raises:
+        UnsolvableError: naming the ROIs that are too far.
+    """
     limit = problem.config.max_steps
     legs = proved_legs(problem, problem.slack(limit), limit)
     far = np.flatnonzero(legs.first.min(axis=0) > limit).tolist()
@@ -139,12 +142,12 @@ def refuse_unsolvable(problem: Problem) -> None:
         places = ", ".join(f"rois[{j}]" for j in far)
         raise UnsolvableError(
             f"{problem.field.name}: no robot can reach {places} by step {limit}, the end of an "
-            "episode (max_steps), even on the shortest way"
+            "episode (max_steps), even on the shortest path"
         )
 
 
 def prove(problem: Problem, deadline: float) -> Team:
-    """The team with its bound raised as far as the deadline allows.
+    """Return the team with its bound raised as far as the deadline allows.
 
     Raises:
         UnsolvableError: the bound is above the length of an episode.
@@ -169,25 +172,25 @@ def prove(problem: Problem, deadline: float) -> Team:
 
 
 def _team(problem: Problem, horizon: int, deadline: float) -> Team:
-    """The team whose bound is proved; the allowance for rounding grows with the horizon."""
+    """Return a team with a provable bound; its allowance for rounding grows with the horizon."""
     slack = problem.slack(horizon)
     return Team(problem, proved_legs(problem, slack, horizon), slack, horizon, deadline)
 
 
 def _search(
-    problem: Problem, stage: Stage, team: Team, most: int, deadline: float
-) -> Verified | None:
-    """A verified plan of at most ``most`` steps, or ``None``: the first one, from below."""
+    problem: Problem, player: Player, team: Team, most: int, deadline: float
+) -> Playback | None:
+    """Return the shortest verified plan found with at most ``most`` steps, or ``None``."""
     guide = team if problem.convex else make_guide(problem, team.horizon, deadline)
     try:
         guide.deadline = 0.5 * (time.monotonic() + deadline)
-        steps_to_try = _every_step(guide, team.bound, most)
+        makespans = _makespans(guide, team.bound, most)
         guide.deadline = deadline
-        for steps in steps_to_try:
+        for steps in makespans:
             for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
-                verified = coordinate(problem, stage, steps, routes, deadline)
-                if verified is not None:
-                    return verified
+                playback = coordinate(problem, player, steps, routes, deadline)
+                if playback is not None:
+                    return playback
                 if time.monotonic() > deadline:
                     return None
     except OutOfTimeError:
@@ -195,8 +198,8 @@ def _search(
     return None
 
 
-def _every_step(guide: Team, bound: int, most: int) -> Sequence[int]:
-    """The makespans to try: from the guide's bound on, or in growing strides if that is open."""
+def _makespans(guide: Team, bound: int, most: int) -> Sequence[int]:
+    """Return the makespans to try: all from the guide's bound on, or growing strides."""
     try:
         guide.raise_bound()
         return range(max(bound, guide.bound), most + 1)
@@ -205,25 +208,27 @@ def _every_step(guide: Team, bound: int, most: int) -> Sequence[int]:
         return [first + 2**k for k in range(1, 10) if first + 2**k <= most]
 
 
-def drive_greedily(problem: Problem, stage: Stage, deadline: float) -> Verified | None:
-    """The greedy controller's episode, if it is a clean success and done by the deadline."""
+def plan_greedily(problem: Problem, player: Player, deadline: float) -> Playback | None:
+    """Return the greedy controller's episode if it is clean and complete by the deadline."""
     greedy = Greedy(problem, problem.starts)
-    replay, actions = stage.drive(
-        lambda *seen: None if time.monotonic() > deadline else greedy.act(*seen)
-    )
-    return Verified(actions, replay) if replay.success and not replay.wall_hits else None
+    playback = player.play(lambda *seen: None if time.monotonic() > deadline else greedy.act(*seen))
+    return playback if playback.clean else None
 
 
-def _report(problem: Problem, bound: int, best: Verified | None, seconds: float) -> Plan:
+def _result(problem: Problem, bound: int, best: Playback | None, seconds: float) -> Plan:
     n = problem.n
+    nothing = Playback(
+        np.zeros((0, n, 2), np.float32), False, 0.0, problem.starts[None], ((),) * n, ()
+    )
+    episode = best or nothing
     return Plan(
         field=problem.field,
-        makespan=None if best is None else best.replay.steps,
+        makespan=len(best.actions) if best else None,
         makespan_lower_bound=bound,
-        actions=np.zeros((0, n, 2), np.float32) if best is None else best.actions,
-        return_=None if best is None else best.replay.return_,
-        assignment=((),) * n if best is None else best.replay.assignment,
-        visit_steps=() if best is None else best.replay.visit_steps,
-        trail=problem.starts[None] if best is None else best.replay.trail,
+        actions=episode.actions,
+        return_=best.return_ if best else None,
+        assignment=episode.assignment,
+        visit_steps=episode.visit_steps,
+        trail=episode.trail,
         seconds=seconds,
     )

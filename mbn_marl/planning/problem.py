@@ -1,4 +1,4 @@
-"""What the planner knows of an instance, as plain numbers: the field, the robots, the limits."""
+"""A planning instance as plain numbers: the field, the robots, the limits."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from mbn_marl.field import Field
 Floats = NDArray[np.float64]
 
 CALM = 1e-3
-"""Wind that differs by less than this, units/step per step, is taken to be the same."""
+"""Winds that differ by less than this, units/step per step, count as equal."""
 FLOAT32 = 2.0**-24
 """Relative error of a rounding to float32."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What a robot's force and the wind do to its velocity in a step, per axis (x, y).
+    """The changes of velocity that force and wind allow a robot in a step, per axis (x, y).
 
     Attributes:
-        rise: the most that a velocity can grow in a step, units/step.
-        fall: the most that it can shrink, units/step; 0 if the wind is stronger than the force.
+        rise: the largest increase, units/step.
+        fall: the largest decrease, units/step; 0 if the wind is stronger than the force.
         top: the speed limit v_clip.
         tau: time of a step.
     """
@@ -40,19 +40,24 @@ class Drive:
     top: float
     tau: float
 
+    def rates(self, axis: int, sign: float) -> tuple[float, float]:
+        """Return the largest increase and decrease of the velocity along ``sign`` of an axis."""
+        rise, fall = self.rise[axis], self.fall[axis]
+        return (rise, fall) if sign > 0 else (fall, rise)
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
     """An instance: n robots, m ROIs.
 
     Attributes:
-        field: where.
+        field: the field.
         config: the dynamics and rules, ``n_robots`` filled in.
         starts: (n, 2), units.
         rois: (m, 2), units.
-        drives: one for each robot.
-        forces: (n, 2): the velocity that a full force adds in a step, units/step.
-        wind: (2,): the velocity that the wind adds in a step.
+        drives: the limits of each robot.
+        forces: (n, 2), the velocity that a full force adds in a step, units/step.
+        wind: (2,), the velocity that the wind adds in a step, units/step.
     """
 
     field: Field
@@ -65,12 +70,12 @@ class Problem:
 
     @property
     def n(self) -> int:
-        """How many robots."""
+        """The number of robots."""
         return len(self.starts)
 
     @property
     def m(self) -> int:
-        """How many ROIs."""
+        """The number of ROIs."""
         return len(self.rois)
 
     @cached_property
@@ -86,15 +91,15 @@ class Problem:
 
     @cached_property
     def can_wait(self) -> bool:
-        """Whether every robot can rest: its force holds it against the wind on both axes."""
+        """Whether every robot can rest: its force balances the wind on both axes."""
         return bool(np.all(np.abs(self.wind) <= self.forces))
 
     def with_wind(self, velocities: FloatArray, actions: FloatArray) -> Problem:
-        """The same in the wind that shows in the first step.
+        """Return the same instance in the wind that the first step reveals.
 
         Args:
-            velocities: (n, 2), after one step from rest.
-            actions: (n, 2), what the step's actions were.
+            velocities: (n, 2), units/step, after one step from rest.
+            actions: (n, 2), the actions of that step.
         """
         wind = (velocities - actions * self.forces).mean(axis=0)
         if np.abs(wind - self.wind).max() < CALM:
@@ -102,16 +107,15 @@ class Problem:
         return replace(self, wind=wind)
 
     def only(self, rois: Sequence[int]) -> Problem:
-        """The same with these ROIs alone."""
+        """Return the same instance with only these ROIs."""
         return replace(self, rois=self.rois[list(rois)])
 
     def slack(self, steps: int) -> float:
-        """By how much rounding may move a robot within so many steps, in units.
+        """Return how far rounding can move a robot within ``steps`` steps, in units.
 
-        Each step rounds a velocity, its parts of force and wind, and a position once or a few
-        times; a velocity's error acts in all later steps. The tests of field and discs round too,
-        by less than ten roundings of a position. Bounds that allow for this hold for the engine in
-        float32 too.
+        Each step rounds a velocity, its force and wind, and a position a few times; an error of a
+        velocity acts in all later steps. The tests of field and discs add less than ten roundings
+        of a position. A bound with this allowance also holds for the engine in float32.
         """
         drive = self.drives[0]
         velocity = 3.0 * (drive.top + float(np.abs(self.wind).max())) * FLOAT32
@@ -120,7 +124,7 @@ class Problem:
 
 
 def make_problem(field: Field, config: NavigationConfig) -> Problem:
-    """The instance of a field and a configuration.
+    """Return the instance of a field and a configuration.
 
     Raises:
         ConfigError: the field has too few starts, or the starts are random.
@@ -159,7 +163,7 @@ def make_problem(field: Field, config: NavigationConfig) -> Problem:
 
 
 def half_planes(convex: shapely.Polygon) -> tuple[Floats, Floats]:
-    """A convex polygon as ``normals @ p <= offsets``."""
+    """Return a convex polygon as ``normals @ p <= offsets``."""
     ring = np.array(shapely.geometry.polygon.orient(convex).exterior.coords)
     edges = np.diff(ring, axis=0)
     lengths = np.hypot(edges[:, 0], edges[:, 1])
@@ -173,7 +177,7 @@ def _pair(values: Floats) -> tuple[float, float]:
 
 
 def reach_from_rest(rise: float, top: float, tau: float, steps: int) -> float:
-    """How far an axis gets from rest: ``tau`` times the sum of ``min(top, rise s)``."""
+    """Return how far an axis can move from rest: ``tau sum_s min(top, rise s)``."""
     if rise <= 0.0:
         return 0.0
     ramp = min(steps, math.floor(top / rise))

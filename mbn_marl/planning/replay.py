@@ -1,4 +1,4 @@
-"""The engine's word on a plan: its actions, replayed from the reset."""
+"""Playback of a plan's actions in the engine."""
 
 from __future__ import annotations
 
@@ -14,35 +14,36 @@ from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.planning.problem import Floats, Problem
 
 
-@dataclass(frozen=True)
-class Replay:
-    """What came of a plan.
+@dataclass(frozen=True, eq=False)
+class Playback:
+    """One episode of a team in the engine.
 
     Attributes:
-        success: every ROI was visited, without collision.
-        steps: how long the episode lasted.
-        return_: the team's return.
-        wall_hits: steps of any robot that pushed outside the field.
-        trail: (steps + 1, n, 2): the positions, the starts first.
-        assignment: for each robot the ROIs that it visited, in order.
+        actions: (T, n, 2) float32 in [-1, 1].
+        clean: whether every ROI was visited, without a collision or a push against a wall.
+        return_: the team's return, reward units.
+        trail: (T + 1, n, 2), the positions from the starts on, units.
+        assignment: the ROIs that each robot visited, in order.
         visit_steps: the steps at which ROIs were visited, rising.
     """
 
-    success: bool
-    steps: int
+    actions: NDArray[np.float32]
+    clean: bool
     return_: float
-    wall_hits: int
     trail: Floats
     assignment: tuple[tuple[int, ...], ...]
     visit_steps: tuple[int, ...]
 
 
-Controller = Callable[[FloatArray, FloatArray, NDArray[np.bool_]], NDArray[np.float32] | None]
+ChooseActions = Callable[[FloatArray, FloatArray, NDArray[np.bool_]], NDArray[np.float32] | None]
 """Actions (n, 2) from positions (n, 2), velocities (n, 2) and visited ROIs (m,)."""
 
 
-class Stage:
-    """One world to replay plans in, compiled. What its robots would observe makes no difference."""
+class Player:
+    """Plays episodes of an instance in an engine with one world.
+
+    The observation is always the default one: others would be compiled and never read.
+    """
 
     def __init__(self, problem: Problem) -> None:
         plain = {"observation": "relative", "one_hot": False}
@@ -52,13 +53,13 @@ class Stage:
         self._engine.reset()
         self._engine.step(np.zeros((1, problem.n, 2), np.float32))
 
-    def replay(self, actions: NDArray[np.float32]) -> Replay:
-        """Replay the actions (T, n, 2) until they or the episode end."""
+    def replay(self, actions: NDArray[np.float32]) -> Playback:
+        """Play the actions (T, n, 2) until they or the episode end."""
         rows = iter(actions)
-        return self.drive(lambda *_: next(rows, None))[0]
+        return self.play(lambda *_: next(rows, None))
 
-    def drive(self, controller: Controller) -> tuple[Replay, NDArray[np.float32]]:
-        """One episode, to its end or until the controller returns ``None``, and its actions."""
+    def play(self, choose: ChooseActions) -> Playback:
+        """Play one episode to its end, or until ``choose`` returns ``None``."""
         engine, actions = self._engine, []
         engine.reset()
         seen = engine.snapshot()
@@ -66,7 +67,7 @@ class Stage:
         steps: list[int] = []
         ended = False
         while not ended:
-            action = controller(seen.positions, seen.velocities, seen.visited)
+            action = choose(seen.positions, seen.velocities, seen.visited)
             if action is None:
                 break
             actions.append(action)
@@ -77,19 +78,17 @@ class Stage:
                 visits[_visitor(now, j)].append(j)
                 steps.append(now.step)
             seen = now
-        metrics = engine.metrics()
-        return Replay(
-            success=seen.success,
-            steps=seen.step,
+        return Playback(
+            actions=np.array(actions, np.float32).reshape(-1, engine.n_robots, 2),
+            clean=seen.success and not engine.metrics()["wall_hits"].any(),
             return_=seen.team_return,
-            wall_hits=int(metrics["wall_hits"].sum()),
             trail=np.asarray(seen.trail, np.float64),
             assignment=tuple(map(tuple, visits)),
             visit_steps=tuple(steps),
-        ), np.array(actions, np.float32).reshape(-1, engine.n_robots, 2)
+        )
 
 
 def _visitor(seen: Snapshot, j: int) -> int:
-    """The robot that has visited ROI j in the last step: the first one within reach."""
+    """Return the first robot within reach of ROI j."""
     apart = seen.positions - seen.field.rois[j].astype(seen.positions.dtype)
     return int(np.argmax((apart**2).sum(axis=1) <= seen.roi_radius**2))

@@ -1,4 +1,4 @@
-"""Shortest ways inside a polygon with holes, by its visibility graph."""
+"""Shortest paths inside a polygon with holes, by its visibility graph."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from scipy.sparse.csgraph import dijkstra
 from mbn_marl.planning.problem import Floats
 
 TOUCH = 1e-7
-"""Sight lines may graze the walls by this much, in units."""
+"""Tolerance of sight lines along walls, in units."""
 
 
 @dataclass(frozen=True, eq=False)
 class Roadmap:
-    """Ways between places of an area.
+    """Shortest paths between places of an area.
 
     Attributes:
-        area: where to stay.
-        places: (k, 2): the places, moved into the area if they lay outside.
-        corners: (c, 2): the corners that ways can bend around.
-        lengths: (k + c, k + c): lengths of the shortest ways, places first; infinite for none.
-        before: (k + c, k + c): the point before the last one of the way from a to b; -9999 for
-            none.
+        area: the area that contains the paths.
+        places: (k, 2), the places, moved into the area if they lay outside.
+        corners: (c, 2), the corners that paths can bend around.
+        lengths: (k + c, k + c), lengths of the shortest paths, places first; infinite for none.
+        before: (k + c, k + c), the last point before b on the path from a to b; -9999 for none.
     """
 
     area: shapely.Geometry
@@ -34,8 +33,8 @@ class Roadmap:
     lengths: Floats
     before: NDArray[np.int32]
 
-    def way(self, a: int, b: int) -> Floats:
-        """(r, 2): the shortest way from place a to place b, both included; empty if none."""
+    def path(self, a: int, b: int) -> Floats:
+        """Return (r, 2): the shortest path from place a to place b; empty if there is none."""
         points: Floats = np.concatenate([self.places, self.corners])
         if not np.isfinite(self.lengths[a, b]):
             return np.zeros((0, 2))
@@ -45,7 +44,7 @@ class Roadmap:
         return points[chain[::-1]]
 
     def toward(self, point: Floats, place: int) -> Floats:
-        """The next point to go to straight from ``point``, on the way to a place."""
+        """Return the next point in sight of ``point`` on the shortest path to a place."""
         goal: Floats = self.places[place]
         count = len(self.places)
         targets: Floats = np.concatenate([goal[None], self.corners])
@@ -58,12 +57,12 @@ class Roadmap:
 
 
 def make_roadmap(area: shapely.Geometry, places: Floats, *, largest: bool = False) -> Roadmap:
-    """The roadmap of an area.
+    """Return the roadmap of an area.
 
     Args:
         area: a polygon, or several.
-        places: (k, 2) points to know the ways between.
-        largest: measure a way's pieces by their larger coordinate instead of their length.
+        places: (k, 2), the points to connect.
+        largest: measure a path's pieces by their larger coordinate instead of their length.
     """
     points = shapely.points(places)
     inside = shapely.covers(area, points)
@@ -86,14 +85,14 @@ def make_roadmap(area: shapely.Geometry, places: Floats, *, largest: bool = Fals
 
 
 def sees(area: shapely.Geometry, point: Floats, targets: Floats) -> NDArray[np.bool_]:
-    """(k,): whether the straight ways to the targets (k, 2) stay in the area."""
+    """Return (k,): whether the straight lines to the targets (k, 2) stay in the area."""
     ends = np.stack([np.broadcast_to(point, targets.shape), targets], axis=1)
     seen: NDArray[np.bool_] = shapely.covers(shapely.buffer(area, TOUCH), shapely.linestrings(ends))
     return seen
 
 
 def _corners(area: shapely.Geometry) -> Floats:
-    """The corners that stick into the area: those of holes, and the outline's reflex ones."""
+    """Return the reflex corners of the outline and the convex ones of holes."""
     found = [np.zeros((0, 2))]
     for polygon in shapely.get_parts(area):
         found.append(_reflex(np.array(polygon.exterior.coords)[:-1], True))
@@ -102,7 +101,7 @@ def _corners(area: shapely.Geometry) -> Floats:
 
 
 def _reflex(ring: Floats, outer: bool) -> Floats:
-    """Corners at which a ring turns away from its area."""
+    """Return the corners at which a ring turns away from its area."""
     x, y = ring.T
     doubled = np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))
     into, out = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring

@@ -1,4 +1,4 @@
-"""Convex pieces of a field that is not convex: one around each point of a path."""
+"""Convex pieces of a field that is not convex, one around each point of a path."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from mbn_marl.planning.motion import HalfPlanes
 from mbn_marl.planning.problem import Floats, Problem
 
 ASIDE = 0.1
-"""Points are moved this far from the walls before their surroundings are found, in units."""
+"""Points are moved this far from the walls first, in units."""
 MOST_PLANES = 40
 
 
 def surroundings(problem: Problem, paths: Floats) -> list[list[HalfPlanes]]:
-    """A convex part of the field for each robot and step, around the points of ``paths``.
+    """Return a convex part of the field for each robot and step, around the points of ``paths``.
 
     Args:
         problem: the instance.
-        paths: (n, T, 2), units; points outside the field stand for the nearest ones inside.
+        paths: (n, T, 2), units; points outside the field are moved to the nearest ones inside.
     """
     if problem.convex:
         return [[problem.half_planes]] * len(paths)
@@ -30,7 +30,7 @@ def surroundings(problem: Problem, paths: Floats) -> list[list[HalfPlanes]]:
 
 
 def _inside(polygon: shapely.Polygon, points: Floats) -> Floats:
-    """The points, those outside or at the walls moved to the nearest ones a little inside."""
+    """Return the points, those outside or at the walls moved a little inside."""
     inner = polygon.buffer(-ASIDE, join_style="mitre")
     area = polygon if inner.is_empty else inner
     shapes = shapely.points(points)
@@ -39,7 +39,7 @@ def _inside(polygon: shapely.Polygon, points: Floats) -> Floats:
 
 
 def _piece(edges: Floats, centre: Floats) -> HalfPlanes:
-    """Half-planes that hold ``centre`` and no wall: the nearest point of a wall bounds the next.
+    """Return half-planes that contain ``centre`` and no wall; each one touches the nearest wall.
 
     Args:
         edges: (E, 4), the walls' ends.
@@ -64,7 +64,7 @@ def _piece(edges: Floats, centre: Floats) -> HalfPlanes:
 
 
 def _in_front(starts: Floats, ends: Floats, normal: Floats, offset: float) -> tuple[Floats, Floats]:
-    """The parts of the walls on the near side of a plane."""
+    """Return the parts of the walls on the near side of a plane."""
     a, b = starts @ normal - offset, ends @ normal - offset
     kept = np.minimum(a, b) < -1e-7
     starts, ends, a, b = starts[kept], ends[kept], a[kept], b[kept]

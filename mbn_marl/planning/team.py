@@ -1,9 +1,9 @@
-"""The proved bound: the least makespan of the team without regard to collisions.
+"""The proved bound: the least makespan of the team if collisions are ignored.
 
-The relaxed problem asks that every ROI be visited by step T, each robot staying in the convex hull
-of the field until its last visit. A plan of the real problem solves it, and who solves it by T
-solves it by T + 1, so a set of ROIs that a robot cannot visit by T bounds all larger sets too.
-Where robots can wait at their starts, a robot may be taken to make its last visit exactly at T.
+The relaxed problem is to visit every ROI by step T, with each robot in the convex hull of the field
+until its last visit. Every plan of the real problem solves it, and a solution by T is one by T + 1,
+so a set of ROIs that a robot cannot visit by T bounds all larger sets too. Where robots can wait at
+their starts, a robot's last visit can be assumed to be exactly at T.
 """
 
 from __future__ import annotations
@@ -16,23 +16,25 @@ from dataclasses import dataclass, field, replace
 import highspy
 import numpy as np
 
-from mbn_marl.planning.legs import NEVER, Ints, Legs, set_bounds, tails
+from mbn_marl.planning.legs import NEVER, Legs, set_bounds
+from mbn_marl.planning.linear_program import make_solver
 from mbn_marl.planning.orders import OutOfTimeError, Search, Visits
 from mbn_marl.planning.partition import cheapest_partition, least_makespan
 from mbn_marl.planning.problem import Problem
-from mbn_marl.planning.relaxation import Disc, Region, Windows, make_solver
+from mbn_marl.planning.relaxation import Disc, Region
+from mbn_marl.planning.windows import StepWindows
 
 USED = 100
-"""What it costs to use a robot's set again in another partition."""
+"""Cost of using a robot's set again in another partition."""
 
 
 @dataclass(frozen=True)
 class Route:
-    """What one robot is to visit, and when.
+    """The visits of one robot.
 
     Attributes:
         order: the ROIs, in order.
-        visits: when, and by what path.
+        visits: their steps and the path.
     """
 
     order: tuple[int, ...]
@@ -40,7 +42,7 @@ class Route:
 
     @property
     def sure(self) -> bool:
-        """Whether no disc has to be inflated; otherwise only rounding might allow the route."""
+        """Whether no disc is inflated; otherwise only rounding may allow the route."""
         return self.visits.inflation <= 0.0
 
 
@@ -49,17 +51,17 @@ NO_GATES: Mapping[tuple[int, int], tuple[Disc, ...]] = {}
 
 @dataclass
 class Team:
-    """Finds the least makespan for which every robot's share has been verified.
+    """Searches the least makespan at which every robot's share of the ROIs is possible.
 
     Attributes:
         problem: the instance.
         legs: least steps of single legs.
-        slack: discs and hull may be missed by this much, in units: what rounding can do.
-        horizon: makespans of interest end here.
-        deadline: when to give up, on the clock ``time.monotonic``.
-        gates: discs to pass on the way from one place to another; places are the starts, then the
-            ROIs. Gates guide the search round corners; with them the bound is none.
-        bound: a lower bound of the makespan, rising.
+        slack: allowance of discs and hull for rounding, in units.
+        horizon: the largest makespan of interest, steps.
+        deadline: the end of the search, on the clock ``time.monotonic``.
+        gates: discs to pass between two places; places are the starts, then the ROIs. They guide
+            the search round corners, and make the bound a guess.
+        bound: a lower bound of the makespan, which rises, steps.
     """
 
     problem: Problem
@@ -74,9 +76,8 @@ class Team:
     _earliest: dict[tuple[int, tuple[int, ...]], int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Find the closed-form bounds."""
-        self.tail = tails(self.legs.between)
-        self.bounds: Ints = set_bounds(self.legs.first, self.tail)
+        """Compute the closed-form bounds."""
+        self.bounds, self.tail = set_bounds(self.legs)
         self.masks = np.arange(self.bounds.shape[1])
         normals, offsets = self.problem.half_planes
         low_x, low_y, high_x, high_y = self.problem.field.polygon.bounds
@@ -88,10 +89,10 @@ class Team:
         )
 
     def raise_bound(self) -> bool:
-        """Raise the bound until every robot's share is verified at it: whether it is in sight.
+        """Raise the bound until a solution has it; return whether there is one up to the horizon.
 
         Raises:
-            OutOfTimeError: at the deadline; ``bound`` is valid all the same.
+            OutOfTimeError: at the deadline; ``bound`` is still valid.
         """
         while self.bound <= self.horizon:
             self.bound = max(self.bound, least_makespan(self.bounds))
@@ -103,9 +104,9 @@ class Team:
         return False
 
     def solutions(self, makespan: int) -> Iterator[list[Route]]:
-        """Ways to visit everything by ``makespan``, a route for each robot, all different.
+        """Yield different solutions with at most ``makespan`` steps, a route for each robot.
 
-        The easiest come first. The bounds rise in passing, so none at all is a proof.
+        The easiest come first. If there are none, this is proved: the bounds have risen.
         """
         used: Counter[tuple[int, int]] = Counter()
         seen = set()
@@ -123,9 +124,9 @@ class Team:
                 yield [route for _, route in sorted(routes.items()) if route is not None]
 
     def _partition(self, makespan: int, used: Counter[tuple[int, int]]) -> list[int] | None:
-        """The easiest partition whose bounds all are within ``makespan``.
+        """Return the easiest partition whose bounds are all within ``makespan``.
 
-        Sets that have been verified cost nothing; sets that have been ``used`` cost the more.
+        Verified sets cost nothing; sets that were ``used`` before cost more.
         """
         sizes = np.array([mask.bit_count() for mask in self.masks.tolist()])
         costs = np.where(self.bounds <= makespan, 1 + sizes**2, NEVER)
@@ -138,7 +139,7 @@ class Team:
         return cheapest_partition(costs)
 
     def route(self, i: int, mask: int, makespan: int) -> Route | None:
-        """A way for robot i to visit the set by ``makespan``; ``None`` raises its bound."""
+        """Return a route of robot i through the set by ``makespan``; ``None`` raises its bound."""
         known = self._routes.get((i, mask))
         if known is not None and known[0] <= makespan:
             later = makespan - known[0]
@@ -155,7 +156,7 @@ class Team:
         return found
 
     def _later(self, i: int, route: Route, steps: int) -> Route:
-        """The same route after waiting at the start."""
+        """Return the same route after ``steps`` steps of waiting at the start."""
         if not steps or not self.problem.can_wait or not route.order:
             return route
         visits = route.visits
@@ -164,7 +165,7 @@ class Team:
         return Route(route.order, Visits(shifted, visits.inflation, path))
 
     def _extend(self, i: int, order: tuple[int, ...], rest: int, makespan: int) -> Route | None:
-        """Depth first over the orders that begin with ``order`` and go on with the set ``rest``."""
+        """Search depth first the orders that begin with ``order`` and continue with ``rest``."""
         if time.monotonic() > self.deadline:
             raise OutOfTimeError
         options = []
@@ -196,7 +197,7 @@ class Team:
         return None
 
     def _reached(self, i: int, order: tuple[int, ...]) -> int:
-        """A lower bound of the step at which robot i can visit the last ROI of ``order``."""
+        """Return a lower bound of the step at which robot i visits the last ROI of ``order``."""
         if len(order) == 1:
             least = int(self.legs.first[i, order[0]])
         else:
@@ -204,9 +205,9 @@ class Team:
         return max(least, self._earliest.get((i, order), 0))
 
     def _stops(self, i: int, order: tuple[int, ...], last: int, ends: bool) -> _Stops:
-        """The stops of an order that is made by step ``last``, with all that is known of when.
+        """Return the stops of an order that is complete by step ``last``, with their windows.
 
-        If the route ``ends`` there and robots can wait, it ends at that very step.
+        If the route ``ends`` there and robots can wait, it ends at exactly that step.
         """
         n, radius = self.problem.n, self.problem.config.roi_radius
         discs: list[Disc] = []
@@ -229,20 +230,20 @@ class Team:
         if ends and self.problem.can_wait:
             first[-1] = last
         count = len(discs)
-        windows = Windows(tuple(first), (last,) * count, tuple(least), (last,) * count)
+        windows = StepWindows(tuple(first), (last,) * count, tuple(least), (last,) * count)
         return _Stops(tuple(discs), windows, tuple(rois))
 
 
 @dataclass(frozen=True)
 class _Stops:
-    """Stops of a route; ``rois`` are the places of the ROIs among them."""
+    """Stops of a route; ``rois`` are the indices of the ROIs among them."""
 
     discs: tuple[Disc, ...]
-    windows: Windows
+    windows: StepWindows
     rois: tuple[int, ...]
 
     def of_rois(self, visits: Visits) -> Visits:
-        """The visits of the ROIs alone."""
+        """Return the visits of only the ROIs."""
         return replace(visits, steps=tuple(visits.steps[k] for k in self.rois))
 
 

@@ -1,4 +1,4 @@
-"""A plan as a closed loop: it is followed from wherever the robots are, in any wind."""
+"""A plan in closed loop: it is followed from any positions, in any wind."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from mbn_marl.planning.planner import Plan
 from mbn_marl.planning.problem import Floats, Problem
 
 POSITION_GAIN, VELOCITY_GAIN = 0.3, 0.9
-"""Change of velocity per unit of lag, and per unit of lag per step: a quick, well-damped loop."""
+"""Gains of a quick, well-damped loop: change of velocity per lag in position and velocity."""
 EXACT = 1e-3
-"""Deviations below this, in units, are rounding and not worth a correction."""
+"""Deviations below this, in units, are rounding and are not corrected."""
 RESERVE = 0.9
-"""Share of the force that the wind leaves which a slower reference uses; the loop has the rest."""
+"""Share of the force left by the wind that a slower reference uses; the loop has the rest."""
 SLOWEST = 0.2
 
 
 class Tracker:
-    """Follows a plan for one team through one episode; what is left at its end is done greedily.
+    """Follows a plan for one team through one episode; a greedy controller visits what is left.
 
-    In a wind that the plan was not made for, which shows in the first step, the plan is followed as
-    much more slowly as the force that is left demands, still with a step at every planned visit.
+    The first step reveals the wind. In another wind than the planned one, the plan is followed more
+    slowly, as the remaining force requires, still with a step at every planned visit.
 
     Args:
         problem: the instance, with the wind that the plan was made for.
@@ -43,7 +43,7 @@ class Tracker:
     def act(
         self, positions: FloatArray, velocities: FloatArray, visited: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
-        """Actions (n, 2) in [-1, 1]; arguments as for :meth:`Greedy.act`."""
+        """Return actions (n, 2) in [-1, 1]; arguments as for :meth:`Greedy.act`."""
         problem, k = self.problem, self.step
         self.step += 1
         if k == 1:
@@ -59,7 +59,7 @@ class Tracker:
         return np.asarray(actions, np.float32)
 
     def _follow(self, times: Floats) -> None:
-        """Take the plan's positions at these times, in steps of the plan, as the reference."""
+        """Make the plan's positions at ``times``, in steps of the plan, the reference."""
         steps = np.arange(len(self.plan.trail), dtype=float)
         self.path: Floats = CubicSpline(steps, self.plan.trail)(times)
         moved = np.diff(self.path, axis=0, prepend=self.path[:1])
@@ -68,7 +68,7 @@ class Tracker:
         self.actions = changes / self.problem.forces
 
     def _notice_wind(self, velocities: FloatArray) -> None:
-        """From the first step on: follow the plan as fast as the wind allows."""
+        """After the first step, slow the plan down to what the wind allows."""
         planned = self.problem
         self.problem = planned.with_wind(velocities, self.plan.actions[0])
         if self.problem is planned:
@@ -80,7 +80,7 @@ class Tracker:
         self._follow(self._times(max(pace, SLOWEST)))
 
     def _times(self, pace: float) -> Floats:
-        """The plan's times from step 1 on, slower, with a step at each visit."""
+        """Return the plan's times, slower from step 1 on, with a step at each visit."""
         marks = np.unique([0, 1, *self.plan.visit_steps, len(self.plan.trail) - 1])
         times = [np.array([0.0])]
         for first, last in itertools.pairwise(marks.tolist()):

@@ -13,6 +13,8 @@ from scipy.optimize import linprog
 from mbn_marl.field import Field
 from tests.support.worlds import points_within, ring
 
+SQUARE = [(100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0)]
+
 U_SHAPE = Field(
     [
         (100, 100),

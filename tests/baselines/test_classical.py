@@ -1,0 +1,124 @@
+"""Policies without learning, demonstrations of the planner, and their commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines.classical.cloning import clone
+from baselines.classical.controller import make_classical
+from baselines.classical.demonstrations import record_demonstrations
+from baselines.cli import main
+from baselines.evaluation.evaluate import evaluate
+from mbn_marl import BatchEngine
+from mbn_marl.episode import check_episode, load_episode
+from mbn_marl.errors import MbnError
+from mbn_marl.field import load_field
+from mbn_marl.planning import plan
+
+
+@pytest.mark.parametrize(("name", "makespan"), [("greedy", 22.0), ("planner", 17.0)])
+def test_classical_policies(name: str, makespan: float) -> None:
+    field = load_field("field_03")
+    summary = evaluate(make_classical(name, field, {}), field, {}, episodes=3).summary()
+    assert summary["success_rate"] == 1.0
+    assert summary["wall_hits"] == 0.0
+    assert 17.0 <= summary["makespan"] <= makespan + (name == "greedy")
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.3])
+def test_the_planner_stands_wind_that_it_did_not_plan_for(speed: float) -> None:
+    field = load_field("field_01")
+    policy = make_classical("planner", field, {})
+    summary = evaluate(policy, field, {"wind": (speed, 30.0)}, episodes=2).summary()
+    assert summary["success_rate"] == 1.0
+    assert summary["makespan"] < 70
+
+
+def test_one_policy_serves_many_worlds_and_episodes() -> None:
+    engine = BatchEngine("field_03", 3, threads=1)
+    engine.reset()
+    policy = make_classical("planner", load_field("field_03"), {})
+    ends = 0
+    for _ in range(2 * 17):
+        _, _, terminated, _ = engine.step(policy.act(engine.state(), deterministic=True))
+        ends += int(terminated.sum())
+    assert ends == 6
+
+
+def test_unknown_classical_policy() -> None:
+    with pytest.raises(MbnError, match="magic"):
+        make_classical("magic", load_field("field_03"), {})
+
+
+def test_demonstrations_are_the_plan() -> None:
+    found = plan("field_03")
+    arrays = record_demonstrations(found, {})
+    np.testing.assert_allclose(arrays["actions"], found.actions, atol=1e-6)
+    assert arrays["observations"].shape == (17, 3, 30)
+    assert arrays["states"].shape == (17, 13)
+    assert arrays["rewards"].sum() == pytest.approx(159_490.0)
+    assert arrays["terminations"].tolist() == [False] * 16 + [True]
+    noisy = record_demonstrations(found, {}, episodes=3, noise=0.1)
+    assert set(noisy["episodes"]) == {0, 1, 2}
+    assert noisy["successes"].all()
+    assert 0.05 < np.std((noisy["taken"] - noisy["actions"])[5:10]) < 0.15
+
+
+def test_behaviour_cloning_comes_close_to_the_planner() -> None:
+    field = load_field("field_03")
+    arrays = record_demonstrations(plan(field), {}, episodes=20, noise=0.2)
+    policy = clone(arrays["observations"], arrays["actions"], updates=600, hidden=64)
+    summary = evaluate(policy, field, {}, episodes=1, deterministic=True).summary()
+    assert summary["success_rate"] == 1.0
+    assert summary["makespan"] < 30
+
+
+def test_mbn_plan_prints_draws_and_saves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, export = tmp_path / "plan", tmp_path / "demos.npz"
+    words = ["plan", "field_03", "-o", str(out), "--export", str(export), "--episodes", "2"]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert "17 steps" in printed and "yes, proved" in printed
+    saved = json.loads((out / "plan.json").read_text())
+    assert (saved["makespan"], saved["optimal"], saved["return"]) == (17, True, 159_490.0)
+    assert (out / "plan.png").read_bytes()[:4] == b"\x89PNG"
+    visits = ", ".join(f"w{roi + 1}" for roi in saved["assignment"][0])
+    assert visits in printed, "numbered as in the picture"
+    episode = load_episode(out / "episode.json")
+    check_episode(episode)
+    assert (episode.source, episode.outcome) == ("plan, proved optimal", "success")
+    assert (episode.steps, episode.team_return) == (17, 159_490.0)
+    with np.load(out / "plan.npz") as arrays:
+        assert arrays["actions"].shape == (17, 3, 2)
+    with np.load(export) as arrays:
+        assert len(arrays["actions"]) == 34
+    before = sorted(tmp_path.iterdir())
+    for taken in (["-o", str(out)], ["-o", str(tmp_path / "new"), "--export", str(export)]):
+        assert main(["plan", "field_03", *taken]) == 2
+        assert "--force" in capsys.readouterr().err
+    for wrong in (["--n-robots", "9"], ["--time-limit", "-1"], ["--wind", "nan", "0"]):
+        assert main(["plan", "field_03", *wrong, "-o", str(out), "--force"]) == 2
+        assert wrong[0][2:].replace("-", "_") in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == before
+    assert main(["plan", "field_03", "--episodes", "2"]) == 2
+    assert "--export" in capsys.readouterr().err
+
+
+def test_mbn_evaluate_takes_classical_policies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "result.json"
+    words = ["--field", "field_03", "--episodes", "2", "--json", str(out)]
+    assert main(["evaluate", "planner", *words]) == 0
+    assert "0.00%" in capsys.readouterr().out
+    result = json.loads(out.read_text())
+    assert result["optimum"] == 159_490.0
+    assert result["optimality_gap"] == {"stochastic": 0.0, "deterministic": 0.0}
+    assert main(["evaluate", "greedy"]) == 2
+    assert "field" in capsys.readouterr().err

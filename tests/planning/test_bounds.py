@@ -1,0 +1,153 @@
+"""The proved bounds: closed forms, the relaxation, and brute force on small instances."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import highspy
+import numpy as np
+import pytest
+
+from mbn_marl import BatchEngine
+from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.field import Field
+from mbn_marl.planning.legs import NEVER, proved_legs
+from mbn_marl.planning.linear_program import make_solver
+from mbn_marl.planning.partition import cheapest_partition, least_makespan
+from mbn_marl.planning.planner import prove
+from mbn_marl.planning.problem import make_problem
+from mbn_marl.planning.relaxation import Disc, Region, Relaxation
+from mbn_marl.planning.windows import StepWindows, fixed_windows
+from tests.support.planning_cases import (
+    SQUARE,
+    U_SHAPE,
+    brute_force,
+    small_field,
+)
+
+LATER = 1e12
+"""A deadline that never comes."""
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_bound_agrees_with_brute_force(seed: int) -> None:
+    field = small_field(seed)
+    bound = prove(make_problem(field, NavigationConfig()), LATER).bound
+    assert brute_force(field, 10.0 / math.cos(math.pi / 48)) <= bound <= brute_force(field, 10.0)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_bound_agrees_with_brute_force_for_one_robot_in_wind(seed: int) -> None:
+    field, config = small_field(10 + seed, n=1), make_config({"wind": (0.2, 200.0)})
+    bound = prove(make_problem(field, config), LATER).bound
+    wind = config.wind_increment()
+    optimistic = brute_force(field, 10.0 / math.cos(math.pi / 48), wind)
+    assert optimistic <= bound <= brute_force(field, 10.0, wind)
+
+
+def test_first_legs_by_hand() -> None:
+    # From rest an axis moves 0.5, 1.5, 3, 5, 7.5, ...; discs of 10 are reached 10 units early.
+    offsets = [(17.4, 0.0), (17.6, 0.0), (0.0, 9.0), (6.0 + 3.0, 8.0 + 3.0), (9.1, 11.1)]
+    rois = [(150.0 + x, 150.0 + y) for x, y in offsets]
+    problem = make_problem(Field(SQUARE, rois, [(150.0, 150.0)]), NavigationConfig())
+    assert proved_legs(problem, 1e-6, 100).first.tolist() == [[5, 6, 1, 3, 4]]
+    assert proved_legs(problem, 1e-6, 5).first[0, 1] == NEVER
+
+
+def test_legs_between_discs_by_hand() -> None:
+    rois = [(110.0, 110.0), (140.0, 110.0), (140.1, 170.2), (120.0, 110.0)]
+    problem = make_problem(Field(SQUARE, rois, [(200.0, 200.0)]), NavigationConfig())
+    between = proved_legs(problem, 1e-9, 100).between
+    # 30 - 20 = 10 units at 5 a step; from 110 to 170.2, 60.2 - 20 = 40.2; overlapping discs.
+    assert [between[0, 1], between[1, 2], between[0, 3]] == [2, 9, 0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_partitions_against_enumeration(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    costs = rng.integers(1, 50, (3, 16))
+    costs[:, 0] = 0
+    totals, worst = [], []
+    for owners in itertools.product(range(3), repeat=4):
+        masks = [sum(1 << j for j in range(4) if owners[j] == i) for i in range(3)]
+        shares = [int(costs[i, mask]) for i, mask in enumerate(masks)]
+        totals.append(sum(shares))
+        worst.append(max(shares))
+    chosen = cheapest_partition(costs)
+    assert chosen is not None
+    assert sum(costs[i, mask] for i, mask in enumerate(chosen)) == min(totals)
+    assert sum(chosen) == 15
+    assert least_makespan(costs) == min(worst)
+
+
+def straight(first: int, last: int) -> tuple[Relaxation, StepWindows]:
+    """From rest at the origin to the disc of radius 1 about (8.5, 0), in a window of steps."""
+    normals = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    region = Region(normals, np.full(4, 50.0), (-50.0, -50.0), (50.0, 50.0))
+    problem = make_problem(Field(SQUARE, [(150, 150)], [(200, 200)]), NavigationConfig())
+    relaxation = Relaxation((0.0, 0.0), problem.drives[0], region, (Disc((8.5, 0.0), 1.0),))
+    return relaxation, StepWindows((first,), (last,), (first,), (last,))
+
+
+@pytest.mark.parametrize(("steps", "inflation"), [(4, 2.5), (5, 0.0), (6, -1.0)])
+def test_the_relaxation_is_exact_at_fixed_times(steps: int, inflation: float) -> None:
+    relaxation, _ = straight(steps, steps)
+    solved = relaxation.solve(make_solver(), fixed_windows([steps]), relaxation.tangents(), 100.0)
+    assert solved.inflation == pytest.approx(inflation, abs=1e-4)
+    assert solved.bound == pytest.approx(inflation, abs=1e-4)
+    assert solved.bound <= solved.inflation + 1e-9
+
+
+def test_bounds_hold_with_a_solver_that_stops_early() -> None:
+    relaxation, windows = straight(4, 4)
+    highs = make_solver()
+    highs.setOptionValue("simplex_iteration_limit", 2)
+    assert isinstance(highs, highspy.Highs)
+    assert relaxation.solve(highs, windows, relaxation.tangents(), 100.0).bound <= 2.5 + 1e-9
+
+
+def test_bounds_hold_where_rounding_of_a_strong_wind_moves_robots() -> None:
+    # Force and wind all but cancel, and what is left of their float32 values is a little more.
+    settings: dict[str, Any] = {"f_max": 1000.2, "wind": (1000.05, 0.0)}
+    lane = [(100.0, 100.0), (900.0, 100.0), (900.0, 300.0), (100.0, 300.0)]
+    engine = BatchEngine(Field(lane, [(120, 200)], [(880, 200)]), 1, threads=1, **settings)
+    engine.reset()
+    for _ in range(30):
+        engine.step(np.array([[[-1.0, 0.0]]]))
+    reached = float(engine.snapshot().positions[0, 0])
+    assert reached < 880.0 - 0.15 * 30 * 31 / 2 - 0.01
+    field = Field(lane, [(reached - 9.999, 200.0)], [(880, 200)])
+    assert prove(make_problem(field, make_config(settings)), LATER).bound <= 30
+
+
+def test_long_episodes_do_not_weaken_the_bound() -> None:
+    # Rounding may do much in 100,000 steps, but little in the 250 that matter here.
+    field = Field(SQUARE, [(280, 200)], [(110, 200)])
+    settings: dict[str, Any] = {"f_max": 0.005, "max_steps": 100_000}
+    # From rest, 160 units take 0.005 L (L + 1) / 2 >= 160.
+    assert prove(make_problem(field, make_config(settings)), LATER).bound == 253
+
+
+def test_the_shape_of_the_field_bounds_the_plan() -> None:
+    # The straight way from (120, 390) to the disc about (350, 380) takes 48 steps; round the wall,
+    # less what steps may cut off, it is (236.5 - 3.5) + 93 + 226.5 - 10 units at 5 a step.
+    only = Field(U_SHAPE.vertices, [(350, 380)], [(120, 390)])
+    convex = Field([(100, 100), (400, 100), (400, 400), (100, 400)], only.rois, only.starts)
+    assert prove(make_problem(convex, NavigationConfig()), LATER).bound == 49
+    assert 109 <= prove(make_problem(only, NavigationConfig()), LATER).bound <= 114
+
+
+def test_the_bound_allows_for_steps_across_thin_walls() -> None:
+    # Only positions after steps have to be in the field: at full force a robot strides across.
+    wall = [(140.0, 110.0), (142.0, 110.0), (142.0, 290.0), (140.0, 290.0)]
+    field = Field(SQUARE, [(160.0, 200.0)], [(120.0, 200.0)], holes=[wall])
+    engine = BatchEngine(field, 1, autoreset="disabled", threads=1)
+    engine.reset()
+    ended = False
+    while not ended:
+        ended = bool(engine.step(np.array([[[1.0, 0.0]]]))[2][0])
+    metrics = engine.metrics()
+    assert metrics["success"][0] and metrics["wall_hits"].sum() == 0
+    assert prove(make_problem(field, NavigationConfig()), LATER).bound <= metrics["steps"][0]

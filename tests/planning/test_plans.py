@@ -1,0 +1,168 @@
+"""Plans: verified in the engine, proved or with an honest interval."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+
+from mbn_marl import BatchEngine, parallel_env
+from mbn_marl.config import NavigationConfig
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field, catalogue_names, load_field
+from mbn_marl.optimum import optimal_return
+from mbn_marl.planning import Plan, UnsolvableError, plan, replay
+from mbn_marl.planning.problem import make_problem
+from mbn_marl.planning.surroundings import surroundings
+from tests.field.test_field_files import OPTIMAL_MAKESPANS
+from tests.support.planning_cases import (
+    SQUARE,
+    U_SHAPE,
+    labyrinth,
+    star_field,
+)
+
+
+def replayed(found: Plan, dtype: str, **settings: object) -> tuple[bool, int, float]:
+    """Success, length and return of the plan's actions in the public environment."""
+    env = parallel_env(found.field, dtype=dtype, **settings)
+    env.reset(seed=0)
+    total, infos = 0.0, {}
+    for step, actions in enumerate(found.actions):
+        assert env.agents, f"ended after {step} steps"
+        _, rewards, _, _, infos = env.step(dict(zip(env.agents, actions, strict=True)))
+        total += sum(rewards.values())
+    success = infos["robot_0"]["success"] == 1.0
+    return success and not env.agents, len(found.actions), total
+
+
+@pytest.mark.parametrize(
+    ("name", "makespan"), zip(catalogue_names(), OPTIMAL_MAKESPANS, strict=True)
+)
+def test_the_ten_fields_are_proved_optimal(name: str, makespan: int) -> None:
+    found = plan(name)
+    assert (found.makespan, found.makespan_lower_bound, found.optimal) == (makespan, makespan, True)
+    assert load_field(name).optimal_makespan == makespan
+    assert found.return_ == 160_000 - 30 * makespan == optimal_return(found.field)
+    assert found.actions.shape == (makespan, 3, 2)
+    assert found.actions.dtype == np.float32
+    assert np.abs(found.actions).max() <= 1.0
+    assert sorted(itertools.chain(*found.assignment)) == list(range(6))
+    for dtype in ("float32", "float64"):
+        success, steps, total = replayed(found, dtype)
+        assert (success, steps) == (True, makespan)
+        assert total == pytest.approx(160_000 - 30 * makespan, rel=1e-6)
+
+
+@pytest.mark.parametrize("reach", [7.5, 7.5 + 10.0, 27.5 + 5.0 * 20])
+def test_ties_are_polished_to_exact_motions(reach: float) -> None:
+    # The ROI comes within exactly 10 units in the last step, at full force all the way.
+    field = Field([(0, 0), (900, 0), (900, 300), (0, 300)], [(110.0 + reach, 200)], [(100, 200)])
+    found = plan(field)
+    assert found.optimal
+    assert abs(found.trail[-1, 0, 0] - field.rois[0, 0]) <= 10.0
+
+
+def test_an_roi_at_the_start_takes_one_step() -> None:
+    found = plan(Field(SQUARE, [(150, 150)], [(150, 150)]))
+    assert (found.makespan, found.optimal, found.return_) == (1, True, 109_990.0)
+
+
+def test_wind_is_part_of_the_plan() -> None:
+    field = Field(SQUARE, [(120, 120), (200, 200)], [(280, 280)])
+    calm, against = plan(field), plan(field, wind=(0.4, 30.0))
+    assert calm.makespan is not None and against.makespan is not None
+    assert against.optimal and against.makespan > calm.makespan_lower_bound
+    assert replayed(against, "float32", wind=(0.4, 30.0))[:2] == (True, against.makespan)
+
+
+def test_robots_pass_each_other() -> None:
+    # Two robots whose straight ways cross, and a lane that only one fits through at a time.
+    field = Field(SQUARE, [(290, 290), (110, 290)], [(110, 110), (290, 110)])
+    found = plan(field, n_robots=2)
+    assert found.makespan is not None
+    apart = np.hypot(*(found.trail[:, 0] - found.trail[:, 1]).T)
+    assert apart.min() >= 10.0
+
+
+@pytest.mark.parametrize("field", [U_SHAPE, star_field(0), star_field(1)])
+def test_fields_that_are_not_convex_have_verified_plans(field: Field) -> None:
+    found = plan(field, time_limit=20.0)
+    assert found.makespan is not None
+    assert found.makespan_lower_bound <= found.makespan
+    assert (found.makespan - found.makespan_lower_bound) / found.makespan <= 0.15
+    assert shapely.intersects_xy(field.polygon, found.trail.reshape(-1, 2)).all()
+    assert replayed(found, "float32")[:2] == (True, found.makespan)
+
+
+def test_surroundings_are_convex_parts_of_the_field() -> None:
+    field = star_field(2)
+    problem = make_problem(field, NavigationConfig())
+    rng = np.random.default_rng(0)
+    low, high = field.vertices.min(axis=0), field.vertices.max(axis=0)
+    paths = rng.uniform(low, high, (3, 20, 2))
+    probes = rng.uniform(low, high, (4000, 2))
+    inside = shapely.intersects_xy(field.polygon.buffer(1e-6), probes)
+    for normals, offsets in itertools.chain(*surroundings(problem, paths)):
+        held = np.all(probes @ normals.T <= offsets, axis=1)
+        assert not np.any(held & ~inside)
+        assert len(normals) >= 3
+
+
+def test_many_rois_have_a_plan_and_a_bound() -> None:
+    rng = np.random.default_rng(0)
+    rois = [(x, y) for x, y in rng.uniform(110.0, 290.0, (16, 2))]
+    found = plan(Field(SQUARE, rois, [(120, 120), (280, 280)]), time_limit=10.0)
+    assert found.makespan is not None
+    assert 20 < found.makespan_lower_bound <= found.makespan
+    assert sorted(itertools.chain(*found.assignment)) == list(range(16))
+
+
+def test_an_unreachable_roi_is_reported_at_once() -> None:
+    with pytest.raises(UnsolvableError, match=r"rois\[0\]"):
+        plan(labyrinth(24), time_limit=60.0)
+    with pytest.raises(UnsolvableError, match=r"rois\[0\]"):
+        plan(Field(SQUARE, [(120, 120)], [(280, 280)]), wind=(0.8, 30.0))
+    with pytest.raises(UnsolvableError, match="max_steps"):
+        plan("field_03", max_steps=16)
+
+
+def test_out_of_time_the_interval_is_marked() -> None:
+    found = plan("field_06", time_limit=1e-6)
+    assert not found.optimal
+    assert found.makespan_lower_bound <= 39
+    assert found.makespan is None or found.makespan > 39
+
+
+def test_the_time_limit_holds_where_greed_gets_nowhere() -> None:
+    # Blown into a wall for good, the greedy controller goes on until the end of the episode.
+    found = plan("field_01", wind=(0.55, 0.0), max_steps=4000, time_limit=1.0)
+    assert found.makespan is None
+    assert found.makespan_lower_bound > 30
+    assert found.seconds < 8.0
+
+
+def test_plans_do_not_compile_what_robots_would_see(monkeypatch: pytest.MonkeyPatch) -> None:
+    engines = []
+
+    def spy(*args: Any, **settings: Any) -> BatchEngine:
+        engines.append(BatchEngine(*args, **settings))
+        return engines[-1]
+
+    monkeypatch.setattr(replay, "BatchEngine", spy)
+    assert plan("field_03", observation="lidar", one_hot=True, reward_sharing="team").optimal
+    assert engines and {engine.config.observation for engine in engines} == {"relative"}
+
+
+def test_bad_input_is_named() -> None:
+    with pytest.raises(ConfigError, match="time_limit"):
+        plan("field_03", time_limit=0.0)
+    with pytest.raises(ConfigError, match="n_robots"):
+        plan("field_03", n_robots=4)
+    with pytest.raises(ConfigError, match="random_starts"):
+        plan("field_03", random_starts=True)
+    with pytest.raises(ConfigError, match="mass"):
+        plan("field_03", mass=(1.0, 2.0))

@@ -1,0 +1,45 @@
+"""The proved optimum of a field as a return, and the gap to it in the infos."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mbn_marl import centralized_env, parallel_env
+from mbn_marl.field import Field
+from mbn_marl.optimum import optimal_return
+from mbn_marl.planning import plan
+
+
+def test_environments_say_their_optimal_return() -> None:
+    assert parallel_env("field_03").unwrapped.optimal_return == 159_490.0
+    assert centralized_env("field_09").unwrapped.optimal_return == 157_510.0
+    assert parallel_env("field_03", wind=(0.1, 0.0)).unwrapped.optimal_return is None
+
+
+def test_no_optimum_is_claimed_where_a_wall_might_pay() -> None:
+    # 40 robots for 26 steps cost 10,400, more than the 10,000 of a push against the wall.
+    starts = [(20.0 + 20.0 * k, 20.0) for k in range(40)]
+    corners = [(0, 0), (1000, 0), (1000, 300), (0, 300)]
+    for makespan, claimed in ((25, 110_000 - 10_000), (26, None)):
+        field = Field(corners, [(500.0, 200.0)], starts, optimal_makespan=makespan)
+        assert optimal_return(field) == claimed
+
+
+def test_infos_report_the_gap_at_the_end() -> None:
+    found = plan("field_03")
+    env = parallel_env("field_03")
+    env.reset(seed=0)
+    gaps = []
+    for actions in found.actions:
+        infos = env.step(dict(zip(env.agents, actions, strict=True)))[-1]
+        gaps.append({info["optimality_gap"] for info in infos.values()})
+    assert gaps == [{0.0}] * 17
+    team = centralized_env("field_03")
+    team.reset(seed=0)
+    gaps = [team.step(np.zeros((3, 2)))[-1]["optimality_gap"] for _ in range(1000)]
+    # Of each robot's 1000 steps the first costs 10, the others, on known ground, 100; two ROIs lie
+    # exactly 10 units from starts.
+    total = 2 * 10_000 - 3 * (10 + 999 * 100)
+    assert gaps == [0.0] * 999 + [pytest.approx(1.0 - total / 159_490)]
+    assert "optimality_gap" not in centralized_env("field_03", wind=(0.1, 0.0)).reset()[1]
