@@ -1,7 +1,8 @@
-"""Writing a file as a whole or not at all, and never over another one unasked."""
+"""Atomic writes of files, and free names for them."""
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,12 +13,12 @@ from mbn_marl.errors import MbnError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its place when the block ends well.
+    """Yield a temporary path beside ``path`` that takes its place when the block succeeds.
 
-    Missing folders are made. If the block fails, ``path`` is left as it was.
+    Missing folders are made. If the block fails or the machine stops, ``path`` is as it was.
 
     Raises:
-        OSError: naming the place, if it cannot be written.
+        OSError: ``path`` cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_dir():
@@ -25,19 +26,18 @@ def replacing(path: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         temporary = Path(folder) / path.name
         yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())  # before the rename, or a crash could leave an empty file
         temporary.replace(path)
 
 
 def claim_file(path: Path, *, force: bool = False) -> Path:
-    """Make sure that no file is at ``path``.
+    """Check that ``path`` is free for a new file, and return it.
 
     Args:
         path: where a new file is to be.
-        force: a file that is already there is moved aside to ``<path>.1``, ``<path>.2``, ... (the
-            first free name), so nothing is lost.
-
-    Returns:
-        The path.
+        force: move an existing file aside to ``<path>.1``, ``<path>.2``, ... (the first free name),
+            so that nothing is lost.
 
     Raises:
         MbnError: ``path`` is a folder, or a file and ``force`` is not set.
@@ -54,7 +54,7 @@ def claim_file(path: Path, *, force: bool = False) -> Path:
 
 
 def free_name(path: Path) -> Path:
-    """The first of ``<path>.1``, ``<path>.2``, ... that is not there."""
+    """Return the first of ``<path>.1``, ``<path>.2``, ... that does not exist."""
     number = 1
     while (candidate := path.with_name(f"{path.name}.{number}")).exists():
         number += 1

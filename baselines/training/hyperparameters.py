@@ -41,7 +41,7 @@ def read_blocks(path: Path) -> dict[str, Any]:
     """
     try:
         data = read_checked(path.parent, path.name)
-        blocks = safe_yaml.parse(data, str(path), max_scalar=safe_yaml.MAX_TEXT)
+        blocks = safe_yaml.parse_yaml(data, str(path), max_scalar=safe_yaml.MAX_TEXT)
     except FieldError as error:
         raise ConfigError(str(path), error.problems) from None
     except OSError as error:

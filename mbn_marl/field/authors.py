@@ -1,8 +1,8 @@
-"""The field sets of the paper's authors, as their released code stores them.
+"""The field sets of the paper's authors, in the format of their released code.
 
 A set is a mapping with ``field`` (the outline), ``init_positions`` (the starts),
 ``infected_locations`` (the ROIs) and ``grid_size`` (the side of the square arena; 100 when
-absent), all in tens of units. A file holds one set, or a mapping of names to sets.
+absent), all in tens of units. A file contains one set, or a mapping of names to sets.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ _KEYS = {"field": "vertices", "init_positions": "starts", "infected_locations": 
 _PLACES = {ours: theirs for theirs, ours in _KEYS.items()} | {"arena": "grid_size"}
 
 
-def is_set(document: object) -> TypeGuard[Mapping[str, Any]]:
-    """Whether ``document`` is one set: a mapping with any of the authors' own keys."""
+def is_field_set(document: object) -> TypeGuard[Mapping[str, Any]]:
+    """Return whether ``document`` is one set: a mapping with any of the authors' keys."""
     return isinstance(document, Mapping) and not _KEYS.keys().isdisjoint(document)
 
 
 def is_collection(document: object) -> TypeGuard[Mapping[str, Any]]:
-    """Whether ``document`` is a mapping of names to sets."""
+    """Return whether ``document`` is a mapping of names to sets."""
     return (
         isinstance(document, Mapping)
         and len(document) > 0
-        and all(is_set(entry) for entry in document.values())
+        and all(is_field_set(entry) for entry in document.values())
     )
 
 
 def field_from_set(document: Mapping[str, Any], source: str, name: str) -> Field:
-    """The field of one set, in arena units.
+    """Return the field of one set, in arena units.
 
     Raises:
-        FieldError: listing every problem, its place in the set's own words (coordinates in units).
+        FieldError: listing every problem, with its place in the set (coordinates in units).
     """
     known = [*_KEYS, "grid_size"]
     problems = [f"{key}: {unknown('name', key, known)}" for key in document if key not in known]
@@ -50,14 +50,14 @@ def field_from_set(document: Mapping[str, Any], source: str, name: str) -> Field
     try:
         field = Field(**lists, arena=(grid, grid), name=name)
     except FieldError as error:
-        problems += map(_in_their_words, error.problems)
+        problems += map(_in_authors_words, error.problems)
     if problems:
         raise FieldError(source, dict.fromkeys(problems))
     return field
 
 
 def _scaled(value: Any) -> Any:
-    """``value`` with the numbers in it turned into units; anything else stays for the checks."""
+    """Scale the numbers in ``value`` to units; leave anything else to the checks."""
     if isinstance(value, list):
         return [_scaled(entry) for entry in value]
     if isinstance(value, (int, float)) and not isinstance(value, bool):
@@ -65,7 +65,7 @@ def _scaled(value: Any) -> Any:
     return value
 
 
-def _in_their_words(problem: str) -> str:
+def _in_authors_words(problem: str) -> str:
     """Rename the places of a problem: ``starts[1]: ...`` becomes ``init_positions[1]: ...``."""
     problem = re.sub(r"^arena(\.[xy])?(?=:)", "grid_size", problem)
     return re.sub(r"\b(vertices|starts|rois)(?=[\[:])", lambda match: _PLACES[match[1]], problem)

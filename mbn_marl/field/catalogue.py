@@ -1,4 +1,4 @@
-"""The catalogue: the field files that are installed with the package."""
+"""The catalogue: the field files installed with the package."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _FOLDER = files("envs_catalog")
 
 
 def catalogue_names() -> list[str]:
-    """The names of the catalogue's fields, sorted: the stems of the files in ``envs_catalog``."""
+    """Return the names of the catalogue's fields, sorted."""
     suffix = ".yaml"
     return sorted(
         entry.name.removesuffix(suffix)

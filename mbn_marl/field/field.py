@@ -12,7 +12,7 @@ import numpy.typing as npt
 import shapely
 
 from mbn_marl.errors import FieldError
-from mbn_marl.field.geometry import GeometryReader, Point
+from mbn_marl.field.geometry import Point, PointReader
 from mbn_marl.field.limits import MAX_NAME, NAME_PATTERN
 from mbn_marl.field.validation import find_problems
 
@@ -25,22 +25,21 @@ DEFAULT_ARENA: Point = (1000.0, 1000.0)
 class Field:
     """A polygon with holes, its ROIs and the robots' starts, in arena units.
 
-    The field is a closed set: the boundaries of the outline and of the holes belong to it.
-    Fields compare and hash by value, and pickle.
+    The field is a closed set: it contains the boundaries of the outline and of the holes.
+    Fields compare and hash by value, and can be pickled.
 
     Args:
-        vertices: corners of the outline in order, (k, 2) in units, either direction, not repeated
-            at the end; at least 3, and 500 with those of the holes.
+        vertices: corners of the outline in order, (k, 2) in units, in either direction, the first
+            not repeated at the end; at least 3, at most 500 with those of the holes.
         rois: the regions of interest, (m, 2) in units, 1 to 24, inside the field.
-        starts: where robots start, (s, 2) in units, 1 to 64, inside the field, at least 10 units
-            apart. A field with s starts holds up to s robots.
-        holes: obstacles, at most 64; each a list of corners, (k, 2) in units, inside the outline,
+        starts: the robots' starts, (s, 2) in units, 1 to 64, inside the field, at least 10 units
+            apart. There can be up to s robots.
+        holes: obstacles, at most 64, each a list of corners (k, 2) in units; inside the outline,
             touching neither it nor another hole.
-        arena: width and height, in units, of the arena ``[0, width] x [0, height]`` that holds
-            everything.
+        arena: width and height in units; everything is in ``[0, width] x [0, height]``.
         name: 1 to 64 letters, digits, ``_``, ``.`` or ``-``.
         optimal_makespan: the proved least number of steps in which robots on all the starts visit
-            every ROI, with the default dynamics and no wind; ``None`` when unknown.
+            every ROI, with the default dynamics and no wind; ``None`` if unknown.
 
     Attributes:
         vertices: float64 array of shape (k, 2), read-only, like all arrays here.
@@ -92,31 +91,31 @@ class Field:
         name: str = "custom",
         optimal_makespan: int | None = None,
     ) -> None:
-        reader = GeometryReader()
-        geometry = reader.read(vertices, rois, starts, holes, arena)
+        reader = PointReader()
+        points = reader.read(vertices, rois, starts, holes, arena)
         problems = [
             *_label_problems(name, optimal_makespan),
             *reader.problems,
-            *find_problems(geometry),
+            *find_problems(points),
         ]
         if problems:
             raise FieldError("field", problems)
-        rings = [geometry.outline.points, *(hole.points for hole in geometry.holes)]
+        rings = [points.outline.points, *(hole.points for hole in points.holes)]
         values: dict[str, object] = {
             "vertices": _constant(rings[0]),
-            "rois": _constant(geometry.rois.points),
-            "starts": _constant(geometry.starts.points),
+            "rois": _constant(points.rois.points),
+            "starts": _constant(points.starts.points),
             "holes": tuple(_constant(ring) for ring in rings[1:]),
             "edges": _constant([edge for ring in rings for edge in _edges(ring)]),
-            "arena": geometry.arena,
+            "arena": points.arena,
             "name": name,
             "optimal_makespan": optimal_makespan,
             "polygon": shapely.Polygon(rings[0], rings[1:]),
             "_key": (
                 tuple(map(tuple, rings)),
-                tuple(geometry.rois.points),
-                tuple(geometry.starts.points),
-                geometry.arena,
+                tuple(points.rois.points),
+                tuple(points.starts.points),
+                points.arena,
                 name,
                 optimal_makespan,
             ),
@@ -125,7 +124,7 @@ class Field:
             object.__setattr__(self, attribute, value)
 
     def to_dict(self) -> dict[str, Any]:
-        """The arguments that build this field again, as plain lists, numbers and strings."""
+        """Return the field's arguments as plain lists, numbers and strings."""
         return {
             "name": self.name,
             "optimal_makespan": self.optimal_makespan,
@@ -172,7 +171,7 @@ def _label_problems(name: object, optimal_makespan: object) -> list[str]:
 
 
 def _constant(rows: Sequence[Sequence[float]]) -> npt.NDArray[np.float64]:
-    """An array over immutable bytes: nobody can make it writable again."""
+    """Return an array over immutable bytes, which cannot be made writable."""
     array = np.array(rows, dtype=np.float64)
     return np.frombuffer(array.tobytes(), dtype=np.float64).reshape(array.shape)
 

@@ -1,4 +1,4 @@
-"""Fields from names and files, and back into files."""
+"""Load fields by name or from files, and save them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 import yaml
 from pydantic import ValidationError
@@ -19,14 +18,15 @@ from mbn_marl.field import authors
 from mbn_marl.field.catalogue import catalogue_file, catalogue_names
 from mbn_marl.field.field import DEFAULT_ARENA, Field
 from mbn_marl.field.limits import MAX_NAME
-from mbn_marl.field.safe_yaml import MAX_BYTES, parse
+from mbn_marl.field.safe_yaml import MAX_BYTES, parse_yaml
 from mbn_marl.field.schema import FORMAT, FieldFile
+from mbn_marl.files import replacing
 
 _SUFFIXES = (".yaml", ".yml", ".json")
 
 
 def load_field(source: str | os.PathLike[str] | Field) -> Field:
-    """The field of a catalogue name or of a file; a :class:`Field` comes back as it is.
+    """Load the field with a catalogue name or from a file; return a :class:`Field` unchanged.
 
     Args:
         source: a name of :func:`catalogue_names`, or the path of a file in the format
@@ -34,8 +34,8 @@ def load_field(source: str | os.PathLike[str] | Field) -> Field:
             an authors' file.
 
     Raises:
-        FieldError: for an unknown name, a file that cannot be read, and an invalid field; it lists
-            every problem. Nothing else is raised for bad input, and no tag in a file runs code.
+        FieldError: listing every problem: the name is unknown, the file cannot be read, or the
+            field is not valid. No bad input raises anything else, and no tag runs code.
     """
     if isinstance(source, Field):
         return source
@@ -52,23 +52,15 @@ def load_field(source: str | os.PathLike[str] | Field) -> Field:
 
 
 def save_field(field: Field, path: str | os.PathLike[str]) -> None:
-    """Write ``field`` to the file ``path`` in the format ``mbn-field/1``, whole or not at all.
+    """Write ``field`` to the file ``path`` in the format ``mbn-field/1``, atomically.
 
     Raises:
-        OSError: when the file cannot be written; one that was there before stays as it was.
+        OSError: the file cannot be written; an existing one is unchanged.
     """
     content = {key: value for key, value in field.to_dict().items() if value not in (None, [])}
     text = yaml.safe_dump({"format": FORMAT, **content}, sort_keys=False, default_flow_style=None)
-    target = Path(path)
-    temporary = target.with_name(f".{uuid4().hex}.tmp")
-    try:
-        with temporary.open("x", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(Path(path)) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 @cache
@@ -77,11 +69,11 @@ def _catalogue_field(name: str) -> Field:
         data = catalogue_file(name)
     except DamageError as error:
         raise FieldError(name, [f"file: {error}"]) from None
-    return _field_of_document(parse(data, name), name, name)
+    return _field_of_document(parse_yaml(data, name), name, name)
 
 
 def _field_of_file(location: str) -> Field:
-    """The field in the file at ``location``, which may end in ``#name``."""
+    """Load the field from the file at ``location``, which may end in ``#name``."""
     path, wanted = location, None
     try:
         if not Path(path).exists() and "#" in path:
@@ -91,7 +83,7 @@ def _field_of_file(location: str) -> Field:
         raise
     except (OSError, ValueError) as error:
         raise FieldError(location, [f"file: cannot be read: {error}"]) from None
-    document = parse(data, path)
+    document = parse_yaml(data, path)
     name = _name_from(Path(path).stem)
     if authors.is_collection(document):
         document, name = _chosen(document, wanted, path)
@@ -101,7 +93,7 @@ def _field_of_file(location: str) -> Field:
 
 
 def _read(path: Path) -> bytes:
-    """The bytes of a regular file, at most one more than a field file may have."""
+    """Read a regular file, at most one byte more than a field file may have."""
     if not path.exists():
         raise _not_found(str(path))
     if not path.is_file():
@@ -129,8 +121,8 @@ def _chosen(
 
 
 def _field_of_document(document: object, source: str, name: str) -> Field:
-    """The field of a parsed document; ``name`` is for a document that has none."""
-    if authors.is_set(document):
+    """Return the field of a parsed document; ``name`` is used if the document has none."""
+    if authors.is_field_set(document):
         return authors.field_from_set(document, source, name)
     if not isinstance(document, Mapping) or "format" not in document:
         raise FieldError(source, [f"format: missing; a field file starts with 'format: {FORMAT}'"])
@@ -159,5 +151,5 @@ def _field_of_document(document: object, source: str, name: str) -> Field:
 
 
 def _name_from(text: str) -> str:
-    """A valid name of a field that is as close to ``text`` as can be."""
+    """Turn ``text`` into a valid field name."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", text).lstrip("_.-")[:MAX_NAME] or "custom"

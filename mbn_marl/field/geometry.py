@@ -1,4 +1,4 @@
-"""Reading the points of a field: any input in, finite numbers and a list of problems out."""
+"""Read the points of a field: from any input to finite numbers and a list of problems."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class PointList:
     """The readable points of one list.
 
     Attributes:
-        label: how the list is called in problems, e.g. ``"starts"`` or ``"holes[0]"``.
+        label: the name of the list in problems, e.g. ``"starts"`` or ``"holes[0]"``.
         points: the readable points, finite, in units.
-        indices: where each of ``points`` stood in the list that was read.
-        complete: whether every entry of that list was readable.
+        indices: the index of each of ``points`` in the input.
+        complete: whether every entry of the input was readable.
     """
 
     label: str
@@ -32,11 +32,11 @@ class PointList:
     complete: bool = True
 
     def place(self, k: int) -> str:
-        """The place of ``points[k]`` in the input, e.g. ``"starts[2]"``."""
+        """Return the place of ``points[k]`` in the input, e.g. ``"starts[2]"``."""
         return f"{self.label}[{self.indices[k]}]"
 
     def distinct(self) -> PointList:
-        """The same list without the later copies of a point."""
+        """Return the list without repeated points."""
         first: dict[Point, int] = {}
         for k, point in enumerate(self.points):
             first.setdefault(point, k)
@@ -45,8 +45,8 @@ class PointList:
 
 
 @dataclass(frozen=True)
-class Geometry:
-    """Everything readable of a field; ``arena`` is without limit when it was not readable."""
+class FieldPoints:
+    """The readable points of a field; an unreadable ``arena`` is unlimited."""
 
     outline: PointList
     holes: list[PointList]
@@ -55,8 +55,8 @@ class Geometry:
     arena: Point
 
 
-class GeometryReader:
-    """Turns unchecked input into a :class:`Geometry`, writing down what it cannot read.
+class PointReader:
+    """Turns unchecked input into :class:`FieldPoints`, and notes every problem.
 
     Attributes:
         problems: one line per problem found so far, ``"place: what is wrong"``.
@@ -67,8 +67,8 @@ class GeometryReader:
 
     def read(
         self, vertices: object, rois: object, starts: object, holes: object, arena: object
-    ) -> Geometry:
-        """Read a whole field; each list is a sequence or array of ``(x, y)``."""
+    ) -> FieldPoints:
+        """Read a field; each list is a sequence or array of ``(x, y)``."""
         outline = self._points(vertices, "vertices", at_least=3, at_most=MAX_VERTICES)
         rings = [
             self._points(hole, f"holes[{k}]", at_least=3, at_most=MAX_VERTICES)
@@ -78,7 +78,7 @@ class GeometryReader:
         if rings and corners > MAX_VERTICES:
             limit = f"at most {MAX_VERTICES} corners in the outline and all holes"
             self.problems.append(f"holes: expected {limit}, got {corners}")
-        return Geometry(
+        return FieldPoints(
             outline=outline,
             holes=rings,
             rois=self._points(rois, "rois", at_least=1, at_most=MAX_ROIS),
@@ -101,7 +101,7 @@ class GeometryReader:
     def _entries(
         self, value: object, label: str, at_least: int, at_most: int
     ) -> Sequence[object] | None:
-        """The entries of a list, at most one more than allowed; ``None`` when it is no list."""
+        """Return the entries of a list, at most one more than allowed; ``None`` if not a list."""
         entries = _as_sequence(value)
         if entries is None:
             self.problems.append(f"{label}: expected a list, got {type(value).__name__}")
@@ -153,7 +153,7 @@ def _as_sequence(value: object) -> Sequence[object] | None:
 
 
 def _as_float(value: object) -> float | None:
-    """The number as a float (never -0.0), infinite when too large; ``None`` for anything else."""
+    """Return a number as a float (never -0.0), infinite if too large; ``None`` for the rest."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return None
     try:

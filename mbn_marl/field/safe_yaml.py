@@ -1,4 +1,4 @@
-"""YAML of unknown origin: plain data only, small, shallow, and no tag can run code."""
+"""Safe YAML: plain data only, of limited size and depth, and no tag can run code."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from yaml.constructor import BaseConstructor, ConstructorError, SafeConstructor
 from mbn_marl.errors import FieldError
 
 MAX_BYTES = 64 * 1024
-"""Room for the largest field allowed, twice over."""
+"""Twice the size of the largest field allowed."""
 
 MAX_DEPTH = 12
 MAX_SCALAR = 200
-"""Longer words or numbers have no use in a field, and huge integers are slow to handle."""
+"""The longest word or number; huge integers are slow to handle."""
 
 MAX_TEXT = 4000
-"""Files that hold sentences, too, have longer ones."""
+"""The longest text in files with sentences."""
 
 _Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _PlainLoader(_Base):  # type: ignore[misc]  # the base is chosen at run time
-    """Knows null, bool, int, float, str, lists and mappings; any other tag is an error."""
+    """Reads null, bool, int, float, str, lists and mappings; any other tag is an error."""
 
     yaml_multi_constructors: ClassVar[dict[str, Any]] = {}
 
@@ -63,17 +63,17 @@ _PlainLoader.yaml_constructors = {
     "tag:yaml.org,2002:map": _mapping,
     None: _unknown_tag,
 }
-_PlainLoader.add_implicit_resolver(  # numbers as JSON writes them, which YAML 1.1 takes for text
+_PlainLoader.add_implicit_resolver(  # JSON numbers that YAML 1.1 reads as text
     "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$"), list("-+0123456789")
 )
 
 
-def parse(data: bytes, source: str, *, max_scalar: int = MAX_SCALAR) -> object:
-    """The one document in ``data``: nested dicts with word keys, lists, and plain scalars.
+def parse_yaml(data: bytes, source: str, *, max_scalar: int = MAX_SCALAR) -> object:
+    """Parse the one document in ``data``: nested dicts with word keys, lists, and plain scalars.
 
     Args:
-        data: UTF-8 text, at most 64 KiB; lists at most 12 deep; no anchors or aliases.
-        source: what the text is called in errors.
+        data: UTF-8 text, at most 64 KiB, nested at most 12 deep, without anchors or aliases.
+        source: the name of the text in errors.
         max_scalar: the most characters of a word or number.
 
     Raises:
@@ -91,12 +91,12 @@ def parse(data: bytes, source: str, *, max_scalar: int = MAX_SCALAR) -> object:
     except FieldError:
         raise
     except (yaml.YAMLError, ValueError, LookupError, ArithmeticError) as error:
-        # PyYAML's own scalar readers let these through, e.g. KeyError for ``!!bool maybe``.
+        # Raised by PyYAML's own scalar readers, e.g. KeyError for ``!!bool maybe``.
         raise FieldError(source, [f"file: not readable as YAML: {str(error)[:200]}"]) from None
 
 
 def _refuse_bombs(text: str, source: str, max_scalar: int) -> None:
-    """Stop at what would cost memory, stack or time, before anything is built from it."""
+    """Check for text that would cost memory, stack or time before anything is built from it."""
     depth = 0
     for event in yaml.parse(text, Loader=_PlainLoader):
         place = _place(event.start_mark)

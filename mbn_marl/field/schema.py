@@ -1,4 +1,4 @@
-"""The file format ``mbn-field/1``: its model, and the JSON schema that editors use.
+"""The file format ``mbn-field/1``: its model, and the JSON schema for editors.
 
 A file is one YAML mapping. Lengths are in arena units::
 
@@ -41,8 +41,8 @@ _Ring = Annotated[list[_Point], Len(3, MAX_VERTICES)]
 class FieldFile(BaseModel):
     """A field of mbn_marl in the format mbn-field/1. Lengths are in arena units."""
 
-    # Checks ``format`` and the set of keys. The types of the rest make the JSON schema; ``Field``
-    # checks their values, so that one error can list the problems of structure and of geometry.
+    # The model checks ``format`` and the set of keys. The other types are for the JSON schema;
+    # ``Field`` checks their values, so that one error lists all problems.
     model_config = ConfigDict(extra="forbid", frozen=True, title="mbn_marl field")
 
     format: Literal["mbn-field/1"] = Described(description="Name and version of the format.")
@@ -74,7 +74,7 @@ class FieldFile(BaseModel):
 
 
 def json_schema() -> dict[str, Any]:
-    """The JSON schema of a field file, as committed in ``envs_catalog/field.schema.json``."""
+    """Return the JSON schema of a field file, as in ``envs_catalog/field.schema.json``."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **FieldFile.model_json_schema(),

@@ -1,8 +1,8 @@
-"""What makes a field valid: each rule is a small generator of problems.
+"""The rules of a valid field: each one is a small generator of problems.
 
-The field is a closed set: its boundary, those of its holes included, belongs to it. Points are
-tested with shapely's exact predicates, so a start on a slanted edge counts as inside only where
-its floating-point coordinates lie on the edge exactly.
+The field is a closed set that contains its boundary and those of its holes. Points are tested with
+shapely's exact predicates, so a start on a slanted edge counts as inside only where its
+floating-point coordinates lie exactly on the edge.
 """
 
 from __future__ import annotations
@@ -15,33 +15,33 @@ from itertools import combinations
 import numpy as np
 import shapely
 
-from mbn_marl.field.geometry import Geometry, Point, PointList
+from mbn_marl.field.geometry import FieldPoints, Point, PointList
 from mbn_marl.field.limits import SAFETY_DISTANCE
 
 
 @dataclass(frozen=True)
 class _Shapes:
-    """The rings that are simple polygons; ``None`` stands for one that is not."""
+    """The rings as polygons, ``None`` for one that is not simple."""
 
     outline: shapely.Polygon | None
     holes: list[shapely.Polygon | None]
 
 
-def find_problems(geometry: Geometry) -> list[str]:
-    """Every rule that the readable part of a field breaks, one line each, with its place."""
-    shapes = _Shapes(_simple(geometry.outline), [_simple(hole) for hole in geometry.holes])
-    rings = [geometry.outline, *geometry.holes]
+def find_problems(points: FieldPoints) -> list[str]:
+    """Return every problem of the readable part of a field, one line each, with its place."""
+    shapes = _Shapes(_simple(points.outline), [_simple(hole) for hole in points.holes])
+    rings = [points.outline, *points.holes]
     problems: list[str] = []
-    for points in (*rings, geometry.rois, geometry.starts):
-        problems.extend(_duplicates(points))
-        problems.extend(_outside_arena(points, geometry.arena))
+    for entries in (*rings, points.rois, points.starts):
+        problems.extend(_duplicates(entries))
+        problems.extend(_outside_arena(entries, points.arena))
     for ring, polygon in zip(rings, [shapes.outline, *shapes.holes], strict=True):
         if polygon is None:
             problems.extend(_crossings(ring))
-    problems.extend(_misplaced_holes(geometry, shapes))
-    for points in (geometry.rois, geometry.starts):
-        problems.extend(_outside_field(points, geometry, shapes))
-    problems.extend(_crowded_starts(geometry.starts))
+    problems.extend(_misplaced_holes(points.holes, shapes))
+    for entries in (points.rois, points.starts):
+        problems.extend(_outside_field(entries, points.holes, shapes))
+    problems.extend(_crowded_starts(points.starts))
     return problems
 
 
@@ -61,7 +61,7 @@ def _outside_arena(points: PointList, arena: Point) -> Iterator[str]:
 
 
 def _simple(ring: PointList) -> shapely.Polygon | None:
-    """The polygon of a ring whose points are all readable, if it does not meet itself."""
+    """Return the polygon of a ring that is readable and simple, else ``None``."""
     points = ring.distinct().points
     if not ring.complete or len(points) < 3:
         return None
@@ -70,7 +70,7 @@ def _simple(ring: PointList) -> shapely.Polygon | None:
 
 
 def _crossings(ring: PointList) -> Iterator[str]:
-    """Say which edges of a ring that is no simple polygon meet, one line for the ring."""
+    """Name the first two edges that meet in a ring that is not simple."""
     corners = ring.distinct()
     count = len(corners.points)
     if not ring.complete or count < 3:
@@ -93,8 +93,8 @@ def _crossings(ring: PointList) -> Iterator[str]:
     yield f"{ring.label}: crosses or touches itself: {edge(a)} meets {edge(b)}{others}"
 
 
-def _misplaced_holes(geometry: Geometry, shapes: _Shapes) -> Iterator[str]:
-    sound = [(ring, hole) for ring, hole in zip(geometry.holes, shapes.holes, strict=True) if hole]
+def _misplaced_holes(holes: list[PointList], shapes: _Shapes) -> Iterator[str]:
+    sound = [(ring, hole) for ring, hole in zip(holes, shapes.holes, strict=True) if hole]
     if shapes.outline is not None:
         for ring, hole in sound:
             if not shapely.contains_properly(shapes.outline, hole):
@@ -104,12 +104,12 @@ def _misplaced_holes(geometry: Geometry, shapes: _Shapes) -> Iterator[str]:
             yield f"{ring_b.label}: touches or overlaps {ring_a.label}"
 
 
-def _outside_field(points: PointList, geometry: Geometry, shapes: _Shapes) -> Iterator[str]:
+def _outside_field(points: PointList, holes: list[PointList], shapes: _Shapes) -> Iterator[str]:
     for k, coordinates in enumerate(points.points):
         point = shapely.Point(coordinates)
         if shapes.outline is not None and not shapely.covers(shapes.outline, point):
             yield f"{points.place(k)}: {coordinates} is outside the field"
-        for ring, hole in zip(geometry.holes, shapes.holes, strict=True):
+        for ring, hole in zip(holes, shapes.holes, strict=True):
             if hole is not None and shapely.contains(hole, point):
                 yield f"{points.place(k)}: {coordinates} is inside {ring.label}"
 

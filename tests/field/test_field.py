@@ -67,9 +67,9 @@ class TestValue:
 
     def test_immutable(self) -> None:
         field = square()
-        with pytest.raises(AttributeError, match="immutable"):
+        with pytest.raises(AttributeError, match="'name'"):
             field.name = "other"
-        with pytest.raises(AttributeError, match="immutable"):
+        with pytest.raises(AttributeError, match="'rois'"):
             del field.rois
         for array in (field.vertices, field.rois, field.starts, field.edges, *field.holes):
             with pytest.raises(ValueError, match="read-only"):
@@ -250,9 +250,8 @@ class TestRules:
         ]
 
     def test_the_message_lists_every_problem(self) -> None:
-        with pytest.raises(FieldError, match="2 problems") as caught:
+        with pytest.raises(FieldError, match=r"rois\[0\]") as caught:
             square(rois=[(150, 50), (160, 50)])
-        assert "rois[0]" in str(caught.value)
         assert "rois[1]" in str(caught.value)
 
 

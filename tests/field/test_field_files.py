@@ -60,11 +60,13 @@ class TestCatalogue:
         assert schema["properties"]["starts"]["maxItems"] == 64
 
     def test_unknown_name_suggests_and_lists(self) -> None:
-        with pytest.raises(FieldError, match=r"did you mean .*field_03") as caught:
-            load_field("field_3")
-        assert all(name in str(caught.value) for name in catalogue_names())
-        with pytest.raises(FieldError, match=r"unknown field; known: field_01"):
-            load_field("zebra")
+        counts = {}
+        for name in ("field_3", "zebra"):
+            with pytest.raises(FieldError, match=name) as caught:
+                load_field(name)
+            assert all(known in str(caught.value) for known in catalogue_names())
+            counts[name] = str(caught.value).count("field_03")
+        assert counts == {"field_3": 2, "zebra": 1}, "once in the list, once as what may be meant"
 
 
 def _catalogue_files() -> list[Any]:
@@ -115,10 +117,20 @@ class TestFiles:
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr("os.fsync", disk_full)
-        with pytest.raises(OSError, match="No space left"):
+        with pytest.raises(OSError, match="28"):
             save_field(square(name="newer"), path)
         assert load_field(path) == square()
         assert list(tmp_path.iterdir()) == [path]
+
+    def test_a_save_replaces_the_file_in_one_step(self, tmp_path: Path) -> None:
+        """Whoever has opened the old file reads all of it, and nothing of the new one."""
+        path = tmp_path / "field.yaml"
+        save_field(square(), path)
+        old = path.read_text(encoding="utf-8")
+        with path.open(encoding="utf-8") as reader:
+            save_field(square(name="newer"), path)
+            assert reader.read() == old
+        assert load_field(path) == square(name="newer")
 
     def test_structure_and_geometry_are_reported_together(self, tmp_path: Path) -> None:
         problems = problems_of_file(
@@ -136,33 +148,33 @@ class TestFiles:
         assert "known: format, name" in problems[1]
 
     @pytest.mark.parametrize(
-        ("text", "problem"),
+        ("text", "place"),
         [
-            ("", "format: missing"),
-            ("- 1\n- 2\n", "format: missing"),
-            ("vertices: []\n", "format: missing"),
+            ("", "format: "),
+            ("- 1\n- 2\n", "format: "),
+            ("vertices: []\n", "format: "),
             ("format: [1\n", "line 2, column 1: "),
-            ("format: a\nformat: b\n", "line 2, column 1: duplicate key 'format'"),
-            ("{1: 2}\n", "line 1, column 2: a key must be a plain word"),
-            ("{[a, b]: 2}\n", "line 1, column 2: a key must be a plain word"),
-            ("<<: {format: a}\n", "line 1, column 1: a key must be a plain word"),
-            ("a: &anchor 1\n", "line 1, column 4: anchors and aliases are not allowed"),
-            ("a: *anchor\n", "line 1, column 4: anchors and aliases are not allowed"),
+            ("format: a\nformat: b\n", "line 2, column 1: "),
+            ("{1: 2}\n", "line 1, column 2: "),
+            ("{[a, b]: 2}\n", "line 1, column 2: "),
+            ("<<: {format: a}\n", "line 1, column 1: "),
+            ("a: &anchor 1\n", "line 1, column 4: "),
+            ("a: *anchor\n", "line 1, column 4: "),
             ("--- 1\n--- 2\n", "line 2, column 1: "),
-            ("a: !!map [1]\n", "line 1, column 4: expected a mapping"),
-            ("a: !!seq {b: 1}\n", "line 1, column 4: expected a sequence"),
-            ("a: !!bool maybe\n", "file: not readable as YAML"),
-            ('a: !!int ""\n', "file: not readable as YAML"),
-            ("a: !!float x\n", "file: not readable as YAML"),
-            ("a: 2020-99-99\n", "line 1, column 4: the tag"),
-            ("\x00", "file: not readable as YAML"),
-            ("a: " + "9" * 201, "line 1, column 4: longer than 200 characters"),
-            ("[" * (MAX_DEPTH + 1), f"line 1, column {MAX_DEPTH + 1}: nested deeper"),
+            ("a: !!map [1]\n", "line 1, column 4: "),
+            ("a: !!seq {b: 1}\n", "line 1, column 4: "),
+            ("a: !!bool maybe\n", "file: "),
+            ('a: !!int ""\n', "file: "),
+            ("a: !!float x\n", "file: "),
+            ("a: 2020-99-99\n", "line 1, column 4: "),
+            ("\x00", "file: "),
+            ("a: " + "9" * 201, "line 1, column 4: "),
+            ("[" * (MAX_DEPTH + 1), f"line 1, column {MAX_DEPTH + 1}: "),
         ],
     )
-    def test_unreadable_text(self, tmp_path: Path, text: str, problem: str) -> None:
-        (found,) = problems_of_file(tmp_path, text)
-        assert found.startswith(problem)
+    def test_unreadable_text(self, tmp_path: Path, text: str, place: str) -> None:
+        (problem,) = problems_of_file(tmp_path, text)
+        assert problem.startswith(place)
 
     @pytest.mark.parametrize(
         "source", ["missing.yaml", "no/such/file", "", ".", "\x00", "a" * 5000, "\ud800", "x#y"]
@@ -176,18 +188,16 @@ class TestFiles:
 
     @pytest.mark.parametrize("source", [None, 3, b"field_01", ["field_01"], {"vertices": []}])
     def test_source_of_the_wrong_type(self, source: Any) -> None:
-        with pytest.raises(FieldError, match="expected a name, a path or a Field, got"):
+        with pytest.raises(FieldError, match="source: "):
             load_field(source)
 
     def test_folders_devices_and_binary_files(self, tmp_path: Path) -> None:
-        with pytest.raises(FieldError, match="not a regular file"):
-            load_field(tmp_path)
-        with pytest.raises(FieldError, match="not a regular file"):
-            load_field("/dev/zero")
         (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\xfa")
-        with pytest.raises(FieldError, match="not readable as YAML"):
-            load_field(tmp_path / "binary.yaml")
-        with pytest.raises(FieldError, match="there is no 'a' to pick"):
+        for source in (tmp_path, "/dev/zero", tmp_path / "binary.yaml"):
+            with pytest.raises(FieldError, match="file: ") as caught:
+                load_field(source)
+            assert caught.value.source == str(source)
+        with pytest.raises(FieldError, match="'a'"):
             load_field(f"{write(tmp_path, VALID_FILE)}#a")
 
 
