@@ -1,1 +1,1 @@
-"""Measurements of the suite that ``mbn bench`` runs: speed."""
+"""Measurements of the suite, for a checkout: ``python -m benchmarks SUBJECT``."""

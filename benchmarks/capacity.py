@@ -1,12 +1,13 @@
-"""How long the paper's grid takes on so many machines, from what single runs were measured to take.
+"""How long the paper's grid takes on so many machines, from the measured speeds of single runs.
 
-``python -m benchmarks.capacity`` prints the table of docs/grid.md.
+It prints the table of docs/grid.md.
 """
 
 from __future__ import annotations
 
 import heapq
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from baselines.compare.text_table import Grid
 from baselines.sweep.spec import Cell, GridSpec, cells_of
@@ -30,12 +31,12 @@ SEEDS = (1, 10)
 CHEAP = ("a2c", "ppo", "trpo", "ars")
 CAPTION = (
     f"Machines have {CORES} cores and train as many runs at a time; runs begin in the order of the "
-    "grid, those under C when the one that they go on from is done."
+    "grid, those under C when the one that they start from is done."
 )
 
 
 def makespan(cells: Sequence[Cell], workers: int) -> float:
-    """Seconds that ``workers`` take for ``cells``, as an engine hands them out."""
+    """Return the seconds that ``workers`` take for ``cells``, in the order of an engine."""
     waiting, done = list(cells), set[str | None]([None])
     running: list[tuple[float, str]] = []
     now = 0.0
@@ -53,7 +54,7 @@ def makespan(cells: Sequence[Cell], workers: int) -> float:
 
 
 def capacity() -> Grid:
-    """The table."""
+    """Return the table."""
     lines = []
     for algorithms, name in ((tuple(SPEEDS), "all six"), (CHEAP, "without CrossQ and TQC")):
         for seeds in SEEDS:
@@ -67,5 +68,11 @@ def capacity() -> Grid:
     return Grid(CAPTION, headings, tuple(lines))
 
 
-if __name__ == "__main__":
-    print(capacity().markdown())
+@dataclass(frozen=True)
+class Capacity:
+    """Print how long the paper's grid takes on so many machines."""
+
+    def run(self, command: str) -> bool:
+        """Print the table as Markdown."""
+        print(capacity().markdown())
+        return True

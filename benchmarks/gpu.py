@@ -1,28 +1,24 @@
-"""How fast ``BatchEngine(device="cuda")`` steps: ``python benchmarks/gpu.py``.
+"""How fast ``BatchEngine(device="cuda")`` steps.
 
 First the engine is checked against the CPU's, bit for bit. Then, at 2^12 to 2^20 worlds, random
 actions are stepped with every feature on (revisit memory, observations, infos' sums, automatic
 reset), once launch by launch and once as a CUDA graph, timed by device events. The table counts the
-bytes that a step cannot avoid to read or write, and sets their rate against that of a copy on the
-same device in the same run. Prints the table and what limits the largest batch, and writes JSON.
+bytes that a step cannot avoid to read or write, and compares their rate with that of a copy on the
+same device in the same run.
 """
 
 from __future__ import annotations
 
-import json
-import platform
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
-import tyro
 
+from benchmarks.report import Advance, Benchmark, Findings, Measurement, table
 from mbn_marl import BatchEngine
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import MbnError
 
 COPY_BYTES = 2**30
 TARGET_RATE, TARGET_RATIO = 2e9, 0.5
@@ -31,28 +27,66 @@ GRAPH_STEPS = 16
 
 
 @dataclass(frozen=True)
-class Options:
-    """What to measure.
+class Gpu(Benchmark):
+    """Check the engine on CUDA against the CPU's, and measure how fast it steps."""
 
-    Attributes:
-        field: the catalogue's field.
-        least: log2 of the smallest batch.
-        most: log2 of the largest batch; 20 needs about 40 GB on the device.
-        steps: how many steps are timed, after as many to bring the worlds out of step.
-        check_steps: how many steps are compared with the CPU's.
-        out: the file to write.
-    """
+    name: ClassVar[str] = "gpu"
+    stages: ClassVar[int] = 1
 
     field: str = "field_01"
+    """The catalogue's field."""
     least: int = 12
+    """log2 of the smallest batch."""
     most: int = 20
+    """log2 of the largest batch; 20 needs about 40 GB on the device."""
     steps: int = 512
+    """How many steps are timed, after as many to bring the worlds out of step."""
     check_steps: int = 300
-    out: Path = Path("runs/bench/gpu.json")
+    """How many steps are compared with the CPU's."""
+
+    def measure(self, advance: Advance) -> Findings:
+        """Check, then measure every size that fits into the device's memory."""
+        check_against_the_cpu(self)
+        copy, facts = copy_rate(), kernel_facts(self)
+        rows: list[Size] = []
+        fits = f"all sizes up to {2**self.most} worlds fit into the device's memory"
+        for power in range(self.least, self.most + 1):
+            try:
+                rows.append(measure(self, 2**power, copy))
+            except torch.cuda.OutOfMemoryError:
+                fits = f"{2**power} worlds do not fit into the device's memory"
+                break
+            torch.cuda.empty_cache()
+        advance()
+        best = max(row.graph_rate for row in rows)
+        ratio = max(row.ratio_to_copy for row in rows)
+        device = torch.cuda.get_device_name()
+        return Findings(
+            f"{device}, {self.field}, random actions",
+            [
+                Measurement(
+                    "steps of a CUDA graph", best / 1e6, "M env-steps/s", TARGET_RATE / 1e6
+                ),
+                Measurement("necessary bytes, of a copy's rate", ratio, "", TARGET_RATIO),
+                Measurement("copy, read and written", copy / 1e9, "GB/s"),
+            ],
+            tables=[sizes_table(rows)],
+            remarks=[
+                f"equal to the CPU over {self.check_steps} steps of {2**self.least} worlds",
+                fits,
+                *(f"limited by, {line}" for line in limits(rows, facts)),
+            ],
+            details={
+                "device": device,
+                "torch": torch.__version__,
+                "kernel": facts,
+                "sizes": [asdict(row) for row in rows],
+            },
+        )
 
 
 @dataclass(frozen=True)
-class Row:
+class Size:
     """One batch size: rates in env-steps/s (an env-step moves all robots of a world once)."""
 
     worlds: int
@@ -62,8 +96,24 @@ class Row:
     ratio_to_copy: float
 
 
+def sizes_table(rows: list[Size]) -> Any:
+    """Return the sizes as a table."""
+    headings = ("worlds", "eager, M/s", "graph, M/s", "GB/s", "of a copy")
+    lines = [
+        (
+            str(row.worlds),
+            f"{row.eager_rate / 1e6:.1f}",
+            f"{row.graph_rate / 1e6:.1f}",
+            f"{row.gigabytes_per_second:.0f}",
+            f"{row.ratio_to_copy:.2f}",
+        )
+        for row in rows
+    ]
+    return table("batch sizes", headings, lines)
+
+
 def seconds(work: Callable[[], object], times: int) -> float:
-    """Seconds on the device of ``times`` calls, the best of three rounds, after a first call."""
+    """Return the device's seconds for ``times`` calls, the best of three rounds after a first."""
     work()
     new_event: Any = torch.cuda.Event  # its constructor has no types
     best = float("inf")
@@ -79,14 +129,14 @@ def seconds(work: Callable[[], object], times: int) -> float:
 
 
 def copy_rate() -> float:
-    """Bytes per second, read and written, of a copy on the device."""
+    """Return bytes per second, read and written, of a copy on the device."""
     source = torch.zeros(COPY_BYTES, dtype=torch.uint8, device="cuda")
     target = torch.empty_like(source)
     return 2 * COPY_BYTES * 20 / seconds(lambda: target.copy_(source), 20)
 
 
 def necessary_bytes(engine: BatchEngine) -> int:
-    """Bytes that a step has to read and write for one world, by the size of its entries.
+    """Return the bytes that a step has to read and write for one world, by the size of its entries.
 
     The state is read and written; the filter's words, one for each robot, too. Actions are read;
     observations, rewards, flags, events and the trail's new entries are written.
@@ -100,7 +150,7 @@ def necessary_bytes(engine: BatchEngine) -> int:
     return int((2 * changed + handed_out) / worlds) + actions + trail + filters + words + pending
 
 
-def check_against_the_cpu(options: Options) -> None:
+def check_against_the_cpu(options: Gpu) -> None:
     """Step both engines alike; every output has to be the same, bit for bit."""
     settings: dict[str, Any] = {"num_worlds": 2**options.least, "seed": 3, "random_starts": True}
     cpu = BatchEngine(options.field, **settings)
@@ -115,11 +165,11 @@ def check_against_the_cpu(options: Options) -> None:
         pairs += [("state", cpu.state(), gpu.state())]
         for name, expected, tensor in pairs:
             if not np.array_equal(torch.as_tensor(tensor).cpu().numpy(), expected):
-                sys.exit(f"step {t}: {name} differ from the CPU's: nothing was measured")
+                raise MbnError(f"step {t}: {name} differ from the CPU's; nothing was measured")
         pairs = []
 
 
-def measure(options: Options, worlds: int, copy: float) -> Row:
+def measure(options: Gpu, worlds: int, copy: float) -> Size:
     """Step one batch size, launch by launch and as a graph."""
     engine = BatchEngine(options.field, worlds, device="cuda")
     engine.reset()
@@ -140,11 +190,11 @@ def measure(options: Options, worlds: int, copy: float) -> Row:
     steps = worlds * rounds * GRAPH_STEPS
     rate = steps / replayed
     moved = rate * necessary_bytes(engine)
-    return Row(worlds, steps / eager, rate, moved / 1e9, moved / copy)
+    return Size(worlds, steps / eager, rate, moved / 1e9, moved / copy)
 
 
-def kernel_facts(options: Options) -> dict[str, int]:
-    """What the compiler made of the step: registers, local and shared memory."""
+def kernel_facts(options: Gpu) -> dict[str, int]:
+    """Return what the compiler made of the step: registers, local and shared memory."""
     from mbn_marl.engine import cuda_kernels as kernels
 
     engine = BatchEngine(options.field, 2, device="cuda")
@@ -166,8 +216,8 @@ def kernel_facts(options: Options) -> dict[str, int]:
     }
 
 
-def limits(rows: list[Row], facts: dict[str, int]) -> list[str]:
-    """What the figures say about what limits the step."""
+def limits(rows: list[Size], facts: dict[str, int]) -> list[str]:
+    """Return what limits the step, by the figures."""
     first, last = rows[0], rows[-1]
     lines = []
     if first.graph_rate > 1.5 * first.eager_rate:
@@ -188,52 +238,3 @@ def limits(rows: list[Row], facts: dict[str, int]) -> list[str]:
         )
     lines.append(f"{last.worlds} worlds: {why}")
     return lines
-
-
-def main(options: Options) -> None:
-    """Check, measure, print, write."""
-    try:
-        check_against_the_cpu(options)
-    except ConfigError as error:
-        sys.exit(f"Nothing to measure here.\n{error}")
-    print(f"equal to the CPU over {options.check_steps} steps of {2**options.least} worlds")
-    copy, facts = copy_rate(), kernel_facts(options)
-    rows = []
-    print(f"{torch.cuda.get_device_name()}; copy: {copy / 1e9:.0f} GB/s (read and written)")
-    print(f"{'worlds':>9} {'eager, M/s':>11} {'graph, M/s':>11} {'GB/s':>7} {'of a copy':>9}")
-    for power in range(options.least, options.most + 1):
-        try:
-            row = measure(options, 2**power, copy)
-        except torch.cuda.OutOfMemoryError:
-            print(f"{2**power:>9} does not fit into the device's memory")
-            break
-        rows.append(row)
-        print(
-            f"{row.worlds:>9} {row.eager_rate / 1e6:>11.1f} {row.graph_rate / 1e6:>11.1f}"
-            f" {row.gigabytes_per_second:>7.0f} {row.ratio_to_copy:>9.2f}",
-            flush=True,
-        )
-        torch.cuda.empty_cache()
-    best = max(row.graph_rate for row in rows)
-    ratio = max(row.ratio_to_copy for row in rows)
-    print(f"target {TARGET_RATE / 1e9:.0f} G env-steps/s: {'met' if best >= TARGET_RATE else 'no'}")
-    print(f"target {TARGET_RATIO} of a copy: {'met' if ratio >= TARGET_RATIO else 'no'}")
-    says = limits(rows, facts)
-    print(*(f"limited by, {line}" for line in says), sep="\n")
-    result = {
-        "device": torch.cuda.get_device_name(),
-        "host": platform.platform(),
-        "torch": torch.__version__,
-        "options": asdict(options) | {"out": str(options.out)},
-        "copy_gigabytes_per_second": copy / 1e9,
-        "kernel": facts,
-        "rows": [asdict(row) for row in rows],
-        "limits": says,
-    }
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    print(f"written: {options.out}")
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Options))

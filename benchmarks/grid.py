@@ -1,4 +1,4 @@
-"""What it costs to have many runs done: the scheduler's share, and how well workers add up."""
+"""The costs of many runs: the scheduler's share, and how well workers add up."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from baselines.sweep.processes import work_all
 from baselines.sweep.ray_cluster import Needs, connected, work_on_ray
@@ -18,7 +19,7 @@ from baselines.sweep.run import Grid, run_grid
 from baselines.sweep.spec import GridSpec, cells_of
 from baselines.sweep.store import open_store
 from baselines.sweep.worker import Assignment, Claim, Outcome
-from benchmarks.results import Row
+from benchmarks.report import Advance, Benchmark, Findings, Measurement
 
 EMPTY = 1000
 """Cells that train nothing."""
@@ -32,17 +33,25 @@ NODE: dict[str, Any] = {
     "object_store_memory": 80 * 2**20,
     "include_dashboard": False,
 }
-STAGES = 5
 
 
-def measure_grid(steps: int | None, progress: Callable[[], None]) -> list[Row]:
-    """Measure both engines; Ray only where it is installed.
+@dataclass(frozen=True)
+class GridCosts(Benchmark):
+    """Measure what the engines of `mbn grid` cost; Ray only where it is installed."""
 
-    Args:
-        steps: env-steps of each of the cells that train; ``None`` for ``STEPS``.
-        progress: is called after each of ``STAGES`` stages.
-    """
-    steps = STEPS if steps is None else steps
+    name: ClassVar[str] = "grid"
+    stages: ClassVar[int] = 5
+
+    steps: int = STEPS
+    """Env-steps of each of the runs that train."""
+
+    def measure(self, advance: Advance) -> Findings:
+        """Measure both engines."""
+        return Findings("the engines of mbn grid", measure_grid(self.steps, advance))
+
+
+def measure_grid(steps: int, progress: Advance) -> list[Measurement]:
+    """Measure both engines, with ``steps`` env-steps in each of the cells that train."""
     rows = []
     for workers in (1, WORKERS):
         rows.append(_overhead("local", f"{workers} at a time", _empty_locally(workers)))
@@ -52,15 +61,15 @@ def measure_grid(steps: int | None, progress: Callable[[], None]) -> list[Row]:
     one, many = (_train(steps, workers, progress) for workers in (1, WORKERS))
     of_cells = f"{CELLS} runs of A2C, {steps:,} env-steps each, start of the processes included"
     rows += [
-        Row("local: all cells, 1 worker", one.wall, "s", note=of_cells),
-        Row(f"local: all cells, {WORKERS} workers", many.wall, "s", note=of_cells),
-        Row(
+        Measurement("local: all cells, 1 worker", one.wall, "s", note=of_cells),
+        Measurement(f"local: all cells, {WORKERS} workers", many.wall, "s", note=of_cells),
+        Measurement(
             f"local: efficiency, {WORKERS} workers",
             100.0 * one.wall / (WORKERS * many.wall),
             "%",
             note=f"time with one over {WORKERS} times that with {WORKERS}; 100 with one",
         ),
-        Row(
+        Measurement(
             f"local: the same by processor time, {WORKERS} workers",
             100.0 * one.processor / many.processor,
             "%",
@@ -70,9 +79,9 @@ def measure_grid(steps: int | None, progress: Callable[[], None]) -> list[Row]:
     return rows
 
 
-def _overhead(engine: str, how: str, seconds: float) -> Row:
+def _overhead(engine: str, how: str, seconds: float) -> Measurement:
     what = f"{EMPTY:,} cells that train nothing; what they note in the store included"
-    return Row(f"{engine}: per cell, {how}", 1000.0 * seconds / EMPTY, "ms", note=what)
+    return Measurement(f"{engine}: per cell, {how}", 1000.0 * seconds / EMPTY, "ms", note=what)
 
 
 def claim_and_leave(job: Assignment, report: Callable[[Any], None]) -> None:
@@ -111,9 +120,9 @@ def _after_start(ends: Sequence[float], workers: int) -> float:
     return (ends[-1] - ends[workers - 1]) * len(ends) / (len(ends) - workers)
 
 
-def _on_ray() -> Row:
+def _on_ray() -> Measurement:
     if find_spec("ray") is None:
-        return Row("ray: per cell", None, "ms", note="not installed")
+        return Measurement("ray: per cell", None, "ms", note="not installed")
     import ray
 
     ray.init(**NODE, log_to_driver=False, logging_level=logging.ERROR)
@@ -134,7 +143,7 @@ class Seconds(NamedTuple):
     processor: float
 
 
-def _train(steps: int, workers: int, progress: Callable[[], None]) -> Seconds:
+def _train(steps: int, workers: int, progress: Advance) -> Seconds:
     """Train the cells of a grid."""
     with tempfile.TemporaryDirectory() as folder:
         grid = Grid.of(_spec(Path(folder), seeds=range(CELLS), steps=steps))

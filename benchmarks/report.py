@@ -1,92 +1,248 @@
-"""A result as tables on a terminal, and as files."""
+"""Run a benchmark in a folder of its own; print and write what it measured."""
 
 from __future__ import annotations
 
+import importlib.metadata
+import math
+import os
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from time import perf_counter
+from typing import Any, ClassVar
 
 from rich.console import Console
+from rich.progress import Progress
 from rich.table import Table
 
-from baselines.runs.files import write_json
-from benchmarks.figure import write_figure
-from benchmarks.load import ALLOWED
-from benchmarks.machine import machine_line
-from benchmarks.results import Curve, Part, Result, Row
-from mbn_marl.files import replacing
+from baselines.console import console as make_console
+from baselines.runs.files import claim_folder, write_json
+from baselines.runs.provenance import versions
 
-VERDICTS = {True: "[green]met[/]", False: "[red]missed[/]", None: "-"}
+Advance = Callable[[], object]
+"""Called after each stage of a benchmark."""
+PEERS = ("vmas", "mpe2")
+STAT = Path("/proc/stat")
+IDLE = (3, 4)
+"""Places of the idle and the waiting time among the counters of ``/proc/stat``."""
+ALLOWED = 0.1
+"""Cores that others may use before a result is doubtful."""
 
 
-def print_result(result: Result, console: Console) -> None:
-    """Print the machine, the rows, where the time goes, and cost against sizes."""
-    console.print(f"{machine_line(dict(result.machine))}\n", highlight=False)
-    console.print(rows_table(result.rows, "3 robots, 6 ROIs, field_01, random actions, float32"))
-    console.print(_parts_table(result.parts))
-    console.print(_curves_table(result.curves))
-    for curve in result.curves:
-        console.print(f"{curve.quantity}: {curve.growth}", highlight=False)
-    console.print(f"{result.seconds:.0f} s in all", highlight=False)
-    if result.other_cores is not None and result.other_cores > ALLOWED:
+@dataclass(frozen=True)
+class Measurement:
+    """One line of the table.
+
+    Attributes:
+        name: of what was measured.
+        value: the figure; ``None`` if it was not measured (``note`` says why), infinite for never.
+        unit: of ``value`` and ``target``.
+        target: the figure aimed at, or ``None``.
+        at_least: whether the target is a lower bound; otherwise it is an upper one.
+        note: how the figure came about, if the name does not say it.
+    """
+
+    name: str
+    value: float | None
+    unit: str
+    target: float | None = None
+    at_least: bool = True
+    note: str = ""
+
+    @property
+    def met(self) -> bool | None:
+        """Return whether the target is met; ``None`` without a figure or a target."""
+        if self.value is None or self.target is None:
+            return None
+        return self.value >= self.target if self.at_least else self.value <= self.target
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the line as JSON values; never is ``None``."""
+        value = None if self.value == math.inf else self.value
+        return {**asdict(self), "value": value, "met": self.met}
+
+    def words(self) -> tuple[str, ...]:
+        """Return the cells of the line."""
+        value = "-" if self.value is None else f"{number(self.value)} {self.unit}".rstrip()
+        bound = ">=" if self.at_least else "<="
+        target = "-" if self.target is None else f"{bound} {number(self.target)}"
+        verdict = {True: "met", False: "missed", None: "-"}[self.met]
+        value = "never" if self.value == math.inf else value
+        return self.name, value, target, verdict, self.note
+
+
+HEADINGS = ("what", "measured", "target", "", "note")
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Everything that a benchmark found.
+
+    Attributes:
+        title: of the table of measurements.
+        measurements: its lines.
+        tables: others, printed below it.
+        remarks: lines below these.
+        details: JSON values that are written too.
+        draw: writes a figure to a path, or ``None``.
+    """
+
+    title: str
+    measurements: Sequence[Measurement]
+    tables: Sequence[Table] = ()
+    remarks: Sequence[str] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
+    draw: Callable[[Path], None] | None = None
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A benchmark that writes a folder; the fields are its options."""
+
+    name: ClassVar[str]
+    stages: ClassVar[int]
+
+    out: Path | None = None
+    """The folder to write; by default runs/bench-SUBJECT."""
+    force: bool = False
+    """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
+
+    @property
+    def folder(self) -> Path:
+        """Return the folder to write."""
+        return self.out or Path(f"runs/bench-{self.name}")
+
+    def measure(self, advance: Advance) -> Findings:
+        """Measure; call ``advance`` after each of ``stages`` stages."""
+        raise NotImplementedError
+
+    def run(self, command: str) -> bool:
+        """Measure with a progress bar, print the tables, write JSON and the figure.
+
+        Raises:
+            RunError: the folder holds something already, and ``force`` is not set.
+        """
+        folder = claim_folder(self.folder, force=self.force)
+        console, began, others = make_console(), perf_counter(), OtherLoad()
+        with Progress(console=console, transient=True) as progress:
+            task = progress.add_task(f"measuring {self.name}", total=self.stages)
+            found = self.measure(lambda: progress.advance(task))
+        record = {
+            "command": command,
+            "machine": describe_machine(),
+            "seconds": perf_counter() - began,
+            "other_cores": others.cores(),
+        }
+        print_findings(found, record, console)
+        rows = [line.to_json() for line in found.measurements]
+        write_json(folder / f"{self.name}.json", {**record, "rows": rows, **found.details})
+        if found.draw is not None:
+            found.draw(folder / f"{self.name}.png")
+        console.print(f"written to {folder}: {', '.join(sorted(p.name for p in folder.iterdir()))}")
+        return True
+
+
+def print_findings(found: Findings, record: Mapping[str, Any], console: Console) -> None:
+    """Print the machine, the tables, and whether others disturbed the measurement."""
+    console.print(f"{machine_line(record['machine'])}\n", highlight=False)
+    lines = [line.words() for line in found.measurements]
+    console.print(table(found.title, HEADINGS, lines, wrapping=("what", "note")), *found.tables)
+    console.print(*found.remarks, f"{record['seconds']:.0f} s in all", sep="\n", highlight=False)
+    others = record["other_cores"]
+    if others is not None and others > ALLOWED:
         console.print(
-            f"[bold red]not valid[/]: other processes used {result.other_cores:.2f} cores "
-            "meanwhile, which bends ratios too; run it again on an idle machine",
+            f"[bold red]not valid[/]: other processes used {others:.2f} cores meanwhile, which "
+            "bends ratios too; run it again on an idle machine",
             highlight=False,
         )
 
 
-def write_result(result: Result, folder: Path) -> None:
-    """Write ``speed.json`` and ``speed.png`` into ``folder``."""
-    write_json(folder / "speed.json", result.to_json())
-    with replacing(folder / "speed.png") as temporary:
-        write_figure(result, temporary)
+def table(
+    title: str,
+    headings: Sequence[str],
+    lines: Sequence[Sequence[str]],
+    wrapping: Sequence[str] = (),
+) -> Table:
+    """Return a table for a terminal: the first column and those that wrap left, others right."""
+    made = Table(title=title)
+    for index, heading in enumerate(headings):
+        words = index == 0 or heading in wrapping
+        side: Any = "left" if words or not heading else "right"
+        made.add_column(heading, justify=side, no_wrap=heading not in wrapping)
+    for line in lines:
+        made.add_row(*line)
+    return made
 
 
-def rows_table(rows: list[Row], title: str) -> Table:
-    """The rows with their targets and verdicts."""
-    table = Table(title=title)
-    table.add_column("what")
-    for heading in ("measured", "target"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
-    table.add_column("note", style="dim")
-    for row in rows:
-        bound = ">=" if row.at_least else "<="
-        table.add_row(
-            row.name,
-            "-" if row.value is None else f"{_number(row.value)} {row.unit}",
-            "-" if row.target is None else f"{bound} {_number(row.target)}",
-            VERDICTS[row.met],
-            row.note,
-        )
-    return table
-
-
-def _parts_table(parts: list[Part]) -> Table:
-    table = Table(title="where the time of a step goes, all threads working")
-    table.add_column("part")
-    table.add_column("ns per world-step", justify="right")
-    table.add_column("share", justify="right")
-    whole = sum(part.nanoseconds for part in parts)
-    for part in parts:
-        share = part.nanoseconds / whole
-        table.add_row(part.name, f"{part.nanoseconds:.1f}", f"{share:.0%}")
-    return table
-
-
-def _curves_table(curves: list[Curve]) -> Table:
-    table = Table(title="cost against sizes: ns per world-step, all threads working")
-    for curve in curves:
-        table.add_column(curve.quantity, justify="right")
-        table.add_column("ns", justify="right")
-    for k in range(max(len(curve.sizes) for curve in curves)):
-        cells = []
-        for curve in curves:
-            here = k < len(curve.sizes)
-            cells += [f"{curve.sizes[k]}", f"{curve.nanoseconds[k]:,.0f}"] if here else ["", ""]
-        table.add_row(*cells)
-    return table
-
-
-def _number(value: float) -> str:
-    """Three digits, or all before the point."""
+def number(value: float) -> str:
+    """Return three digits, or all before the point."""
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+class OtherLoad:
+    """Cores that other processes have used since this object was made.
+
+    Contention bends ratios too, not only rates.
+    """
+
+    def __init__(self) -> None:
+        self._start = perf_counter()
+        self._others = _others()
+
+    def cores(self) -> float | None:
+        """Return the mean number of them, or ``None`` where the system does not tell."""
+        now = _others()
+        if now is None or self._others is None:
+            return None
+        return max(0.0, (now - self._others) / (perf_counter() - self._start))
+
+
+def _others() -> float | None:
+    """Seconds that cores have worked (or were withheld) but not for us or our ended children."""
+    try:
+        line = STAT.read_text(encoding="utf-8").splitlines()[0]
+    except OSError:
+        return None
+    ticks = [int(count) for count in line.split()[1:9]]  # the guests after them are counted twice
+    busy = sum(count for place, count in enumerate(ticks) if place not in IDLE)
+    return busy / os.sysconf("SC_CLK_TCK") - sum(os.times()[:4])
+
+
+def describe_machine() -> dict[str, Any]:
+    """Return processor, usable cores, memory (GiB), and the versions of everything measured."""
+    described = versions()
+    for name in PEERS:
+        try:
+            described["packages"][name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            described["packages"][name] = None
+    affinity = getattr(os, "sched_getaffinity", None)
+    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    except (AttributeError, ValueError, OSError):
+        memory = None
+    return {"processor": _processor(), "cores": cores, "memory_gib": memory, **described}
+
+
+def _processor() -> str:
+    """Return the processor's model; where Linux does not tell, what Python knows."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.processor() or platform.machine()
+
+
+def machine_line(machine: Mapping[str, Any]) -> str:
+    """Return the description in a line or two."""
+    packages = ", ".join(
+        f"{name} {version}" for name, version in machine["packages"].items() if version
+    )
+    memory = "" if machine["memory_gib"] is None else f", {machine['memory_gib']:.0f} GiB"
+    return (
+        f"{machine['processor']}, {machine['cores']} cores{memory}; {machine['platform']}; "
+        f"Python {machine['python']}, {packages}"
+    )

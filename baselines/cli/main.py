@@ -11,7 +11,6 @@ from typing import Annotated
 import tyro
 from tyro.conf import subcommand
 
-from baselines.cli.bench import Bench
 from baselines.cli.compare import Compare
 from baselines.cli.deploy import Deploy
 from baselines.cli.evaluate import Evaluate
@@ -44,10 +43,9 @@ Command = (
     | Annotated[Play, subcommand("play")]
     | Annotated[Deploy, subcommand("deploy")]
     | Annotated[Zoo, subcommand("zoo")]
-    | Annotated[Bench, subcommand("bench")]
 )
 
-OWN_PACKAGES = ("mbn_marl", "baselines", "benchmarks")
+OWN_PACKAGES = ("mbn_marl", "baselines")
 WRONG_INPUT = 2
 INTERRUPTED = 130
 

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.reliability.corruption``: damaged files, read by what reads them.
+"""Damaged files, read by what reads them.
 
 Of each file of a checkpoint, a run folder, a study, and of a field and an episode, copies with one
 byte changed or with the end cut off. A copy has to be refused with a message that names it, or to
@@ -18,12 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
-from rich.console import Console
-from rich.table import Table
 
 from baselines.algorithms import find_algorithm
 from baselines.compare.results import Result
+from baselines.console import console
 from baselines.paper.trainings import Training
 from baselines.runs.files import read_json
 from baselines.runs.folder import RunFolder
@@ -34,6 +32,7 @@ from baselines.tuning.study import open_study
 from baselines.tuning.trial import TuneConfig
 from baselines.tuning.tune import tune
 from benchmarks.reliability.kills import config_of, outcome
+from benchmarks.report import table
 from mbn_marl.config import make_config
 from mbn_marl.episode import load_episode, play, save_episode
 from mbn_marl.episode.files import to_file
@@ -61,7 +60,7 @@ class Subject:
 
 @dataclass
 class Count:
-    """What became of damaged copies."""
+    """The damaged copies of a subject."""
 
     damaged: int = 0
     refused: int = 0
@@ -198,28 +197,28 @@ def _read_episode(folder: Path) -> Any:
     return to_file(load_episode(folder / "episode.json")).model_dump()
 
 
-def main(sample: int = 500, seed: int = 0) -> int:
-    """Damage files and read them.
+@dataclass(frozen=True)
+class Corruption:
+    """Change one byte of files, or cut off their ends, and read them."""
 
-    Args:
-        sample: how many damaged copies in all.
-        seed: of the damage.
-    """
-    table = Table(title="one byte changed, or the end cut off")
-    for heading in ("what", "copies", "refused", "read as written", "crashed", "read wrongly"):
-        table.add_column(heading, justify="left" if heading == "what" else "right")
-    random_, total = random.Random(seed), Count()
-    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as scratch:
-        made = list(subjects(Path(folder)))
-        for number, subject in enumerate(made):
-            copies = sample * (number + 1) // len(made) - sample * number // len(made)
-            count = try_copies(subject, copies, Path(scratch), random_)
-            table.add_row(subject.name, *map(str, vars(count).values()))
-            total = Count(*map(sum, zip(vars(total).values(), vars(count).values(), strict=True)))
-    table.add_row("all", *map(str, vars(total).values()))
-    Console().print(table)
-    return 1 if total.crashed or total.wrong else 0
+    sample: int = 500
+    """How many damaged copies in all."""
+    seed: int = 0
+    """Of the damage."""
 
-
-if __name__ == "__main__":
-    sys.exit(tyro.cli(main))
+    def run(self, command: str) -> bool:
+        """Return whether every copy was refused, or read as what was written."""
+        random_, counts = random.Random(self.seed), {}
+        with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as scratch:
+            made = list(subjects(Path(folder)))
+            for number, subject in enumerate(made):
+                copies = self.sample * (number + 1) // len(made)
+                copies -= self.sample * number // len(made)
+                counts[subject.name] = try_copies(subject, copies, Path(scratch), random_)
+        rows = [list(vars(count).values()) for count in counts.values()]
+        total = [sum(column) for column in zip(*rows, strict=True)]
+        names = [*counts, "all"]
+        lines = [(name, *map(str, row)) for name, row in zip(names, [*rows, total], strict=True)]
+        headings = ("what", "copies", "refused", "read as written", "crashed", "read wrongly")
+        console().print(table("one byte changed, or the end cut off", headings, lines))
+        return not any(count.crashed or count.wrong for count in counts.values())

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.reliability.endurance``: a billion env-steps of the engine, with resets.
+"""A billion env-steps of the engine, with resets.
 
 All fields of the catalogue are in one batch. The memory of the process is compared before and
 after, and worlds drawn at random are looked at on the way.
@@ -9,15 +9,15 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import tyro
-from rich.console import Console
-from rich.table import Table
 from shapely import Polygon, contains_xy
 
-from benchmarks.stepping import SETS
+from baselines.console import console
+from benchmarks.report import table
+from benchmarks.speed.timing import SETS
 from mbn_marl import BatchEngine
 from mbn_marl.field import catalogue_names
 
@@ -32,14 +32,14 @@ WARM_UP = 0.02
 
 
 def resident() -> int:
-    """The resident memory of this process, in bytes."""
+    """Return the resident memory of this process, in bytes."""
     lines = Path("/proc/self/status").read_text().splitlines()
     (line,) = (line for line in lines if line.startswith("VmRSS"))
     return int(line.split()[1]) * 1024
 
 
 def problems(engine: BatchEngine, worlds: list[int]) -> list[str]:
-    """What is not as it has to be, of numbers in all worlds, and of all else in some.
+    """Return what is wrong, of numbers in all worlds, and of all else in some.
 
     Args:
         engine: after a step.
@@ -53,7 +53,7 @@ def problems(engine: BatchEngine, worlds: list[int]) -> list[str]:
 
 
 def facts(engine: BatchEngine, world: int) -> Iterator[tuple[str, bool]]:
-    """What has to hold of a world since its reset, and whether it does (give or take rounding)."""
+    """Yield what has to hold of a world since its reset (but for rounding), and whether it does."""
     seen, config = engine.snapshot(world), engine.config
     ground = Polygon(seen.field.vertices, seen.field.holes).buffer(ROUNDING)
     yield "inside the field", bool(contains_xy(ground, seen.trail.reshape(-1, 2)).all())
@@ -72,47 +72,52 @@ def facts(engine: BatchEngine, world: int) -> Iterator[tuple[str, bool]]:
     yield "time limit", 0 <= seen.step <= config.max_steps
 
 
-def main(env_steps: int = 1_000_000_000, worlds: int = 8192, threads: int = 1) -> int:
-    """Step the engine with random actions.
+@dataclass(frozen=True)
+class Endurance:
+    """Step the engine with random actions; compare its memory, and look at worlds on the way."""
 
-    Args:
-        env_steps: how many.
-        worlds: side by side.
-        threads: of the engine.
-    """
-    engine = BatchEngine(catalogue_names(), worlds, seed=0, threads=threads)
-    rng = np.random.default_rng(0)
-    actions = rng.uniform(-1, 1, (SETS, worlds, engine.n_robots, 2)).astype(np.float32)
-    engine.reset()
-    calls = -(-env_steps // worlds)
-    every = max(1, calls // LOOKS)
-    episodes, looks, before = 0, 0, 0
-    broken: list[str] = []
-    started = time.perf_counter()
-    for call in range(calls):
-        observations, rewards, terminated, truncated = engine.step(actions[rng.integers(SETS)])
-        episodes += int(np.count_nonzero(terminated | truncated))
-        if call % every == 0:
-            looks += 1
-            finite = np.isfinite(rewards).all() and np.isfinite(observations).all()
-            broken += [] if finite else ["rewards or observations"]
-            broken += problems(engine, rng.integers(worlds, size=WORLDS).tolist())
-        if call == int(WARM_UP * calls):
-            before = resident()
-        if call % (every * LOOKS // 20) == 0:
-            print(f"{call * worlds:,}: {resident() / 2**20:.1f} MiB", file=sys.stderr, flush=True)
-    seconds, after = time.perf_counter() - started, resident()
-    growth = after / before - 1.0
-    table = Table(title="the engine on ten fields, random actions", show_header=False)
-    table.add_row("env-steps", f"{calls * worlds:,}")
-    table.add_row("episodes that ended", f"{episodes:,}")
-    table.add_row("seconds", f"{seconds:,.0f} ({calls * worlds / seconds / 1e6:.1f} M env-steps/s)")
-    table.add_row("memory", f"{before / 2**20:.1f} MiB, then {after / 2**20:.1f} ({growth:+.2%})")
-    table.add_row("looks", f"{looks:,} at all worlds, {looks * WORLDS:,} at one")
-    table.add_row("broken", ", ".join(dict.fromkeys(broken)) or "nothing")
-    Console().print(table)
-    return 1 if broken or growth > 0.01 else 0
+    env_steps: int = 1_000_000_000
+    """How many."""
+    worlds: int = 8192
+    """Side by side."""
+    threads: int = 1
+    """Of the engine."""
 
-
-if __name__ == "__main__":
-    sys.exit(tyro.cli(main))
+    def run(self, command: str) -> bool:
+        """Return whether nothing is broken and memory grew by at most 1 %."""
+        engine = BatchEngine(catalogue_names(), self.worlds, seed=0, threads=self.threads)
+        rng = np.random.default_rng(0)
+        shape = (SETS, self.worlds, engine.n_robots, 2)
+        actions = rng.uniform(-1, 1, shape).astype(np.float32)
+        engine.reset()
+        calls = -(-self.env_steps // self.worlds)
+        every = max(1, calls // LOOKS)
+        episodes, looks, before = 0, 0, 0
+        broken: list[str] = []
+        started = time.perf_counter()
+        for call in range(calls):
+            observations, rewards, terminated, truncated = engine.step(actions[rng.integers(SETS)])
+            episodes += int(np.count_nonzero(terminated | truncated))
+            if call % every == 0:
+                looks += 1
+                finite = np.isfinite(rewards).all() and np.isfinite(observations).all()
+                broken += [] if finite else ["rewards or observations"]
+                broken += problems(engine, rng.integers(self.worlds, size=WORLDS).tolist())
+            if call == int(WARM_UP * calls):
+                before = resident()
+            if call % (every * LOOKS // 20) == 0:
+                memory = f"{resident() / 2**20:.1f} MiB"
+                print(f"{call * self.worlds:,}: {memory}", file=sys.stderr, flush=True)
+        seconds, after = time.perf_counter() - started, resident()
+        growth, steps = after / before - 1.0, calls * self.worlds
+        lines = [
+            ("env-steps", f"{steps:,}"),
+            ("episodes that ended", f"{episodes:,}"),
+            ("seconds", f"{seconds:,.0f} ({steps / seconds / 1e6:.1f} M env-steps/s)"),
+            ("memory", f"{before / 2**20:.1f} MiB, then {after / 2**20:.1f} ({growth:+.2%})"),
+            ("looks", f"{looks:,} at all worlds, {looks * WORLDS:,} at one"),
+            ("broken", ", ".join(dict.fromkeys(broken)) or "nothing"),
+        ]
+        title = "the engine on ten fields, random actions"
+        console().print(table(title, ("what", "how much"), lines, wrapping=("how much",)))
+        return not broken and growth <= 0.01

@@ -1,7 +1,7 @@
-"""``python -m benchmarks.reliability.fuzz``: what reads input gets input that nobody meant.
+"""Readers of input get input that nobody meant.
 
-Hypothesis edits valid files and makes up settings and command lines. Each input has to be taken, or
-refused with the suite's own error (``MbnError``; of fields ``FieldError``, of episodes
+Hypothesis edits valid files and makes up settings and command lines. Each input has to be
+accepted, or refused with the suite's own error (``MbnError``; of fields ``FieldError``, of episodes
 ``EpisodeError``, of settings ``ConfigError``) within a second of computing, and no file may be
 written outside the folder that the process is in.
 """
@@ -24,19 +24,18 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import tyro
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as seeded
 from hypothesis import strategies as st
-from rich.console import Console
-from rich.table import Table
 
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main as mbn
+from baselines.console import console
 from baselines.training.config import TrainConfig
 from baselines.training.hyperparameters import read_block
 from baselines.training.overrides import parse
 from baselines.training.train import prepare
+from benchmarks.report import table
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.episode import check_episode, load_episode, play, save_episode
 from mbn_marl.errors import ConfigError, EpisodeError, FieldError, MbnError
@@ -97,13 +96,35 @@ def edited(data: bytes, edits: list[tuple[int, int, str]]) -> bytes:
 
 @dataclass
 class Count:
-    """What became of the inputs of a target."""
+    """The inputs of a target."""
 
     inputs: int = 0
     taken: int = 0
     refused: int = 0
     longest: float = 0.0
     broken: list[str] = field(default_factory=list)
+
+    def words(self) -> tuple[str, ...]:
+        """Return the cells of the table."""
+        numbers = (f"{n:,}" for n in (self.inputs, self.taken, self.refused))
+        return *numbers, f"{self.longest:.2f} s", str(len(self.broken))
+
+
+@dataclass(frozen=True)
+class Target:
+    """Something that reads input.
+
+    Attributes:
+        call: takes a drawn value, and raises what it raises.
+        strategy: what is drawn.
+        allowed: the error that it may raise.
+        share: of all inputs.
+    """
+
+    call: Callable[[Any], None]
+    strategy: st.SearchStrategy[Any]
+    allowed: type[MbnError]
+    share: float
 
 
 class Guard:
@@ -137,9 +158,6 @@ class Guard:
             yield
         finally:
             self._watching = False
-
-
-# The targets: each takes a drawn value, and raises what it raises.
 
 
 def read_field(data: bytes) -> None:
@@ -222,7 +240,6 @@ WORK = (
     "baselines.demo.interactive.watch",
     "baselines.demo.interactive.play",
     "mbn_marl.planning.plan",
-    "baselines.cli.bench.Bench.run",
 )
 """What takes long once its input is checked."""
 
@@ -268,10 +285,8 @@ def command_lines(draw: st.DrawFn) -> list[str]:
     return [command, *(word.replace("\x00", "") for word in words)]
 
 
-def targets() -> dict[
-    str, tuple[Callable[[Any], None], st.SearchStrategy[Any], type[MbnError], float]
-]:
-    """By name: what is called, with what, what it may raise, and its share of the inputs."""
+def targets() -> dict[str, Target]:
+    """Return the targets by name."""
     fields = [catalogue_file(name) for name in catalogue_names()]
     fields.append(
         json.dumps({"format": "mbn-field/1", **load_field("field_03").to_dict()}).encode()
@@ -297,22 +312,15 @@ def targets() -> dict[
 
     drawn = st.tuples(st.sampled_from([*ALGORITHMS]), SETTINGS, OVERRIDES, edits_of(blocks))
     return {
-        "field reader": (read_field, edits_of(fields), FieldError, 0.4),
-        "authors' format": (read_field, edits_of(authors), FieldError, 0.2),
-        "episode reader": (read_episode, edits_of(episodes), EpisodeError, 0.2),
-        "settings": (read_settings, drawn, ConfigError, 0.19),
-        "command line": (command_line, command_lines(), MbnError, 0.01),
+        "field reader": Target(read_field, edits_of(fields), FieldError, 0.4),
+        "authors' format": Target(read_field, edits_of(authors), FieldError, 0.2),
+        "episode reader": Target(read_episode, edits_of(episodes), EpisodeError, 0.2),
+        "settings": Target(read_settings, drawn, ConfigError, 0.19),
+        "command line": Target(command_line, command_lines(), MbnError, 0.01),
     }
 
 
-def fuzz(
-    call: Callable[[Any], None],
-    strategy: st.SearchStrategy[Any],
-    allowed: type[MbnError],
-    inputs: int,
-    guard: Guard,
-    seed: int,
-) -> Count:
+def fuzz(target: Target, inputs: int, guard: Guard, seed: int) -> Count:
     """Call with so many inputs; the first that breaks a promise is made small, and noted."""
     count = Count()
 
@@ -324,16 +332,16 @@ def fuzz(
         suppress_health_check=list(HealthCheck),
         phases=(Phase.generate, Phase.shrink),
     )
-    @given(strategy)
+    @given(target.strategy)
     def one(drawn: Any) -> None:
         count.inputs += 1
         gc.disable()  # Hypothesis keeps so much that a collection takes longer than any call
         started = time.thread_time()
         try:
             with guard.watching():
-                call(drawn)
+                target.call(drawn)
             count.taken += 1
-        except allowed as error:
+        except target.allowed as error:
             assert str(error), "the error says nothing"
             count.refused += 1
         finally:
@@ -352,38 +360,36 @@ def fuzz(
     return count
 
 
-def main(inputs: int = 200_000, only: tuple[str, ...] = (), seed: int = 0) -> int:
-    """Fuzz what reads input.
+@dataclass(frozen=True)
+class Fuzz:
+    """Edit valid files, make up settings and command lines, and read them."""
 
-    Args:
-        inputs: in all.
-        only: these targets; by default all.
-        seed: of the inputs.
-    """
-    table = Table(title="inputs that nobody meant")
-    for heading in ("target", "inputs", "taken", "refused", "longest", "broken"):
-        table.add_column(heading, justify="left" if heading == "target" else "right")
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
-    good = True
-    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
-        stack.enter_context(contextlib.chdir(folder))
-        for name in WORK:
-            stack.enter_context(patch(name, _work))
-        for algorithm in ALGORITHMS:
-            prepare(TrainConfig(algorithm, "field_03"))  # loads the libraries
-        guard = Guard(Path(folder), Path(os.environ.get("NUMBA_CACHE_DIR", folder)))
-        for name, (call, strategy, allowed, share) in targets().items():
-            if only and name not in only:
-                continue
-            count = fuzz(call, strategy, allowed, round(inputs * share), guard, seed)
-            good &= not count.broken
+    inputs: int = 200_000
+    """In all."""
+    only: tuple[str, ...] = ()
+    """These targets; by default all."""
+    seed: int = 0
+    """Of the inputs."""
+
+    def run(self, command: str) -> bool:
+        """Return whether every input was read or refused as promised."""
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        counts = {}
+        with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
+            stack.enter_context(contextlib.chdir(folder))
+            for name in WORK:
+                stack.enter_context(patch(name, _work))
+            for algorithm in ALGORITHMS:
+                prepare(TrainConfig(algorithm, "field_03"))  # loads the libraries
+            guard = Guard(Path(folder), Path(os.environ.get("NUMBA_CACHE_DIR", folder)))
+            for name, target in targets().items():
+                if not self.only or name in self.only:
+                    inputs = round(self.inputs * target.share)
+                    counts[name] = fuzz(target, inputs, guard, self.seed)
+        for name, count in counts.items():
             for text in count.broken:
                 print(f"{name}: {text}", file=sys.stderr)
-            numbers = (f"{n:,}" for n in (count.inputs, count.taken, count.refused))
-            table.add_row(name, *numbers, f"{count.longest:.2f} s", str(len(count.broken)))
-    Console().print(table)
-    return 0 if good else 1
-
-
-if __name__ == "__main__":
-    sys.exit(tyro.cli(main))
+        lines = [(name, *count.words()) for name, count in counts.items()]
+        headings = ("target", "inputs", "taken", "refused", "longest", "broken")
+        console().print(table("inputs that nobody meant", headings, lines))
+        return not any(count.broken for count in counts.values())

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.reliability.kills``: trainings killed at random moments, and resumed.
+"""Trainings killed at random moments, and resumed.
 
 Each run is trained in a process of its own, ended with ``kill -9`` at a moment drawn uniformly from
 the time that a whole run takes, resumed to its end, and compared with one that was left alone.
@@ -18,16 +18,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import tyro
-from rich.console import Console
-from rich.table import Table
-
+from baselines.console import console
 from baselines.evaluation.policy import load_policy
 from baselines.runs.files import read_text
 from baselines.runs.folder import RunFolder
 from baselines.sb3.policy import CentralizedPolicy
 from baselines.training.config import TrainConfig
 from baselines.training.train import train
+from benchmarks.report import table
 
 SMALL = {"policy_kwargs": {"net_arch": [8]}}
 ON_POLICY = {**SMALL, "n_steps": 32, "batch_size": 32}
@@ -45,7 +43,7 @@ FAMILIES: Mapping[str, tuple[str, dict[str, Any], int]] = {
 
 @dataclass
 class Count:
-    """What became of the killed runs of a family.
+    """The killed runs of a family.
 
     Attributes:
         kills: runs that were killed before their end.
@@ -63,7 +61,7 @@ class Count:
 
     @property
     def good(self) -> bool:
-        """Whether nothing was lost, and everything is equal."""
+        """Return whether nothing was lost, and everything is equal."""
         return not (self.lost or self.missteps or self.unequal)
 
 
@@ -82,7 +80,7 @@ def config_of(family: str) -> TrainConfig:
 
 
 def killed_after(seconds: float, config: TrainConfig, out: Path) -> bool:
-    """Train in a new process that is killed after ``seconds``; whether it had not ended yet."""
+    """Train in a process that is killed after ``seconds``; return whether it had not ended yet."""
     child = os.fork()
     if child == 0:
         code = 1
@@ -100,12 +98,12 @@ def killed_after(seconds: float, config: TrainConfig, out: Path) -> bool:
 
 
 def begin_or_resume(config: TrainConfig, out: Path) -> RunFolder:
-    """What one does after a crash: the same command, with --resume once there is a run."""
+    """Run the same command again, with --resume once there is a run."""
     return train(config, out, resume=(out / "config.json").exists())
 
 
 def outcome(run: RunFolder) -> dict[str, Any]:
-    """All that a run recorded but the seconds, and its policy's parameters."""
+    """Return all that a run recorded but the seconds, and its policy's parameters."""
 
     def timeless(entry: Mapping[str, Any]) -> dict[str, Any]:
         return {name: value for name, value in entry.items() if "seconds" not in name}
@@ -152,28 +150,27 @@ def kill_family(family: str, kills: int, folder: Path, seed: int) -> Count:
     return count
 
 
-def main(kills: int = 20, families: tuple[str, ...] = tuple(FAMILIES), seed: int = 0) -> int:
-    """Kill trainings of every family, and compare.
+@dataclass(frozen=True)
+class Kills:
+    """Kill trainings of every family at random moments, resume them, and compare."""
 
-    Args:
-        kills: of each family.
-        families: which ones.
-        seed: of the moments.
-    """
-    table = Table(title="kill -9 at random moments, then --resume")
-    for heading in ("family", "kills", "before a checkpoint", "lost", "steps wrong", "not equal"):
-        table.add_column(heading, justify="left" if heading == "family" else "right")
-    good = True
-    with tempfile.TemporaryDirectory() as folder:
-        for family in families:
-            place = Path(folder) / FAMILIES[family][0]
-            count = kill_family(family, kills, place, seed)
-            good &= count.good
-            table.add_row(f"{family} ({place.name})", *map(str, vars(count).values()))
-            print(f"{family}: {count}", flush=True)
-    Console().print(table)
-    return 0 if good else 1
+    kills: int = 20
+    """Of each family."""
+    families: tuple[str, ...] = tuple(FAMILIES)
+    """Which ones."""
+    seed: int = 0
+    """Of the moments."""
 
-
-if __name__ == "__main__":
-    sys.exit(tyro.cli(main))
+    def run(self, command: str) -> bool:
+        """Return whether nothing was lost, and everything is equal."""
+        counts = {}
+        with tempfile.TemporaryDirectory() as folder:
+            for family in self.families:
+                place = Path(folder) / FAMILIES[family][0]
+                name = f"{family} ({place.name})"
+                counts[name] = kill_family(family, self.kills, place, self.seed)
+                print(f"{family}: {counts[name]}", flush=True)
+        headings = ("family", "kills", "before a checkpoint", "lost", "steps wrong", "not equal")
+        lines = [(name, *map(str, vars(count).values())) for name, count in counts.items()]
+        console().print(table("kill -9 at random moments, then --resume", headings, lines))
+        return all(count.good for count in counts.values())

@@ -1,1 +1,1 @@
-"""Studies of learning: what is compared is data, in the YAML files here; see docs/comparison.md."""
+"""The benchmarks of learning: comparisons, and a search for the best policies."""

@@ -1,23 +1,30 @@
-"""The targets of learning: what a comparison's runs reached, and at what cost."""
+"""The comparisons of learning, and the targets of the recorded setting."""
 
 from __future__ import annotations
 
 import heapq
 import math
+import os
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
+from typing import ClassVar
 
-from rich.console import Console
-
+from baselines.cli.compare import train_and_compare
 from baselines.compare.results import Result, Results
+from baselines.compare.run import CompareConfig
 from baselines.compare.tables import markdown, rich_table
 from baselines.compare.text_table import Grid
+from baselines.compare.variants import read_variants
+from baselines.console import console
 from baselines.runs.files import write_json, write_text
-from benchmarks.results import Row
-from benchmarks.studies.passing import FieldLine, Passing, known, passes
+from benchmarks.report import HEADINGS, Benchmark, Measurement
+from benchmarks.studies.passing import FieldLine, Passing, passes
+from mbn_marl.field import catalogue_names
 
+STEPS = 1_441_792
+"""Env-steps of a run."""
 NEAR = 0.005
 """How far below the optimum a return may be to count as near it."""
 BUDGET = 1_500_000
@@ -32,21 +39,95 @@ CAPTION = (
 )
 
 
+@dataclass(frozen=True)
+class Study(Benchmark):
+    """Compare the variants in a YAML file of this folder, with the name of the study."""
+
+    fields: tuple[str, ...] = tuple(catalogue_names())
+    """Names of `mbn fields`, or paths."""
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    """One run for each variant, field and seed."""
+    steps: int = STEPS
+    """Env-steps of every run."""
+    processes: int = os.cpu_count() or 1
+    """Runs at a time, each on one core."""
+    resume: bool = False
+    """Resume what is in the folder, as `mbn compare` does."""
+
+    def config(self) -> CompareConfig:
+        """Return the comparison.
+
+        Raises:
+            MbnError: as :class:`~baselines.compare.run.CompareConfig`.
+        """
+        variants = read_variants(Path(__file__).with_name(f"{self.name}.yaml"))
+        return CompareConfig(variants, self.fields, self.seeds, self.steps, 32_768, 100)
+
+    def run(self, command: str) -> bool:
+        """Train what is missing, print and write the comparison."""
+        self.compare(command)
+        return True
+
+    def compare(self, command: str) -> Results:
+        """Train what is missing, print and write the comparison, and return its results."""
+        results = train_and_compare(
+            self.config(),
+            self.folder,
+            command=command,
+            processes=self.processes,
+            force=self.force,
+            resume=self.resume,
+        )
+        print(f"written to {self.folder}: comparison.md, comparison.json, figures, runs")
+        return results
+
+
+@dataclass(frozen=True)
+class Learning(Study):
+    """Train the recorded setting on all ten fields, against its targets."""
+
+    name: ClassVar[str] = "learning"
+
+    def run(self, command: str) -> bool:
+        """Compare, and add the targets."""
+        results = self.compare(command)
+        rows = target_rows(results, self.processes)
+        terminal = console()
+        terminal.print(rich_table("targets", measurement_grid(rows)))
+        terminal.print(CAPTION, "\n")
+        write_targets(results, rows, self.folder)
+        return True
+
+
+@dataclass(frozen=True)
+class Sharing(Study):
+    """Compare the ways to share parameters."""
+
+    name: ClassVar[str] = "sharing"
+
+
+@dataclass(frozen=True)
+class Ablations(Study):
+    """Leave one thing at a time out of the recorded setting."""
+
+    name: ClassVar[str] = "ablations"
+
+    fields: tuple[str, ...] = ("field_02", "field_10")
+    """Names of `mbn fields`, or paths."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """One run for each variant, field and seed."""
+
+
 def makespan(seconds: Sequence[float], processes: int) -> float:
-    """How long ``processes`` workers take for jobs that they take up in this order."""
+    """Return how long ``processes`` workers take for jobs in this order."""
     free = [0.0] * processes
     for job in seconds:
         heapq.heapreplace(free, free[0] + job)
     return max(free)
 
 
-def target_rows(results: Results, processes: int) -> list[Row]:
-    """The targets, with what was reached.
-
-    Args:
-        results: of the study, or a part of it; of its first label.
-        processes: how many runs went on at a time.
-    """
+def target_rows(results: Results, processes: int) -> list[Measurement]:
+    """Return the targets of the first label, for ``processes`` runs at a time."""
     setting = results.labels[0]
     runs = results.of_label(setting)
     lines = [FieldLine.of(results.cells[setting, field]) for field in results.fields]
@@ -89,12 +170,12 @@ def target_rows(results: Results, processes: int) -> list[Row]:
 
 
 def _true(runs: Sequence[Result]) -> list[bool]:
-    """Which runs pass without any training aid."""
+    """Return which runs pass without any training aid."""
     return [passes(run) and not run.config["hyperparameters"].get("approach_bonus") for run in runs]
 
 
-def best_rows(label: str, lines: Sequence[FieldLine]) -> list[Row]:
-    """How the best return of each field compares with the paper's and with the optimum."""
+def best_rows(label: str, lines: Sequence[FieldLine]) -> list[Measurement]:
+    """Compare the best return of each field with the paper's and with the optimum."""
     return [
         _count(
             f"{label}: fields, best return at or above the paper's",
@@ -112,20 +193,14 @@ def best_rows(label: str, lines: Sequence[FieldLine]) -> list[Row]:
     ]
 
 
-def print_targets(rows: Sequence[Row], console: Console) -> None:
-    """Print the targets."""
-    console.print(rich_table("targets", targets_grid(rows)))
-    console.print(CAPTION, "\n")
-
-
-def write_targets(results: Results, rows: Sequence[Row], out: Path) -> None:
+def write_targets(results: Results, rows: Sequence[Measurement], out: Path) -> None:
     """Write ``learning.md`` and ``learning.json`` into the folder ``out``."""
     lines = [FieldLine.of(cell) for cell in results.cells.values()]
     write_json(
         out / "learning.json",
         {"targets": [row.to_json() for row in rows], "fields": [asdict(line) for line in lines]},
     )
-    parts = [markdown("Targets", targets_grid(rows))]
+    parts = [markdown("Targets", measurement_grid(rows))]
     parts += [
         markdown(label, field_grid([line for line in lines if line.label == label]))
         for label in results.labels
@@ -134,7 +209,7 @@ def write_targets(results: Results, rows: Sequence[Row], out: Path) -> None:
 
 
 def field_grid(lines: Sequence[FieldLine]) -> Grid:
-    """The lines of one label as a table."""
+    """Return the lines of one label as a table."""
     caption = (
         "pass: runs whose final policy does. env-steps, s: to the first evaluation that passes, "
         "median over seeds, wall time; worst: the most env-steps. mean actions: the median return "
@@ -175,37 +250,28 @@ def _field_words(line: FieldLine) -> tuple[str, ...]:
     )
 
 
-def targets_grid(rows: Sequence[Row], caption: str = CAPTION) -> Grid:
-    """The targets as a table."""
-    lines = tuple(
-        (
-            row.name,
-            "never" if row.value is None else f"{row.value:,.0f} {row.unit}",
-            f"{'>=' if row.at_least else '<='} {row.target:,.0f}",
-            "met" if row.met else "missed",
-        )
-        for row in rows
-    )
-    return Grid(caption, ("what", "measured", "target", ""), lines)
+def measurement_grid(rows: Sequence[Measurement], caption: str = CAPTION) -> Grid:
+    """Return the targets as a table."""
+    return Grid(caption, HEADINGS, tuple(row.words() for row in rows))
 
 
 def _cells(results: Results) -> list[tuple[Result, ...]]:
-    """The runs of the first label, field by field."""
+    """Return the runs of the first label, field by field."""
     return [results.cells[results.labels[0], field] for field in results.fields]
 
 
-def _count(name: str, met: Iterable[bool], share: float) -> Row:
-    """How many of some are met, with the share that is aimed at."""
+def _count(name: str, met: Iterable[bool], share: float) -> Measurement:
+    """Count how many are met, with the share that is aimed at."""
     outcomes = [bool(one) for one in met]
     least = math.ceil(share * len(outcomes) - 1e-9)
-    return Row(name, sum(outcomes), f"of {len(outcomes)}", least)
+    return Measurement(name, sum(outcomes), f"of {len(outcomes)}", least)
 
 
-def bound(name: str, value: float, unit: str, most: float, note: str = "") -> Row:
-    """A quantity that should stay below ``most``; one that is infinite has no value."""
-    return Row(name, known(value), unit, most, at_least=False, note=note)
+def bound(name: str, value: float, unit: str, most: float, note: str = "") -> Measurement:
+    """Return a quantity that should stay below ``most``."""
+    return Measurement(name, value, unit, most, at_least=False, note=note)
 
 
 def shown(value: float | None, form: str = "{:,.0f}") -> str:
-    """A number as a table has it."""
+    """Return a number as a table has it."""
     return "-" if value is None else form.format(value)

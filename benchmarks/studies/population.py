@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from multiprocessing.sharedctypes import Synchronized, SynchronizedArray
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from baselines.compare.results import Result
-from baselines.compare.tables import markdown
+from baselines.compare.tables import markdown, rich_table
 from baselines.compare.text_table import Grid
+from baselines.console import console
 from baselines.runs.files import RunError, alone, claim_folder, write_json, write_text
 from baselines.runs.folder import RunFolder
 from baselines.runs.provenance import write_provenance
 from baselines.sweep.processes import Job, run_processes, spawning
 from baselines.training.config import TrainConfig
-from baselines.training.progress_bar import Listener
-from benchmarks.results import Row
-from benchmarks.studies.learning import best_rows, bound, shown, targets_grid
+from baselines.training.progress_bar import Listener, print_finished
+from benchmarks.report import Benchmark, Measurement
+from benchmarks.studies.learning import STEPS, Learning, best_rows, bound, measurement_grid, shown
 from benchmarks.studies.passing import FieldLine, best_return
-from benchmarks.studies.study import STUDIES
 from mbn_marl.errors import ConfigError
+from mbn_marl.field import catalogue_names
 
 CAPTION = (
     "Returns with mean actions, of all runs that finished: the median is of final policies, the "
@@ -32,27 +34,27 @@ CAPTION = (
 
 
 @dataclass(frozen=True)
-class PopulationConfig:
-    """What to train.
+class Population(Benchmark):
+    """Train the recorded setting with one seed after the other, within a time."""
 
-    Attributes:
-        fields: catalogue names or paths.
-        steps: env-steps of every run.
-        minutes: for all fields together, by the clock on the wall.
-        processes: runs at a time.
+    name: ClassVar[str] = "population"
 
-    Raises:
-        ConfigError: a number is out of range, or a field is given twice.
-        MbnError: a field is not valid.
-    """
+    fields: tuple[str, ...] = tuple(catalogue_names())
+    """Names of `mbn fields`, or paths."""
+    steps: int = STEPS
+    """Env-steps of every run."""
+    minutes: float = 30.0
+    """For all fields together, by the clock on the wall."""
+    processes: int = os.cpu_count() or 1
+    """Runs at a time, each on one core."""
 
-    fields: tuple[str, ...]
-    steps: int
-    minutes: float
-    processes: int
+    def check(self) -> None:
+        """Check everything before the first run starts.
 
-    def __post_init__(self) -> None:
-        """Check everything before the first run starts."""
+        Raises:
+            ConfigError: a number is out of range, or a field is given twice.
+            MbnError: a field is not valid.
+        """
         problems = []
         if not self.minutes > 0.0:
             problems.append(f"minutes: must be above 0 (got {self.minutes})")
@@ -60,12 +62,22 @@ class PopulationConfig:
             problems.append(f"processes: at least 1, not {self.processes}")
         if problems:
             raise ConfigError("population", problems)
-        STUDIES["learning"].config(self.fields, (0,), self.steps)
+        Learning(fields=self.fields, seeds=(0,), steps=self.steps).config()
 
-    def run(self, field: str, seed: int) -> TrainConfig:
-        """A run in the recorded setting."""
-        (run,) = STUDIES["learning"].config((field,), (seed,), self.steps).runs()
+    def training(self, field: str, seed: int) -> TrainConfig:
+        """Return a run in the recorded setting."""
+        (run,) = Learning(fields=(field,), seeds=(seed,), steps=self.steps).config().runs()
         return run
+
+    def run(self, command: str) -> bool:
+        """Train, then print and write the best of each field."""
+        rows, grid = train_population(self, command, print_finished)
+        terminal = console()
+        terminal.print(rich_table("fields", grid))
+        terminal.print(rich_table("targets", measurement_grid(rows)))
+        terminal.print(grid.caption, "\n")
+        terminal.print(f"written to {self.folder}: population.md, population.json, runs")
+        return True
 
 
 class Board(NamedTuple):
@@ -99,7 +111,7 @@ class Board(NamedTuple):
             return number, seed
 
     def enter(self, number: int, result: Result, seconds: float) -> None:
-        """Take in a finished run on a field."""
+        """Enter a finished run on a field."""
         with self.begun.get_lock():
             self.slowest.value = max(self.slowest.value, seconds)
             if best_return(result) == result.optimum:
@@ -107,34 +119,28 @@ class Board(NamedTuple):
 
 
 def train_population(
-    config: PopulationConfig,
-    out: Path,
-    *,
-    command: str,
-    force: bool,
-    listener: Listener,
-) -> tuple[list[Row], Grid]:
+    config: Population, command: str, listener: Listener
+) -> tuple[list[Measurement], Grid]:
     """Train seeds 0, 1, 2 ... on every field in turn, and write what the best of them reached.
 
     Proved optima say when a field is done, and nothing else: no run learns from them.
 
     Args:
-        config: what to train.
-        out: the folder to make: ``population.md``, ``population.json`` and the run folders.
+        config: what to train; its folder gets ``population.md``, ``population.json`` and the runs.
         command: the exact command, recorded there.
-        force: move a folder that is already there aside.
-        listener: is told where the runs stand.
+        listener: receives where the runs stand.
 
     Returns:
         The targets, with what was reached, and a table of the fields.
 
     Raises:
-        RunError: ``out`` holds something already, or a field has no run that finished.
+        RunError: the folder holds something already, or a field has no run that finished.
         MbnError: a run failed.
     """
-    claim_folder(out, force=force)
-    with alone(out, "mbn bench"):
-        write_json(out / "config.json", asdict(config))
+    config.check()
+    out = claim_folder(config.folder, force=config.force)
+    with alone(out, command):
+        write_json(out / "config.json", {**asdict(config), "out": str(out)})
         write_provenance(out, command)
         started = time.time()
         deadline = started + 60.0 * config.minutes
@@ -151,18 +157,18 @@ def train_population(
     write_json(
         out / "population.json", {"targets": [row.to_json() for row in rows], "fields": best}
     )
-    parts = [markdown("Targets", targets_grid(rows, CAPTION)), markdown("Fields", grid)]
+    parts = [markdown("Targets", measurement_grid(rows, CAPTION)), markdown("Fields", grid)]
     write_text(out / "population.md", "\n\n".join(["# Population", *parts]) + "\n")
     return rows, grid
 
 
 def _train_some(
-    config: PopulationConfig, out: Path, board: Board, deadline: float, listener: Listener
+    config: Population, out: Path, board: Board, deadline: float, listener: Listener
 ) -> None:
     """Train one run after the other, until there is none to begin."""
     while (taken := board.take(deadline)) is not None:
         number, seed = taken
-        run = config.run(config.fields[number], seed)
+        run = config.training(config.fields[number], seed)
         began = time.time()
         Job(run, out / run.name).train(listener)
         folder = RunFolder.open(out / run.name)
@@ -170,18 +176,18 @@ def _train_some(
             board.enter(number, Result.read(folder), time.time() - began)
 
 
-def _finished(config: PopulationConfig, out: Path, field: str, runs: int) -> list[Result]:
+def _finished(config: Population, out: Path, field: str, runs: int) -> list[Result]:
     """The results of a field, by seed."""
-    folders = [RunFolder.open(out / config.run(field, seed).name) for seed in range(runs)]
+    folders = [RunFolder.open(out / config.training(field, seed).name) for seed in range(runs)]
     cell = [Result.read(folder) for folder in folders if folder.finished]
     if not cell:
-        raise RunError(f"{out}: no run on {field} finished, all {runs} broke down")
+        raise RunError(f"{out}: no run on {field} finished: all {runs} diverged")
     return cell
 
 
 def _rows(
-    config: PopulationConfig, cells: Mapping[str, Sequence[Result]], seconds: float
-) -> list[Row]:
+    config: Population, cells: Mapping[str, Sequence[Result]], seconds: float
+) -> list[Measurement]:
     """The targets."""
     lines = [FieldLine.of(cell) for cell in cells.values()]
     note = f"{config.processes} at a time"

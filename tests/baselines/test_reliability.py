@@ -34,7 +34,7 @@ from baselines.training.progress_bar import Report
 from baselines.training.train import prepare, train
 from benchmarks.reliability import corruption, endurance
 from benchmarks.reliability import fuzz as fuzzing
-from benchmarks.stepping import cpu_backend
+from benchmarks.speed.timing import cpu_backend
 from mbn_marl import BatchEngine
 from mbn_marl.checksums import check, is_signed, listed
 from mbn_marl.errors import DamageError, FieldError, MbnError
@@ -449,10 +449,9 @@ def test_inputs_that_nobody_meant(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    call, strategy, allowed, _ = fuzzing.targets()[name]
     prepare(_config("mappo"))  # loads the libraries
     prepare(_config("ppo"))
-    count = fuzzing.fuzz(call, strategy, allowed, inputs, guard, seed=0)
+    count = fuzzing.fuzz(fuzzing.targets()[name], inputs, guard, seed=0)
     assert count.broken == [] and count.inputs >= inputs and count.refused > inputs / 3
 
 
@@ -475,8 +474,8 @@ def test_a_broken_promise_is_noted(
     monkeypatch.chdir(tmp_path / "in")
     monkeypatch.setattr(fuzzing, "LONGEST", 0.2)
     guard = fuzzing.Guard(tmp_path / "in")
-    numbers = st.integers(0, 9)
-    count = fuzzing.fuzz(lambda n: call(n) and None, numbers, MbnError, 5, guard, seed=0)
+    target = fuzzing.Target(lambda n: call(n) and None, st.integers(0, 9), MbnError, 1.0)
+    count = fuzzing.fuzz(target, 5, guard, seed=0)
     assert len(count.broken) == 1 and re.search(message, count.broken[0])
 
 
@@ -504,5 +503,5 @@ def test_growth_of_memory_is_found(capsys: pytest.CaptureFixture[str]) -> None:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(endurance, "problems", leak)
-        assert endurance.main(env_steps=1 << 14, worlds=16) == 1
+        assert not endurance.Endurance(env_steps=1 << 14, worlds=16).run("")
     assert "nothing" in capsys.readouterr().out

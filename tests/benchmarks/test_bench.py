@@ -1,10 +1,12 @@
-"""``mbn bench``: its harness by hand, and every row of its table in a tiny run."""
+"""``python -m benchmarks``: its harness by hand, and every row of its table in a tiny run."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import re
+import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +15,18 @@ import pytest
 from matplotlib.image import imread
 from rich.console import Console
 
-from baselines.cli import main
-from benchmarks import plain, speed
-from benchmarks.load import OtherLoad
-from benchmarks.parts import OBSERVATIONS, PARTS, REWARDS, PartialSteps
-from benchmarks.plain import plain_cases
-from benchmarks.report import print_result, write_result
-from benchmarks.results import Result, Row
-from benchmarks.sizes import SIZES, USUAL, make_field, measure_sizes
-from benchmarks.speed import STAGES, measure_speed
-from benchmarks.timing import Budget, Case, Timing, interleaved
+from benchmarks.__main__ import SUBJECTS, benchmark_class, main
+from benchmarks.report import (
+    Findings,
+    Measurement,
+    OtherLoad,
+    describe_machine,
+    print_findings,
+)
+from benchmarks.speed.measure import Speed, measure_speed
+from benchmarks.speed.parts import OBSERVATIONS, PARTS, REWARDS, PartialSteps
+from benchmarks.speed.sizes import SIZES, USUAL, make_field, measure_sizes
+from benchmarks.speed.timing import Budget, Case, Timing, interleaved
 from mbn_marl import BatchEngine, load_field
 
 TINY = Budget(
@@ -31,14 +35,14 @@ TINY = Budget(
 
 
 @pytest.fixture(scope="module")
-def result() -> Result:
+def findings() -> Findings:
     """A whole run, as small as it can be."""
     stages: list[None] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("benchmarks.peers.VMAS_WORLDS", (8,))
-        patch.setattr("benchmarks.adapters.ROWS", 4)
-        measured = measure_speed("mbn bench speed", TINY, lambda: stages.append(None))
-    assert len(stages) == STAGES
+        patch.setattr("benchmarks.speed.peers.VMAS_WORLDS", (8,))
+        patch.setattr("benchmarks.speed.adapters.ROWS", 4)
+        measured = measure_speed(TINY, lambda: stages.append(None))
+    assert len(stages) == Speed.stages
     return measured
 
 
@@ -73,7 +77,7 @@ def test_cases_take_turns_and_prepare_first() -> None:
 
 def test_seconds_are_per_unit(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = {"now": 0.0}
-    monkeypatch.setattr("benchmarks.timing.perf_counter", lambda: clock["now"])
+    monkeypatch.setattr("benchmarks.speed.timing.perf_counter", lambda: clock["now"])
 
     def run(calls: int) -> None:
         clock["now"] += 0.5 * calls
@@ -98,7 +102,7 @@ def test_seconds_are_per_unit(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_target_is_met(
     value: float | None, target: float | None, at_least: bool, met: bool | None
 ) -> None:
-    assert Row("a", value, "x", target, at_least).met is met
+    assert Measurement("a", value, "x", target, at_least).met is met
 
 
 # -- what is measured ------------------------------------------------------------------------------
@@ -159,7 +163,7 @@ def test_growth_is_the_law_that_made_the_figures(monkeypatch: pytest.MonkeyPatch
         law = costs["robots" if len(cases) == 3 else "ROIs"]
         return {case.name: Timing(np.array([1e-9 * law(int(case.name))])) for case in cases}
 
-    monkeypatch.setattr("benchmarks.sizes.interleaved", timings)
+    monkeypatch.setattr("benchmarks.speed.sizes.interleaved", timings)
     sizes = {"robots": (1, 2, 5), "ROIs": (1, 24)}
     robots, rois = measure_sizes(TINY, lambda: None, sizes)
     assert robots.growth == "about 7 + 5 robots + 2 robots^2 ns"
@@ -167,11 +171,11 @@ def test_growth_is_the_law_that_made_the_figures(monkeypatch: pytest.MonkeyPatch
     assert robots.nanoseconds == pytest.approx((14, 25, 82))
 
 
-# -- the result ------------------------------------------------------------------------------------
+# -- the findings ----------------------------------------------------------------------------------
 
 
-def test_every_row_has_a_figure_or_a_reason(result: Result) -> None:
-    rows = [row.to_json() for row in result.rows]
+def test_every_row_has_a_figure_or_a_reason(findings: Findings) -> None:
+    rows = [row.to_json() for row in findings.measurements]
     assert len({row["name"] for row in rows}) == len(rows) == 13
     for row in rows:
         assert row.keys() == {"name", "value", "unit", "target", "at_least", "note", "met"}
@@ -184,44 +188,55 @@ def test_every_row_has_a_figure_or_a_reason(result: Result) -> None:
     assert all(row["value"] is None or row["value"] > 0 for row in rates)
 
 
-def test_parts_and_curves(result: Result) -> None:
-    assert [part.name for part in result.parts] == [*PARTS, "checks around the kernel"]
-    assert [curve.quantity for curve in result.curves] == list(SIZES)
-    for curve in result.curves:
-        assert curve.sizes == SIZES[curve.quantity]
-        assert min(curve.nanoseconds) > 0
+def test_parts_and_curves(findings: Findings) -> None:
+    parts, curves = findings.details["parts"], findings.details["curves"]
+    assert [part["name"] for part in parts] == [*PARTS, "checks around the kernel"]
+    assert {curve["quantity"]: curve["sizes"] for curve in curves} == SIZES
+    assert all(min(curve["nanoseconds"]) > 0 for curve in curves)
 
 
-def test_it_is_written_and_printed(result: Result, tmp_path: Path) -> None:
-    write_result(result, tmp_path)
-    stored = json.loads((tmp_path / "speed.json").read_text())
-    assert stored["command"] == "mbn bench speed"
-    assert stored["rows"] == [row.to_json() for row in result.rows]
-    assert stored["machine"]["cores"] >= 1
-    assert stored["machine"]["packages"]["numba"]
-    assert imread(tmp_path / "speed.png").shape[1] > 1000
-    console = Console(record=True, width=200)
-    print_result(result, console)
-    text = console.export_text()
-    for row in result.rows:
-        assert row.name in text
-    assert stored["machine"]["processor"] in text
+def test_never_misses_its_target() -> None:
+    never = Measurement("until", math.inf, "s", 10.0, at_least=False)
+    assert never.words() == ("until", "never", "<= 10", "missed", "")
+    assert never.to_json()["value"] is None
+
+
+def test_a_folder_is_written_once(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    findings: Findings,
+) -> None:
+    monkeypatch.setattr(Speed, "measure", lambda self, advance: findings)
+    out = tmp_path / "bench"
+    words = ["speed", "--out", str(out)]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    stored = json.loads((out / "speed.json").read_text())
+    assert {path.name for path in out.iterdir()} == {"speed.json", "speed.png"}
+    assert imread(out / "speed.png").shape[1] > 1000
+    assert stored["command"] == f"python -m benchmarks speed --out {out}"
+    assert stored["rows"] == [row.to_json() for row in findings.measurements]
+    assert stored["machine"]["cores"] >= 1 and stored["machine"]["packages"]["numba"]
+    assert stored["machine"]["processor"] in printed
+    assert all(row.name in printed for row in findings.measurements)
+    assert main(words) == 2
+    assert "--force" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("cores", "doubtful"), [(None, False), (0.05, False), (1.25, True)])
-def test_a_run_beside_others_is_said_to_be_invalid(
-    result: Result, cores: float | None, doubtful: bool
-) -> None:
+def test_a_run_beside_others_is_said_to_be_invalid(cores: float | None, doubtful: bool) -> None:
     console = Console(record=True, width=200)
-    print_result(dataclasses.replace(result, other_cores=cores), console)
+    record = {"machine": describe_machine(), "seconds": 1.0, "other_cores": cores}
+    print_findings(Findings("a", []), record, console)
     assert ("not valid" in console.export_text()) == doubtful
 
 
 def test_load_of_others_leaves_out_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By hand: 100 ticks a second; 6 s of work in 4 s, of which 1 s was ours."""
     stat, clock, own = tmp_path / "stat", {"now": 10.0}, [3.0, 0.5, 0.0, 0.0, 0.0]
-    monkeypatch.setattr("benchmarks.load.STAT", stat)
-    monkeypatch.setattr("benchmarks.load.perf_counter", lambda: clock["now"])
+    monkeypatch.setattr("benchmarks.report.STAT", stat)
+    monkeypatch.setattr("benchmarks.report.perf_counter", lambda: clock["now"])
     monkeypatch.setattr("os.sysconf", lambda name: 100)
     monkeypatch.setattr("os.times", lambda: tuple(own))
     stat.write_text("cpu  500 20 80 9000 50 0 0 0 0 0\n")
@@ -233,28 +248,37 @@ def test_load_of_others_leaves_out_our_own(tmp_path: Path, monkeypatch: pytest.M
     assert others.cores() is None
 
 
-def test_the_command_writes_a_folder_once(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    result: Result,
-) -> None:
-    monkeypatch.setattr(speed, "measure_speed", lambda command, *_: result)
-    out = tmp_path / "bench"
-    assert main(["bench", "speed", "--out", str(out)]) == 0
-    assert {path.name for path in out.iterdir()} == {"speed.json", "speed.png"}
-    capsys.readouterr()
-    assert main(["bench", "--out", str(out)]) == 2
-    assert "--force" in capsys.readouterr().err
+# -- the command -----------------------------------------------------------------------------------
+
+
+def test_every_subject_has_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    listed = capsys.readouterr().out
+    assert all(f"  {subject} " in listed for subject in SUBJECTS)
+    for subject in SUBJECTS:
+        with pytest.raises(SystemExit) as caught:
+            main([subject, "--help"])
+        assert caught.value.code == 0
+        assert benchmark_class(subject).__doc__.split(".")[0] in capsys.readouterr().out
 
 
 def test_an_unknown_subject_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["bench", "sped"])
-    assert caught.value.code == 2
-    assert re.search(r"\{?speed", capsys.readouterr().err)
+    assert main(["sped"]) == 2
+    assert "speed?" in capsys.readouterr().err
 
 
-def test_without_a_checkout_the_row_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plain, "ORACLE", Path("nowhere/oracle.py"))
-    assert plain_cases() == []
+def test_without_a_gpu_there_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    assert main(["gpu", "--out", str(tmp_path / "gpu")]) == 2
+    assert "cuda" in capsys.readouterr().err
+
+
+def test_the_plain_loop_is_found_whatever_else_is_called_tests(tmp_path: Path) -> None:
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "__init__.py").touch()
+    code = "from benchmarks.speed.peers import plain_case; plain_case().run(3)"
+    root = str(Path(__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": root}
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, check=True)

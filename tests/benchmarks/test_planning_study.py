@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 
-from benchmarks.planning.study import Attempt, study_planning, target_rows
+from benchmarks.planning import Attempt, study_planning, target_rows
 
 
 def test_the_study_counts_what_was_proved() -> None:
     seen: list[None] = []
-    rows, instances = study_planning(lambda: seen.append(None), convex=2, winding=1)
+    found = study_planning(lambda: seen.append(None), convex=2, winding=1)
+    rows, instances = found.measurements, found.details
     assert len(seen) == 13
     assert [len(instances[name]) for name in ("catalogue", "convex", "winding")] == [10, 2, 1]
     assert [row.value for row in rows[:1] + rows[2:3] + rows[5:6] + rows[-1:]] == [10, 2, 1, 0]

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from benchmarks.plain import plain_cases
-from benchmarks.stepping import engine_case
-from benchmarks.timing import Budget, interleaved
+from benchmarks.speed.peers import plain_case
+from benchmarks.speed.timing import Budget, engine_case, interleaved
 from mbn_marl import BatchEngine
 
 WORLDS = 1024
 
 
 def test_engine_is_far_faster_than_the_plain_loop() -> None:
-    """By a hundred times an env-step, on one thread; ``mbn bench`` measures by how much."""
+    """By a hundred times an env-step, on one thread; the benchmark measures by how much."""
     engine = engine_case("engine", BatchEngine("field_01", WORLDS, threads=1), warm_up=50)
-    (loop,) = plain_cases()
+    loop = plain_case()
     timings = interleaved([engine, loop], Budget(rounds=15, seconds=0.02))
     # The best round of each: other work on the machine only ever makes a round slower.
     best = {name: timing.seconds.min() for name, timing in timings.items()}

@@ -14,6 +14,7 @@ import tyro
 
 from baselines.cli import main
 from baselines.cli.main import Command
+from benchmarks.__main__ import benchmark_class
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -72,11 +73,8 @@ def write_file(block: Block, folder: Path) -> None:
 
 
 def run_mbn(words: Sequence[str]) -> None:
-    """Run ``mbn`` with a tiny budget; benchmarks are parsed only, they have tests of their own."""
-    if words[0] == "bench":
-        parse_mbn(words)
-    else:
-        assert main([*words, *TINY.get(words[0], "").split()]) == 0, shlex.join(words)
+    """Run ``mbn`` with a tiny budget."""
+    assert main([*words, *TINY.get(words[0], "").split()]) == 0, shlex.join(words)
 
 
 def parse_mbn(words: Sequence[str]) -> None:
@@ -96,6 +94,8 @@ def check_tool(words: Sequence[str]) -> None:
             extras = project["project"]["optional-dependencies"]
             named = re.search(r"\[(.*)\]", rest[-1])
             assert rest[-1].startswith(".") and (named is None or named[1] in extras), words
+        case ["python", "-m", "benchmarks", subject, *options]:
+            tyro.cli(benchmark_class(subject), args=options)
         case ["python", "-m", module, *_]:
             assert find_spec(module), words
         case ["python", file, *_]:

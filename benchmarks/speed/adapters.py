@@ -1,4 +1,4 @@
-"""The adapters' rows: what PettingZoo, TorchRL and Stable-Baselines3 add to the engine."""
+"""The adapters: what PettingZoo, TorchRL and Stable-Baselines3 add to the engine."""
 
 from __future__ import annotations
 
@@ -8,31 +8,33 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.engine import FIELD
-from benchmarks.peers import mpe2_cases
-from benchmarks.results import Row
-from benchmarks.stepping import SETS, RandomSteps, engine_case
-from benchmarks.timing import Budget, Case, interleaved
+from benchmarks.report import Measurement
+from benchmarks.speed.engine import FIELD
+from benchmarks.speed.peers import mpe2_cases
+from benchmarks.speed.timing import SETS, Budget, Case, RandomSteps, engine_case, interleaved
 from mbn_marl import BatchEngine, parallel_env
 
 STEPS_PER_COLLECTION = 16
 ROWS = 256
 
 
-def measure_pettingzoo(budget: Budget) -> list[Row]:
-    """One world stepped with dicts, against MPE2 ``simple_spread`` where that is installed."""
+def measure_pettingzoo(budget: Budget) -> list[Measurement]:
+    """Measure one world stepped with dicts, against MPE2 ``simple_spread`` if it is installed."""
     mpe2 = mpe2_cases()
     timings = interleaved([_pettingzoo_case(), *mpe2], budget)
     own = timings["PettingZoo"]
-    time = Row(
+    time = Measurement(
         "PettingZoo step, one world", own.median * 1e6, "us", 15.0, False, "with the resets between"
     )
     name = "PettingZoo step against MPE2 simple_spread"
     if not mpe2:
-        return [time, Row(name, None, "x", 10.0, note="needs mpe2: pip install 'mbn-marl[bench]'")]
+        return [
+            time,
+            Measurement(name, None, "x", 10.0, note="needs mpe2: pip install 'mbn-marl[bench]'"),
+        ]
     other = timings[mpe2[0].name]
     note = f"MPE2: {other.median * 1e6:.0f} us"
-    return [time, Row(name, own.times_faster_than(other), "x", 10.0, note=note)]
+    return [time, Measurement(name, own.times_faster_than(other), "x", 10.0, note=note)]
 
 
 def _pettingzoo_case() -> Case:
@@ -54,11 +56,11 @@ def _pettingzoo_case() -> Case:
     return Case("PettingZoo", run)
 
 
-def measure_sb3(budget: Budget) -> list[Row]:
-    """What ``CentralizedVecEnv`` takes longer than the engine in it."""
+def measure_sb3(budget: Budget) -> list[Measurement]:
+    """Measure how much longer ``CentralizedVecEnv`` takes than the engine in it."""
     name = f"SB3 CentralizedVecEnv over the engine, {ROWS} worlds"
     if not find_spec("stable_baselines3"):
-        return [Row(name, None, "us", 1.0, False, "needs pip install 'mbn-marl[sb3]'")]
+        return [Measurement(name, None, "us", 1.0, False, "needs pip install 'mbn-marl[sb3]'")]
     from mbn_marl.adapters.sb3 import CentralizedVecEnv
 
     env = CentralizedVecEnv(FIELD, ROWS)
@@ -71,15 +73,15 @@ def measure_sb3(budget: Budget) -> list[Row]:
     timings = interleaved(cases, budget)
     over = timings["SB3"].longer_than(timings["engine"]) * 1e6
     note = f"per world-step; the engine takes {timings['engine'].median * 1e6:.2f} us"
-    return [Row(name, over, "us", 1.0, False, note)]
+    return [Measurement(name, over, "us", 1.0, False, note)]
 
 
-def measure_torchrl(budget: Budget) -> list[Row]:
-    """What ``NavigationEnv`` leaves of the rate of an empty environment, under a random policy."""
+def measure_torchrl(budget: Budget) -> list[Measurement]:
+    """Measure ``NavigationEnv`` against an empty environment, under a random policy."""
     title = f"TorchRL NavigationEnv collected, {budget.worlds:,} worlds, of an empty env's rate"
     if not find_spec("torchrl"):
-        return [Row(title, None, "%", 70.0, note="needs pip install 'mbn-marl[torchrl]'")]
-    from benchmarks.empty_env import EmptyEnv
+        return [Measurement(title, None, "%", 70.0, note="needs pip install 'mbn-marl[torchrl]'")]
+    from benchmarks.speed.empty_env import EmptyEnv
     from mbn_marl.adapters.torchrl import NavigationEnv
 
     env = NavigationEnv(FIELD, budget.worlds)
@@ -96,7 +98,7 @@ def measure_torchrl(budget: Budget) -> list[Row]:
         percent = 100 * timings["own"].times_faster_than(timings[name])
         rates = [timings[case].rate / 1e6 for case in ("own", name)]
         note = f"{rates[0]:.2f} M against {rates[1]:.2f} M env-steps/s"
-        rows.append(Row(f"{title} ({name})", percent, "%", 70.0, note=note))
+        rows.append(Measurement(f"{title} ({name})", percent, "%", 70.0, note=note))
     return rows
 
 

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 
-from benchmarks.parts import PARTS, REWARDS, part_cases
-from benchmarks.peers import vmas_cases
-from benchmarks.plain import plain_cases
-from benchmarks.results import Part, Row
-from benchmarks.stepping import RandomSteps, cpu_backend, engine_case
-from benchmarks.timing import Budget, Case, Timing, interleaved
+from rich.table import Table
+
+from benchmarks.report import Measurement, table
+from benchmarks.speed.parts import PARTS, REWARDS, part_cases
+from benchmarks.speed.peers import plain_case, vmas_cases
+from benchmarks.speed.timing import (
+    Budget,
+    Case,
+    RandomSteps,
+    Timing,
+    cpu_backend,
+    engine_case,
+    interleaved,
+)
 from mbn_marl import BatchEngine
 from mbn_marl.field import catalogue_names
 
@@ -18,20 +27,20 @@ MILLION = 1e6
 STEP, LARGE, FIELDS, LARGE_FIELDS, CHECK = "step", "large", "fields", "large fields", "check"
 
 
-def measure_engine(budget: Budget) -> tuple[list[Row], list[Part]]:
-    """The rows of ``BatchEngine`` on field_01, and the parts of its step.
+def measure_engine(budget: Budget) -> tuple[list[Measurement], dict[str, float]]:
+    """Measure ``BatchEngine`` on field_01, and the parts of its step in ns per world-step.
 
     All of them, the plain loop and VMAS (where installed) take turns. The loop, on one thread,
     comes after VMAS, whose threads keep a core busy for some time after their work is done.
     """
     vmas = vmas_cases()
-    plain = plain_cases()
+    plain = plain_case()
     parts = part_cases(budget.worlds, budget.warm_up)
-    cases = [*plain, *_engine_cases(budget), *parts, *vmas]
+    cases = [plain, *_engine_cases(budget), *parts, *vmas]
     timings = interleaved(cases, budget)
     rows = [
         *_rate_rows(timings, budget),
-        _plain_row(timings, [case.name for case in plain]),
+        _plain_row(timings, plain.name),
         _vmas_row(timings, [case.name for case in vmas]),
         _check_row(timings),
     ]
@@ -54,19 +63,19 @@ def _engine_cases(budget: Budget) -> list[Case]:
 
 
 def _check_case(worlds: int) -> Case:
-    """What ``step`` does to refuse bad actions (shape, type, NaN), in seconds per env-step."""
+    """The check of actions in ``step`` (shape, type, NaN), in seconds per env-step."""
     engine = BatchEngine(FIELD, worlds)
     backend = cpu_backend(engine)
     shape = (worlds, engine.n_robots, 2)
     return RandomSteps(shape, backend.checked_actions).case(CHECK, worlds)
 
 
-def _rate_rows(timings: dict[str, Timing], budget: Budget) -> list[Row]:
+def _rate_rows(timings: dict[str, Timing], budget: Budget) -> list[Measurement]:
     some, many = f"{budget.worlds:,} worlds", f"{budget.many_worlds:,} worlds"
     unit = "M env-steps/s"
 
-    def row(name: str, case: str, target: float | None, note: str = "") -> Row:
-        return Row(name, timings[case].rate / MILLION, unit, target, note=note)
+    def row(name: str, case: str, target: float | None, note: str = "") -> Measurement:
+        return Measurement(name, timings[case].rate / MILLION, unit, target, note=note)
 
     note = "the rest of a step is in the second table"
     return [
@@ -78,37 +87,45 @@ def _rate_rows(timings: dict[str, Timing], budget: Budget) -> list[Row]:
     ]
 
 
-def _plain_row(timings: dict[str, Timing], plain: list[str]) -> Row:
+def _plain_row(timings: dict[str, Timing], plain: str) -> Measurement:
     name = "BatchEngine.step against the plain loop"
-    if not plain:
-        return Row(name, None, "x", 1000.0, note="the loop is in tests/: needs a checkout")
-    loop = timings[plain[0]]
+    loop = timings[plain]
     note = f"the loop: {loop.rate:,.0f} env-steps/s"
-    return Row(name, timings[STEP].times_faster_than(loop), "x", 1000.0, note=note)
+    return Measurement(name, timings[STEP].times_faster_than(loop), "x", 1000.0, note=note)
 
 
-def _vmas_row(timings: dict[str, Timing], vmas: list[str]) -> Row:
+def _vmas_row(timings: dict[str, Timing], vmas: list[str]) -> Measurement:
     name = "BatchEngine.step against VMAS simple_spread"
     if not vmas:
-        return Row(name, None, "x", 5.0, note="needs vmas: pip install 'mbn-marl[bench]'")
+        return Measurement(name, None, "x", 5.0, note="needs vmas: pip install 'mbn-marl[bench]'")
     best = min(vmas, key=lambda case: timings[case].median)
     note = f"its best: {best.partition(', ')[2]}, {timings[best].rate / MILLION:.2f} M env-steps/s"
-    return Row(name, timings[STEP].times_faster_than(timings[best]), "x", 5.0, note=note)
+    return Measurement(name, timings[STEP].times_faster_than(timings[best]), "x", 5.0, note=note)
 
 
-def _check_row(timings: dict[str, Timing]) -> Row:
+def _check_row(timings: dict[str, Timing]) -> Measurement:
     share = 100 / timings[CHECK].times_faster_than(timings[STEP])
-    return Row("check of the actions (NaN, shape), of a step", share, "%", 3.0, at_least=False)
+    return Measurement(
+        "check of the actions (NaN, shape), of a step", share, "%", 3.0, at_least=False
+    )
 
 
-def _parts(timings: dict[str, Timing]) -> list[Part]:
-    """What each part adds; what is left is the checks, and handing the worlds to threads."""
+def _parts(timings: dict[str, Timing]) -> dict[str, float]:
+    """Return the ns that each part adds; the rest is the checks and passing worlds to threads."""
     steps = [timings[_up_to(last)] for last in range(len(PARTS))]
     costs = [steps[0].median]
     costs += [after.longer_than(before) for before, after in pairwise(steps)]
-    parts = [Part(name, 1e9 * cost) for name, cost in zip(PARTS, costs, strict=True)]
-    around = timings[STEP].longer_than(steps[-1])
-    return [*parts, Part("checks around the kernel", 1e9 * around)]
+    costs.append(timings[STEP].longer_than(steps[-1]))
+    names = (*PARTS, "checks around the kernel")
+    return {name: 1e9 * cost for name, cost in zip(names, costs, strict=True)}
+
+
+def parts_table(parts: Mapping[str, float]) -> Table:
+    """Return the parts with their shares."""
+    whole = sum(parts.values())
+    lines = [(name, f"{cost:.1f}", f"{cost / whole:.0%}") for name, cost in parts.items()]
+    title = "where the time of a step goes, all threads working"
+    return table(title, ("part", "ns per world-step", "share"), lines)
 
 
 def _up_to(last: int) -> str:

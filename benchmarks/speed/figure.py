@@ -1,7 +1,8 @@
-"""The figure of a result: rates, where the time goes, and cost against sizes."""
+"""The figure of speed: rates, where the time goes, and cost against sizes."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -9,30 +10,36 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator, ScalarFormatter
 
-from benchmarks.results import Curve, Part, Result, Row
+from benchmarks.report import Measurement, describe_machine
+from benchmarks.speed.sizes import Curve
+from mbn_marl.files import replacing
 from mbn_marl.render import style
 
 WIDE_RANGE = 30.0
 """A curve that grows by more than this is drawn on logarithmic axes."""
 
 
-def write_figure(result: Result, path: Path) -> None:
+def write_figure(
+    rows: Sequence[Measurement], parts: Mapping[str, float], curves: Sequence[Curve], path: Path
+) -> None:
     """Draw rates with their targets, the parts of a step, and a panel for each curve."""
     with matplotlib.rc_context(style.MATPLOTLIB):
         figure = Figure(figsize=(10.0, 6.0), layout="constrained")
         grid = figure.add_gridspec(2, 1)
         above, below = (figure.add_subfigure(grid[row]) for row in (0, 1))
-        rates, parts = above.subplots(1, 2)
-        _draw_rates(rates, [row for row in result.rows if row.unit.startswith("M env")])
-        _draw_parts(parts, result.parts)
-        panels = below.subplots(1, len(result.curves))
-        for index, (axes, curve) in enumerate(zip(panels, result.curves, strict=True)):
+        left, right = above.subplots(1, 2)
+        _draw_rates(left, [row for row in rows if row.unit.startswith("M env")])
+        _draw_parts(right, parts)
+        panels = below.subplots(1, len(curves))
+        for index, (axes, curve) in enumerate(zip(panels, curves, strict=True)):
             _draw_curve(axes, curve, style.series(index))
-        figure.suptitle(f"{result.machine['processor']}, {result.machine['cores']} cores")
-        figure.savefig(path)
+        machine = describe_machine()
+        figure.suptitle(f"{machine['processor']}, {machine['cores']} cores")
+        with replacing(path) as temporary:
+            figure.savefig(temporary)
 
 
-def _draw_rates(axes: Axes, rows: list[Row]) -> None:
+def _draw_rates(axes: Axes, rows: list[Measurement]) -> None:
     places = range(len(rows), 0, -1)
     axes.barh(places, [row.value or 0.0 for row in rows], 0.6, color=style.BLUE)
     for place, row in zip(places, rows, strict=True):
@@ -43,10 +50,10 @@ def _draw_rates(axes: Axes, rows: list[Row]) -> None:
     axes.grid(True, axis="x")
 
 
-def _draw_parts(axes: Axes, parts: list[Part]) -> None:
+def _draw_parts(axes: Axes, parts: Mapping[str, float]) -> None:
     places = range(len(parts), 0, -1)
-    axes.barh(places, [part.nanoseconds for part in parts], 0.6, color=style.BLUISH_GREEN)
-    axes.set_yticks(places, [part.name for part in parts])
+    axes.barh(places, [*parts.values()], 0.6, color=style.BLUISH_GREEN)
+    axes.set_yticks(places, [*parts])
     axes.set_xlabel("ns per world-step")
     axes.grid(True, axis="x")
 

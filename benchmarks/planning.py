@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
-from benchmarks.planning.instances import convex_instance, winding_instance
-from benchmarks.results import Row
+from benchmarks.instances import convex_instance, winding_instance
+from benchmarks.report import Advance, Benchmark, Findings, Measurement
 from mbn_marl.field import Field, catalogue_names, load_field
 from mbn_marl.planning import plan
 
@@ -66,16 +66,20 @@ def attempts(fields: Sequence[Field], limit: float) -> Iterator[Attempt]:
         )
 
 
-def study_planning(
-    progress: Callable[[], object], convex: int = CONVEX, winding: int = WINDING
-) -> tuple[list[Row], dict[str, Any]]:
-    """The rows of the targets' table, and every attempt as JSON values.
+@dataclass(frozen=True)
+class Planning(Benchmark):
+    """Plan for the ten fields and for random ones, and prove how good the plans are."""
 
-    Args:
-        progress: called after every attempt.
-        convex: how many random convex instances.
-        winding: how many that are not convex or have holes.
-    """
+    name: ClassVar[str] = "planning"
+    stages: ClassVar[int] = len(catalogue_names()) + CONVEX + WINDING
+
+    def measure(self, advance: Advance) -> Findings:
+        """Plan for every field."""
+        return study_planning(advance)
+
+
+def study_planning(advance: Advance, convex: int = CONVEX, winding: int = WINDING) -> Findings:
+    """Plan for the catalogue, and for so many convex and winding instances."""
     plan("field_03")  # loads and compiles
     sets = {
         "catalogue": ([load_field(name) for name in catalogue_names()], CONVEX_LIMIT),
@@ -86,14 +90,18 @@ def study_planning(
     for name, (fields, limit) in sets.items():
         for attempt in attempts(fields, limit):
             done[name].append(attempt)
-            progress()
-    return target_rows(**done), {name: [asdict(one) for one in all_] for name, all_ in done.items()}
+            advance()
+    return Findings(
+        "the planner; seconds of processor time on one core",
+        target_rows(**done),
+        details={name: [asdict(one) for one in all_] for name, all_ in done.items()},
+    )
 
 
 def target_rows(
     catalogue: Sequence[Attempt], convex: Sequence[Attempt], winding: Sequence[Attempt]
-) -> list[Row]:
-    """The targets, with what was reached."""
+) -> list[Measurement]:
+    """Return the targets, with what was reached."""
     everything = [*catalogue, *convex, *winding]
     proved = sum(one.makespan == one.bound == one.known for one in catalogue)
     optimal = [one.makespan == one.bound and one.seconds <= CONVEX_LIMIT for one in convex]
@@ -103,26 +111,28 @@ def target_rows(
     slowest = max(one.seconds for one in catalogue)
     size, names = len(convex), ("the ten fields", "random convex fields", "winding fields")
     return [
-        Row(f"{names[0]}: proved, equal to the catalogue", proved, "", len(catalogue)),
-        Row(f"{names[0]}: slowest", slowest, "s", 1.0, at_least=False),
-        Row(f"{names[1]}: proved within 10 s", sum(optimal), "", 0.95 * size, note=f"of {size}"),
-        Row(f"{names[1]}: median", float(np.median([one.seconds for one in convex])), "s"),
-        Row(f"{names[1]}: slowest", max(one.seconds for one in convex), "s"),
-        Row(
+        Measurement(f"{names[0]}: proved, equal to the catalogue", proved, "", len(catalogue)),
+        Measurement(f"{names[0]}: slowest", slowest, "s", 1.0, at_least=False),
+        Measurement(
+            f"{names[1]}: proved within 10 s", sum(optimal), "", 0.95 * size, note=f"of {size}"
+        ),
+        Measurement(f"{names[1]}: median", float(np.median([one.seconds for one in convex])), "s"),
+        Measurement(f"{names[1]}: slowest", max(one.seconds for one in convex), "s"),
+        Measurement(
             f"{names[2]}: a verified plan within 30 s",
             sum(planned),
             "",
             0.96 * len(winding),
             note=f"of {len(winding)}; not convex, or with holes",
         ),
-        Row(
+        Measurement(
             f"{names[2]}: median gap",
             100.0 * float(np.median([one.gap for one in winding])),
             "%",
             10.0,
             at_least=False,
         ),
-        Row(f"{names[2]}: proved optimal", sum(one.gap == 0.0 for one in winding), ""),
-        Row(f"{names[2]}: slowest", max(one.seconds for one in winding), "s"),
-        Row("plans or optima below their bound", sum(wrong), "", 0.0, at_least=False),
+        Measurement(f"{names[2]}: proved optimal", sum(one.gap == 0.0 for one in winding), ""),
+        Measurement(f"{names[2]}: slowest", max(one.seconds for one in winding), "s"),
+        Measurement("plans or optima below their bound", sum(wrong), "", 0.0, at_least=False),
     ]

@@ -10,8 +10,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from benchmarks.stepping import RandomSteps, cpu_backend
-from benchmarks.timing import Case
+from benchmarks.speed.timing import Case, RandomSteps, cpu_backend
 from mbn_marl import BatchEngine
 from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.observation import observe

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.table import Table
 
-from benchmarks.results import Curve
-from benchmarks.stepping import engine_case
-from benchmarks.timing import Budget, interleaved
+from benchmarks.report import Advance, table
+from benchmarks.speed.timing import Budget, engine_case, interleaved
 from mbn_marl import BatchEngine, Field
 
 USUAL = {"robots": 3, "ROIs": 6, "edges": 4}
@@ -24,16 +25,27 @@ CENTRE, RADIUS = 500.0, 490.0
 APART = 25.0
 
 
-def measure_sizes(
-    budget: Budget, report: Callable[[], object], sizes: dict[str, tuple[int, ...]] = SIZES
-) -> list[Curve]:
-    """A curve for each quantity, the others as in a field of the catalogue (``USUAL``).
+@dataclass(frozen=True)
+class Curve:
+    """Cost of a step against one size, the others fixed.
 
-    Args:
-        budget: how much to measure.
-        report: called after each curve.
-        sizes: what to measure.
+    Attributes:
+        quantity: ``"robots"``, ``"ROIs"`` or ``"edges"``.
+        sizes: the sizes measured, ascending.
+        nanoseconds: elapsed time of a world-step at each of them, all threads working.
+        growth: the fitted law, as a sentence.
     """
+
+    quantity: str
+    sizes: tuple[int, ...]
+    nanoseconds: tuple[float, ...]
+    growth: str
+
+
+def measure_sizes(
+    budget: Budget, advance: Advance, sizes: dict[str, tuple[int, ...]] = SIZES
+) -> list[Curve]:
+    """Measure a curve for each quantity, the others as in a field of the catalogue (``USUAL``)."""
     curves = []
     for quantity, counts in sizes.items():
         cases = [
@@ -47,7 +59,7 @@ def measure_sizes(
         timings = interleaved(cases, budget)
         costs = tuple(1e9 * timings[str(count)].median for count in counts)
         curves.append(Curve(quantity, counts, costs, _growth(quantity, counts, costs)))
-        report()
+        advance()
     return curves
 
 
@@ -77,3 +89,21 @@ def _growth(quantity: str, counts: tuple[int, ...], costs: tuple[float, ...]) ->
     terms = [f"{fitted[0]:.3g}", f"{fitted[1]:.3g} {quantity}"]
     terms += [f"{coefficient:.3g} {quantity}^2" for coefficient in fitted[2:]]
     return f"about {' + '.join(terms)} ns"
+
+
+def curves_table(curves: Sequence[Curve]) -> Table:
+    """Return the curves side by side."""
+    lines = [
+        [
+            cell
+            for curve in curves
+            for cell in (
+                (str(curve.sizes[k]), f"{curve.nanoseconds[k]:,.0f}")
+                if k < len(curve.sizes)
+                else ("", "")
+            )
+        ]
+        for k in range(max(len(curve.sizes) for curve in curves))
+    ]
+    headings = [word for curve in curves for word in (curve.quantity, "ns")]
+    return table("cost against sizes: ns per world-step, all threads working", headings, lines)

@@ -10,7 +10,7 @@ from torchrl.envs import EnvBase
 
 
 class EmptyEnv(EnvBase):  # type: ignore[misc]
-    """Has the specs of another environment, and hands out fresh tensors of zeros.
+    """Has the specs of another environment, and returns fresh tensors of zeros.
 
     Args:
         like: the other environment, with batch size (W,).

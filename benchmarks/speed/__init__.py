@@ -1,0 +1,1 @@
+"""How fast the engine and its adapters are, against a plain loop and other suites."""

@@ -1,0 +1,122 @@
+"""What the suite is compared with: the plain loop of the tests, and VMAS and MPE2 if installed.
+
+VMAS and MPE2 do not reset during the timing, which is to their advantage.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from importlib.util import find_spec
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.speed.timing import Case, RandomSteps
+from mbn_marl import load_field
+
+ROOT = Path(__file__).parents[2]
+ROBOTS = 3
+VMAS_WORLDS = (1024, 4096, 16_384, 65_536)
+NEVER = 10**9
+
+
+class PlainLoop:
+    """One world of the tests' oracle, restarted whenever its episode ends.
+
+    It does what the engine does in a step: revisit memory, rewards and their terms, metrics, and
+    an observation for each robot.
+
+    Attributes:
+        observations: (n,) arrays, the robots' current ones.
+        metrics: of the last episode that ended.
+    """
+
+    def __init__(self, oracle: Any) -> None:
+        self._oracle = oracle
+        self.observations: list[Any] = []
+        self.metrics: dict[str, Any] = {}
+
+    def step(self, actions: Any) -> None:
+        """Step with ``actions`` (n, 2)."""
+        outcome = self._oracle.step(actions.tolist())
+        if outcome.terminated or outcome.truncated:
+            self.metrics = self._oracle.metrics()
+            self._oracle.reset()
+        self.observations = [self._oracle.observe(robot) for robot in range(self._oracle.n)]
+
+
+def plain_case() -> Case:
+    """The plain loop on field_01, in seconds per env-step."""
+    oracle = oracle_module().Oracle(load_field("field_01"))
+    return RandomSteps((oracle.n, 2), PlainLoop(oracle).step).case("plain loop", 1.0)
+
+
+def oracle_module() -> Any:
+    """Import the oracle by the place of its file, whatever else is called ``tests``."""
+    names = ("wall_senses", "oracle")  # the second imports the first
+    for name in names:
+        full = f"tests.support.{name}"
+        if full not in sys.modules:
+            spec = importlib.util.spec_from_file_location(full, ROOT / f"tests/support/{name}.py")
+            assert spec is not None and spec.loader is not None
+            sys.modules[full] = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(sys.modules[full])
+    return sys.modules[full]
+
+
+def vmas_cases() -> list[Case]:
+    """VMAS ``simple_spread`` with three agents, a case per batch size, in seconds per env-step."""
+    return [_vmas_case(worlds) for worlds in VMAS_WORLDS] if find_spec("vmas") else []
+
+
+def _vmas_case(worlds: int) -> Case:
+    import torch
+    import vmas
+
+    env = vmas.make_env(
+        "simple_spread",
+        num_envs=worlds,
+        device="cpu",
+        continuous_actions=True,
+        seed=0,
+        n_agents=ROBOTS,
+    )
+    env.reset()
+    generator = torch.Generator().manual_seed(0)
+    sets = [
+        [torch.rand((worlds, 2), generator=generator) * 2 - 1 for _ in range(ROBOTS)]
+        for _ in range(4)
+    ]
+    actions = cycle(sets)
+
+    def run(calls: int) -> None:
+        for _ in range(calls):
+            env.step(next(actions))
+
+    return Case(f"VMAS simple_spread, {worlds:,} worlds", run, worlds)
+
+
+def mpe2_cases() -> list[Case]:
+    """One world of MPE2 ``simple_spread``, continuous actions, in seconds per env-step."""
+    if not find_spec("mpe2"):
+        return []
+    from mpe2 import simple_spread_v3
+
+    env = simple_spread_v3.parallel_env(N=ROBOTS, max_cycles=NEVER, continuous_actions=True)
+    env.reset(seed=0)
+    space = env.action_space(env.agents[0])
+    rng = np.random.default_rng(0)
+    sets: list[dict[str, Any]] = [
+        {agent: rng.uniform(space.low, space.high).astype(np.float32) for agent in env.agents}
+        for _ in range(64)
+    ]
+    actions = cycle(sets)
+
+    def run(calls: int) -> None:
+        for _ in range(calls):
+            env.step(next(actions))
+
+    return [Case("MPE2 simple_spread", run)]
