@@ -16,7 +16,6 @@ from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.errors import ConfigError
 from mbn_marl.render import Viewer
 
-SIZE = (720, 720)
 DIRECTIONS = {
     "right": (1.0, 0.0),
     "d": (1.0, 0.0),
@@ -27,7 +26,10 @@ DIRECTIONS = {
     "down": (0.0, -1.0),
     "s": (0.0, -1.0),
 }
-"""The force along x and y that a key stands for."""
+"""The force along x and y of each key."""
+
+
+_KEYS = "space: pause, R: restart, Esc: close"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,20 +62,17 @@ class Show:
 
 
 def watch(actor: Actor, how: Show) -> list[Episode]:
-    """Show episodes in a window. Space pauses, R begins anew, Escape closes it.
-
-    Returns:
-        What was shown.
+    """Show episodes in a window, with its keys; return those that were shown.
 
     Raises:
         ImportError: pygame is not installed.
         DisplayError: there is no display.
     """
-    return _run(actor, how, None, "space: pause, R: again, Escape: close")
+    return _run(actor, how, None, _KEYS)
 
 
 def play(actor: Actor, how: Show, robot: int) -> list[Episode]:
-    """As :func:`watch`, but robot ``robot`` is pushed by a person: arrow keys, or W, A, S, D.
+    """Show episodes as :func:`watch` does, while a person drives robot ``robot``.
 
     Raises:
         ConfigError: there is no such robot.
@@ -81,19 +80,19 @@ def play(actor: Actor, how: Show, robot: int) -> list[Episode]:
     robots = actor.settings.get("n_robots") or len(actor.field.starts)
     if not 0 <= robot < robots:
         raise ConfigError("window", [f"robot: 0 to {robots - 1}, not {robot}"])
-    return _run(actor, how, robot, f"you drive robot {robot}: arrows or WASD, R: again")
+    return _run(actor, how, robot, f"robot {robot} (ringed): arrows or WASD, {_KEYS}")
 
 
 def push(held: AbstractSet[str]) -> tuple[float, float]:
-    """The action, two numbers in [-1, 1], of the keys that are held down; opposite ones cancel."""
+    """Return the action of the keys held down, in [-1, 1] along x and y; opposite keys cancel."""
     forces = [DIRECTIONS[key] for key in held if key in DIRECTIONS]
     x, y = np.clip(np.sum(forces, axis=0) if forces else (0.0, 0.0), -1.0, 1.0)
     return float(x), float(y)
 
 
-def _run(actor: Actor, how: Show, driven: int | None, hint: str) -> list[Episode]:
-    caption = f"{actor.field.name} - {actor.name} - {hint}"
-    viewer = Viewer("human", SIZE, frame_rate=how.speed, caption=caption)
+def _run(actor: Actor, how: Show, driven: int | None, keys: str) -> list[Episode]:
+    caption = f"{actor.field.name} - {actor.name}"
+    viewer = Viewer("human", frame_rate=how.speed, caption=caption, own=driven, keys=keys)
     engine = BatchEngine(actor.field, 1, seed=how.seed, autoreset=False, **actor.settings)
     name = actor.name if driven is None else f"a person as robot {driven}, with {actor.name}"
     finished = 0

@@ -21,6 +21,8 @@ from mbn_marl.render import Viewer, write_gif, write_mp4
 ANIMATIONS = {".gif": write_gif, ".mp4": write_mp4}
 FIGURES = (".png", ".pdf", ".svg")
 FORMATS = (*ANIMATIONS, *FIGURES, ".json")
+ANIMATION_SIZE = (400, 400)
+"""Pixels."""
 REST = 20
 """Frames that an animation rests on its end."""
 
@@ -93,7 +95,7 @@ def write_animation(episode: Episode, path: Path) -> None:
 
 
 def _frames(episode: Episode) -> Iterator[NDArray[np.uint8]]:
-    viewer = Viewer("rgb_array")
+    viewer = Viewer("rgb_array", ANIMATION_SIZE)
     last = repeat(episode.snapshot(episode.steps), REST)
     for snapshot in chain(episode.snapshots(), last):
         frame = viewer.draw(snapshot)

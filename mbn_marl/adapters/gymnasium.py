@@ -19,6 +19,7 @@ from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.errors import ActionError, ConfigError
 from mbn_marl.optimum import optimal_return
+from mbn_marl.render.viewer import RENDER_SIZE
 
 State = NDArray[Any]
 Actions = NDArray[np.float32]
@@ -44,6 +45,7 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
         field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`.
         n_robots: team size; the first starts of the field are used; ``None`` uses all of them.
         render_mode: ``"human"`` shows every step, ``"rgb_array"`` draws on :meth:`render`.
+        render_size: width and height of a frame or the window, pixels, each at least 200.
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
     Raises:
@@ -65,9 +67,10 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
         n_robots: int | None = None,
         *,
         render_mode: str | None = None,
+        render_size: tuple[int, int] = RENDER_SIZE,
         **settings: Unpack[FixedSettings],
     ) -> None:
-        self._world = OneWorld(field, render_mode, n_robots=n_robots, **settings)
+        self._world = OneWorld(field, render_mode, render_size, n_robots=n_robots, **settings)
         self.render_mode = render_mode
         self.observation_space = self._world.state_space()
         self.action_space = spaces.Box(-1.0, 1.0, (self.engine.n_robots, 2), np.float32)
@@ -146,6 +149,7 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
             world w then uses the one at ``w % len(field)``.
         n_robots: team size; ``None`` uses all the field's starts.
         render_mode: ``"rgb_array"`` or ``None``.
+        render_size: width and height of a frame, pixels, each at least 200.
         autoreset_mode: Gymnasium's mode or its value, declared in ``metadata["autoreset_mode"]``.
         threads: threads of the engine; ``None`` lets it choose.
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
@@ -162,11 +166,12 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         n_robots: int | None = None,
         *,
         render_mode: str | None = None,
+        render_size: tuple[int, int] = RENDER_SIZE,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         threads: int | None = None,
         **settings: Unpack[FixedSettings],
     ) -> None:
-        self._viewer = LazyViewer(render_mode, ("rgb_array",))
+        self._viewer = LazyViewer(render_mode, ("rgb_array",), render_size)
         self.render_mode = render_mode
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {

@@ -33,9 +33,13 @@ class OneWorld:
     """
 
     def __init__(
-        self, field: FieldLike, render_mode: str | None, **settings: Unpack[Settings]
+        self,
+        field: FieldLike,
+        render_mode: str | None,
+        render_size: tuple[int, int],
+        **settings: Unpack[Settings],
     ) -> None:
-        self.viewer = LazyViewer(render_mode, RENDER_MODES)
+        self.viewer = LazyViewer(render_mode, RENDER_MODES, render_size)
         self.engine = BatchEngine(field, num_worlds=1, autoreset=False, threads=1, **settings)
         self.infos = Infos(self.engine)
         self.agents = [f"robot_{index}" for index in range(self.engine.n_robots)]

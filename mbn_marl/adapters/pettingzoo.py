@@ -18,6 +18,7 @@ from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 from mbn_marl.optimum import optimal_return
+from mbn_marl.render.viewer import RENDER_SIZE
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32]
@@ -49,6 +50,7 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
         field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`.
         n_robots: team size; the first starts of the field are used; ``None`` uses all of them.
         render_mode: ``"human"`` shows every step, ``"rgb_array"`` draws on :meth:`render`.
+        render_size: width and height of a frame or the window, pixels, each at least 200.
         max_cycles: what PettingZoo calls ``max_steps``; ``None`` leaves it to that.
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
@@ -73,6 +75,7 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
         n_robots: int | None = None,
         *,
         render_mode: str | None = None,
+        render_size: tuple[int, int] = RENDER_SIZE,
         max_cycles: int | None = None,
         **settings: Unpack[FixedSettings],
     ) -> None:
@@ -80,7 +83,7 @@ class NavigationParallelEnv(ParallelEnv[str, Observation, Action]):
             if "max_steps" in settings:
                 raise ConfigError("environment", ["max_cycles: is max_steps, give only one"])
             settings["max_steps"] = max_cycles
-        self._world = OneWorld(field, render_mode, n_robots=n_robots, **settings)
+        self._world = OneWorld(field, render_mode, render_size, n_robots=n_robots, **settings)
         self.render_mode = render_mode
         self.possible_agents = list(self._world.agents)
         self.agents: list[str] = []
@@ -267,12 +270,18 @@ def raw_env(
     n_robots: int | None = None,
     *,
     render_mode: str | None = None,
+    render_size: tuple[int, int] = RENDER_SIZE,
     max_cycles: int | None = None,
     **settings: Unpack[FixedSettings],
 ) -> NavigationAECEnv:
     """The AEC form; arguments and errors as :class:`NavigationParallelEnv`."""
     parallel = NavigationParallelEnv(
-        field, n_robots, render_mode=render_mode, max_cycles=max_cycles, **settings
+        field,
+        n_robots,
+        render_mode=render_mode,
+        render_size=render_size,
+        max_cycles=max_cycles,
+        **settings,
     )
     return NavigationAECEnv(parallel)
 
@@ -282,12 +291,20 @@ def env(
     n_robots: int | None = None,
     *,
     render_mode: str | None = None,
+    render_size: tuple[int, int] = RENDER_SIZE,
     max_cycles: int | None = None,
     **settings: Unpack[FixedSettings],
 ) -> OrderEnforcingWrapper[str, Observation, Action | None]:
     """The AEC form with PettingZoo's order checks; arguments as :class:`NavigationParallelEnv`."""
     return OrderEnforcingWrapper(
-        raw_env(field, n_robots, render_mode=render_mode, max_cycles=max_cycles, **settings)
+        raw_env(
+            field,
+            n_robots,
+            render_mode=render_mode,
+            render_size=render_size,
+            max_cycles=max_cycles,
+            **settings,
+        )
     )
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.errors import ConfigError
+from mbn_marl.render.viewer import RENDER_SIZE, Viewer, size_problems
 
 if TYPE_CHECKING:
     from mbn_marl.engine import BatchEngine
-    from mbn_marl.render.viewer import Viewer
 
 RENDER_FPS = 30
 
@@ -24,17 +24,22 @@ class LazyViewer:
     Args:
         render_mode: one of ``allowed``, or ``None`` for an environment that draws nothing.
         allowed: the render modes of the environment.
+        size: width and height of a frame, pixels.
 
     Raises:
-        ConfigError: an unknown render mode.
+        ConfigError: an unknown render mode, or a size that cannot be.
     """
 
-    def __init__(self, render_mode: str | None, allowed: Sequence[str]) -> None:
+    def __init__(
+        self, render_mode: str | None, allowed: Sequence[str], size: tuple[int, int] = RENDER_SIZE
+    ) -> None:
+        problems = size_problems("render_size", size)
         if render_mode is not None and render_mode not in allowed:
             known = ", ".join(map(repr, allowed))
-            problem = f"render_mode: unknown mode {render_mode!r}; known: {known}, or None"
-            raise ConfigError("environment", [problem])
-        self.render_mode = render_mode
+            problems.append(f"render_mode: unknown mode {render_mode!r}; known: {known}, or None")
+        if problems:
+            raise ConfigError("environment", problems)
+        self.render_mode, self._size = render_mode, (size[0], size[1])
         self._viewer: Viewer | None = None
 
     def draw(self, engine: BatchEngine, world: int = 0) -> NDArray[np.uint8] | None:
@@ -47,9 +52,7 @@ class LazyViewer:
             gymnasium.logger.warn("render() draws nothing: the environment has no render_mode")
             return None
         if self._viewer is None:
-            from mbn_marl.render.viewer import Viewer
-
-            self._viewer = Viewer(self.render_mode)
+            self._viewer = Viewer(self.render_mode, self._size)
         return self._viewer.draw(engine.snapshot(world))
 
     def close(self) -> None:

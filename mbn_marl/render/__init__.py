@@ -4,8 +4,7 @@ Importing this package loads neither pygame nor matplotlib; :mod:`mbn_marl.rende
 imported by name, as it needs matplotlib.
 """
 
-from mbn_marl.render.gif import write_gif
-from mbn_marl.render.video import write_mp4
+from mbn_marl.render.animation import write_gif, write_mp4
 from mbn_marl.render.viewer import RENDER_MODES, Viewer
 
 __all__ = ["RENDER_MODES", "Viewer", "write_gif", "write_mp4"]

@@ -25,9 +25,8 @@ from mbn_marl.render.maps import (
     fields_figure,
     trajectory_figure,
 )
-from mbn_marl.render.overlays import overlay_panels
 from mbn_marl.render.pairs import Pair, pairs_figure
-from mbn_marl.render.panels import trajectory_panels
+from mbn_marl.render.panels import overlay_panels, trajectory_panels
 from mbn_marl.render.study import StudyTrial, study_figure
 
 __all__ = [

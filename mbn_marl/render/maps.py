@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path
+from matplotlib.patheffects import withStroke
 from matplotlib.text import OffsetFrom
 from numpy.typing import NDArray
 
@@ -25,6 +26,10 @@ _WIDTH = 4.6
 """Width of a figure of one field, inches."""
 _HEIGHTS = (3.0, 5.6)
 """Least and greatest height of a figure of one field, inches."""
+_ARROW = {
+    **dict.fromkeys(("shrinkA", "shrinkB"), 0),
+    **{"arrowstyle": "-|>", "mutation_scale": 11, "lw": 1.6, "color": style.WIND},
+}
 _COLUMNS = 5
 """Fields side by side in a figure of many."""
 _BORDER = 0.06
@@ -32,7 +37,7 @@ _BORDER = 0.06
 
 
 def field_figure(field: Field, *, roi_radius: float = _ROI_RADIUS) -> Figure:
-    """The field with its holes, its numbered ROIs and the robots' starts.
+    """Draw the field with its holes, its numbered ROIs and the robots' starts.
 
     Args:
         field: what to draw.
@@ -43,13 +48,12 @@ def field_figure(field: Field, *, roi_radius: float = _ROI_RADIUS) -> Figure:
         draw_field(axes, field, roi_radius=roi_radius)
         for index, (x, y) in enumerate(field.starts):
             _robot(axes, index, x, y)
-        handles = [_roi_handle(False), _robot_handle("start of robot i")]
-        _finish(axes, field.name, handles)
+        _finish(axes, field.name, [_roi_handle(False), _robot_handle("start of robot i")])
     return figure
 
 
 def fields_figure(fields: Sequence[Field], *, roi_radius: float = _ROI_RADIUS) -> Figure:
-    """All ``fields`` side by side with their ROIs and the robots' starts, each with a scale bar.
+    """Draw all ``fields`` side by side with their ROIs, starts and a scale bar each.
 
     Args:
         fields: what to draw (one at least).
@@ -70,7 +74,7 @@ def fields_figure(fields: Sequence[Field], *, roi_radius: float = _ROI_RADIUS) -
             for index, (x, y) in enumerate(field.starts):
                 _robot(axes, index, x, y, size=7.5)
             axes.set_title(field.name, loc="left")
-            _frame(axes, field)
+            _replace_ticks(axes, field)
         for empty in grid[len(fields) :]:
             empty.set_visible(False)
         handles = [_roi_handle(False), _robot_handle("start of robot i")]
@@ -88,7 +92,7 @@ def trajectory_figure(
     roi_radius: float = _ROI_RADIUS,
     title: str | None = None,
 ) -> Figure:
-    """The paths of one episode in its field.
+    """Draw the paths of one episode in its field.
 
     A hollow circle marks a start, a numbered disc the end of a path; the dots between are one
     step apart, so that their distance shows the speed.
@@ -117,8 +121,7 @@ def trajectory_figure(
             handles.insert(1, _roi_handle(True))
         if collision:
             handles.append(mark_collision(axes, trails[-1]))
-        if float(np.hypot(*wind)) > 1e-9:
-            draw_wind(axes, wind)
+        draw_wind(axes, wind)
         _finish(axes, field.name if title is None else title, handles)
     return figure
 
@@ -165,7 +168,8 @@ def draw_field(
                 textcoords="offset points",
                 fontsize=8,
                 color=style.INK,
-                zorder=2.6,
+                zorder=6,
+                path_effects=[withStroke(linewidth=2.4, foreground=style.WHITE)],
             )
     low, high = field.vertices.min(axis=0), field.vertices.max(axis=0)
     border = _BORDER * float((high - low).max())
@@ -193,29 +197,28 @@ def _canvas(field: Field) -> tuple[Figure, Axes]:
     return figure, figure.add_subplot()
 
 
-def _frame(axes: Axes, field: Field) -> None:
-    """Show a square about the field, with a scale bar of round length instead of ticks."""
+def fit_square(axes: Axes, field: Field) -> tuple[NDArray[np.float64], float]:
+    """Show a square about the field; return its lower left corner and its side, units."""
     low, high = field.vertices.min(axis=0), field.vertices.max(axis=0)
-    side = float((high - low).max())
-    half = (0.5 + 2.0 * _BORDER) * side
+    side = (1.0 + 2.0 * _BORDER) * float((high - low).max())
+    corner: NDArray[np.float64] = (low + high - side) / 2.0
+    axes.set_xlim(corner[0], corner[0] + side)
+    axes.set_ylim(corner[1], corner[1] + side)
+    return corner, side
+
+
+def _replace_ticks(axes: Axes, field: Field) -> None:
+    """Show a square about the field, with a scale bar of round length instead of ticks."""
+    (left, bottom), side = fit_square(axes, field)
     decade = 10.0 ** np.floor(np.log10(side / 3.0))
     bar = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= side / 3.0)
-    left, bottom = (low + high) / 2.0 - half
-    axes.set_xlim(left, left + 2.0 * half)
-    axes.set_ylim(bottom, bottom + 2.0 * half)
     axes.set_xticks([])
     axes.set_yticks([])
     axes.spines[:].set_visible(False)
-    start, height = left + 0.1 * half, bottom + 0.12 * half
+    start, height = left + 0.05 * side, bottom + 0.05 * side
     axes.plot([start, start + bar], [height, height], color=style.OUTLINE, lw=2.0)
-    axes.annotate(
-        f"{bar:g} units",
-        (start + bar, height),
-        xytext=(3, 0),
-        textcoords="offset points",
-        va="center",
-        fontsize=7,
-    )
+    end, text = (start + bar, height), f"{bar:g} units"
+    axes.annotate(text, end, (3, 0), textcoords="offset points", va="center", fontsize=7)
 
 
 def _finish(axes: Axes, title: str, handles: Sequence[Line2D]) -> None:
@@ -227,7 +230,7 @@ def _finish(axes: Axes, title: str, handles: Sequence[Line2D]) -> None:
 
 
 def _opposed(field: Field) -> list[NDArray[np.float64]]:
-    """The holes, each turning against the outline, so that filling leaves them empty."""
+    """Return the holes, each turning against the outline, so that filling leaves them empty."""
     turn = _signed_area(field.vertices)
     return [hole[::-1] if _signed_area(hole) * turn > 0 else hole for hole in field.holes]
 
@@ -238,14 +241,14 @@ def _signed_area(ring: NDArray[np.float64]) -> float:
 
 
 def _roi_marker(visited: bool) -> dict[str, Any]:
-    """Hollow until visited, then filled and ticked."""
+    """Return the look of an ROI: hollow until visited, then filled and ticked."""
     if visited:
         return {"marker": "$\\checkmark$", "ms": 7, "color": style.ROI_VISITED, "ls": "none"}
     return {"marker": "o", "ms": 4, "mfc": style.WHITE, "color": style.ROI_OPEN, "ls": "none"}
 
 
 def _robot(axes: Axes, index: int, x: float, y: float, size: float = 9.5) -> None:
-    """A numbered disc, ``size`` points wide."""
+    """Draw a numbered disc, ``size`` points wide."""
     colour = style.robot_colour(index)
     axes.plot([x], [y], "o", color=colour, ms=size, mec=style.WHITE, mew=0.8, zorder=4)
     axes.annotate(
@@ -261,7 +264,7 @@ def _robot(axes: Axes, index: int, x: float, y: float, size: float = 9.5) -> Non
 
 
 def mark_collision(axes: Axes, positions: NDArray[np.float64]) -> Line2D:
-    """A square round the two robots that are closest to each other."""
+    """Draw a square round the two robots that are closest; return its legend entry."""
     gaps = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     np.fill_diagonal(gaps, np.inf)
     first, second = np.unravel_index(int(gaps.argmin()), gaps.shape)
@@ -272,8 +275,10 @@ def mark_collision(axes: Axes, positions: NDArray[np.float64]) -> Line2D:
 
 
 def draw_wind(axes: Axes, wind: tuple[float, float]) -> None:
-    """Over the top right corner, an arrow that points the way the wind blows, and its speed."""
+    """Draw an arrow the way the wind blows, and its speed, over the top right corner, if any."""
     speed = float(np.hypot(*wind))
+    if speed < style.CALM:
+        return
     corner = OffsetFrom(axes.patch, (1.0, 1.0), unit="points")
     middle, half = np.array([-11.0, 9.5]), 9.0 * np.asarray(wind) / speed
     axes.annotate(
@@ -282,14 +287,7 @@ def draw_wind(axes: Axes, wind: tuple[float, float]) -> None:
         xytext=tuple(middle - half),
         xycoords=corner,
         textcoords=corner,
-        arrowprops={
-            "arrowstyle": "-|>",
-            "mutation_scale": 11,
-            "shrinkA": 0,
-            "shrinkB": 0,
-            "lw": 1.6,
-            "color": style.WIND,
-        },
+        arrowprops=_ARROW,
         annotation_clip=False,
     )
     axes.annotate(

@@ -28,9 +28,8 @@ _ROBOT = 8.0
 _ROI = 6.0
 _TRAIL = 2.0
 _COMPASS = 19.0
-_FONT = 18.0
-_WIND_SHOWN = 1e-9
-"""Wind weaker than this, in units/step per step, is none (cos 90 degrees is not quite 0)."""
+_FONT, _SMALL_FONT = 18.0, 13.0
+_FOOTER = 20.0
 
 
 class Scene:
@@ -41,11 +40,13 @@ class Scene:
 
     Args:
         size: width and height of the picture, pixels.
+        own: the index of the robot to mark as the user's; ``None`` for none.
+        keys: a line below the field, about the keys; none if empty.
     """
 
-    def __init__(self, size: tuple[int, int]) -> None:
+    def __init__(self, size: tuple[int, int], own: int | None = None, keys: str = "") -> None:
         pygame.font.init()
-        self.size = size
+        self.size, self._own, self._keys = size, own, keys
         self._ui = max(min(size) / _NOMINAL, _SMALLEST_SCALE)
         self._font = pygame.font.Font(None, round(_FONT * self._ui))
         self._frame = sprites.blank(size)
@@ -53,7 +54,7 @@ class Scene:
         self._look: tuple[object, ...] = ()
 
     def draw(self, snapshot: Snapshot) -> pygame.Surface:
-        """The picture of ``snapshot``; the surface is drawn over by the next call."""
+        """Draw ``snapshot``; the surface is drawn over by the next call."""
         self._prepare(snapshot)
         self._extend_trails(snapshot)
         self._frame.blit(self._canvas, (0, 0))
@@ -78,11 +79,16 @@ class Scene:
         field = snapshot.field
         width, height = self.size
         margin, header = _MARGIN * self._ui, _HEADER * self._ui
-        area = (margin, header, width - 2 * margin, height - header - margin)
+        footer = _FOOTER * self._ui if self._keys else margin
+        area = (margin, header, width - 2 * margin, height - header - footer)
         self._view = Viewport.fit(field.vertices, area)
         self._background = sprites.terrain(field, self._view, self.size, 2.0 * self._ui)
-        if math.hypot(*snapshot.wind) > _WIND_SHOWN:
+        if math.hypot(*snapshot.wind) > style.CALM:
             self._draw_wind(snapshot.wind)
+        if self._keys:
+            font = pygame.font.Font(None, round(_SMALL_FONT * self._ui))
+            keys = font.render(self._keys, True, style.rgb(style.INK))
+            self._background.blit(keys, keys.get_rect(midbottom=(width / 2, height - self._ui * 4)))
         self._canvas = self._background.copy()
         self._drawn = np.empty((0, len(snapshot.positions), 2))
         self._roi_pixels = self._view.to_pixels(field.rois)
@@ -90,13 +96,13 @@ class Scene:
         self._rois = [sprites.roi(visited, _ROI * self._ui, reach) for visited in (False, True)]
         safety = snapshot.safety_distance / 2.0 * self._view.scale
         self._robots = [
-            sprites.robot(index, _ROBOT * self._ui, safety)
+            sprites.robot(index, _ROBOT * self._ui, safety, own=index == self._own)
             for index in range(len(snapshot.positions))
         ]
         self._field, self._look = field, look
 
     def _draw_wind(self, wind: tuple[float, float]) -> None:
-        """An arrow the way the wind blows, in a ring at the top right, and its speed."""
+        """Draw an arrow the way the wind blows, in a ring at the top right, and its speed."""
         radius, gap = _COMPASS * self._ui, 4 * self._ui
         centre = (self.size[0] - radius - gap, radius + gap)
         _stamp(self._background, sprites.wind_arrow(wind, radius), centre)
@@ -123,7 +129,7 @@ class Scene:
         self._drawn = trail
 
     def _write_header(self, snapshot: Snapshot) -> None:
-        """Step, return, visited ROIs, and how the episode ended if it has."""
+        """Write step, return, visited ROIs, and how the episode ended if it has."""
         left, column = round(_MARGIN * self._ui), round(96 * self._ui)
         rows = (round(9 * self._ui), round(25 * self._ui))
         reward = snapshot.team_return

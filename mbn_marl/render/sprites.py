@@ -26,19 +26,22 @@ _VISITED_TINT, _SAFETY_TINT = 70, 60
 _ROOM = 1.2
 """A circle to scale is drawn where it is this many times larger than the marker inside it."""
 
+_OWN = 1.65
+"""Radius of the ring round the user's robot, as a share of the robot's disc."""
+
 Painter = Callable[[pygame.Surface, float, float], None]
 """Paints a square surface, given its centre coordinate and the size of a shown pixel."""
 
 
 def blank(size: tuple[int, int]) -> pygame.Surface:
-    """An opaque surface whose format does not depend on a display."""
+    """Return an opaque surface whose format does not depend on a display."""
     return pygame.Surface(size, 0, 32)
 
 
 def terrain(
     field: Field, view: Viewport, size: tuple[int, int], line_width: float
 ) -> pygame.Surface:
-    """The ground of ``field`` with its holes, outlined, on the obstacle colour.
+    """Draw the ground of ``field`` with its holes, outlined, on the obstacle colour.
 
     Args:
         field: what to draw.
@@ -66,7 +69,7 @@ def _ring(surface: pygame.Surface, corners: NDArray[np.float64], fill: str, widt
 
 
 def roi(visited: bool, marker: float, reach: float) -> pygame.Surface:
-    """An ROI: a hollow marker until it is visited, then a filled one with a tick.
+    """Draw an ROI: a hollow marker until it is visited, then a filled one with a tick.
 
     Args:
         visited: whether a robot has been there.
@@ -99,16 +102,18 @@ def roi(visited: bool, marker: float, reach: float) -> pygame.Surface:
     return _sprite(max(marker, reach), paint)
 
 
-def robot(index: int, radius: float, safety: float) -> pygame.Surface:
-    """Robot ``index``: a disc with its number, and round it the circle of its safety distance.
+def robot(index: int, radius: float, safety: float, *, own: bool = False) -> pygame.Surface:
+    """Return robot ``index``: a disc with its number, in the circle of its safety distance.
 
     Args:
         index: 0, 1, ...; names the robot and chooses its colour.
         radius: of the disc, pixels.
         safety: half of the safety distance, pixels; its circle is left out where the disc would
             all but cover it.
+        own: mark it as the user's, by a thick dark ring.
     """
     colour = style.robot_colour(index)
+    mark = _OWN * radius if own else 0.0
 
     def paint(surface: pygame.Surface, centre: float, pixel: float) -> None:
         middle = (centre, centre)
@@ -116,17 +121,20 @@ def robot(index: int, radius: float, safety: float) -> pygame.Surface:
             pygame.draw.circle(surface, (*style.rgb(colour), _SAFETY_TINT), middle, safety * pixel)
             line = round(1.2 * pixel)
             pygame.draw.circle(surface, style.rgb(colour), middle, safety * pixel, line)
+        if own:
+            ink = style.rgb(style.INK)
+            pygame.draw.circle(surface, ink, middle, mark * pixel, round(0.3 * radius * pixel))
         pygame.draw.circle(surface, style.rgb(style.WHITE), middle, radius * pixel)
         pygame.draw.circle(surface, style.rgb(colour), middle, (radius - 1) * pixel)
         font = pygame.font.Font(None, round((1.75 if index < 10 else 1.4) * radius * pixel))
         number = font.render(str(index), True, style.rgb(style.ink_on(colour)))
         surface.blit(number, number.get_rect(center=(round(centre), round(centre + 0.4 * pixel))))
 
-    return _sprite(max(radius, safety), paint)
+    return _sprite(max(radius, safety, mark), paint)
 
 
 def wind_arrow(wind: tuple[float, float], radius: float) -> pygame.Surface:
-    """An arrow in a ring of ``radius`` pixels that points the way the wind blows, y up.
+    """Draw an arrow in a ring of ``radius`` pixels that points the way the wind blows, y up.
 
     Args:
         wind: ``(v_x, v_y)``, not both 0; only the direction counts.

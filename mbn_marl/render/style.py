@@ -1,8 +1,9 @@
 """The one look of everything drawn, on screen and on paper; every colour is named here only.
 
-The hues are the colour-blind safe set of Okabe and Ito, "Color Universal Design" (2008). Colour
-never carries a meaning alone: robots and curves also have numbers, dashes or markers, and a
-visited ROI is filled and ticked where an unvisited one is hollow.
+The hues are the colour-blind safe set of Okabe and Ito, "Color Universal Design" (2008), and four
+more that stay apart from them and from each other for every kind of colour blindness. Colour never
+carries a meaning alone: robots and curves also have numbers, dashes or markers, and a visited ROI
+is filled and ticked where an unvisited one is hollow.
 """
 
 from __future__ import annotations
@@ -16,6 +17,10 @@ BLUISH_GREEN: Final = "#009E73"
 BLUE: Final = "#0072B2"
 VERMILLION: Final = "#D55E00"
 REDDISH_PURPLE: Final = "#CC79A7"
+PLUM: Final = "#A81E7E"
+BROWN: Final = "#66503F"
+LAVENDER: Final = "#9977FF"
+INDIGO: Final = "#4F22E8"
 WHITE: Final = "#FFFFFF"
 
 GROUND: Final = WHITE
@@ -30,8 +35,15 @@ ROI_VISITED: Final = BLUISH_GREEN
 SUCCESS: Final = BLUISH_GREEN
 COLLISION: Final = VERMILLION
 WIND: Final = BLUE
+CALM: Final = 1e-9
+"""Wind weaker than this, in units/step per step, is none (cos 90 degrees is not quite 0)."""
 
 _SERIES: Final = (BLUE, VERMILLION, REDDISH_PURPLE, ORANGE, SKY_BLUE, BLACK)
+ROBOTS: Final = (
+    *(BLUE, VERMILLION, REDDISH_PURPLE, ORANGE, SKY_BLUE, BLACK),
+    *(PLUM, BROWN, LAVENDER, INDIGO),
+)
+"""The colours of robots 0 to 9; green is left to visited ROIs."""
 _DASHES: Final = ("-", "--", "-.", ":")
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
 
@@ -96,7 +108,7 @@ LIGHT_PAGE: Final = PagePalette(
     success="#00704F",
     collision="#A84600",
     wind=WIND,
-    robots=_SERIES,
+    robots=ROBOTS,
 )
 DARK_PAGE: Final = PagePalette(
     page="#12171C",
@@ -111,7 +123,7 @@ DARK_PAGE: Final = PagePalette(
     success="#3CC79C",
     collision="#F08A4B",
     wind=SKY_BLUE,
-    robots=tuple(WHITE if colour == BLACK else colour for colour in _SERIES),
+    robots=tuple(WHITE if colour == BLACK else colour for colour in ROBOTS),
 )
 """On dark ground the hues stay; black turns white, and text is lighter."""
 
@@ -125,7 +137,7 @@ class SeriesStyle(NamedTuple):
 
 
 def series(index: int) -> SeriesStyle:
-    """The style of curve ``index`` (0, 1, ...); any three in a row differ in all three ways."""
+    """Return the style of curve ``index``; any three in a row differ in all three ways."""
     return SeriesStyle(
         _SERIES[index % len(_SERIES)],
         _DASHES[index % len(_DASHES)],
@@ -134,17 +146,17 @@ def series(index: int) -> SeriesStyle:
 
 
 def robot_colour(index: int) -> str:
-    """The colour of robot ``index`` (0, 1, ...); robots that share one differ in their number."""
-    return _SERIES[index % len(_SERIES)]
+    """Return the colour of robot ``index`` (0, 1, ...); the eleventh has that of the first."""
+    return ROBOTS[index % len(ROBOTS)]
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """``"#RRGGBB"`` as three numbers, 0 to 255."""
+    """Return ``"#RRGGBB"`` as three numbers, 0 to 255."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
 def ink_on(colour: str) -> str:
-    """Black or white, whichever contrasts more with ``colour``.
+    """Return black or white, whichever contrasts more with ``colour``.
 
     Black wins above a relative luminance of 0.179 (WCAG 2.1, "contrast ratio"), where both
     contrasts are equal.

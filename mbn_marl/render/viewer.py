@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from mbn_marl.render.scene import Scene
 
 RENDER_MODES = ("human", "rgb_array")
+RENDER_SIZE = (800, 800)
+"""Width and height of a picture, pixels, unless told otherwise."""
 SMALLEST_SIDE = 200
 UNSEEN = "offscreen"
 """The driver that SDL falls back to where there is no display."""
@@ -27,9 +29,11 @@ class Viewer:
 
     Args:
         render_mode: ``"human"`` (a window) or ``"rgb_array"`` (arrays; opens no display).
-        size: width and height of the picture, pixels, each at least 200.
+        size: width and height of the picture, pixels, each at least 200; the field keeps its shape.
         frame_rate: frames per second at most, in a window; above 0.
         caption: of the window.
+        own: the index of the robot to mark as the user's; ``None`` for none.
+        keys: a line below the field, about the keys; none if empty.
 
     Attributes:
         closed: whether the window was closed, by its button, by Escape or by :meth:`close`.
@@ -43,19 +47,17 @@ class Viewer:
     def __init__(
         self,
         render_mode: str,
-        size: tuple[int, int] = (400, 400),
+        size: tuple[int, int] = RENDER_SIZE,
         frame_rate: float = 30.0,
         caption: str = "mbn_marl",
+        own: int | None = None,
+        keys: str = "",
     ) -> None:
         problems = []
         if render_mode not in RENDER_MODES:
             known = " or ".join(map(repr, RENDER_MODES))
             problems.append(f"render_mode: {known}, not {render_mode!r}")
-        fits = [isinstance(side, int) and side >= SMALLEST_SIDE for side in size]
-        if fits != [True, True]:
-            problems.append(
-                f"size: two whole numbers of pixels, each at least {SMALLEST_SIDE}, not {size}"
-            )
+        problems += size_problems("size", size)
         if not frame_rate > 0.0:
             problems.append(f"frame_rate: above 0, not {frame_rate}")
         if problems:
@@ -64,6 +66,7 @@ class Viewer:
         self.size = size
         self.frame_rate = frame_rate
         self.caption = caption
+        self.own, self.keys = own, keys
         self.closed = False
         self.pressed: list[str] = []
         self.held: set[str] = set()
@@ -82,7 +85,7 @@ class Viewer:
             DisplayError: in ``"human"`` mode, if there is no display.
         """
         if self._scene is None:
-            self._scene = _load_scene(self.size)
+            self._scene = self._load_scene()
         if self.render_mode == "rgb_array":
             return _to_array(self._scene.draw(snapshot))
         if not self.closed:
@@ -97,6 +100,18 @@ class Viewer:
 
             self._window = None
             pygame.display.quit()
+
+    def _load_scene(self) -> Scene:
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+        try:
+            from mbn_marl.render.scene import Scene
+        except ModuleNotFoundError as error:
+            if error.name != "pygame":
+                raise
+            raise ImportError(
+                'rendering needs pygame-ce: pip install "mbn_marl[render]"', name="pygame"
+            ) from error
+        return Scene(self.size, self.own, self.keys)
 
     def _show(self, frame: pygame.Surface) -> None:
         """Bring ``frame`` to the window, answer its events and keep to the frame rate."""
@@ -121,17 +136,13 @@ class Viewer:
         self._clock.tick(self.frame_rate)
 
 
-def _load_scene(size: tuple[int, int]) -> Scene:
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    try:
-        from mbn_marl.render.scene import Scene
-    except ModuleNotFoundError as error:
-        if error.name != "pygame":
-            raise
-        raise ImportError(
-            'rendering needs pygame-ce: pip install "mbn_marl[render]"', name="pygame"
-        ) from error
-    return Scene(size)
+def size_problems(name: str, size: object) -> list[str]:
+    """Return what is wrong with ``size`` (called ``name``) as a picture's, if anything."""
+    sides = size if isinstance(size, (tuple, list)) else ()
+    if [isinstance(side, int) and side >= SMALLEST_SIDE for side in sides] == [True, True]:
+        return []
+    allowed = f"width and height in pixels, whole numbers of at least {SMALLEST_SIDE}"
+    return [f"{name}: allowed: {allowed}, not {size!r}"]
 
 
 def _open_window(size: tuple[int, int], caption: str) -> pygame.Surface:

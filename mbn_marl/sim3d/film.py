@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.render import style
-from mbn_marl.render.video import Mp4Writer
+from mbn_marl.render.animation import Mp4Writer
 from mbn_marl.sim3d.loading import load_mujoco
 from mbn_marl.sim3d.scene import CAMERAS, LARGEST_PICTURE
 

@@ -122,8 +122,10 @@ def test_panels_show_every_episode() -> None:
             engine.step(np.zeros((1, 2, 2)))
         lasts[f"wind {speed:g}"] = engine.snapshot()
     figure = figures.trajectory_panels(lasts)
-    assert [axes.get_title("left") for axes in figure.axes] == list(lasts)
-    assert figure.axes[0].get_xlabel().startswith("0 of 1 ROIs, 3 steps, return")
+    titles = [axes.get_title("left").split("\n") for axes in figure.axes]
+    assert [name for name, _ in titles] == list(lasts)
+    assert titles[0][1].startswith("0 of 1 ROIs, 3 steps, return")
+    assert figure.axes[-1].get_xlabel() == "x (units)"
     arrows = [
         len([a for a in axes.texts if a.get_text().startswith("wind")]) for axes in figure.axes
     ]

@@ -1,4 +1,4 @@
-"""GIF and MP4: what is refused, and what is held in memory."""
+"""GIF and MP4: what they hold, what is refused, and what is held in memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError
-from mbn_marl.render import write_gif, write_mp4
+from mbn_marl.render import Viewer, write_gif, write_mp4
+from tests.support.pictures import SIZE, draw, snapshot, wander
 
 pytest.importorskip("PIL", reason="needs the extra [render]")
 pytest.importorskip("imageio_ffmpeg", reason="needs the extra [render]")
@@ -21,7 +22,7 @@ pytest.importorskip("imageio_ffmpeg", reason="needs the extra [render]")
 @pytest.mark.parametrize(
     ("frames", "name", "fps", "message"),
     [
-        ([], "a.gif", 20.0, r"a\.gif: there are no frames"),
+        ([], "a.gif", 20.0, r"a\.gif: .*no frames"),
         ([np.zeros((4, 4, 3))], "a.gif", 20.0, r"a\.gif: frame 0 is float64 \(4, 4, 3\)"),
         ([np.zeros((4, 4), np.uint8)], "a.gif", 20.0, r"frame 0 is uint8 \(4, 4\)"),
         ([None], "a.gif", 20.0, r"frame 0 is object"),
@@ -76,3 +77,21 @@ def test_a_folder_in_the_way_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.gif").mkdir()
     with pytest.raises(OSError, match=r"a\.gif"):
         write_gif([np.zeros((4, 4, 3), np.uint8)], tmp_path / "a.gif")
+
+
+def test_a_gif_holds_the_frames_and_is_small(tmp_path: Path) -> None:
+    from PIL import Image
+
+    trail, viewer = wander(30, 3), Viewer("rgb_array", SIZE)
+    frames = [draw(snapshot(trail[: step + 1]), viewer) for step in range(31)]
+    path = write_gif(frames, tmp_path / "new" / "episode.gif", fps=25.0)
+    with Image.open(path) as gif:
+        assert gif.n_frames == 31
+        assert gif.info["duration"] == 40
+        assert gif.info["loop"] == 0
+        gif.seek(30)
+        shown = np.asarray(gif.convert("RGB"), np.int64)
+    error = np.abs(shown - frames[-1])
+    assert error.mean() < 2.0 and error.max() < 32, "the colours of the last frame are kept"
+    assert path.stat().st_size < 31 * 4000
+    assert list(path.parent.iterdir()) == [path], "no temporary file is left"

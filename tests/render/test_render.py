@@ -1,139 +1,21 @@
-"""The viewer and the GIF writer: what is drawn, where, and without a display."""
+"""What is drawn, and where."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.snapshot import Snapshot
-from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
-from mbn_marl.render import Viewer, style, write_gif
+from mbn_marl.render import Viewer, style
 from mbn_marl.render.viewport import Viewport
+from tests.support.pictures import FIELD, HOLE, SIZE, SQUARE, draw, snapshot, wander, where
 
-pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
-
-SQUARE = [(100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0)]
-HOLE = [(190.0, 190.0), (210.0, 190.0), (210.0, 210.0), (190.0, 210.0)]
-FIELD = Field(SQUARE, rois=[(150.0, 150.0), (250.0, 250.0)], starts=[(120.0, 200.0)])
-
-Frame = NDArray[np.uint8]
-
-
-def snapshot(trail: Any = ((120.0, 200.0),), **changes: Any) -> Snapshot:
-    """A moment of one robot (or, with a (t + 1, n, 2) trail, of more) in the square field."""
-    path = np.asarray(trail, np.float64)
-    path = path[:, None] if path.ndim == 2 else path
-    values: dict[str, Any] = {
-        "field": FIELD,
-        "positions": path[-1],
-        "velocities": np.zeros_like(path[-1]),
-        "visited": np.zeros(2, bool),
-        "trail": path,
-        "step": len(path) - 1,
-        "team_return": -10.0 * (len(path) - 1),
-        "wind": (0.0, 0.0),
-        "roi_radius": 10.0,
-        "safety_distance": 10.0,
-        "success": False,
-        "collision": False,
-    }
-    return Snapshot(**(values | changes))
-
-
-def draw(moment: Snapshot, viewer: Viewer | None = None) -> Frame:
-    """The frame of a viewer in rgb_array mode, a new one unless given."""
-    frame = (viewer or Viewer("rgb_array")).draw(moment)
-    assert frame is not None
-    return frame
-
-
-def where(frame: Frame, colour: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the pixels of exactly that colour."""
-    rows, columns = np.nonzero((frame == style.rgb(colour)).all(axis=2))
-    return rows, columns
-
-
-def wander(steps: int, robots: int, seed: int = 0) -> NDArray[np.float64]:
-    """A random (steps + 1, robots, 2) walk inside the square field."""
-    walk = np.random.default_rng(seed).normal(0.0, 3.0, (steps + 1, robots, 2)).cumsum(axis=0)
-    return np.clip(200.0 + walk, 105.0, 295.0)
-
-
-def run_python(code: str, **environment: str) -> None:
-    """Run ``code`` in a fresh interpreter that knows of no display."""
-    hidden = ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY")
-    variables = {key: value for key, value in os.environ.items() if key not in hidden}
-    result = subprocess.run(
-        [sys.executable, "-c", code],
-        env=variables | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert result.returncode == 0, result.stderr
-
-
-# ---------------------------------------------------------------- arrays
-
-
-def test_a_frame_is_a_new_array_of_height_width_and_three_channels() -> None:
-    viewer = Viewer("rgb_array", size=(300, 220))
-    first = draw(snapshot(), viewer)
-    kept = first.copy()
-    second = draw(snapshot([(120.0, 200.0), (280.0, 280.0)]), viewer)
-    assert first.shape == (220, 300, 3)
-    assert first.dtype == np.uint8
-    assert first.flags.c_contiguous and first.flags.writeable
-    assert np.array_equal(first, kept)
-    assert not np.array_equal(first, second)
-
-
-def test_an_array_needs_no_display_and_opens_none() -> None:
-    run_python(
-        "import pygame\n"
-        "from mbn_marl.engine import BatchEngine\n"
-        "from mbn_marl.render import Viewer\n"
-        "engine = BatchEngine('field_03', num_worlds=1, autoreset=False, threads=1)\n"
-        "engine.reset()\n"
-        "frame = Viewer('rgb_array').draw(engine.snapshot())\n"
-        "assert frame.std() > 0\n"
-        "assert not pygame.display.get_init()\n"
-    )
-
-
-def test_importing_the_package_loads_no_drawing_library() -> None:
-    run_python(
-        "import sys, mbn_marl.render\n"
-        "loaded = {'pygame', 'matplotlib', 'PIL', 'numba'} & set(sys.modules)\n"
-        "assert not loaded, loaded\n"
-    )
-
-
-def test_without_pygame_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    for module in ("scene", "sprites"):
-        monkeypatch.delitem(sys.modules, f"mbn_marl.render.{module}", raising=False)
-    with pytest.raises(ImportError, match=r'pip install "mbn_marl\[render\]"'):
-        Viewer("rgb_array").draw(snapshot())
-
-
-def test_every_wrong_argument_is_listed() -> None:
-    with pytest.raises(ConfigError) as caught:
-        Viewer("ansi", size=(400, 40), frame_rate=0.0)
-    problems = "\n".join(caught.value.problems)
-    assert len(caught.value.problems) == 3
-    for expected in ("'human' or 'rgb_array', not 'ansi'", "(400, 40)", "frame_rate: above 0"):
-        assert expected in problems
+pytest.importorskip("pygame", reason="needs the extra [render]")
 
 
 # ---------------------------------------------------------------- what is where
@@ -236,8 +118,9 @@ def test_the_header_tells_step_and_return() -> None:
 
 
 def test_robots_that_share_a_colour_differ_in_their_number() -> None:
-    assert style.robot_colour(0) == style.robot_colour(6)
-    spots = [(110.0 + 25.0 * index, 200.0) for index in range(7)]
+    count = len(style.ROBOTS)
+    assert style.robot_colour(0) == style.robot_colour(count)
+    spots = [(105.0 + 18.0 * index, 200.0) for index in range(count + 1)]
     rows, columns = where(draw(snapshot([spots])), style.robot_colour(0))
     shapes = [
         set(zip(rows[side] - rows[side].min(), columns[side] - columns[side].min(), strict=True))
@@ -246,11 +129,23 @@ def test_robots_that_share_a_colour_differ_in_their_number() -> None:
     assert shapes[0] != shapes[1]
 
 
+def test_the_users_robot_is_ringed_and_the_keys_are_shown() -> None:
+    moment = snapshot([[(130.0, 200.0), (270.0, 200.0)]], safety_distance=0.0, roi_radius=0.0)
+    plain, ours = (draw(moment, Viewer("rgb_array", SIZE, own=own)) for own in (None, 1))
+    rows, columns = np.nonzero((plain != ours).any(axis=2))
+    place = [np.median(axis) for axis in where(plain, style.robot_colour(1))]
+    assert [rows.mean(), columns.mean()] == pytest.approx(place, abs=1.5)
+    assert 20 <= np.ptp(columns) <= 30, "a ring round a disc of 16 pixels"
+    keys = draw(moment, Viewer("rgb_array", SIZE, keys="space: pause"))
+    dark, below = (int((frame[385:].max(axis=2) < 128).sum()) for frame in (keys, plain))
+    assert (dark > 30, below) == (True, 0)
+
+
 # ---------------------------------------------------------------- from frame to frame
 
 
 def test_a_trail_drawn_bit_by_bit_is_the_trail_drawn_at_once() -> None:
-    trail, viewer = wander(40, 3), Viewer("rgb_array")
+    trail, viewer = wander(40, 3), Viewer("rgb_array", SIZE)
     frames = [draw(snapshot(trail[: step + 1]), viewer) for step in range(41)]
     assert np.array_equal(frames[-1], draw(snapshot(trail)))
     assert not np.array_equal(frames[-1], draw(snapshot(trail[-1:], step=40, team_return=-400.0)))
@@ -271,13 +166,13 @@ def test_a_trail_drawn_bit_by_bit_is_the_trail_drawn_at_once() -> None:
     ids=["a shorter episode", "a longer episode", "another team", "wind", "another field"],
 )
 def test_nothing_of_the_last_frame_stays(other: Snapshot) -> None:
-    viewer = Viewer("rgb_array")
+    viewer = Viewer("rgb_array", SIZE)
     draw(snapshot(wander(20, 3)), viewer)
     assert np.array_equal(draw(other, viewer), draw(other))
 
 
 def test_what_stays_the_same_is_not_drawn_again() -> None:
-    trail, viewer = wander(300, 3), Viewer("rgb_array")
+    trail, viewer = wander(300, 3), Viewer("rgb_array", SIZE)
 
     def fastest(draw_one: Any) -> float:
         spans = []
@@ -294,84 +189,8 @@ def test_what_stays_the_same_is_not_drawn_again() -> None:
 def test_the_snapshot_of_an_engine_can_be_drawn() -> None:
     engine = BatchEngine("field_03", num_worlds=2, autoreset=False, threads=1)
     engine.reset()
-    viewer = Viewer("rgb_array")
+    viewer = Viewer("rgb_array", SIZE)
     before = draw(engine.snapshot(1), viewer)
     engine.step(np.ones((2, engine.n_robots, 2)))
     assert engine.snapshot(1).trail.shape == (2, engine.n_robots, 2)
     assert not np.array_equal(before, draw(engine.snapshot(1), viewer))
-
-
-# ---------------------------------------------------------------- windows
-
-
-@pytest.fixture
-def no_screen(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """SDL's driver that shows nothing; the display is closed afterwards."""
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    yield
-    pygame.display.quit()
-
-
-@pytest.mark.usefixtures("no_screen")
-def test_the_window_shows_the_frame() -> None:
-    viewer = Viewer("human", frame_rate=1000.0)
-    assert viewer.draw(snapshot()) is None
-    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
-    assert np.array_equal(shown, draw(snapshot()))
-    viewer.close()
-    viewer.close()
-    assert not pygame.display.get_init()
-
-
-@pytest.mark.usefixtures("no_screen")
-@pytest.mark.parametrize(
-    "event",
-    [pygame.event.Event(pygame.QUIT), pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE)],
-    ids=["close button", "escape"],
-)
-def test_a_person_can_close_the_window(event: Any) -> None:
-    viewer = Viewer("human", frame_rate=1000.0)
-    viewer.draw(snapshot())
-    assert not viewer.closed
-    pygame.event.post(event)
-    viewer.draw(snapshot())
-    assert viewer.closed
-    assert viewer.draw(snapshot()) is None
-    assert not pygame.display.get_init(), "a closed window stays closed"
-
-
-@pytest.mark.usefixtures("no_screen")
-def test_the_window_keeps_to_the_frame_rate() -> None:
-    viewer = Viewer("human", frame_rate=50.0)
-    viewer.draw(snapshot())
-    start = time.perf_counter()
-    for _ in range(5):
-        viewer.draw(snapshot())
-    assert time.perf_counter() - start > 0.08
-
-
-def test_a_window_without_a_display_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "no_such_driver")
-    with pytest.raises(RuntimeError, match=r"needs a display .* render_mode='rgb_array'"):
-        Viewer("human").draw(snapshot())
-
-
-# ---------------------------------------------------------------- GIF
-
-
-def test_a_gif_holds_the_frames_and_is_small(tmp_path: Path) -> None:
-    from PIL import Image
-
-    trail, viewer = wander(30, 3), Viewer("rgb_array")
-    frames = [draw(snapshot(trail[: step + 1]), viewer) for step in range(31)]
-    path = write_gif(frames, tmp_path / "new" / "episode.gif", fps=25.0)
-    with Image.open(path) as gif:
-        assert gif.n_frames == 31
-        assert gif.info["duration"] == 40
-        assert gif.info["loop"] == 0
-        gif.seek(30)
-        shown = np.asarray(gif.convert("RGB"), np.int64)
-    error = np.abs(shown - frames[-1])
-    assert error.mean() < 2.0 and error.max() < 32, "the colours of the last frame are kept"
-    assert path.stat().st_size < 31 * 4000
-    assert list(path.parent.iterdir()) == [path], "no temporary file is left"

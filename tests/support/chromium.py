@@ -13,9 +13,12 @@ import time
 from pathlib import Path
 from typing import Any, Self
 
+import pytest
+
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 PROGRAM = next((found for name in NAMES if (found := shutil.which(name))), None)
 MISSING = "no Chromium here: install one (Debian: apt-get install chromium)"
+needs_browser = pytest.mark.skipif(PROGRAM is None, reason=MISSING)
 FLAGS = (
     "--headless=new",
     "--no-sandbox",
@@ -89,7 +92,7 @@ class Chromium:
         return result
 
     def size(self, width: int, height: int, *, dark: bool = False, phone: bool = False) -> None:
-        """The size of the window, and what the page is told of the device."""
+        """The size of the window, and what the page learns of the device."""
         self.send(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -152,3 +155,12 @@ class Chromium:
             self.problems.append(json.dumps(parameters["args"]))
         elif method == "Log.entryAdded" and parameters["entry"]["level"] in ("error", "warning"):
             self.problems.append(json.dumps(parameters["entry"]))
+
+
+def fact(page: Chromium, panel: int, name: str) -> str:
+    """A number above a panel."""
+    found: str = page.run(
+        f"document.querySelectorAll('.panel')[{panel}]"
+        f".querySelector('[data-fact=\"{name}\"]').textContent"
+    )
+    return found

@@ -1,4 +1,5 @@
-// The rewards of one episode by term: a row each, its running total against time, and a cursor.
+// The rewards of one episode by term: a row each, its running total against steps, and a cursor.
+// Beside each row is the scale of its axis, in reward units, and below all is the axis of the steps.
 
 const MOST_POINTS = 1500; // of a line; longer episodes are thinned out
 
@@ -14,7 +15,9 @@ class Chart {
     this.element = html(
       "div",
       { class: "chart", role: "img", "aria-label": "running totals of the reward by term" },
+      html("div", { class: "term heading" }, html("span", {}, "running total of the reward")),
       ...this.rows.map(({ node }) => node),
+      this.#steps(),
       html("div", { class: "track" }, this.cursor),
     );
   }
@@ -30,13 +33,29 @@ class Chart {
 
   #row({ name, totals: sums, kind }) {
     const output = html("output");
+    const range = rangeOf(sums);
     const lines = svg(
       "svg",
       { viewBox: `0 -0.08 ${Math.max(this.span, 1)} 1.16`, preserveAspectRatio: "none" },
-      svg("path", { d: outline(sums) }),
+      svg("path", { d: outline(sums, range) }),
     );
-    const node = html("div", { class: `term ${kind}` }, html("span", {}, name), lines, output);
+    const [low, high] = range.map((value) => html("span", {}, brief(value)));
+    const scale = html("span", { class: "scale" }, high, low);
+    const label = html("span", { class: "label" }, name);
+    const node = html("div", { class: `term ${kind}` }, label, scale, lines, output);
     return { node, output, totals: sums };
+  }
+
+  /** The axis of the steps: round numbers up to the end. */
+  #steps() {
+    const stride = roundStride(this.span / 4);
+    const count = stride > 0 ? Math.floor(this.span / stride) : 0;
+    const ticks = Array.from({ length: count + 1 }, (_, index) => {
+      const left = this.span === 0 ? 0 : (100 * index * stride) / this.span;
+      return html("span", { style: `left: ${left}%` }, shown(index * stride));
+    });
+    const axis = html("div", { class: "ticks" }, ...ticks);
+    return html("div", { class: "term steps" }, axis, html("span", { class: "unit" }, "steps"));
   }
 }
 
@@ -44,12 +63,22 @@ function kindOf(sums) {
   return sums[sums.length - 1] < 0 ? "cost" : "gain";
 }
 
-/** Running totals as the path of a staircase, between 0 (bottom) and 1. */
-function outline(sums) {
-  const [low, high] = sums.reduce(
+/** The least and the greatest of some running totals and 0. */
+function rangeOf(sums) {
+  return sums.reduce(
     ([least, most], value) => [Math.min(least, value), Math.max(most, value)],
     [0, 0],
   );
+}
+
+/** The largest of 1, 2, 5, 10, 20 ... that is not above `most`; 1 at least. */
+function roundStride(most) {
+  const decade = 10 ** Math.floor(Math.log10(Math.max(most, 1)));
+  return [5, 2, 1].map((factor) => factor * decade).find((stride) => stride <= Math.max(most, 1));
+}
+
+/** Running totals as the path of a staircase, between 0 (bottom) and 1. */
+function outline(sums, [low, high]) {
   const place = (value) => (high === low ? 0.5 : 1 - (value - low) / (high - low)).toFixed(4);
   const stride = Math.ceil(sums.length / MOST_POINTS);
   let path = `M0 ${place(sums[0])}`;

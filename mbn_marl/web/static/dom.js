@@ -26,6 +26,13 @@ function shown(number) {
     .replace("-", "\u2212");
 }
 
+/** A number in few letters, such as 158.8K. */
+function brief(number) {
+  return number
+    .toLocaleString("en-US", { notation: "compact", maximumSignificantDigits: 4 })
+    .replace("-", "\u2212");
+}
+
 /** How robot `index` is coloured: its colours are named in the page's styles. */
 function robotColour(index, colours) {
   return `var(--robot-${index % colours})`;

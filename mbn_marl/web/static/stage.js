@@ -1,4 +1,4 @@
-// The field of one episode: ground, trails, ROIs and robots, from bottom to top.
+// The field of one episode: ground, trails, ROIs, robots and the names of ROIs, from bottom to top.
 // The ground and what moves are SVG; trails, which only grow, are drawn on a canvas between them.
 
 const BORDER = 0.05; // round the field, as a share of its larger side
@@ -12,16 +12,17 @@ class Stage {
     this.colours = colours;
     this.#frame();
     this.trails = html("canvas");
-    this.rois = episode.field.rois.map((place, index) => this.#roi(place, index));
+    this.rois = episode.field.rois.map((place) => this.#roi(place));
     this.tips = this.#robots((index) => svg("line", { class: "tip", stroke: this.#colour(index) }));
     this.bodies = this.#robots((index) => this.#robot(index));
+    const names = episode.field.rois.map((place, index) => this.#name(place, index));
     const view = `0 0 ${this.width} ${this.height}`;
     this.element = html(
       "div",
       { class: "stage", style: `aspect-ratio: ${this.width} / ${this.height}` },
       svg("svg", { viewBox: view }, this.#ground()),
       this.trails,
-      svg("svg", { viewBox: view }, ...this.rois.map(({ node }) => node), ...this.tips, ...this.bodies),
+      svg("svg", { viewBox: view }, ...this.rois.map(({ node }) => node), ...this.tips, ...this.bodies, ...names),
     );
     this.time = 0;
     new ResizeObserver(() => this.#resize()).observe(this.element);
@@ -78,18 +79,26 @@ class Stage {
     return svg("path", { class: "ground", d, "fill-rule": "evenodd" });
   }
 
-  #roi(place, index) {
-    const [x, y] = this.#seen(...place);
+  #roi(place) {
     const marker = svg(
       "g",
       { class: "pixels" },
       svg("circle", { class: "marker", r: MARKER }),
       svg("path", { class: "tick", d: "M-2.7 0.1L-0.7 2.2L2.9 -2" }),
-      svg("text", { class: "name", x: MARKER + 2, y: -MARKER }, `${index + 1}`),
     );
     const reach = svg("circle", { class: "reach", r: this.episode.roiRadius });
-    const node = svg("g", { class: "roi", transform: `translate(${x} ${y})` }, reach, marker);
-    return { node, visited: false };
+    return { node: this.#at(place, "roi", reach, marker), visited: false };
+  }
+
+  #name(place, index) {
+    const text = svg("text", { class: "name", x: MARKER + 2, y: -MARKER }, `${index + 1}`);
+    return this.#at(place, "label", svg("g", { class: "pixels" }, text));
+  }
+
+  /** What is drawn at a place that does not move. */
+  #at(place, kind, ...children) {
+    const [x, y] = this.#seen(...place);
+    return svg("g", { class: kind, transform: `translate(${x} ${y})` }, ...children);
   }
 
   #robot(index) {

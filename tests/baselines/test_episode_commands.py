@@ -1,0 +1,120 @@
+"""``mbn replay``, ``render``, ``evaluate --record`` and ``fields --figure``."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.cli import main
+from mbn_marl import load_field
+from mbn_marl.config import make_config
+from mbn_marl.episode import load_episode, play, save_episode
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An episode's file, of the zoo's policy."""
+    path = tmp_path_factory.mktemp("episodes") / "learned.json"
+    assert main(["render", "zoo:field_03", "-o", str(path)]) == 0
+    return path
+
+
+def test_an_episode_of_the_zoo(recorded: Path) -> None:
+    episode = load_episode(recorded)
+    assert (episode.outcome, episode.source, episode.seed) == ("success", "zoo:field_03", 0)
+    assert episode.field == load_field("field_03") and episode.rois_visited == 6
+
+
+def test_replay_writes_a_page_and_nothing_over_another(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = save_episode(
+        play(load_field("field_03"), make_config({}), np.zeros((3, 3, 2)), source="waiting"),
+        tmp_path / "waiting.json",
+    )
+    out = tmp_path / "page.html"
+    assert main(["replay", str(recorded), str(other), "-o", str(out)]) == 0
+    assert "zoo:field_03: success" in capsys.readouterr().out
+    text = out.read_text()
+    assert "waiting" in text and "://" not in text.replace("http://www.w3.org/2000/svg", "")
+    assert main(["replay", str(other), "-o", str(out)]) == 2
+    assert "page.html already exists" in capsys.readouterr().err
+    assert out.read_text() == text
+    assert main(["replay", str(other), "-o", str(out), "--force"]) == 0
+    assert (tmp_path / "page.html.1").read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (lambda text: text[:500], "not JSON, or cut off"),
+        (lambda text: '{"format": "other"}', "format: 'other'; expected an episode"),
+        (lambda text: text.replace("episode/1", "episode/9", 1), "'mbn-episode/9'; expected"),
+        (lambda text: text.replace('"tau":1.0', '"tau":2.0'), "checksum: not that of"),
+        (
+            lambda text: re.sub(
+                '"checksum":".*"', '"checksum":null', text.replace('"tau":1.0', '"tau":2.0')
+            ),
+            "it does not replay",
+        ),
+    ],
+    ids=["cut off", "foreign", "version", "tampered", "tampered with care"],
+)
+def test_replay_says_what_is_wrong_with_a_file(
+    content: Any,
+    message: str,
+    recorded: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    bad, out = tmp_path / "bad.json", tmp_path / "page.html"
+    bad.write_text(content(recorded.read_text()))
+    assert main(["replay", str(recorded), str(bad), "-o", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert str(bad) in error and message in error
+    assert not out.exists()
+
+
+def test_render_shows_a_recorded_episode(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, start in (("a.gif", b"GIF89a"), ("a.pdf", b"%PDF"), ("a.svg", b"<?xml")):
+        assert main(["render", str(recorded), "-o", str(tmp_path / name)]) == 0
+        assert (tmp_path / name).read_bytes().startswith(start)
+    film = tmp_path / "a.mp4"
+    assert main(["render", str(recorded), "-o", str(film)]) == 0
+    assert film.read_bytes()[4:8] == b"ftyp"
+    assert main(["render", str(recorded), "-o", str(film)]) == 2
+    assert "a.mp4 already exists" in capsys.readouterr().err
+    assert main(["render", str(recorded), "--steps", "3", "-o", str(tmp_path / "b.gif")]) == 2
+    assert "which is recorded already" in capsys.readouterr().err
+    sorted_names, foreign = tmp_path / "sorted.json", tmp_path / "foreign.json"
+    sorted_names.write_text(json.dumps(json.loads(recorded.read_text()), sort_keys=True))
+    assert main(["render", str(sorted_names), "-o", str(tmp_path / "b.svg")]) == 0
+    foreign.write_text('{"type": "other"}')
+    assert main(["render", str(foreign), "-o", str(tmp_path / "b.gif")]) == 2
+    error = capsys.readouterr().err
+    assert "foreign.json" in error and "mbn-field/1" in error and "mbn-episode/1" in error
+    assert not (tmp_path / "b.gif").exists()
+
+
+def test_evaluate_records_its_best_median_and_worst(tmp_path: Path) -> None:
+    out, results = tmp_path / "episodes", tmp_path / "results.json"
+    command = ["evaluate", "zoo:field_07", "--episodes", "5", "--record", str(out)]
+    assert main([*command, "--json", str(results)]) == 0
+    returns = sorted(json.loads(results.read_text())["stochastic"]["per_episode"]["returns"])
+    found = [load_episode(out / f"{name}.json") for name in ("worst", "median", "best")]
+    assert [one.team_return for one in found] == [returns[0], returns[2], returns[4]]
+    assert main(command) == 2, "the folder is there already"
+
+
+def test_fields_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "fields.pdf"
+    assert main(["fields", "field_03", "field_05", "--figure", str(out)]) == 0
+    assert "field_05" in capsys.readouterr().out and out.read_bytes().startswith(b"%PDF")
+    assert main(["fields", "--figure", str(out)]) == 2

@@ -1,0 +1,174 @@
+"""The viewer: arrays without a display, windows, sizes, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbn_marl import centralized_env, parallel_env
+from mbn_marl import env as aec_env
+from mbn_marl.adapters.gymnasium import CentralizedVectorEnv
+from mbn_marl.errors import ConfigError
+from mbn_marl.render import Viewer, style
+from tests.support.pictures import SIZE, draw, snapshot, where
+
+pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
+
+
+def run_python(code: str, **environment: str) -> None:
+    """Run ``code`` in a fresh interpreter that knows of no display."""
+    hidden = ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY")
+    variables = {key: value for key, value in os.environ.items() if key not in hidden}
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        env=variables | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+
+
+# ---------------------------------------------------------------- arrays
+
+
+def test_a_frame_is_a_new_array_of_height_width_and_three_channels() -> None:
+    viewer = Viewer("rgb_array", size=(300, 220))
+    first = draw(snapshot(), viewer)
+    kept = first.copy()
+    second = draw(snapshot([(120.0, 200.0), (280.0, 280.0)]), viewer)
+    assert first.shape == (220, 300, 3)
+    assert first.dtype == np.uint8
+    assert first.flags.c_contiguous and first.flags.writeable
+    assert np.array_equal(first, kept)
+    assert not np.array_equal(first, second)
+
+
+def test_an_array_needs_no_display_and_opens_none() -> None:
+    run_python(
+        "import pygame\n"
+        "from mbn_marl.engine import BatchEngine\n"
+        "from mbn_marl.render import Viewer\n"
+        "engine = BatchEngine('field_03', num_worlds=1, autoreset=False, threads=1)\n"
+        "engine.reset()\n"
+        "frame = Viewer('rgb_array').draw(engine.snapshot())\n"
+        "assert frame.std() > 0\n"
+        "assert not pygame.display.get_init()\n"
+    )
+
+
+def test_importing_the_package_loads_no_drawing_library() -> None:
+    run_python(
+        "import sys, mbn_marl.render\n"
+        "loaded = {'pygame', 'matplotlib', 'PIL', 'numba'} & set(sys.modules)\n"
+        "assert not loaded, loaded\n"
+    )
+
+
+def test_without_pygame_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    for module in ("scene", "sprites"):
+        monkeypatch.delitem(sys.modules, f"mbn_marl.render.{module}", raising=False)
+    with pytest.raises(ImportError, match=r'pip install "mbn_marl\[render\]"'):
+        Viewer("rgb_array").draw(snapshot())
+
+
+def test_every_wrong_argument_is_listed() -> None:
+    with pytest.raises(ConfigError) as caught:
+        Viewer("ansi", size=(400, 40), frame_rate=0.0)
+    places = [problem.split(":")[0] for problem in caught.value.problems]
+    assert places == ["render_mode", "size", "frame_rate"]
+
+
+@pytest.mark.parametrize("render_mode", ["human", "rgb_array"])
+@pytest.mark.parametrize("make", [parallel_env, centralized_env])
+def test_the_size_of_an_environments_pictures_is_an_argument(
+    make: Any, render_mode: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+    def size(**changes: Any) -> tuple[int, ...]:
+        env = make("field_03", render_mode=render_mode, **changes)
+        env.reset(seed=0)
+        frame = env.render()
+        shown = pygame.display.get_window_size() if frame is None else frame.shape[1::-1]
+        env.close()
+        return tuple(shown)
+
+    assert size() == (800, 800)
+    assert size(render_size=(500, 300)) == (500, 300)
+
+
+@pytest.mark.parametrize("size", [(400, 40), (400.0, 400), (400,), 400, "big"])
+def test_a_size_that_cannot_be_is_refused_with_the_mode(size: Any) -> None:
+    for make in (parallel_env, aec_env, centralized_env, CentralizedVectorEnv):
+        with pytest.raises(ConfigError) as caught:
+            make(field="field_03", render_mode="ansi", render_size=size)
+        places = [problem.split(":")[0] for problem in caught.value.problems]
+        assert places == ["render_size", "render_mode"]
+
+
+def test_a_field_keeps_its_shape_in_a_picture_of_another() -> None:
+    rows, columns = where(draw(snapshot(), Viewer("rgb_array", (700, 300))), style.GROUND)
+    assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=2)
+
+
+# ---------------------------------------------------------------- windows
+
+
+@pytest.fixture
+def no_screen(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """SDL's driver that shows nothing; the display is closed afterwards."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.display.quit()
+
+
+@pytest.mark.usefixtures("no_screen")
+def test_the_window_shows_the_frame() -> None:
+    viewer = Viewer("human", SIZE, frame_rate=1000.0)
+    assert viewer.draw(snapshot()) is None
+    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+    assert np.array_equal(shown, draw(snapshot()))
+    viewer.close()
+    viewer.close()
+    assert not pygame.display.get_init()
+
+
+@pytest.mark.usefixtures("no_screen")
+@pytest.mark.parametrize(
+    "event",
+    [pygame.event.Event(pygame.QUIT), pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE)],
+    ids=["close button", "escape"],
+)
+def test_a_person_can_close_the_window(event: Any) -> None:
+    viewer = Viewer("human", SIZE, frame_rate=1000.0)
+    viewer.draw(snapshot())
+    assert not viewer.closed
+    pygame.event.post(event)
+    viewer.draw(snapshot())
+    assert viewer.closed
+    assert viewer.draw(snapshot()) is None
+    assert not pygame.display.get_init(), "a closed window stays closed"
+
+
+@pytest.mark.usefixtures("no_screen")
+def test_the_window_keeps_to_the_frame_rate() -> None:
+    viewer = Viewer("human", frame_rate=50.0)
+    viewer.draw(snapshot())
+    start = time.perf_counter()
+    for _ in range(5):
+        viewer.draw(snapshot())
+    assert time.perf_counter() - start > 0.08
+
+
+def test_a_window_without_a_display_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "no_such_driver")
+    with pytest.raises(RuntimeError, match=r"needs a display .* render_mode='rgb_array'"):
+        Viewer("human").draw(snapshot())

@@ -1,0 +1,61 @@
+"""Snapshots to draw, and what is found in their pictures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbn_marl.engine.snapshot import Snapshot
+from mbn_marl.field import Field
+from mbn_marl.render import Viewer, style
+
+SQUARE = [(100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0)]
+HOLE = [(190.0, 190.0), (210.0, 190.0), (210.0, 210.0), (190.0, 210.0)]
+FIELD = Field(SQUARE, rois=[(150.0, 150.0), (250.0, 250.0)], starts=[(120.0, 200.0)])
+
+SIZE = (400, 400)
+"""Pixels, unless the size is what is tested."""
+
+Frame = NDArray[np.uint8]
+
+
+def snapshot(trail: Any = ((120.0, 200.0),), **changes: Any) -> Snapshot:
+    """A moment of one robot (or, with a (t + 1, n, 2) trail, of more) in the square field."""
+    path = np.asarray(trail, np.float64)
+    path = path[:, None] if path.ndim == 2 else path
+    values: dict[str, Any] = {
+        "field": FIELD,
+        "positions": path[-1],
+        "velocities": np.zeros_like(path[-1]),
+        "visited": np.zeros(2, bool),
+        "trail": path,
+        "step": len(path) - 1,
+        "team_return": -10.0 * (len(path) - 1),
+        "wind": (0.0, 0.0),
+        "roi_radius": 10.0,
+        "safety_distance": 10.0,
+        "success": False,
+        "collision": False,
+    }
+    return Snapshot(**(values | changes))
+
+
+def draw(moment: Snapshot, viewer: Viewer | None = None) -> Frame:
+    """The frame of a viewer in rgb_array mode, a new one unless given."""
+    frame = (viewer or Viewer("rgb_array", SIZE)).draw(moment)
+    assert frame is not None
+    return frame
+
+
+def where(frame: Frame, colour: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the pixels of exactly that colour."""
+    rows, columns = np.nonzero((frame == style.rgb(colour)).all(axis=2))
+    return rows, columns
+
+
+def wander(steps: int, robots: int, seed: int = 0) -> NDArray[np.float64]:
+    """A random (steps + 1, robots, 2) walk inside the square field."""
+    walk = np.random.default_rng(seed).normal(0.0, 3.0, (steps + 1, robots, 2)).cumsum(axis=0)
+    return np.clip(200.0 + walk, 105.0, 295.0)

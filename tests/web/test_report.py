@@ -1,0 +1,108 @@
+"""The report: one page with everything, refused before the work if it cannot be."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from baselines.cli import main
+from tests.support.chromium import Chromium, fact, needs_browser
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two finished runs of one algorithm, with the zoo's policy and made-up evaluations."""
+    from baselines.zoo.entries import FOLDER
+
+    folder = tmp_path_factory.mktemp("runs")
+    entry = FOLDER / "field_03"
+    card = json.loads((entry / "card.json").read_text())
+    for seed in (0, 1):
+        run = folder / f"run{seed}"
+        shutil.copytree(entry, run)
+        config = json.loads((run / "config.json").read_text())
+        (run / "config.json").write_text(json.dumps({**config, "seed": seed}))
+        (run / "checksums.json").unlink()
+        (run / "command.txt").write_text(f"mbn train --seed {seed} <field>\n")
+        evaluation = {name: card[name] for name in ("stochastic", "deterministic")}
+        evaluation |= {"env_steps": 4096, "seconds": 2.0}
+        history = [
+            {"env_steps": 2048 * count, "seconds": count, "return_mean": 7e4 * count + seed}
+            for count in (1, 2)
+        ]
+        (run / "evaluation.json").write_text(json.dumps(evaluation))
+        (run / "evaluations.json").write_text(json.dumps(history))
+    return folder
+
+
+@needs_browser
+def test_the_report_is_one_page_with_everything(
+    runs: Path, browser: Chromium, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "report.html"
+    assert main(["report", str(runs), "-o", str(out)]) == 0
+    browser.size(1200, 900)
+    browser.open(out)
+    assert browser.problems == []
+    assert browser.run("performance.getEntriesByType('resource').length") == 0
+    text = browser.run("document.body.textContent")
+    for expected in (
+        "Optimality gap per field",
+        "best: run0",
+        "median: run1",
+        f"mbn report {runs} -o {out}",
+        "mbn train --seed 1 <field>",
+    ):
+        assert expected in text, expected
+    pictures = browser.run("[...document.images].map(one => [one.alt, one.naturalWidth > 100])")
+    assert ["Performance profiles", True] in pictures
+    assert ["Learning curves on field_03", True] in pictures
+    assert all(loaded for _, loaded in pictures)
+    links = browser.run(
+        "[...document.querySelectorAll('nav a')].every("
+        "one => document.querySelector(one.getAttribute('href')))"
+    )
+    assert links and browser.run("document.querySelector('[data-replay] .panel') !== null")
+    browser.press("End")
+    assert fact(browser, 0, "ROIs") == "0/6", "keys are the page's until a player is touched"
+    browser.run("document.querySelector('[data-replay] .scrub').focus()")
+    browser.press("End")
+    assert fact(browser, 0, "ROIs") == fact(browser, 1, "ROIs") == "6/6"
+    browser.size(390, 844, phone=True)
+    browser.wait_for("document.documentElement.scrollWidth <= 390")
+
+
+def test_a_report_is_refused_before_the_work(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "report.html"
+    out.write_text("mine")
+    assert main(["report", str(runs), "-o", str(out)]) == 2
+    assert "report.html already exists" in capsys.readouterr().err and out.read_text() == "mine"
+    unfinished = tmp_path / "unfinished"
+    shutil.copytree(runs / "run0", unfinished)
+    (unfinished / "evaluations.json").unlink()
+    assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
+    error = capsys.readouterr().err
+    assert "unfinished/evaluations.json is missing" in error
+    (unfinished / "evaluations.json").write_text("[]")
+    assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
+    assert "evaluations.json is empty" in capsys.readouterr().err
+    for text, message in (
+        ('[{"env_steps": 1, "seconds": 1.0}]', "evaluations.json has no return_mean"),
+        ("[7]", "evaluations.json has no env_steps"),
+        ("\udc80", "evaluations.json is not valid JSON"),
+    ):
+        (unfinished / "evaluations.json").write_text(text, "utf-8", "surrogateescape")
+        assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
+        assert message in capsys.readouterr().err
+    (unfinished / "evaluations.json").write_text("[]")
+    (unfinished / "config.json").write_text('{"algorithm": "ppo"}')
+    assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
+    assert "config.json has no setting, seed" in capsys.readouterr().err
+    assert main(["report", str(runs), "--paper", "-o", str(tmp_path / "new.html")]) == 2
+    assert main(["report", str(runs), "-o", str(tmp_path / "folder")]) == 2
+    assert not (tmp_path / "new.html").exists()
