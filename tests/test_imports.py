@@ -97,7 +97,9 @@ def loaded_by(statement: str) -> set[str]:
     ("statement", "allowed"),
     [
         ("import mbn_marl", set()),
-        ("import mbn_marl.__main__", set()),
+        ("from mbn_marl.__main__ import main; main(['--help'])", set()),
+        ("from mbn_marl.__main__ import main; main(['--version'])", set()),
+        ("from mbn_marl.__main__ import main; main(['fields'])", set()),
         ("from mbn_marl import Field, load_field; load_field('field_03')", set()),
         ("import gymnasium, mbn_marl; gymnasium.spec('mbn/field_03-v0')", set()),
         ("from mbn_marl import parallel_env; parallel_env('field_03')", {"numba"}),

@@ -2,50 +2,52 @@
 
 from __future__ import annotations
 
+import inspect
+import os
 import shlex
 import signal
 import sys
+import textwrap
 from collections.abc import Sequence
-from typing import Annotated
+from importlib import import_module
+from typing import Any
 
-import tyro
-from tyro.conf import subcommand
+from baselines.cli.options import WIDTH, UsageError, read_options
+from mbn_marl.errors import MbnError, unknown
+from mbn_marl.version import __version__
 
-from baselines.cli.compare import Compare
-from baselines.cli.deploy import Deploy
-from baselines.cli.evaluate import Evaluate
-from baselines.cli.fields import Fields
-from baselines.cli.grid import Grid
-from baselines.cli.plan import Plan
-from baselines.cli.render import Render
-from baselines.cli.replay import Replay
-from baselines.cli.report import Report
-from baselines.cli.train import Train
-from baselines.cli.transfer import Transfer
-from baselines.cli.tune import Tune
-from baselines.cli.watch import Play, Watch
-from baselines.cli.zoo import Zoo
-from mbn_marl.errors import MbnError
+COMMANDS = {
+    "fields": "fields:Fields",
+    "train": "train:Train",
+    "transfer": "transfer:Transfer",
+    "evaluate": "evaluate:Evaluate",
+    "compare": "compare:Compare",
+    "grid": "grid:Grid",
+    "tune": "tune:Tune",
+    "report": "report:Report",
+    "plan": "plan:Plan",
+    "render": "render:Render",
+    "replay": "replay:Replay",
+    "watch": "watch:Watch",
+    "play": "watch:Play",
+    "deploy": "deploy:Deploy",
+    "zoo": "zoo:Zoo",
+}
+"""The module of each command in this package, and its class; a module is imported when it is
+needed, and imports nothing heavy itself."""
 
-Command = (
-    Annotated[Fields, subcommand("fields")]
-    | Annotated[Train, subcommand("train")]
-    | Annotated[Transfer, subcommand("transfer")]
-    | Annotated[Evaluate, subcommand("evaluate")]
-    | Annotated[Compare, subcommand("compare")]
-    | Annotated[Grid, subcommand("grid")]
-    | Annotated[Tune, subcommand("tune")]
-    | Annotated[Report, subcommand("report")]
-    | Annotated[Plan, subcommand("plan")]
-    | Annotated[Render, subcommand("render")]
-    | Annotated[Replay, subcommand("replay")]
-    | Annotated[Watch, subcommand("watch")]
-    | Annotated[Play, subcommand("play")]
-    | Annotated[Deploy, subcommand("deploy")]
-    | Annotated[Zoo, subcommand("zoo")]
-)
+MOVED = {"bench": "python -m benchmarks, in a checkout of the repository"}
+"""Where commands went that are no longer here."""
+
+EXTRAS = {
+    "ray": "ray",
+    "mujoco": "sim3d",
+    "coppeliasim_zmqremoteapi_client": "sim3d",
+}
+"""What brings packages that commands need, if not the extra ``baselines``."""
 
 OWN_PACKAGES = ("mbn_marl", "baselines")
+READER_LEFT = 1
 WRONG_INPUT = 2
 INTERRUPTED = 130
 
@@ -54,34 +56,79 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``mbn`` with ``arguments``, by default those of the process.
 
     Returns:
-        The exit code: 0, 2 for wrong input (one message, no traceback), 130 after Ctrl-C.
+        The exit code: 0, 2 for wrong input (one message, no traceback), 130 after Ctrl-C, 1 if
+        nobody reads the output any more.
 
     Raises:
-        SystemExit: after ``--help``, and for a command line that cannot be parsed.
+        SystemExit: after ``--help`` of a command.
     """
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    command: Command = tyro.cli(
-        Command,
-        args=arguments,
-        prog="mbn",
-        description="Multi-robot navigation: fields, training, evaluation, comparison, pictures.",
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
-    signal.signal(signal.SIGTERM, _leave)
+    words = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        command.run(shlex.join(["mbn", *arguments]))
+        signal.signal(signal.SIGTERM, _leave)
+        _run(words)
     except MbnError as error:
         return _fail(str(error))
     except OSError as error:
+        if isinstance(error, BrokenPipeError) and _reader_left(probe="\n"):
+            return READER_LEFT
         return _fail(str(error) if error.filename is None else _of_file(error))
     except ImportError as error:
-        if error.name is None or error.name.split(".")[0] in OWN_PACKAGES:
+        package = (error.name or "").split(".")[0]
+        if package in ("", *OWN_PACKAGES):
             raise
-        return _fail(f"{error}; the extras of this package bring it: pip install 'mbn-marl[all]'")
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        extra = EXTRAS.get(package, "baselines")
+        return _fail(f"{error}: pip install 'mbn_marl[{extra}]' brings it")
+    except KeyboardInterrupt as error:
+        print(f"interrupted{': ' if error.args else ''}{error}", file=sys.stderr)
         return INTERRUPTED
-    return 0
+    return READER_LEFT if _reader_left() else 0
+
+
+def read_command(words: Sequence[str]) -> Any:
+    """Return the command that ``words`` ask for, ready to ``run``.
+
+    Raises:
+        UsageError: there is no such command, or an option is unknown, missing or wrong.
+        MbnError: a configuration is not valid.
+        SystemExit: after ``--help``.
+    """
+    name, *options = words
+    if name in MOVED:
+        raise UsageError(f"{name}: now {MOVED[name]}")
+    if name not in COMMANDS:
+        raise UsageError(f"{name}: {unknown('command', name, COMMANDS)}")
+    return read_options(_command(name), options, f"mbn {name}")
+
+
+def _run(words: list[str]) -> None:
+    if not words or words[0] in ("-h", "--help"):
+        print(_help())
+    elif words[0] == "--version":
+        print(f"mbn_marl {__version__}")
+    else:
+        read_command(words).run(shlex.join(["mbn", *words]))
+
+
+def _command(name: str) -> type:
+    module, _, of_class = COMMANDS[name].partition(":")
+    command: type = getattr(import_module(f"baselines.cli.{module}"), of_class)
+    return command
+
+
+def _help() -> str:
+    """Return the commands, each with the first paragraph of its docstring."""
+    lines = [
+        "usage: mbn COMMAND ...",
+        "",
+        "Multi-robot navigation: train, evaluate, compare, plan.",
+        "",
+    ]
+    for name in COMMANDS:
+        summary = " ".join((inspect.getdoc(_command(name)) or "").split("\n\n")[0].split())
+        lines += textwrap.wrap(
+            summary, WIDTH, initial_indent=f"  {name:10}", subsequent_indent=" " * 12
+        )
+    return "\n".join([*lines, "", "mbn COMMAND --help: its options; mbn --version: the version"])
 
 
 def _fail(message: str) -> int:
@@ -90,9 +137,19 @@ def _fail(message: str) -> int:
 
 
 def _of_file(error: OSError) -> str:
-    """The place first, as in all messages, and no number."""
+    """Return the place first, as in all messages, and no number."""
     places = [str(name) for name in (error.filename, error.filename2) if name is not None]
     return f"{' -> '.join(places)}: {error.strerror}"
+
+
+def _reader_left(probe: str = "") -> bool:
+    """Return whether nobody reads the output any more (``mbn zoo | head -1``); then silence it."""
+    try:
+        print(end=probe, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return True
+    return False
 
 
 def _leave(number: int, frame: object) -> None:

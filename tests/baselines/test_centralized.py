@@ -111,7 +111,7 @@ def test_what_the_paper_tuned_is_taken_or_skipped(name: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("A: {}\n", "N: no such block; there: A"),
+        ("A: {}\n", "N: unknown block; known: A"),
         ("N: [1, 2]\n", "must be a mapping from names of blocks to mappings"),
         ("N: {num_envs: 0}\n", "num_envs: Input should be greater than or equal to 1"),
         ("N: {worlds: 1}\n", "worlds: unknown name; known: source, environment, skipped, num_envs"),

@@ -13,7 +13,7 @@ from pathlib import Path
 import tyro
 
 from baselines.cli import main
-from baselines.cli.main import Command
+from baselines.cli.main import read_command
 from benchmarks.__main__ import benchmark_class
 
 ROOT = Path(__file__).parents[2]
@@ -80,7 +80,7 @@ def run_mbn(words: Sequence[str]) -> None:
 def parse_mbn(words: Sequence[str]) -> None:
     """Check that there is such a command."""
     if "--help" not in words:
-        tyro.cli(Command, args=words, config=(tyro.conf.FlagCreatePairsOff,))
+        read_command(words)
 
 
 def check_tool(words: Sequence[str]) -> None:

@@ -1,0 +1,105 @@
+"""However a command ends, it says so in a line, and nothing ends in a traceback."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from baselines.cli import fields
+from baselines.cli.main import COMMANDS, main
+from mbn_marl import __version__
+
+ROOT = Path(__file__).parents[3]
+HIDDEN = """
+import runpy, sys
+# An editable installation finds the modules of a package that is hidden.
+sys.meta_path[:] = [finder for finder in sys.meta_path if "Editable" not in str(finder)]
+runpy.run_module("mbn_marl", run_name="__main__")
+"""
+MBN = [sys.executable, "-m", "mbn_marl"]
+
+
+def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert __version__ in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["-h"]])
+def test_help_lists_every_command(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    listed = [line.split()[0] for line in lines if line.startswith("  ") and line[2] != " "]
+    assert listed == list(COMMANDS)
+    assert max(map(len, lines)) <= 80
+
+
+@pytest.mark.parametrize(("word", "meant"), [("trian", "train"), ("evalute", "evaluate")])
+def test_an_unknown_command_is_answered_with_a_known_one(
+    word: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([word]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"mbn: error: {word}: ") and f"did you mean {meant}?" in error
+
+
+def test_a_command_that_moved_says_where(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "speed"]) == 2
+    assert "python -m benchmarks" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "said"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted\n"),
+        (KeyboardInterrupt("runs/a: --resume"), 130, "interrupted: runs/a: --resume\n"),
+        (
+            ModuleNotFoundError("No module named 'optuna'", name="optuna"),
+            2,
+            "mbn: error: No module named 'optuna': pip install 'mbn_marl[baselines]' brings it\n",
+        ),
+        (
+            ModuleNotFoundError("No module named 'ray.tune'", name="ray.tune"),
+            2,
+            "mbn: error: No module named 'ray.tune': pip install 'mbn_marl[ray]' brings it\n",
+        ),
+        (FileNotFoundError(2, "gone", "a.yaml"), 2, "mbn: error: a.yaml: gone\n"),
+        (BrokenPipeError(32, "Broken pipe"), 2, "mbn: error: [Errno 32] Broken pipe\n"),
+    ],
+)
+def test_how_a_command_ends(
+    raised: BaseException,
+    code: int,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def run(command: object, command_line: str) -> None:
+        raise raised
+
+    monkeypatch.setattr(fields.Fields, "run", run)
+    assert main(["fields"]) == code
+    assert capsys.readouterr().err == said
+
+
+@pytest.mark.parametrize("words", [["zoo"], ["fields"], ["--help"], ["train", "--help"]])
+def test_a_reader_may_leave(words: list[str]) -> None:
+    with subprocess.Popen([*MBN, *words], stdout=-1, stderr=-1, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 1
+
+
+def test_another_package_that_is_called_baselines_is_named(tmp_path: Path) -> None:
+    other = tmp_path / "baselines" / "__init__.py"
+    other.parent.mkdir()
+    other.touch()
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
+    command = [sys.executable, "-c", HIDDEN]
+    run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert run.returncode == 1
+    assert str(other) in run.stderr and "Traceback" not in run.stderr
