@@ -18,12 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 import mbn_marl
 from docs.extensions import docstrings, notebooks
-from mbn_marl import load_field, parallel_env
-from mbn_marl.config import NavigationConfig
-from mbn_marl.episode import play, save_episode
+from mbn_marl import parallel_env
 from mbn_marl.errors import ActionError, MbnError
 from tests.support.pages import (
     EXTENDING,
+    NEEDS,
     PAGES,
     README,
     ROOT,
@@ -32,6 +31,7 @@ from tests.support.pages import (
     commands_of,
     run_page,
     write_file,
+    write_own_files,
 )
 
 TEXT = README.read_text(encoding="utf-8")
@@ -43,11 +43,7 @@ CODE = re.compile(r"`(?!mbn_marl)(\w+)\.(\w+)`")
 def test_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # a window that nobody sees
-    # What the reader is taken to have.
-    catalogue = (ROOT / "envs_catalog" / "field_03.yaml").read_text(encoding="utf-8")
-    Path("my_field.yaml").write_text(catalogue.replace("field_03", "my_field"), encoding="utf-8")
-    episode = play(load_field("my_field.yaml"), NavigationConfig(), np.zeros((2, 3, 2)))
-    save_episode(episode, "other.json")
+    write_own_files(tmp_path)
     run_page(page, tmp_path)
 
 
@@ -88,6 +84,13 @@ def test_notebook_prints_what_it_keeps(path: Path) -> None:
     kept = nbformat.read(path, as_version=4)
     assert notebooks.texts(notebooks.run(path)) == notebooks.texts(kept)
     assert any(text for cell in notebooks.texts(kept) for text in cell)
+
+
+def test_marks_of_blocks_are_known() -> None:
+    for page in PAGES:
+        marks = re.findall(r"<!-- needs:(.*)-->", page.read_text(encoding="utf-8"))
+        assert {mark.strip() for mark in marks} <= {*NEEDS}, page
+        assert len(marks) == sum(bool(block.needs) for block in blocks_of(page)), page
 
 
 def test_the_example_has_twelve_lines() -> None:

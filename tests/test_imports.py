@@ -25,29 +25,30 @@ LAYERS = [
     {"mbn_marl.adapters", "mbn_marl.registration"},
     {"mbn_marl.navigation_v0"},
     {"mbn_marl"},
+    {"docs.extensions"},
     {"baselines"},
     {"baselines.cli"},
-    {"mbn_marl.__main__"},
+    {"mbn_marl.__main__", "benchmarks"},
 ]
 """From the left to the right; an import points to the left or stays within its package."""
 RANK = {package: rank for rank, packages in enumerate(LAYERS) for package in packages}
 MODULES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
-    for folder in ("mbn_marl", "baselines")
+    for folder in ("mbn_marl", "baselines", "benchmarks", "docs/extensions")
     for path in sorted((ROOT / folder).rglob("*.py"))
 }
 HEAVY = {"numba", "torch", "pygame", "matplotlib", "stable_baselines3", "torchrl", "imageio"}
 
 
 def package_of(module: str) -> str:
-    """The layer's package that ``module`` belongs to."""
+    """Return the layer's package that ``module`` belongs to."""
     top, *rest = module.split(".")
-    own = top == "mbn_marl" or rest[:1] == ["cli"]
+    own = top in ("mbn_marl", "docs") or rest[:1] == ["cli"]
     return f"{top}.{rest[0]}" if own and rest else top
 
 
 def imports_of(module: str) -> Iterator[str]:
-    """The modules of this repository that ``module`` imports, inside functions too."""
+    """Yield the modules of this repository that ``module`` imports, inside functions too."""
     for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -60,6 +61,13 @@ def imports_of(module: str) -> Iterator[str]:
         yield from (name for name in names if name in MODULES)
 
 
+def named_in(module: str) -> Iterator[str]:
+    """Yield the modules of this repository whose names are strings in ``module``: loaded later."""
+    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and node.value in MODULES and "." in str(node.value):
+            yield node.value
+
+
 def test_every_module_has_a_layer() -> None:
     assert {package_of(module) for module in MODULES} == set(RANK)
 
@@ -67,9 +75,14 @@ def test_every_module_has_a_layer() -> None:
 @pytest.mark.parametrize("module", MODULES)
 def test_imports_point_to_the_left(module: str) -> None:
     own = package_of(module)
-    for imported in imports_of(module):
+    for imported in (*imports_of(module), *named_in(module)):
         other = package_of(imported)
         assert other == own or RANK[other] < RANK[own], f"{module} imports {imported}"
+
+
+def test_a_reader_of_baselines_sees_few_names() -> None:
+    names = {path.name for path in (ROOT / "baselines").iterdir()}
+    assert len({name for name in names if not name.startswith(("_", "README"))}) <= 15, names
 
 
 def test_no_circle_within_a_package() -> None:

@@ -1,10 +1,15 @@
-"""The package's public names, loaded on first use."""
+"""The wheel, and the package's public names, loaded on first use."""
 
 from __future__ import annotations
+
+import zipfile
+from pathlib import Path
 
 import pytest
 
 import mbn_marl
+from tests.support.pages import ROOT
+from tests.support.wheel import build_wheel
 
 
 def test_public_names():
@@ -19,3 +24,19 @@ def test_public_names():
 def test_an_unknown_name_is_an_error_that_names_it():
     with pytest.raises(AttributeError, match="'mbn_marl' has no attribute 'paralell_env'"):
         _ = mbn_marl.paralell_env
+
+
+def test_the_wheel_has_three_packages_and_their_data(tmp_path: Path) -> None:
+    with zipfile.ZipFile(build_wheel(tmp_path)) as wheel:
+        names = wheel.namelist()
+    top = {name.split("/")[0] for name in names}
+    info = f"mbn_marl-{mbn_marl.__version__}.dist-info"
+    assert top == {"mbn_marl", "baselines", "envs_catalog", info}
+    source = {
+        str(path.relative_to(ROOT))
+        for package in ("mbn_marl", "baselines", "envs_catalog")
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    left_out = {name for name in source - set(names) if not name.endswith(("README.md", ".txt"))}
+    assert left_out == set()

@@ -10,18 +10,26 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import tyro
+import yaml
 
 from baselines.cli import main
 from baselines.cli.main import read_command
 from benchmarks.__main__ import benchmark_class
+from mbn_marl import load_field
+from mbn_marl.config import NavigationConfig
+from mbn_marl.episode import play, save_episode
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 EXTENDING = ROOT / "docs" / "extending.md"
 PAGES = [README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
-BLOCK = re.compile(r"^```(.*?)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+NEEDS = ("", "checkout", "gpu", "cluster", "simulator")
+"""What may stand in the comment before a block, ``<!-- needs: checkout -->``: the block is not for
+everyone who has installed the package."""
+BLOCK = re.compile(r"(?:^<!-- needs: (\w+) -->\n)?^```(.*?)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 FILE_NAME = re.compile(r"# (\S+\.ya?ml)\n")
 
 BUDGET = "--steps 1 --evaluate-every 4096 --episodes 2"
@@ -36,6 +44,13 @@ TINY: Mapping[str, str] = {
     "watch": "--episodes 1 --speed 1000",
 }
 """What the reader adds to a command, so that it takes a moment."""
+TINY_GRID = {
+    "algorithms": ["a2c"],
+    "fields": ["field_03"],
+    "settings": ["A"],
+    "budget": {"steps": 1, "evaluate_every": 4096, "episodes": 2},
+}
+"""What the reader changes in the file of a grid."""
 
 
 @dataclass(frozen=True)
@@ -45,16 +60,22 @@ class Block:
     Attributes:
         language: what follows the backticks; empty for output.
         text: the code.
+        needs: one of :data:`NEEDS`.
     """
 
     language: str
     text: str
+    needs: str = ""
 
 
 def blocks_of(page: Path) -> list[Block]:
     """The code blocks of a page, in order; those of Sphinx's directives are none."""
     found = BLOCK.findall(page.read_text(encoding="utf-8"))
-    return [Block(language, text) for language, text in found if not language.startswith("{")]
+    return [
+        Block(language, text, needs)
+        for needs, language, text in found
+        if not language.startswith("{")
+    ]
 
 
 def commands_of(block: Block) -> Iterator[list[str]]:
@@ -65,16 +86,32 @@ def commands_of(block: Block) -> Iterator[list[str]]:
 
 
 def write_file(block: Block, folder: Path) -> None:
-    """Write the file that a YAML block shows, if it begins with a file's name."""
+    """Write the file that a YAML block shows, if it begins with a file's name; a grid tiny."""
     if name := FILE_NAME.match(block.text):
         path = folder / name[1]
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(block.text, encoding="utf-8")
+        shown = yaml.safe_load(block.text)
+        text = yaml.safe_dump({**shown, **TINY_GRID}) if "store" in shown else block.text
+        path.write_text(text, encoding="utf-8")
+
+
+def write_own_files(folder: Path) -> None:
+    """Write what the reader is taken to have: a field, and an episode on it."""
+    catalogue = (ROOT / "envs_catalog" / "field_03.yaml").read_text(encoding="utf-8")
+    field = folder / "my_field.yaml"
+    field.write_text(catalogue.replace("field_03", "my_field"), encoding="utf-8")
+    episode = play(load_field(field), NavigationConfig(), np.zeros((2, 3, 2)))
+    save_episode(episode, folder / "other.json")
+
+
+def tiny(words: Sequence[str]) -> list[str]:
+    """Return the words after ``mbn`` with what makes the command take a moment."""
+    return [*words, *TINY.get(words[0], "").split()]
 
 
 def run_mbn(words: Sequence[str]) -> None:
     """Run ``mbn`` with a tiny budget."""
-    assert main([*words, *TINY.get(words[0], "").split()]) == 0, shlex.join(words)
+    assert main(tiny(words)) == 0, shlex.join(words)
 
 
 def parse_mbn(words: Sequence[str]) -> None:
@@ -111,8 +148,9 @@ def run_page(page: Path, folder: Path) -> None:
     are the record of what was run.
     """
     names: dict[str, object] = {"__name__": "__main__"}
-    run = parse_mbn if "results" in page.parts or page.name == "grid.md" else run_mbn
     for block in blocks_of(page):
+        parsed = "results" in page.parts or block.needs in ("cluster", "gpu")
+        run = parse_mbn if parsed else run_mbn
         match block.language:
             case "python":
                 exec(compile(block.text, str(page), "exec"), names)

@@ -1,0 +1,38 @@
+"""The check of tests/newcomer.py for what is broken at 80 columns."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.newcomer import WIDTH, broken_words, in_a_terminal
+
+WHOLE = """
+ algo        return  seconds
+ ppo-shared  -1,972,196  3.1
+ mappo       159,165  12.5
+"""
+
+
+@pytest.mark.parametrize(
+    ("narrow", "broken"),
+    [
+        (WHOLE, []),
+        (" ppo-shared  -1,972,196  9.4\n mappo  159,165  88.0", []),
+        (" ppo-shar  -1,972,196\n ed\n mappo  159,165", ["ppo-shared"]),
+        (" ppo-shared  -1,972,1\n                   96", ["-1,972,196"]),
+        (" ppo-shared  -1,972,1\n 96", []),  # not in the same cell
+        (" ppo-sha…  -1,972,196", ["ppo-sha…  -1,972,196"]),
+    ],
+    ids=["whole", "other times", "label", "number", "another cell", "cut off"],
+)
+def test_broken_words(narrow: str, broken: list[str]) -> None:
+    assert [*broken_words(WHOLE, narrow)] == broken
+
+
+def test_a_terminal_has_80_columns(tmp_path: Path) -> None:
+    code = "import os; print(os.get_terminal_size().columns, '\\x1b[1mbold\\x1b[0m')"
+    shown = in_a_terminal([sys.executable, "-c", code], tmp_path, {})
+    assert shown == f"{WIDTH} bold\n"
