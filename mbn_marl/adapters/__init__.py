@@ -1,4 +1,4 @@
-"""The engine as others know it: PettingZoo, Gymnasium, Stable-Baselines3, TorchRL.
+"""Adapters of the engine: PettingZoo, Gymnasium, Stable-Baselines3, TorchRL.
 
-One module for each library, imported only by name, so that none needs the others' packages.
+Each library has its own module, imported by name, so that none needs the others' packages.
 """

@@ -1,4 +1,4 @@
-"""The centralised form as Gymnasium environments: one world, and many worlds as a native vector."""
+"""The centralised form as Gymnasium environments: one world, or a native vector of many."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.adapters.infos import Infos
-from mbn_marl.adapters.one_world import RENDER_MODES, OneWorld
+from mbn_marl.adapters.one_world import OneWorld
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.errors import ActionError, ConfigError
-from mbn_marl.optimum import optimal_return
 from mbn_marl.render.viewer import RENDER_SIZE
 
 State = NDArray[Any]
@@ -31,11 +30,11 @@ ENGINE_AUTORESET: Mapping[AutoresetMode, Literal["same_step", "next_step", "disa
 }
 
 
-class CentralizedEnv(gymnasium.Env[State, Actions]):
+class CentralizedEnv(OneWorld, gymnasium.Env[State, Actions]):
     """The single MDP of the paper. ``centralized_env`` is this class under its usual name.
 
     ============  ==================================================================================
-    action        ``(n, 2)`` float32 in [-1, 1]: each robot's force along x and y, in parts of f_max
+    action        ``(n, 2)`` float32 in [-1, 1]: each robot's force along x and y, in units of f_max
     observation   ``(4n+1,)`` in the engine's dtype: positions, velocities, visit code, raw units
     reward        the team's
     info          flat and numeric, see :mod:`mbn_marl.adapters.infos`
@@ -56,11 +55,6 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
         Choton, Woods, Hsu, section 3: state, action and reward of the single MDP.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - the base class declares an instance attribute
-        "render_modes": list(RENDER_MODES),
-        "render_fps": RENDER_FPS,
-    }
-
     def __init__(
         self,
         field: FieldLike = "field_03",
@@ -70,20 +64,9 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
         render_size: tuple[int, int] = RENDER_SIZE,
         **settings: Unpack[FixedSettings],
     ) -> None:
-        self._world = OneWorld(field, render_mode, render_size, n_robots=n_robots, **settings)
-        self.render_mode = render_mode
-        self.observation_space = self._world.state_space()
+        super().__init__(field, render_mode, render_size, n_robots=n_robots, **settings)
+        self.observation_space = self.state_space
         self.action_space = spaces.Box(-1.0, 1.0, (self.engine.n_robots, 2), np.float32)
-
-    @property
-    def engine(self) -> BatchEngine:
-        """The engine with this environment's world; look at it, but do not step it."""
-        return self._world.engine
-
-    @property
-    def optimal_return(self) -> float | None:
-        """The proved best team return here, see :func:`mbn_marl.optimum.optimal_return`."""
-        return optimal_return(self.engine.field, self.engine.config)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -91,22 +74,22 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
         """Start an episode.
 
         Args:
-            seed: starts the random numbers anew; ``None`` goes on to the next episode of the
-                current seed (0 before any was given).
-            options: not read, there are none.
+            seed: restarts the random numbers; ``None`` continues with those of the current seed,
+                at first 0.
+            options: ignored; there are none.
 
         Returns:
             The state, ``(4n+1,)`` in raw units, and the info.
         """
         super().reset(seed=seed)
-        self._world.reset(seed)
-        return self._world.state(), self._world.infos.nothing()
+        self._start(seed)
+        return self.engine.state()[0], self._infos.nothing()
 
     def step(self, action: ArrayLike) -> tuple[State, float, bool, bool, dict[str, Any]]:
         """Move all robots.
 
         Args:
-            action: finite numbers, ``(n, 2)``; what lies outside [-1, 1] is clipped.
+            action: finite numbers, ``(n, 2)``, clipped to [-1, 1].
 
         Returns:
             State ``(4n+1,)``, reward, terminated (success or collision), truncated
@@ -117,40 +100,30 @@ class CentralizedEnv(gymnasium.Env[State, Actions]):
             StepError: before the first reset, or after the end of an episode.
         """
         actions = _as_actions(action, (self.engine.n_robots, 2))
-        _, _, terminated, truncated = self._world.step(actions)
-        infos = self._world.infos
-        row = infos.of_teams(np.array([terminated or truncated]))[0]
-        info = dict(zip(infos.keys, row.tolist(), strict=True))
-        reward = float(self.engine.team_rewards[0])
-        return self._world.state(), reward, terminated, truncated, info
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """The current frame, ``(height, width, 3)`` uint8; ``None`` in human mode."""
-        return self._world.viewer.draw(self.engine)
-
-    def close(self) -> None:
-        """Close the window, if there is one. The environment can be used again."""
-        self._world.viewer.close()
+        _, _, terminated, truncated = self._move(actions)
+        row = self._infos.of_teams(np.array([terminated or truncated]))[0]
+        info = dict(zip(self._infos.keys, row.tolist(), strict=True))
+        return self.state(), float(self.engine.team_rewards[0]), terminated, truncated, info
 
 
 class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
-    """Many worlds of the single MDP in one engine, which ``gymnasium.make_vec`` makes.
+    """Many worlds of the single MDP in one engine; ``gymnasium.make_vec`` makes it.
 
-    Spaces, rewards and infos are those of :class:`CentralizedEnv` with an axis of worlds in front.
-    One seed serves all worlds; the engine derives a stream of its own for each.
+    Spaces, rewards and infos are those of :class:`CentralizedEnv` with a first axis of worlds. The
+    worlds share one seed, from which the engine derives a stream for each.
 
-    With ``SAME_STEP``, a world that ends starts its next episode in the same step. The state then
-    returned is the new episode's; ``infos["final_obs"][world]`` and ``infos["final_info"]`` hold
-    the last of the old one, and ``infos["_final_obs"]`` says in which worlds.
+    With ``SAME_STEP``, a world that ends starts its next episode in the same step, and the returned
+    state is the new episode's. ``infos["final_obs"][world]`` and ``infos["final_info"]`` contain
+    the last ones of the old episode, in the worlds that ``infos["_final_obs"]`` marks.
 
     Args:
         num_envs: number of worlds, W.
-        field: a catalogue name, a path or a :class:`~mbn_marl.Field`, or a sequence of these:
-            world w then uses the one at ``w % len(field)``.
+        field: a catalogue name, a path or a :class:`~mbn_marl.Field`, or a sequence of these;
+            world w uses the one at ``w % len(field)``.
         n_robots: team size; ``None`` uses all the field's starts.
         render_mode: ``"rgb_array"`` or ``None``.
         render_size: width and height of a frame, pixels, each at least 200.
-        autoreset_mode: Gymnasium's mode or its value, declared in ``metadata["autoreset_mode"]``.
+        autoreset_mode: Gymnasium's mode or its value, also in ``metadata["autoreset_mode"]``.
         threads: threads of the engine; ``None`` lets it choose.
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
@@ -202,8 +175,8 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         """Start an episode in every world, or in some.
 
         Args:
-            seed: one int for all worlds, starts the random numbers anew; ``None`` goes on to the
-                next episode of the current seed (0 before any was given).
+            seed: of all worlds, restarts the random numbers; ``None`` continues with those of the
+                current seed, at first 0.
             options: ``"reset_mask"``, ``(W,)`` bool, resets only these worlds (without a seed).
 
         Returns:
@@ -228,7 +201,7 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         """Move the robots of all worlds.
 
         Args:
-            actions: finite numbers, ``(W, n, 2)``; what lies outside [-1, 1] is clipped.
+            actions: finite numbers, ``(W, n, 2)``, clipped to [-1, 1].
 
         Returns:
             States ``(W, 4n+1)``, the teams' rewards ``(W,)``, terminated ``(W,)``, truncated
@@ -239,24 +212,18 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
             StepError: before the first reset, or (``DISABLED``) with an ended world.
         """
         engine = self.engine
-        allowed = (self.num_envs, engine.n_robots, 2)
-        _, _, terminated, truncated = engine.step(_as_actions(actions, allowed))
+        _, _, terminated, truncated = engine.step(actions)
         infos = self._step_infos(terminated | truncated)
-        return (
-            engine.state(),
-            engine.team_rewards.copy(),
-            terminated.copy(),
-            truncated.copy(),
-            infos,
-        )
+        copies = (engine.team_rewards.copy(), terminated.copy(), truncated.copy())
+        return engine.state(), *copies, infos
 
     def render(self) -> tuple[Any, ...] | None:
-        """A frame of every world, ``(height, width, 3)`` uint8; ``None`` without a render mode."""
+        """Return a frame of every world, ``(height, width, 3)`` uint8; ``None`` without a mode."""
         frames = tuple(self._viewer.draw(self.engine, world) for world in range(self.num_envs))
         return None if self.render_mode is None else frames
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Release the viewer; ``**kwargs`` is Gymnasium's and not read."""
+        """Release the viewer; ``**kwargs`` is Gymnasium's and ignored."""
         self._viewer.close()
 
     def _reset_some(self, mask: Any, seed: int | None) -> None:
@@ -266,13 +233,13 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         elif mask.shape != (self.num_envs,):
             problems.append(f"reset_mask: shape {mask.shape}, allowed: ({self.num_envs},)")
         if seed is not None:
-            problems.append("reset_mask: a seed restarts all worlds, give only one of the two")
+            problems.append("reset_mask: a seed restarts all worlds; give only one of the two")
         if problems:
             raise ConfigError("options", problems)
         self.engine.reset_worlds(mask)
 
     def _step_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        """The infos of a step, in the layout of Gymnasium's own vector environments."""
+        """Return a step's infos in the layout of Gymnasium's own vector environments."""
         everywhere = np.ones(self.num_envs, np.bool_)
         rows = self._infos.of_teams(ended)
         if self.autoreset_mode is not AutoresetMode.SAME_STEP or not ended.any():
@@ -290,7 +257,7 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         }
 
     def _by_key(self, rows: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
-        """Rows of infos ``(W, keys)`` as a column for each key; ``_key`` says where it counts."""
+        """Split rows of infos ``(W, keys)`` by key; ``_key`` is the mask of valid worlds."""
         infos = dict(zip(self._infos.keys, rows.T.copy(), strict=True))
         return {**infos, **{f"_{key}": mask for key in infos}}
 
@@ -305,7 +272,7 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def _as_actions(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.floating[Any]]:
-    """The actions as a float array of this shape, or an ActionError."""
+    """Return the actions as a float array; raise an ActionError for another shape."""
     try:
         array = np.asarray(actions)
         floats = array if array.dtype.kind == "f" else array.astype(np.float64)

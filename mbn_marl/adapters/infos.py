@@ -1,13 +1,13 @@
-"""The infos of a step: flat, numeric, the same keys at every step and reset.
+"""The infos of a step: flat and numeric, with the same keys at every step and reset.
 
 ==================  =========================================================================
 key                 value (float)
 ==================  =========================================================================
 ``success``         1 if all ROIs are visited
-``rois_visited``    how many ROIs the team has visited in this episode
+``rois_visited``    number of ROIs the team has visited in this episode
 ``collision``       1 if two robots came closer than the safety distance
-``wall_hits``       how often the robot tried to leave the field in this episode
-``path_length``     how far the robot has moved in this episode, in units
+``wall_hits``       number of times the robot tried to leave the field in this episode
+``path_length``     distance the robot has moved in this episode, in units
 ``impulse``         the robot's part of the paper's objective, ``|sum_t u_i tau|``
 ``reward/<term>``   the terms of this step's reward, which sum to the robot's own reward
 ``optimality_gap``  once the episode has ended, by how much its return falls short of the proved
@@ -28,14 +28,14 @@ from mbn_marl.optimum import optimal_return
 INFO_KEYS = INFO_COLUMNS
 GAP = "optimality_gap"
 TEAM_WIDE = slice(0, INFO_KEYS.index("wall_hits"))
-"""The first keys describe the team, and are the same for all of its robots."""
+"""The first keys describe the team and are the same for all robots."""
 
 
 class Infos:
     """Makes the infos of the worlds of ``engine``.
 
     Attributes:
-        keys: of every info, the same at every step.
+        keys: the keys of every info.
         optima: (W,), reward units: the proved optimum of each world, or ``None`` unless all have
             one.
     """
@@ -49,11 +49,11 @@ class Infos:
         self.keys = INFO_KEYS if self.optima is None else (*INFO_KEYS, GAP)
 
     def nothing(self) -> dict[str, float]:
-        """The info of a reset."""
+        """Return the info of a reset."""
         return dict.fromkeys(self.keys, 0.0)
 
     def of_robots(self, ended: bool) -> list[dict[str, float]]:
-        """One info for each robot of the first world; ``ended``: whether its episode has."""
+        """Return an info for each robot of the first world; ``ended``: its episode has ended."""
         rows = self._engine.infos()[0].tolist()
         infos = [dict(zip(INFO_KEYS, row, strict=True)) for row in rows]
         if self.optima is not None:
@@ -63,7 +63,7 @@ class Infos:
         return infos
 
     def of_teams(self, ended: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """The info of every world's team, ordered as the keys.
+        """Return the info of every world's team, ordered as the keys.
 
         Args:
             ended: (W,) bool, the worlds whose episode has ended.

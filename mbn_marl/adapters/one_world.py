@@ -1,4 +1,4 @@
-"""What the PettingZoo and the Gymnasium environment of one world share."""
+"""The base of the environments with one world: PettingZoo's and Gymnasium's."""
 
 from __future__ import annotations
 
@@ -9,28 +9,33 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from mbn_marl.adapters.infos import Infos
-from mbn_marl.adapters.rendering import LazyViewer
+from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.errors import StepError
-
-RENDER_MODES = ("human", "rgb_array")
+from mbn_marl.optimum import optimal_return
 
 
 class OneWorld:
-    """An engine with one world that stays ended until it is reset, and its frames.
+    """An engine with one world, which waits for a reset after its end, and its frames.
 
     Attributes:
-        engine: the engine; look at it, but let only the environment step and reset it.
-        infos: makes the infos.
-        agents: ``robot_0`` to ``robot_{n-1}``.
-        viewer: draws the world.
-        started: whether there has been a reset.
+        engine: the engine; read it, but let only the environment step and reset it.
+        state_space: the box of :meth:`state`.
+        render_mode: ``"human"``, ``"rgb_array"`` or ``None``.
 
     Raises:
         FieldError: listing every problem with the field.
         ConfigError: listing every problem with the settings.
+
+    Source:
+        Choton, Woods, Hsu, section 3: the state.
     """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as in Gymnasium and PettingZoo
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": RENDER_FPS,
+    }
 
     def __init__(
         self,
@@ -39,57 +44,57 @@ class OneWorld:
         render_size: tuple[int, int],
         **settings: Unpack[Settings],
     ) -> None:
-        self.viewer = LazyViewer(render_mode, RENDER_MODES, render_size)
-        self.engine = BatchEngine(field, num_worlds=1, autoreset=False, threads=1, **settings)
-        self.infos = Infos(self.engine)
-        self.agents = [f"robot_{index}" for index in range(self.engine.n_robots)]
-        self.started = False
+        self.render_mode = render_mode
+        self._viewer = LazyViewer(render_mode, self.metadata["render_modes"], render_size)
+        self.engine = engine = BatchEngine(
+            field, num_worlds=1, autoreset=False, threads=1, **settings
+        )
+        self.state_space = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
+        self._infos = Infos(engine)
+        self._started = False
 
-    def reset(self, seed: int | None) -> NDArray[np.float32]:
-        """Start an episode: a seed's first one, or the next one of the same seed.
+    @property
+    def optimal_return(self) -> float | None:
+        """The proved best team return, see :func:`mbn_marl.optimum.optimal_return`."""
+        return optimal_return(self.engine.field, self.engine.config)
 
-        Returns:
-            The robots' observations, ``(n, obs_size)``, fresh.
+    def state(self) -> NDArray[Any]:
+        """Return the paper's state, ``(4n+1,)`` in the engine's dtype, raw units, a fresh array.
+
+        Raises:
+            StepError: before the first reset.
         """
+        if not self._started:
+            raise StepError("there is no state before the first reset(): call reset() first")
+        state: NDArray[Any] = self.engine.state()[0]
+        return state
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return the current frame, ``(height, width, 3)`` uint8; ``None`` in human mode."""
+        return self._viewer.draw(self.engine)
+
+    def close(self) -> None:
+        """Close the window, if there is one. The environment can be used again."""
+        self._viewer.close()
+
+    def _start(self, seed: int | None) -> NDArray[np.float32]:
+        """Start an episode; return fresh observations ``(n, obs_size)``."""
         observations: NDArray[np.float32] = self.engine.reset(seed)[0].copy()
-        self.started = True
+        self._started = True
         self._show()
         return observations
 
-    def step(self, actions: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[Any], bool, bool]:
-        """Move the robots.
-
-        Args:
-            actions: floats of shape ``(n, 2)``; numbers outside [-1, 1] are clipped.
+    def _move(self, actions: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[Any], bool, bool]:
+        """Step with actions ``(n, 2)``.
 
         Returns:
-            The robots' observations ``(n, obs_size)``, fresh, and their rewards ``(n,)``, which the
-            next step overwrites; whether the episode has terminated, and whether it was truncated.
-
-        Raises:
-            ActionError: an action is not finite; nothing has moved.
-            StepError: before the first reset, or after the end of an episode.
+            Fresh observations ``(n, obs_size)``, rewards ``(n,)`` that the next step overwrites,
+            terminated and truncated.
         """
         observations, rewards, terminated, truncated = self.engine.step(actions[None])
         self._show()
         return observations[0].copy(), rewards[0], bool(terminated[0]), bool(truncated[0])
 
-    def state(self) -> NDArray[Any]:
-        """The paper's state, ``(4n+1,)`` in the engine's dtype, fresh.
-
-        Raises:
-            StepError: before the first reset.
-        """
-        if not self.started:
-            raise StepError("there is no state before the first reset(): call reset() first")
-        state: NDArray[Any] = self.engine.state()[0]
-        return state
-
-    def state_space(self) -> spaces.Box:
-        """The box that :meth:`state` lies in."""
-        engine = self.engine
-        return spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
-
     def _show(self) -> None:
-        if self.viewer.render_mode == "human":
-            self.viewer.draw(self.engine)
+        if self.render_mode == "human":
+            self._viewer.draw(self.engine)

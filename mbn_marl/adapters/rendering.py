@@ -1,4 +1,4 @@
-"""Frames for the adapters: the viewer, made when the first frame is asked for."""
+"""Frames for the adapters, from a viewer that is made with the first frame."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RENDER_FPS = 30
 
 
 class LazyViewer:
-    """Draws worlds of an engine. Pygame is imported and opened with the first frame.
+    """Draws worlds of an engine; imports and opens Pygame with the first frame.
 
     Args:
         render_mode: one of ``allowed``, or ``None`` for an environment that draws nothing.
@@ -27,7 +27,7 @@ class LazyViewer:
         size: width and height of a frame, pixels.
 
     Raises:
-        ConfigError: an unknown render mode, or a size that cannot be.
+        ConfigError: an unknown render mode, or a size that is not allowed.
     """
 
     def __init__(
@@ -43,10 +43,9 @@ class LazyViewer:
         self._viewer: Viewer | None = None
 
     def draw(self, engine: BatchEngine, world: int = 0) -> NDArray[np.uint8] | None:
-        """The frame of a world, ``(height, width, 3)`` uint8.
+        """Return the frame of a world, ``(height, width, 3)`` uint8, or show it in human mode.
 
-        ``None`` in human mode, which shows the frame; and ``None``, with a warning as is the
-        custom in both ecosystems, for an environment made without a render mode.
+        Without a render mode, return ``None`` with a warning, as Gymnasium and PettingZoo do.
         """
         if self.render_mode is None:
             gymnasium.logger.warn("render() draws nothing: the environment has no render_mode")

