@@ -9,7 +9,7 @@ import heapq
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from baselines.compare.text_table import Grid
+from baselines.compare.text_table import TextTable
 from baselines.sweep.spec import Cell, GridSpec, cells_of
 from baselines.sweep.status import duration
 
@@ -53,7 +53,7 @@ def makespan(cells: Sequence[Cell], workers: int) -> float:
     return now
 
 
-def capacity() -> Grid:
+def capacity() -> TextTable:
     """Return the table."""
     lines = []
     for algorithms, name in ((tuple(SPEEDS), "all six"), (CHEAP, "without CrossQ and TQC")):
@@ -65,7 +65,7 @@ def capacity() -> Grid:
             runs = f"{name}, {seeds} seed{'' if seeds == 1 else 's'}"
             lines.append((runs, str(len(cells)), f"{hours:,.0f}", *times))
     headings = ("grid", "runs", "core hours", *(f"on {n}" for n in MACHINES))
-    return Grid(CAPTION, headings, tuple(lines))
+    return TextTable(CAPTION, headings, tuple(lines))
 
 
 @dataclass(frozen=True)

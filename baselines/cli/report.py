@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -36,18 +36,15 @@ class Report:
         """Write the report."""
         from functools import partial
 
-        from baselines.compare.html import SUFFIX, write_html_report
-        from baselines.compare.markdown import report_comparison
+        from baselines.compare.report import is_page, report_comparison
         from baselines.compare.tables import print_comparison
         from baselines.console import console
-        from baselines.paper.report import write_report
         from mbn_marl.errors import ConfigError
 
-        one_page = self.out.suffix.lower() == SUFFIX
         problems = []
-        if one_page and self.paper:
+        if is_page(self.out) and self.paper:
             problems.append(f"out: --paper writes a folder or .md, not {self.out}")
-        elif not one_page and self.paper == self.comparison:
+        elif not is_page(self.out) and self.paper == self.comparison:
             problems.append("kind: --paper or --comparison is needed, or an out that ends in .html")
         if not self.paper and (self.study is not None or self.notes is not None):
             problems.append("study and notes: allowed with --paper")
@@ -57,36 +54,12 @@ class Report:
             raise ConfigError("report", problems)
         screen = console()
         note = partial(screen.print, soft_wrap=True, highlight=False)
-        if one_page:
-            comparison = write_html_report(
-                self.runs,
-                self.out,
-                command=command_line,
-                force=self.force,
-                trust=self.trust,
-                note=note,
-            )
-            print_comparison(comparison, screen)
-            screen.print(f"written to {self.out}")
-            return
+        how: dict[str, Any] = {"command": command_line, "force": self.force, "note": note}
         if self.paper:
-            place = write_report(
-                self.runs,
-                self.out,
-                command=command_line,
-                study=self.study,
-                notes=self.notes,
-                force=self.force,
-                note=note,
-            )
+            from baselines.paper.report import write_report
+
+            write_report(self.runs, self.out, study=self.study, notes=self.notes, **how)
         else:
-            place, comparison = report_comparison(
-                self.runs,
-                self.out,
-                command=command_line,
-                force=self.force,
-                trust=self.trust,
-                note=note,
-            )
-            print_comparison(comparison, screen)
-        screen.print(f"written to {place.page}; tables and figures in {place.folder}")
+            found = report_comparison(self.runs, self.out, trust=self.trust, **how)
+            print_comparison(found, screen)
+        note(f"written to {self.out}")

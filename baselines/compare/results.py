@@ -1,251 +1,131 @@
-"""Finished runs as results that can be compared: the same seeds, budgets and evaluations."""
+"""Runs that may be compared: the same seeds, budgets and evaluations."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.algorithms import Form, find_algorithm
-from baselines.runs.discover import run_folders
-from baselines.runs.files import RunError
-from baselines.runs.folder import RunFolder
-from baselines.training.config import default_label
-from mbn_marl.config import make_config
+from baselines.compare.records import Kind, RunRecord, ordered
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import Field
-from mbn_marl.optimum import VIEW, optimal_return
+from mbn_marl.optimum import VIEW
 
-CONFIG = (
-    *("algorithm", "setting", "seed", "steps", "evaluate_every", "episodes"),
-    *("environment", "hyperparameters"),
-)
-EVALUATION = ("env_steps", "seconds", "stochastic", "deterministic")
-SUMMARY = ("return_mean", "success_rate", "makespan")
-HISTORY = ("env_steps", "seconds", "return_mean")
-"""What a run's files have to have to be compared: the configuration, the final evaluation, each of
-its two summaries, and every entry of the evaluations on the way."""
-
-Kind = Literal["stochastic", "deterministic"]
-"""Of a final evaluation: with sampled actions, or with mean ones."""
-
-
-@dataclass(frozen=True)
-class Result:
-    """What a finished run recorded.
-
-    Attributes:
-        run: its folder.
-        config: its configuration.
-        field: the field it was trained on.
-        evaluations: the summaries of its fresh evaluations, in order.
-        evaluation: the final evaluation.
-    """
-
-    run: RunFolder
-    config: Mapping[str, Any]
-    field: Field
-    evaluations: Sequence[dict[str, Any]]
-    evaluation: Mapping[str, Any]
-
-    @classmethod
-    def read(cls, run: RunFolder) -> Result:
-        """Read a run.
-
-        Raises:
-            RunError: it is not finished, a file cannot be read, or lacks what runs record now.
-        """
-        result = cls(run, run.config, run.field, run.evaluations, run.evaluation)
-        for name, entries, needed in result._parts():
-            known = entries if isinstance(entries, Mapping) else {}
-            if missing := [entry for entry in needed if entry not in known]:
-                problem = f"has no {', '.join(missing)}: it is not a run of this version"
-                raise RunError(f"{run.path / name} {problem}")
-        if not result.evaluations:
-            raise RunError(f"{run.path / 'evaluations.json'} is empty: the run was never evaluated")
-        return result
-
-    def _parts(self) -> Iterator[tuple[str, Any, Sequence[str]]]:
-        """Each part that is read: its file, what is there, and what has to be in it."""
-        yield "config.json", self.config, CONFIG
-        yield "evaluation.json", self.evaluation, EVALUATION
-        yield "evaluation.json", self.evaluation["stochastic"], SUMMARY
-        yield "evaluation.json", self.evaluation["deterministic"], SUMMARY
-        for entry in self.evaluations:
-            yield "evaluations.json", entry, HISTORY
-
-    @property
-    def label(self) -> str:
-        """What tables and figures call it."""
-        config = self.config
-        return config.get("label") or default_label(config["algorithm"], config["setting"])
-
-    @property
-    def form(self) -> Form:
-        """Whether one policy moved all robots, or each robot its own."""
-        return find_algorithm(self.config["algorithm"]).form
-
-    @cached_property
-    def optimum(self) -> float | None:
-        """The proved best return, or ``None`` if nothing is proved."""
-        return optimal_return(self.field, make_config(self.config["environment"]))
-
-    def final(self, *path: str) -> float:
-        """A number of the final evaluation."""
-        value: Any = self.evaluation
-        for name in path:
-            value = value[name]
-        return float(value)
+BUDGET = ("steps", "evaluate_every", "episodes")
+LEARNER = ("algorithm", "setting", "environment", "hyperparameters")
+"""What must be the same in all runs, and in all runs of one label."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """Results that may be compared: each label on each field with equally many seeds.
+    """Finished runs that may be compared: each label on each field with equally many seeds.
 
     Attributes:
-        labels: in order.
+        looks: the labels in order, with the numbers of their looks in figures.
         fields: names, in order.
-        cells: the results of each label and field, by seed.
-        broken: what is said of each run that broke down, by its name; its label is not among the
+        cells: the runs of each label and field, by seed.
+        broken: the error of each run that diverged, by its name; its label is not among the
             others, since what is left of it would be too good.
     """
 
-    labels: tuple[str, ...]
+    looks: Mapping[str, int]
     fields: tuple[str, ...]
-    cells: Mapping[tuple[str, str], tuple[Result, ...]]
+    cells: Mapping[tuple[str, str], tuple[RunRecord, ...]]
     broken: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, results: Sequence[Result], broken: Mapping[str, str] | None = None) -> Results:
-        """Put results together.
+    def of(cls, records: Sequence[RunRecord], broken: Mapping[str, str] | None = None) -> Results:
+        """Put finished runs together.
 
         Args:
-            results: of runs that finished.
+            records: the runs.
             broken: see the attribute.
 
         Raises:
             ConfigError: naming everything that keeps them from being compared.
         """
-        if not results:
+        if not records:
             raise ConfigError("comparison", ["runs: there is none"])
-        labels = tuple(dict.fromkeys(result.label for result in results))
-        fields = tuple(dict.fromkeys(result.field.name for result in results))
-        cells: dict[tuple[str, str], list[Result]] = {
-            (label, field): [] for label in labels for field in fields
+        looks = ordered({one.label: one.config["algorithm"] for one in records})
+        fields = tuple(sorted({one.field.name for one in records}))
+        cells: dict[tuple[str, str], list[RunRecord]] = {
+            place: [] for place in itertools.product(looks, fields)
         }
-        for result in results:
-            cells[result.label, result.field.name].append(result)
-        problems = [
-            *_unequal_seeds(cells),
-            *_differences(results, "all runs", _everywhere),
-            *(
-                problem
-                for label in labels
-                for problem in _differences(
-                    [result for result in results if result.label == label],
-                    f"runs labelled {label}",
-                    _in_a_label,
-                )
-            ),
-            *_different_fields(results),
-        ]
+        for one in sorted(records, key=lambda one: int(one.config["seed"])):
+            cells[one.label, one.field.name].append(one)
+        problems = [*_unequal_seeds(cells), *_differences(records, "all runs", _everywhere)]
+        for label in looks:
+            own = [one for one in records if one.label == label]
+            problems += _differences(own, f"runs labelled {label}", _in_a_label)
+        problems += _different_fields(records)
         if problems:
             raise ConfigError("comparison", problems)
-        ordered = {
-            place: tuple(sorted(cell, key=lambda result: int(result.config["seed"])))
-            for place, cell in cells.items()
-        }
-        return cls(labels, fields, ordered, broken or {})
+        return cls(looks, fields, {at: tuple(cell) for at, cell in cells.items()}, broken or {})
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The labels in order."""
+        return tuple(self.looks)
 
     @property
     def seeds(self) -> int:
         """Runs of a cell."""
         return len(next(iter(self.cells.values())))
 
-    def of_label(self, label: str) -> list[Result]:
-        """The results of a label, field by field."""
-        return [result for field in self.fields for result in self.cells[label, field]]
+    def of_label(self, label: str) -> list[RunRecord]:
+        """The runs of a label, field by field."""
+        return [one for field in self.fields for one in self.cells[label, field]]
+
+    def of_field(self, field: str) -> dict[str, tuple[RunRecord, ...]]:
+        """The runs on a field, by label."""
+        return {label: self.cells[label, field] for label in self.looks}
 
     def returns(self, label: str, kind: Kind = "stochastic") -> NDArray[np.float64]:
-        """The final mean returns of a label, (fields, seeds)."""
-        return np.array(
-            [
-                [result.final(kind, "return_mean") for result in self.cells[label, field]]
-                for field in self.fields
-            ]
-        )
+        """The final mean returns of a label (reward units), (fields, seeds)."""
+        finals = [one.final(kind, "return_mean") for one in self.of_label(label)]
+        return np.array(finals).reshape(len(self.fields), -1)
 
     def optima(self) -> NDArray[np.float64]:
-        """The proved best returns, (fields,); NaN where nothing is proved."""
+        """The proved best returns (reward units), (fields,); NaN where nothing is proved."""
         firsts = [self.cells[self.labels[0], field][0] for field in self.fields]
         return np.array([first.optimum for first in firsts], np.float64)
 
     def proved(self) -> Results | None:
         """The part on fields with a proved optimum; ``None`` if there is none."""
-        known = np.isfinite(self.optima())
-        fields = tuple(itertools.compress(self.fields, known))
+        fields = tuple(itertools.compress(self.fields, np.isfinite(self.optima())))
         cells = {place: cell for place, cell in self.cells.items() if place[1] in fields}
-        return Results(self.labels, fields, cells) if fields else None
+        return Results(self.looks, fields, cells) if fields else None
 
 
-def find_results(
-    paths: Sequence[Path],
-    note: Callable[[str], None] = lambda text: None,
-    *,
-    trust: bool = False,
-) -> Results:
-    """Read the runs at ``paths``: run folders, or folders with run folders anywhere inside.
-
-    Args:
-        paths: where to look.
-        note: is told what is left out, see :func:`baselines.runs.discover.run_folders`.
-        trust: whether pickled files of the runs may be loaded whoever made them.
-
-    Raises:
-        RunError: a path holds no run, or a run is not finished.
-        ConfigError: naming everything that keeps the runs from being compared.
-    """
-    folders = run_folders(paths, note, comparisons=True)
-    return Results.of([Result.read(RunFolder.open(folder, trust=trust)) for folder in folders])
-
-
-def _unequal_seeds(cells: Mapping[tuple[str, str], Sequence[Result]]) -> list[str]:
-    """Cells with fewer seeds than another has, and seeds that are there twice."""
+def _unequal_seeds(cells: Mapping[tuple[str, str], Sequence[RunRecord]]) -> list[str]:
+    """Name cells with fewer seeds than another has, and seeds that are there twice."""
     problems = []
-    seeds = {place: [result.config["seed"] for result in cell] for place, cell in cells.items()}
+    seeds = {place: [one.config["seed"] for one in cell] for place, cell in cells.items()}
     most = max(len(set(numbers)) for numbers in seeds.values())
     for (label, field), numbers in seeds.items():
-        place = f"{label} on {field}"
-        if len(set(numbers)) < most:
-            there = ", ".join(map(str, sorted(set(numbers)))) or "none"
+        place, distinct = f"{label} on {field}", sorted(set(numbers))
+        if len(distinct) < most:
+            there = ", ".join(map(str, distinct)) or "none"
             problems.append(
-                f"seeds: {place} has {len(set(numbers))} ({there}), another has {most}; allowed: "
+                f"seeds: {place} has {len(distinct)} ({there}), another has {most}; allowed: "
                 "equally many everywhere"
             )
-        problems += [
-            f"seeds: {place} has seed {seed} twice"
-            for seed in sorted(set(numbers))
-            if numbers.count(seed) > 1
-        ]
+        twice = [seed for seed in distinct if numbers.count(seed) > 1]
+        problems += [f"seeds: {place} has seed {seed} twice" for seed in twice]
     return problems
 
 
 def _differences(
-    results: Sequence[Result], whose: str, values_of: Callable[[Result], Mapping[str, Any]]
+    records: Sequence[RunRecord], whose: str, values_of: Callable[[RunRecord], Mapping[str, Any]]
 ) -> list[str]:
-    """The values in which a result differs from the first one, each named once."""
-    first = results[0]
-    values = values_of(first)
-    problems = []
-    for name, value in values.items():
-        for other in results:
+    """Name each value in which a run differs from the first one, once."""
+    first, problems = records[0], []
+    for name, value in values_of(first).items():
+        for other in records:
             theirs = values_of(other).get(name)
             if theirs != value:
                 problems.append(
@@ -256,27 +136,24 @@ def _differences(
     return problems
 
 
-def _everywhere(result: Result) -> dict[str, Any]:
-    """What all runs of a comparison have in common: budget, evaluations, and what is to reach."""
-    world = result.config["environment"]
-    return {
-        **{name: result.config[name] for name in ("steps", "evaluate_every", "episodes")},
-        **{f"environment.{name}": world[name] for name in world if name not in VIEW},
-    }
+def _everywhere(record: RunRecord) -> dict[str, Any]:
+    """Return what all runs have in common: budget, evaluations, and the task."""
+    world = record.config["environment"]
+    task = {f"environment.{name}": world[name] for name in world if name not in VIEW}
+    return {name: record.config[name] for name in BUDGET} | task
 
 
-def _in_a_label(result: Result) -> dict[str, Any]:
-    """What runs of one label have in common: they differ in field and seed alone."""
-    names = ("algorithm", "setting", "environment", "hyperparameters")
-    return {name: result.config[name] for name in names}
+def _in_a_label(record: RunRecord) -> dict[str, Any]:
+    """Return what runs of one label have in common: they differ in field and seed alone."""
+    return {name: record.config[name] for name in LEARNER}
 
 
-def _different_fields(results: Sequence[Result]) -> list[str]:
-    """Names that two fields have."""
-    firsts: dict[str, Result] = {}
+def _different_fields(records: Sequence[RunRecord]) -> list[str]:
+    """Name two runs whose different fields have one name."""
+    firsts: dict[str, RunRecord] = {}
     return [
-        f"fields: {first.run.path} and {result.run.path} have different fields of the "
-        f"name {result.field.name}"
-        for result in results
-        if (first := firsts.setdefault(result.field.name, result)).field != result.field
+        f"fields: {first.run.path} and {one.run.path} have different fields of the "
+        f"name {one.field.name}"
+        for one in records
+        if (first := firsts.setdefault(one.field.name, one)).field != one.field
     ]

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.compare.results import Result, Results
+from baselines.compare.records import RunRecord
+from baselines.compare.results import Results
 from baselines.compare.variants import Variant
 from baselines.runs.files import RunError, alone, claim_folder, read_json, write_json
 from baselines.runs.folder import RunFolder
@@ -141,7 +142,7 @@ def train_all_runs(
     whole = [job for job in jobs if job.config.shown_as not in left_out]
     if not whole:
         raise RunError("nothing is left to compare:\n" + "\n".join(broken.values()))
-    return Results.of([Result.read(RunFolder.open(job.out)) for job in whole], broken)
+    return Results.of([RunRecord.read(RunFolder.open(job.out)) for job in whole], broken)
 
 
 def _check_same(config: CompareConfig, out: Path) -> None:

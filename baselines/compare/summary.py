@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,8 @@ from baselines.compare.aggregate import (
     performance_profile,
     probability_of_improvement,
 )
-from baselines.compare.results import Result, Results
+from baselines.compare.records import RunRecord
+from baselines.compare.results import Results
 from baselines.evaluation.intervals import mean_interval, mean_of_known, reach
 
 THRESHOLDS = np.concatenate([np.arange(90) / 100, np.arange(900, 1001) / 1000])
@@ -26,11 +27,11 @@ THRESHOLDS = np.concatenate([np.arange(90) / 100, np.arange(900, 1001) / 1000])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Summary:
-    """What both tables have of some runs with one label.
+class Outcome:
+    """What the runs of one label reached, on one field or on several.
 
     Attributes:
-        label: what is compared: an algorithm, or a variant of one.
+        label: of an algorithm, or of a variant of one.
         algorithm: its algorithm.
         form: ``"centralized"`` or ``"decentralized"``.
         seeds: runs on each field.
@@ -57,7 +58,7 @@ class Summary:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row(Summary):
+class FieldOutcome(Outcome):
     """One label on one field, over seeds.
 
     Attributes:
@@ -86,7 +87,7 @@ class Row(Summary):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Aggregate(Summary):
+class Aggregate(Outcome):
     """One label over all fields with a proved optimum; scores are returns as shares of it.
 
     Attributes:
@@ -111,15 +112,17 @@ class Comparison:
     """Everything that a comparison found.
 
     Attributes:
+        looks: the labels in order, with the numbers of their looks in figures.
         rows: every label on every field, field by field.
         aggregates: every label over the fields with a proved optimum; empty if there is none.
         improvement: for each two labels how likely a run of the first has a higher return with
             sampled actions than one of the second on the same field, over all fields.
         unproved: the fields that the aggregates leave out.
-        broken: what is said of each run that broke down, by its name; its label is left out.
+        broken: the error of each run that diverged, by its name; its label is left out.
     """
 
-    rows: tuple[Row, ...]
+    looks: Mapping[str, int]
+    rows: tuple[FieldOutcome, ...]
     aggregates: tuple[Aggregate, ...]
     improvement: Mapping[str, Mapping[str, Estimate]]
     unproved: tuple[str, ...]
@@ -128,11 +131,11 @@ class Comparison:
     def to_json(self) -> dict[str, Any]:
         """Everything as JSON values."""
         return {
-            "rows": [asdict(row) for row in self.rows],
-            "aggregates": [_aggregate_json(aggregate) for aggregate in self.aggregates],
+            "rows": [_plain(row) for row in self.rows],
+            "aggregates": [_plain(aggregate) for aggregate in self.aggregates],
             "profile_thresholds": THRESHOLDS.tolist(),
             "probability_of_improvement": {
-                ours: {theirs: estimate._asdict() for theirs, estimate in others.items()}
+                ours: {theirs: _plain(estimate) for theirs, estimate in others.items()}
                 for ours, others in self.improvement.items()
             },
             "fields_without_proved_optimum": list(self.unproved),
@@ -142,9 +145,10 @@ class Comparison:
     def csv(self) -> str:
         """The rows as CSV; an unknown value is empty."""
         text = io.StringIO()
-        writer = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
+        names = [field.name for field in fields(FieldOutcome)]
+        writer = csv.DictWriter(text, names, lineterminator="\n")
         writer.writeheader()
-        writer.writerows(asdict(row) for row in self.rows)
+        writer.writerows(_plain(row) for row in self.rows)
         return text.getvalue()
 
 
@@ -152,6 +156,7 @@ def summarise(results: Results) -> Comparison:
     """Summarise results over seeds, and over fields."""
     proved = results.proved()
     return Comparison(
+        looks=results.looks,
         rows=tuple(
             _row(results.cells[label, field])
             for field in results.fields
@@ -175,20 +180,20 @@ def summarise(results: Results) -> Comparison:
     )
 
 
-def _common(results: Sequence[Result], seeds: int) -> dict[str, Any]:
-    """The attributes of :class:`Summary`."""
-    first = results[0]
-    hits = reach([result.evaluations for result in results])
+def _common(records: Sequence[RunRecord], seeds: int) -> dict[str, Any]:
+    """The attributes of :class:`Outcome`."""
+    first = records[0]
+    hits = reach([one.evaluations for one in records])
 
     def mean(*path: str) -> float:
-        return float(np.mean([result.final(*path) for result in results]))
+        return float(np.mean([one.final(*path) for one in records]))
 
     return {
         "label": first.label,
         "algorithm": first.config["algorithm"],
         "form": first.form,
         "seeds": seeds,
-        "env_steps": max(result.evaluation["env_steps"] for result in results),
+        "env_steps": max(one.evaluation["env_steps"] for one in records),
         "success_rate": mean("stochastic", "success_rate"),
         "deterministic_success_rate": mean("deterministic", "success_rate"),
         "reached": hits.reached,
@@ -198,12 +203,12 @@ def _common(results: Sequence[Result], seeds: int) -> dict[str, Any]:
     }
 
 
-def _row(cell: Sequence[Result]) -> Row:
-    stochastic = [result.evaluation["stochastic"] for result in cell]
+def _row(cell: Sequence[RunRecord]) -> FieldOutcome:
+    stochastic = [one.evaluation["stochastic"] for one in cell]
     returns = mean_interval([entry["return_mean"] for entry in stochastic])
-    deterministic = [result.final("deterministic", "return_mean") for result in cell]
+    deterministic = [one.final("deterministic", "return_mean") for one in cell]
     optimum = cell[0].optimum
-    return Row(
+    return FieldOutcome(
         **_common(cell, len(cell)),
         field=cell[0].field.name,
         return_mean=returns.mean,
@@ -234,11 +239,10 @@ def _aggregate(results: Results, label: str) -> Aggregate:
     )
 
 
-def _aggregate_json(aggregate: Aggregate) -> dict[str, Any]:
-    """An aggregate as JSON values."""
-    values = {field.name: getattr(aggregate, field.name) for field in fields(aggregate)}
-    return {
-        name: value._asdict() if isinstance(value, Estimate) else value
-        for name, value in values.items()
-        if name != "profile"
-    } | {"profile": {name: ends.tolist() for name, ends in aggregate.profile._asdict().items()}}
+def _plain(value: Any) -> Any:
+    """Return an outcome, an estimate or a profile as JSON values."""
+    if isinstance(value, Estimate | Profile):
+        return {name: _plain(part) for name, part in value._asdict().items()}
+    if isinstance(value, Outcome):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    return value.tolist() if isinstance(value, np.ndarray) else value

@@ -1,25 +1,25 @@
-"""A table of words, and how Markdown and LaTeX write it."""
+"""A table of words, as Markdown, LaTeX and a terminal show it."""
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
 
-MISSING = "missing"
-"""Stands for what no run has given."""
-NOT_IN_PAPER = "–"  # noqa: RUF001  (a dash, not a minus)
-"""Stands for a number that the paper does not have."""
+from rich import box
+from rich.table import Table
 
-_LATEX = str.maketrans({"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", NOT_IN_PAPER: "--"})
+DASH = "–"  # noqa: RUF001  (a dash, not a minus)
+
+_LATEX = str.maketrans({"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", DASH: "--"})
 
 
 @dataclass(frozen=True)
-class Grid:
+class TextTable:
     """A table of words.
 
     Attributes:
-        caption: sentences that stand with it.
-        headings: of the columns.
+        caption: sentences about it.
+        headings: of the columns; one may have several lines.
         lines: each as long as the headings; an empty first word belongs to the word above it.
         words: how many columns, from the left, hold words; the others hold numbers.
     """
@@ -29,11 +29,13 @@ class Grid:
     lines: tuple[tuple[str, ...], ...]
     words: int = 1
 
-    def markdown(self) -> str:
-        """As a table of GitHub's Markdown, below its caption."""
+    def markdown(self, title: str = "", level: int = 2) -> str:
+        """As a table of GitHub's Markdown below its caption, under ``title`` if there is one."""
         rule = ["---"] * self.words + ["--:"] * (len(self.headings) - self.words)
-        rows = [" | ".join(row) for row in (self.headings, rule, *self.lines)]
-        return "\n".join([self.caption, "", *(f"| {row} |" for row in rows)])
+        headings = [word.replace("-\n", "").replace("\n", " ") for word in self.headings]
+        rows = [" | ".join(row) for row in (headings, rule, *self.lines)]
+        heading = [f"{'#' * level} {title}", ""] if title else []
+        return "\n".join([*heading, self.caption, "", *(f"| {row} |" for row in rows)])
 
     def latex(self, label: str) -> str:
         r"""As a ``table`` that needs the package ``booktabs``; ``\ref`` calls it ``label``."""
@@ -43,23 +45,24 @@ class Grid:
             if line[0] and not above[0]:
                 rows.append(r"\addlinespace")
             rows.append(_latex_row(line))
-        return "\n".join(
-            [
-                r"\begin{table}",
-                r"\centering",
-                rf"\caption{{{_latex(self.caption)}}}",
-                rf"\label{{{label}}}",
-                rf"\begin{{tabular}}{{{columns}}}",
-                r"\toprule",
-                _latex_row(self.headings),
-                r"\midrule",
-                *rows,
-                r"\bottomrule",
-                r"\end{tabular}",
-                r"\end{table}",
-                "",
-            ]
-        )
+        parts = [
+            *(r"\begin{table}", r"\centering"),
+            *(rf"\caption{{{_latex(self.caption)}}}", rf"\label{{{label}}}"),
+            *(rf"\begin{{tabular}}{{{columns}}}", r"\toprule"),
+            *(_latex_row(self.headings), r"\midrule"),
+            *rows,
+            *(r"\bottomrule", r"\end{tabular}", r"\end{table}", ""),
+        ]
+        return "\n".join(parts)
+
+    def rich(self, title: str) -> Table:
+        """For a terminal, see :func:`baselines.console.console`; without the caption."""
+        table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+        for index, heading in enumerate(self.headings):
+            table.add_column(heading, justify="left" if index < self.words else "right")
+        for line in self.lines:
+            table.add_row(*line)
+        return table
 
 
 def _latex_row(words: tuple[str, ...]) -> str:

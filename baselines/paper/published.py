@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from baselines.paper.summary import Summary
-
 ALGORITHM_UNIT = 1e6
 """One unit of the paper's numbers per algorithm, in reward units; those per field are in reward."""
+
+STATISTICS = {"mean": "mean", "SD": "sd", "max": "max", "range": "range"}
+"""The numbers of a cell: as the paper calls them -> as the file does."""
+
+Numbers = dict[str, float]
+"""A cell's numbers in reward units, by the names in ``STATISTICS``."""
 
 
 @cache
@@ -23,11 +26,6 @@ def _published() -> dict[str, Any]:
 def source() -> str:
     """Where the numbers come from."""
     return str(_published()["source"])
-
-
-def protocol() -> dict[str, int]:
-    """What the paper ran: timesteps, seed, trials and timesteps of Optuna, threshold, ..."""
-    return dict(_published()["protocol"])
 
 
 def algorithms() -> dict[str, str]:
@@ -50,16 +48,23 @@ def fields() -> list[str]:
     return list(_published()["environments"]["A"])
 
 
-def of_algorithm(name: str, setting: str) -> Summary | None:
-    """An algorithm over all fields (table 1), in reward units; ``None`` if it is not there."""
-    row = _published()["algorithms"].get(display_name(name), {}).get(setting)
-    return None if row is None else _summary(row, ALGORITHM_UNIT)
+def by_algorithm() -> dict[tuple[str, str], Numbers]:
+    """Each algorithm over all fields (table 1): (our name, setting) -> its numbers."""
+    table = _published()["algorithms"]
+    return {
+        (name, setting): _numbers(cell, ALGORITHM_UNIT)
+        for name, shown in algorithms().items()
+        for setting, cell in table[shown].items()
+    }
 
 
-def of_field(name: str, setting: str) -> Summary | None:
-    """A field over all algorithms (appendix), in reward units; ``None`` if it is not there."""
-    row = _published()["environments"].get(setting, {}).get(name)
-    return None if row is None else _summary(row, 1.0)
+def by_field() -> dict[tuple[str, str], Numbers]:
+    """Each field over all algorithms (appendix): (field, setting) -> its numbers."""
+    return {
+        (field, setting): _numbers(cell, 1.0)
+        for setting, cells in _published()["environments"].items()
+        for field, cell in cells.items()
+    }
 
 
 def tuned(algorithm: str) -> dict[str, float]:
@@ -73,5 +78,5 @@ def tuning_range(hyperparameter: str) -> tuple[float, float]:
     return low, high
 
 
-def _summary(row: Mapping[str, float], unit: float) -> Summary:
-    return Summary(*(row[name] * unit for name in ("mean", "sd", "max", "range")))
+def _numbers(cell: dict[str, float], unit: float) -> Numbers:
+    return {name: cell[key] * unit for name, key in STATISTICS.items()}

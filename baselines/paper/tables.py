@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from baselines.algorithms import SETTINGS
-from baselines.compare.text_table import MISSING, NOT_IN_PAPER, Grid
-from baselines.paper import published
-from baselines.paper.summary import Summary, of_episodes, of_moving_means
-from baselines.paper.trainings import Training, windows_of
+import numpy as np
+import pandas
+from pandas import DataFrame, MultiIndex, Series
 
-Source = Literal["paper", "here"]
-STATISTICS = {"mean": "mean", "sd": "SD", "maximum": "max", "range": "range"}
-"""The numbers of a cell: attribute of :class:`Summary` -> as the paper calls it."""
+from baselines.algorithms import SETTINGS
+from baselines.compare.text_table import DASH, TextTable
+from baselines.paper import published
+from baselines.paper.published import STATISTICS
+from baselines.paper.trainings import Trainings
+
+MISSING = "missing"
+"""A cell that no run has given."""
 
 
 class Sample(NamedTuple):
@@ -24,7 +25,27 @@ class Sample(NamedTuple):
 
     name: str
     label: str
-    summarise: Callable[..., Summary | None]
+    summarise: Callable[[DataFrame], Series]
+
+
+def of_episodes(rows: DataFrame) -> Series:
+    """The numbers of a cell over every training episode of ``rows`` (reward units).
+
+    Exact, from the count, mean, deviation and range of each row: the squared deviation from the
+    mean of all is the row's variance plus the square of its mean's distance.
+    """
+    some = rows[rows.episodes > 0]
+    mean = np.average(some["mean"], weights=some.episodes)
+    variance = np.average(some.sd**2 + (some["mean"] - mean) ** 2, weights=some.episodes)
+    highest, lowest = some.maximum.max(), some.minimum.min()
+    return Series([mean, np.sqrt(variance), highest, highest - lowest], list(STATISTICS))
+
+
+def of_moving_means(rows: DataFrame) -> Series:
+    """The numbers of a cell over the moving means of ``rows``, one a row (reward units)."""
+    means = rows.moving_mean
+    numbers = [means.mean(), means.std(ddof=0), means.max(), means.max() - means.min()]
+    return Series(numbers, list(STATISTICS))
 
 
 SAMPLES = (
@@ -42,7 +63,7 @@ class Kind(NamedTuple):
         unit: one unit of the numbers, in reward units; the paper has one for each kind.
         unit_name: that in words.
         digits: after the point, as in the paper.
-        in_paper: ``(row, setting)`` -> the paper's numbers.
+        in_paper: (row, setting) -> the paper's numbers.
     """
 
     row: Literal["algorithm", "field"]
@@ -50,7 +71,7 @@ class Kind(NamedTuple):
     unit: float
     unit_name: str
     digits: int
-    in_paper: Callable[[str, str], Summary | None]
+    in_paper: Callable[[], dict[tuple[str, str], published.Numbers]]
 
 
 ALGORITHMS = Kind(
@@ -59,7 +80,7 @@ ALGORITHMS = Kind(
     published.ALGORITHM_UNIT,
     "1e6 reward",
     4,
-    published.of_algorithm,
+    published.by_algorithm,
 )
 FIELDS = Kind(
     "field",
@@ -67,154 +88,114 @@ FIELDS = Kind(
     1.0,
     "reward",
     1,
-    published.of_field,
+    published.by_field,
 )
 
-
-class Column(NamedTuple):
-    """A column of a table: a setting, in the paper or here."""
-
-    setting: str
-    source: Source
-
-    @property
-    def heading(self) -> str:
-        """As it stands above the column."""
-        return f"{self.setting} {self.source}" + (
-            "" if self.setting in published.settings() else ", ours"
-        )
-
-
-SOURCES: tuple[Source, ...] = ("paper", "here")
-COLUMNS = tuple(
-    Column(setting, source)
+COLUMNS = [
+    (setting, source)
     for setting in SETTINGS
-    for source in SOURCES
+    for source in ("paper", "here")
     if source == "here" or setting in published.settings()
-)
+]
+"""Columns of a table: a setting, in the paper or here."""
 
 
 @dataclass(frozen=True)
-class Table:
-    """A table of summaries in reward units.
+class PaperTable:
+    """A table in reward units.
 
     Attributes:
         kind: what it has a row for, and how it shows its numbers.
         sample: what our numbers are taken over.
-        rows: for each row's name its cells; ``None`` for one that is missing.
+        cells: a row for each (row, setting, source), a column for each of ``STATISTICS``; NaN where
+            there is nothing.
     """
 
     kind: Kind
     sample: Sample
-    rows: Mapping[str, Mapping[Column, Summary | None]]
+    cells: DataFrame
 
-    def means(self, column: Column) -> dict[str, float]:
-        """The means of a column, of the rows that have one."""
-        cells = {name: row[column] for name, row in self.rows.items()}
-        return {name: cell.mean for name, cell in cells.items() if cell is not None}
+    def means(self, setting: str, source: str) -> Series:
+        """The means of a column, of the rows that have one, the best first."""
+        column = self.cells.xs((setting, source), level=("setting", "source"))["mean"]
+        return column.dropna().sort_values(ascending=False, kind="stable")
 
-    def grid(self) -> Grid:
+    def text(self) -> TextTable:
         """The table as it is shown: four lines a row, one for each number."""
+        wide = (self.cells / self.kind.unit).stack().unstack(["setting", "source"])
+        order = MultiIndex.from_product([self.cells.index.unique("row"), STATISTICS])
         lines = [
             (
-                self._shown(name) if key == "mean" else "",
-                shown,
-                *(self._word(cells, column, key) for column in COLUMNS),
+                self._shown(name) if statistic == "mean" else "",
+                statistic,
+                *(self._word(numbers[column], column[1]) for column in COLUMNS),
             )
-            for name, cells in self.rows.items()
-            for key, shown in STATISTICS.items()
+            for (name, statistic), numbers in wide.reindex(order).iterrows()
         ]
         caption = (
             f"{self.kind.title}, in units of {self.kind.unit_name}, the paper's and ours; "
             f"'here' is over {self.sample.name}."
         )
-        headings = (self.kind.row, "", *(column.heading for column in COLUMNS))
-        return Grid(caption, headings, tuple(lines), words=2)
+        headings = (f"{' '.join(column)}{marked(column[0])}" for column in COLUMNS)
+        return TextTable(caption, (self.kind.row, "", *headings), tuple(lines), words=2)
 
-    def _word(self, cells: Mapping[Column, Summary | None], column: Column, key: str) -> str:
-        """A number with the digits that the paper gives, or what stands for it."""
-        summary = cells[column]
-        if summary is None:
-            return NOT_IN_PAPER if column.source == "paper" else MISSING
-        return f"{getattr(summary, key) / self.kind.unit:,.{self.kind.digits}f}"
+    def _word(self, number: float, source: str) -> str:
+        """A number with the digits that the paper gives, or the word for a missing one."""
+        if np.isnan(number):
+            return DASH if source == "paper" else MISSING
+        return f"{number:,.{self.kind.digits}f}"
 
-    def lines(self) -> list[list[str]]:
+    def lines(self) -> DataFrame:
         """The table for a CSV file, a line a cell; the numbers of a missing one are empty."""
-        return [
-            [
-                self._shown(name),
-                column.setting,
-                column.source,
-                self.sample.name if column.source == "here" else "",
-                self.kind.unit_name,
-                *("" if cell is None else self._number(cell, key) for key in STATISTICS),
-            ]
-            for name, cells in self.rows.items()
-            for column, cell in cells.items()
-        ]
+        lines = (self.cells / self.kind.unit).reset_index(
+            names=[self.kind.row, "setting", "source"]
+        )
+        lines[self.kind.row] = lines[self.kind.row].map(self._shown)
+        over = np.where(lines.source == "here", self.sample.name, "")
+        lines.insert(3, "over", over)
+        lines.insert(4, "unit", self.kind.unit_name)
+        return lines
 
     def _shown(self, row: str) -> str:
         return published.display_name(row) if self.kind is ALGORITHMS else row
 
-    def _number(self, cell: Summary, key: str) -> str:
-        return f"{getattr(cell, key) / self.kind.unit:.10g}"
+
+def marked(setting: str) -> str:
+    """A mark behind a setting that is not the paper's."""
+    return "" if setting in published.settings() else ", ours"
 
 
-def paper_tables(trainings: Sequence[Training]) -> list[Table]:
+def paper_tables(trainings: Trainings) -> list[PaperTable]:
     """Per algorithm and per field, each over single episodes and over moving means.
 
     Runs on other fields have rows of their own per field, but are not in an algorithm's numbers;
     runs of other algorithms the other way round.
     """
-    in_fields = [run for run in trainings if run.cell.field in published.fields()]
-    in_algorithms = [run for run in trainings if run.cell.algorithm in published.algorithms()]
-    algorithms = {
-        name: [run for run in in_fields if run.cell.algorithm == name]
-        for name in algorithms_of(trainings)
-    }
-    fields = {
-        name: [run for run in in_algorithms if run.cell.field == name]
-        for name in fields_of(trainings)
-    }
+    rows = trainings.rows
+    chosen = (
+        (ALGORITHMS, trainings.algorithms, rows[rows.field.isin(published.fields())]),
+        (FIELDS, trainings.field_names, rows[rows.algorithm.isin(published.algorithms())]),
+    )
     return [
-        Table(kind, sample, {name: _row(name, runs, kind, sample) for name, runs in groups.items()})
-        for kind, groups in ((ALGORITHMS, algorithms), (FIELDS, fields))
+        PaperTable(kind, sample, _cells(kind, sample, names, own))
+        for kind, names, own in chosen
         for sample in SAMPLES
     ]
 
 
-def write_csv(tables: Iterable[Table]) -> str:
+def _cells(kind: Kind, sample: Sample, names: Sequence[str], rows: DataFrame) -> DataFrame:
+    here = {
+        (*key, "here"): sample.summarise(group)
+        for key, group in rows.groupby([kind.row, "setting"], sort=False)
+        if (group.episodes > 0).any()
+    }
+    paper = {(*key, "paper"): Series(numbers) for key, numbers in kind.in_paper().items()}
+    every = [(name, *column) for name in names for column in COLUMNS]
+    index = MultiIndex.from_tuples(every, names=["row", "setting", "source"])
+    return DataFrame({**paper, **here}).T.reindex(index=index, columns=list(STATISTICS))
+
+
+def write_csv(tables: Iterable[PaperTable]) -> str:
     """Tables of one kind as CSV; the paper's numbers once."""
-    tables = list(tables)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    headings = [tables[0].kind.row, "setting", "source", "over", "unit", *STATISTICS.values()]
-    lines = dict.fromkeys(tuple(line) for table in tables for line in table.lines())
-    writer.writerows([headings, *lines])
-    return text.getvalue()
-
-
-def algorithms_of(trainings: Sequence[Training]) -> list[str]:
-    """The paper's algorithms in its order, then the others."""
-    return _known_first(published.algorithms(), (run.cell.algorithm for run in trainings))
-
-
-def fields_of(trainings: Sequence[Training]) -> list[str]:
-    """The paper's fields, then the others."""
-    return _known_first(published.fields(), (run.cell.field for run in trainings))
-
-
-def _row(
-    name: str, trainings: Sequence[Training], kind: Kind, sample: Sample
-) -> dict[Column, Summary | None]:
-    def cell(column: Column) -> Summary | None:
-        if column.source == "paper":
-            return kind.in_paper(name, column.setting)
-        here = [run for run in trainings if run.cell.setting == column.setting]
-        return sample.summarise(windows_of(here))
-
-    return {column: cell(column) for column in COLUMNS}
-
-
-def _known_first(known: Iterable[str], found: Iterable[str]) -> list[str]:
-    return list(dict.fromkeys([*known, *sorted(set(found))]))
+    lines = pandas.concat([table.lines() for table in tables]).drop_duplicates()
+    return str(lines.to_csv(index=False, float_format="%.10g", lineterminator="\n"))

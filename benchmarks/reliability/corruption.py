@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from baselines.algorithms import find_algorithm
-from baselines.compare.results import Result
+from baselines.compare.records import RunRecord
 from baselines.console import console
-from baselines.paper.trainings import Training
+from baselines.paper.progress import read_progress
 from baselines.runs.files import read_json
 from baselines.runs.folder import RunFolder
 from baselines.training.config import TrainConfig
@@ -165,10 +165,9 @@ def _files(folder: Path) -> tuple[Path, ...]:
 def _read_run(folder: Path) -> Any:
     """What reports, evaluations and ``mbn zoo`` read."""
     run = RunFolder.open(folder)
-    result, training = Result.read(run), Training.read(folder)
-    windows = {name: array.tolist() for name, array in vars(training.windows).items()}
+    record, rows = RunRecord.read(run), read_progress(run.progress).to_dict("list")
     versions = read_json(folder / "versions.json")
-    return outcome(run), result.config, result.field.to_dict(), windows, training.command, versions
+    return outcome(run), record.config, record.field.to_dict(), rows, run.command, versions
 
 
 def _read_study(folder: Path) -> Any:

@@ -12,10 +12,10 @@ from statistics import median
 from typing import ClassVar
 
 from baselines.cli.compare import train_and_compare
-from baselines.compare.results import Result, Results
+from baselines.compare.records import RunRecord
+from baselines.compare.results import Results
 from baselines.compare.run import CompareConfig
-from baselines.compare.tables import markdown, rich_table
-from baselines.compare.text_table import Grid
+from baselines.compare.text_table import TextTable
 from baselines.compare.variants import read_variants
 from baselines.console import console
 from baselines.runs.files import write_json, write_text
@@ -93,7 +93,7 @@ class Learning(Study):
         results = self.compare(command)
         rows = target_rows(results, self.processes)
         terminal = console()
-        terminal.print(rich_table("targets", measurement_grid(rows)))
+        terminal.print(measurement_grid(rows).rich("targets"))
         terminal.print(CAPTION, "\n")
         write_targets(results, rows, self.folder)
         return True
@@ -169,7 +169,7 @@ def target_rows(results: Results, processes: int) -> list[Measurement]:
     ]
 
 
-def _true(runs: Sequence[Result]) -> list[bool]:
+def _true(runs: Sequence[RunRecord]) -> list[bool]:
     """Return which runs pass without any training aid."""
     return [passes(run) and not run.config["hyperparameters"].get("approach_bonus") for run in runs]
 
@@ -200,15 +200,15 @@ def write_targets(results: Results, rows: Sequence[Measurement], out: Path) -> N
         out / "learning.json",
         {"targets": [row.to_json() for row in rows], "fields": [asdict(line) for line in lines]},
     )
-    parts = [markdown("Targets", measurement_grid(rows))]
+    parts = [measurement_grid(rows).markdown("Targets")]
     parts += [
-        markdown(label, field_grid([line for line in lines if line.label == label]))
+        field_grid([line for line in lines if line.label == label]).markdown(label)
         for label in results.labels
     ]
     write_text(out / "learning.md", "\n\n".join(["# Learning", *parts]) + "\n")
 
 
-def field_grid(lines: Sequence[FieldLine]) -> Grid:
+def field_grid(lines: Sequence[FieldLine]) -> TextTable:
     """Return the lines of one label as a table."""
     caption = (
         "pass: runs whose final policy does. env-steps, s: to the first evaluation that passes, "
@@ -229,7 +229,7 @@ def field_grid(lines: Sequence[FieldLine]) -> Grid:
         "optimum",
         "paper's best",
     )
-    return Grid(caption, headings, tuple(map(_field_words, lines)))
+    return TextTable(caption, headings, tuple(map(_field_words, lines)))
 
 
 def _field_words(line: FieldLine) -> tuple[str, ...]:
@@ -250,12 +250,12 @@ def _field_words(line: FieldLine) -> tuple[str, ...]:
     )
 
 
-def measurement_grid(rows: Sequence[Measurement], caption: str = CAPTION) -> Grid:
+def measurement_grid(rows: Sequence[Measurement], caption: str = CAPTION) -> TextTable:
     """Return the targets as a table."""
-    return Grid(caption, HEADINGS, tuple(row.words() for row in rows))
+    return TextTable(caption, HEADINGS, tuple(row.words() for row in rows))
 
 
-def _cells(results: Results) -> list[tuple[Result, ...]]:
+def _cells(results: Results) -> list[tuple[RunRecord, ...]]:
     """Return the runs of the first label, field by field."""
     return [results.cells[results.labels[0], field] for field in results.fields]
 

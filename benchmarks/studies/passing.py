@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from baselines.algorithms import SETTINGS
-from baselines.compare.results import Result
+from baselines.compare.records import RunRecord
 from baselines.evaluation import intervals as statistics
 from baselines.paper import published
 
@@ -30,7 +29,7 @@ class Passing:
     seconds: float
 
     @classmethod
-    def of(cls, result: Result) -> Passing:
+    def of(cls, result: RunRecord) -> Passing:
         """The first of a run's evaluations that passes."""
         for entry in result.evaluations:
             if statistics.passes(entry, entry["deterministic_success_rate"]):
@@ -38,13 +37,13 @@ class Passing:
         return cls(NEVER, NEVER)
 
 
-def passes(result: Result) -> bool:
+def passes(result: RunRecord) -> bool:
     """Whether the final policy of a run passes."""
     final = result.evaluation
     return statistics.passes(final["stochastic"], final["deterministic"]["success_rate"])
 
 
-def best_return(result: Result) -> float:
+def best_return(result: RunRecord) -> float:
     """The best return with mean actions of a run's evaluations, on the way or at the end."""
     on_the_way = [float(entry["deterministic_return_mean"]) for entry in result.evaluations]
     return max(result.final("deterministic", "return_mean"), *on_the_way)
@@ -88,7 +87,7 @@ class FieldLine:
     paper_best: float | None
 
     @classmethod
-    def of(cls, cell: Sequence[Result]) -> FieldLine:
+    def of(cls, cell: Sequence[RunRecord]) -> FieldLine:
         """Summarise the runs of one label on one field."""
         firsts = [Passing.of(result) for result in cell]
         mean_actions = [result.final("deterministic", "return_mean") for result in cell]
@@ -112,8 +111,8 @@ class FieldLine:
 
 def paper_best(field: str) -> float | None:
     """The largest number that the paper has for a field, a mean of 100 training episodes."""
-    cells = [published.of_field(field, setting) for setting in SETTINGS]
-    return max((cell.maximum for cell in cells if cell is not None), default=None)
+    cells = [cell for (name, _), cell in published.by_field().items() if name == field]
+    return max((cell["max"] for cell in cells), default=None)
 
 
 def known(value: float) -> float | None:

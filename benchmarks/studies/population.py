@@ -10,9 +10,8 @@ from multiprocessing.sharedctypes import Synchronized, SynchronizedArray
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
-from baselines.compare.results import Result
-from baselines.compare.tables import markdown, rich_table
-from baselines.compare.text_table import Grid
+from baselines.compare.records import RunRecord
+from baselines.compare.text_table import TextTable
 from baselines.console import console
 from baselines.runs.files import RunError, alone, claim_folder, write_json, write_text
 from baselines.runs.folder import RunFolder
@@ -73,8 +72,8 @@ class Population(Benchmark):
         """Train, then print and write the best of each field."""
         rows, grid = train_population(self, command, print_finished)
         terminal = console()
-        terminal.print(rich_table("fields", grid))
-        terminal.print(rich_table("targets", measurement_grid(rows)))
+        terminal.print(grid.rich("fields"))
+        terminal.print(measurement_grid(rows).rich("targets"))
         terminal.print(grid.caption, "\n")
         terminal.print(f"written to {self.folder}: population.md, population.json, runs")
         return True
@@ -110,7 +109,7 @@ class Board(NamedTuple):
             self.begun[number] += 1
             return number, seed
 
-    def enter(self, number: int, result: Result, seconds: float) -> None:
+    def enter(self, number: int, result: RunRecord, seconds: float) -> None:
         """Enter a finished run on a field."""
         with self.begun.get_lock():
             self.slowest.value = max(self.slowest.value, seconds)
@@ -120,7 +119,7 @@ class Board(NamedTuple):
 
 def train_population(
     config: Population, command: str, listener: Listener
-) -> tuple[list[Measurement], Grid]:
+) -> tuple[list[Measurement], TextTable]:
     """Train seeds 0, 1, 2 ... on every field in turn, and write what the best of them reached.
 
     Proved optima say when a field is done, and nothing else: no run learns from them.
@@ -157,7 +156,7 @@ def train_population(
     write_json(
         out / "population.json", {"targets": [row.to_json() for row in rows], "fields": best}
     )
-    parts = [markdown("Targets", measurement_grid(rows, CAPTION)), markdown("Fields", grid)]
+    parts = [measurement_grid(rows, CAPTION).markdown("Targets"), grid.markdown("Fields")]
     write_text(out / "population.md", "\n\n".join(["# Population", *parts]) + "\n")
     return rows, grid
 
@@ -173,20 +172,20 @@ def _train_some(
         Job(run, out / run.name).train(listener)
         folder = RunFolder.open(out / run.name)
         if folder.finished:
-            board.enter(number, Result.read(folder), time.time() - began)
+            board.enter(number, RunRecord.read(folder), time.time() - began)
 
 
-def _finished(config: Population, out: Path, field: str, runs: int) -> list[Result]:
+def _finished(config: Population, out: Path, field: str, runs: int) -> list[RunRecord]:
     """The results of a field, by seed."""
     folders = [RunFolder.open(out / config.training(field, seed).name) for seed in range(runs)]
-    cell = [Result.read(folder) for folder in folders if folder.finished]
+    cell = [RunRecord.read(folder) for folder in folders if folder.finished]
     if not cell:
         raise RunError(f"{out}: no run on {field} finished: all {runs} diverged")
     return cell
 
 
 def _rows(
-    config: Population, cells: Mapping[str, Sequence[Result]], seconds: float
+    config: Population, cells: Mapping[str, Sequence[RunRecord]], seconds: float
 ) -> list[Measurement]:
     """The targets."""
     lines = [FieldLine.of(cell) for cell in cells.values()]
@@ -195,13 +194,13 @@ def _rows(
     return [*best_rows("population", lines), wall]
 
 
-def _grid(cells: Mapping[str, Sequence[Result]]) -> Grid:
+def _grid(cells: Mapping[str, Sequence[RunRecord]]) -> TextTable:
     """The fields as a table."""
     headings = ("field", "best run", "runs", "median", "best", "below", "optimum", "paper's best")
-    return Grid(CAPTION, headings, tuple(map(_words, cells.values())), words=2)
+    return TextTable(CAPTION, headings, tuple(map(_words, cells.values())), words=2)
 
 
-def _words(cell: Sequence[Result]) -> tuple[str, ...]:
+def _words(cell: Sequence[RunRecord]) -> tuple[str, ...]:
     line = FieldLine.of(cell)
     below = None if line.optimum is None else 1.0 - line.deterministic_best / line.optimum
     return (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import matplotlib
@@ -34,7 +34,9 @@ class Panel:
     optimum: float | None
 
 
-def panels_figure(panels: Mapping[str, Panel], names: Sequence[str], threshold: float) -> Figure:
+def panels_figure(
+    panels: Mapping[str, Panel], looks: Mapping[str, int], threshold: float
+) -> Figure:
     """See :func:`mbn_marl.render.figures.learning_curve_panels`."""
     bands = {
         (title, name): mean_and_band(f"{title}, {name}", seeds)
@@ -43,13 +45,13 @@ def panels_figure(panels: Mapping[str, Panel], names: Sequence[str], threshold: 
     }
     if not bands:
         raise MbnError("panels: there is no curve to draw")
-    looks = {name: style.series(index) for index, name in enumerate(names)}
+    styles = {name: style.series(index) for name, index in looks.items()}
     optima = [panel.optimum for panel in panels.values() if panel.optimum is not None]
     with matplotlib.rc_context({**style.MATPLOTLIB, "lines.linewidth": 1.2}):
         figure, grid = layout(len(panels), 2.2)
         for axes, (title, panel) in zip(grid, panels.items(), strict=True):
             for name, seeds in panel.curves.items():
-                draw_curve(axes, bands[title, name], looks[name], name, banded=len(seeds) > 1)
+                draw_curve(axes, bands[title, name], styles[name], name, banded=len(seeds) > 1)
             axes.axhline(threshold, color=style.FAINT_INK, ls=":", lw=1.0, zorder=2)
             if panel.optimum is not None:
                 axes.axhline(panel.optimum, color=style.FAINT_INK, lw=1.0, zorder=2)
@@ -57,12 +59,13 @@ def panels_figure(panels: Mapping[str, Panel], names: Sequence[str], threshold: 
             axes.grid(True)
         lowest = min(float(low.min()) for _, _, low, _ in bands.values())
         highest = max(float(high.max()) for _, _, _, high in bands.values())
-        scale_returns(grid[0], "y", lowest, max(highest, threshold, *optima), ticks=2)
+        note = scale_returns(grid[0], "y", lowest, max(highest, threshold, *optima), ticks=2)
         grid[0].xaxis.set_major_formatter(EngFormatter(sep=" "))
         label_below(grid, "env-steps")
-        figure.supylabel("return of training episodes, moving mean", fontsize=9.0)
+        label = f"return of training episodes, moving mean{note}"
+        figure.supylabel(label, fontsize=9.0, ha="center")
         drawn = {name for _, name in bands}
-        handles = [line_handle(look, name) for name, look in looks.items() if name in drawn]
+        handles = [line_handle(look, name) for name, look in styles.items() if name in drawn]
         handles.append(rule_handle(":", f"threshold {threshold:,.0f}"))
         if optima:
             handles.append(rule_handle("-", "proved optimum"))

@@ -28,29 +28,32 @@ _RESAMPLES = 10_000
 _MARKERS_A_LINE = 8
 
 
-def curves_figure(curves: Curves, threshold: float | None, optimum: float | None) -> Figure:
+def curves_figure(
+    curves: Curves, threshold: float | None, optimum: float | None, looks: Mapping[str, int] | None
+) -> Figure:
     """See :func:`mbn_marl.render.figures.learning_curves`."""
     if not curves:
         raise MbnError("curves: there is no algorithm to draw")
+    looks = {name: index for index, name in enumerate(curves)} if looks is None else looks
     lines = {name: mean_and_band(name, runs) for name, runs in curves.items()}
     marks = [mark for mark in (threshold, optimum) if mark is not None]
     with matplotlib.rc_context(style.MATPLOTLIB):
-        figure = Figure(figsize=(5.6, 3.6), layout="constrained")
+        figure = Figure(figsize=(5.0, 3.6), layout="constrained")
         axes = figure.add_subplot()
-        for index, (name, band) in enumerate(lines.items()):
+        for name, band in lines.items():
             seeds = len(curves[name])
             label = f"{name} ({seeds} seed{'' if seeds == 1 else 's'})"
-            draw_curve(axes, band, style.series(index), label, banded=seeds > 1)
+            draw_curve(axes, band, style.series(looks[name]), label, banded=seeds > 1)
         ends = [end for band in lines.values() for end in band[2:]]
         lowest = min(float(end.min()) for end in ends)
-        scale_returns(axes, "y", lowest, max(*(float(end.max()) for end in ends), *marks))
+        note = scale_returns(axes, "y", lowest, max(*(float(end.max()) for end in ends), *marks))
         _mark(axes, threshold, "threshold", ":")
         _mark(axes, optimum, "optimum", "-")
         axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
         axes.set_xlabel("env-steps")
-        axes.set_ylabel("return: mean, 95 % band over seeds")
+        axes.set_ylabel(f"return: mean, 95 % band over seeds{note}")
         axes.grid(True)
-        figure.legend(loc="outside lower center", ncols=min(len(lines), 4))
+        figure.legend(loc="outside lower center", ncols=min(len(lines), 3))
     return figure
 
 

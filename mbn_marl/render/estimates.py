@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import matplotlib
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from mbn_marl.render import style
 END = 0.9
 """Where the second panel of a profile begins: what is left to the best possible score."""
 
+_WIDTH = 4.6
+"""Width of a figure, inches: about that of a phone."""
+
 Interval = tuple[float, float | None, float | None]
 """A value and the ends of its interval, ``None`` if it has none."""
 
@@ -23,49 +27,71 @@ Band = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 """Values and the ends of their band, (k,) each."""
 
 
-def intervals_figure(
-    panels: Mapping[str, Mapping[str, Interval]], rule: float | None = None
-) -> Figure:
-    """Shares with their intervals, a panel for each quantity, the same lines in all.
+def intervals_figure(panels: Mapping[str, Mapping[str, Interval]]) -> Figure:
+    """Shares with their intervals, a panel for each quantity, one below the other.
 
     Args:
         panels: for each title, for each line its share and interval.
-        rule: a share to mark in every panel, or ``None``.
 
     Raises:
         MbnError: there is nothing to draw.
     """
-    if not panels or not any(panels.values()):
+    if not panels or not all(panels.values()):
         raise MbnError("intervals: there is nothing to draw")
-    names = list(dict.fromkeys(name for lines in panels.values() for name in lines))
+    tall = sum(0.8 + 0.25 * len(lines) for lines in panels.values())
     with matplotlib.rc_context(style.MATPLOTLIB):
-        size = (1.2 + 2.4 * len(panels), 0.9 + 0.27 * len(names))
-        figure = Figure(figsize=size, layout="constrained")
-        grid = figure.subplots(1, len(panels), sharey=True, squeeze=False).ravel()
+        figure = Figure(figsize=(_WIDTH, tall), layout="constrained")
+        heights = [len(lines) + 1.0 for lines in panels.values()]
+        grid = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights).ravel()
         for axes, (title, lines) in zip(grid, panels.items(), strict=True):
-            if rule is not None:
-                axes.axvline(rule, color=style.FAINT_INK, ls=":", lw=1.0)
-            for place, name in enumerate(names):
-                value, low, high = lines[name]
-                if low is not None and high is not None:
-                    axes.hlines(place, low, high, color=style.BLUE, lw=6.0, alpha=0.35)
-                axes.plot([value], [place], color=style.BLUE, marker="|", ms=11.0, mew=2.0)
+            _draw_intervals(axes, lines)
             axes.set_title(title, loc="left", fontsize=9.0)
             axes.xaxis.set_major_locator(MaxNLocator(4))
-            axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-            axes.grid(True, axis="x")
-        grid[0].set_yticks(range(len(names)), names)
-        grid[0].set_ylim(len(names) - 0.5, -0.5)
     return figure
 
 
-def profiles_figure(profiles: Mapping[str, Band], thresholds: NDArray[Any], score: str) -> Figure:
+def chances_figure(lines: Mapping[str, Interval], title: str) -> Figure:
+    """Probabilities with their intervals on an axis from 0 to 100 %, with a line at 50 %.
+
+    Args:
+        lines: each line's probability and interval.
+        title: above the figure.
+
+    Raises:
+        MbnError: there is nothing to draw.
+    """
+    figure = intervals_figure({title: lines})
+    (axes,) = figure.axes
+    axes.axvline(0.5, color=style.FAINT_INK, ls=":", lw=1.2, zorder=1)
+    axes.set_xlim(0.0, 1.0)
+    axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0])
+    return figure
+
+
+def _draw_intervals(axes: Axes, lines: Mapping[str, Interval]) -> None:
+    for place, (value, low, high) in enumerate(lines.values()):
+        if low is not None and high is not None:
+            axes.hlines(place, low, high, color=style.BLUE, lw=6.0, alpha=0.35, clip_on=False)
+        axes.plot([value], [place], color=style.BLUE, marker="|", ms=11.0, mew=2.0, clip_on=False)
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.grid(True, axis="x")
+    axes.set_yticks(range(len(lines)), list(lines))
+    axes.set_ylim(len(lines) - 0.5, -0.5)
+
+
+def profiles_figure(
+    profiles: Mapping[str, Band],
+    thresholds: NDArray[Any],
+    score: str,
+    looks: Mapping[str, int],
+) -> Figure:
     """Performance profiles: the share of runs above each threshold, whole and its end.
 
     Args:
         profiles: for each line its shares and the ends of their band, (k,) each.
         thresholds: (k,), increasing.
         score: what is measured.
+        looks: the number of each line's style.
 
     Raises:
         MbnError: there is nothing to draw.
@@ -73,22 +99,22 @@ def profiles_figure(profiles: Mapping[str, Band], thresholds: NDArray[Any], scor
     if not profiles:
         raise MbnError("profiles: there is nothing to draw")
     with matplotlib.rc_context(style.MATPLOTLIB):
-        figure = Figure(figsize=(7.2, 3.4), layout="constrained")
-        whole, end = figure.subplots(1, 2, sharey=True)
-        for axes, first in ((whole, thresholds[0]), (end, END)):
-            for index, (name, (share, low, high)) in enumerate(profiles.items()):
-                look = style.series(index)
+        figure = Figure(figsize=(_WIDTH, 5.2), layout="constrained")
+        grid = figure.subplots(2, 1)
+        for axes, first in zip(grid, (thresholds[0], END), strict=True):
+            for name, (share, low, high) in profiles.items():
+                look = style.series(looks[name])
                 axes.step(thresholds, share, where="post", c=look.colour, ls=look.dash, label=name)
                 axes.fill_between(
                     thresholds, low, high, step="post", color=look.colour, alpha=0.18, lw=0
                 )
-            axes.set_xlabel(score)
             axes.set_xlim(first, thresholds[-1])
             axes.set_ylim(-0.02, 1.02)
+            axes.set_ylabel("share of runs above it")
             axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
             axes.grid(True)
-        whole.yaxis.set_major_formatter(PercentFormatter(1.0))
-        whole.set_ylabel("share of runs above it")
-        handles, labels = whole.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(profiles), 4))
+        grid[1].set_xlabel(score)
+        handles, labels = grid[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(profiles), 3))
     return figure

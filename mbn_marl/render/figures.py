@@ -6,7 +6,7 @@ They are matplotlib figures without pyplot: no display, no global state, nothing
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib
@@ -17,7 +17,7 @@ from mbn_marl.files import replacing
 from mbn_marl.render import style
 from mbn_marl.render.curve_panels import Panel, panels_figure
 from mbn_marl.render.curves import Curves, curves_figure
-from mbn_marl.render.estimates import intervals_figure, profiles_figure
+from mbn_marl.render.estimates import chances_figure, intervals_figure, profiles_figure
 from mbn_marl.render.maps import (
     draw_field,
     draw_trails,
@@ -34,6 +34,7 @@ __all__ = [
     "Pair",
     "Panel",
     "StudyTrial",
+    "chances_figure",
     "check_name",
     "draw_field",
     "draw_trails",
@@ -60,13 +61,14 @@ def learning_curves(
     threshold: float | None = None,
     optimum: float | None = None,
     path: str | Path | None = None,
+    looks: Mapping[str, int] | None = None,
 ) -> Figure:
     """The mean return over seeds against env-steps, with its 95 % band, a line per algorithm.
 
     The band is the percentile bootstrap over seeds; one seed has none. A line spans the steps
-    that all its seeds cover; between two evaluations of a seed its return is interpolated. The
-    axis is logarithmic below minus the highest return drawn, where returns of early training
-    lie, and linear above.
+    that all its seeds cover; between two evaluations of a seed its return is interpolated. If
+    returns of early training lie far below the others, the axis is logarithmic below minus the
+    highest return drawn, and its label says so.
 
     Args:
         curves: for each algorithm a list with, per seed, ``(steps, returns)``: two finite arrays
@@ -74,32 +76,32 @@ def learning_curves(
         threshold: a return to mark, or ``None``.
         optimum: the best possible return, to mark, or ``None``.
         path: where to :func:`save` it as well, or ``None``.
+        looks: the number of each algorithm's style; ``None`` numbers them in order.
 
     Raises:
         MbnError: naming the algorithm and the seed whose arrays are not as above, or the path.
         OSError: naming the path, if it cannot be written.
     """
-    figure = curves_figure(curves, threshold, optimum)
+    figure = curves_figure(curves, threshold, optimum, looks)
     if path is not None:
         save(figure, path)
     return figure
 
 
 def learning_curve_panels(
-    panels: Mapping[str, Panel], names: Sequence[str], threshold: float
+    panels: Mapping[str, Panel], looks: Mapping[str, int], threshold: float
 ) -> Figure:
     """Learning curves as in :func:`learning_curves`, a panel a field, on common axes.
 
     Args:
         panels: for each title the curves of its panel.
-        names: every algorithm, in the order of the legend; an algorithm looks the same in all
-            figures that have the same ``names``.
+        looks: the number of each algorithm's style, in the order of the legend.
         threshold: a return to mark.
 
     Raises:
         MbnError: naming the panel, the algorithm and the seed whose arrays cannot be a curve.
     """
-    return panels_figure(panels, names, threshold)
+    return panels_figure(panels, looks, threshold)
 
 
 def pairs(

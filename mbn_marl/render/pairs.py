@@ -48,8 +48,8 @@ def pairs_figure(
             axes.grid(True, axis="x")
         grid[0].set_yticks(range(len(labels)), labels)
         grid[0].set_ylim(len(labels) - 0.4, -0.6)
-        scale_returns(grid[0], "x", min(values), max(threshold, *values), ticks=2)
-        label_below(grid, "mean return during training")
+        note = scale_returns(grid[0], "x", min(values), max(threshold, *values), ticks=2)
+        label_below(grid, f"mean return during training{note}")
         handles = [
             Line2D([], [], label=name, **mark) for name, mark in zip(names, _MARKS, strict=True)
         ]

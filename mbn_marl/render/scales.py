@@ -11,7 +11,7 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 
 def scale_returns(
     axes: Axes, which: Literal["x", "y"], bottom: float, top: float, *, ticks: int = 4
-) -> None:
+) -> str:
     """Scale one axis of ``axes`` for returns from ``bottom`` to ``top`` (reward units).
 
     Args:
@@ -20,12 +20,15 @@ def scale_returns(
         bottom: the lowest return drawn.
         top: the highest. The axis is linear down to minus its size if ``bottom`` is far below.
         ticks: about how many on the linear part.
+
+    Returns:
+        A note for the axis's label that says where the scale is logarithmic; empty if nowhere.
     """
     axis = axes.xaxis if which == "x" else axes.yaxis
     if bottom >= (-2.0 * top if top >= 0.0 else 5.0 * top):
         axis.set_major_locator(MaxNLocator(ticks + 2, steps=[1, 2, 5, 10]))
         axis.set_major_formatter(EngFormatter(sep=" "))
-        return
+        return ""
     set_scale, set_limits = (
         (axes.set_xscale, axes.set_xlim) if which == "x" else (axes.set_yscale, axes.set_ylim)
     )
@@ -37,6 +40,7 @@ def scale_returns(
     axes.minorticks_off()
     axis.set_major_formatter(EngFormatter(sep=" "))
     set_limits(1.3 * bottom, 1.15 * top if top > 0.0 else 0.8 * top)
+    return f"\n(symlog: logarithmic below {EngFormatter(places=0, sep=' ')(-turn)})"
 
 
 def _ticks(bottom: float, top: float, count: int, *, every: int) -> list[float]:

@@ -69,10 +69,10 @@ def _draw_history(axes: Axes, trials: Sequence[StudyTrial]) -> None:
             *_points(pruned), "x", color=style.VERMILLION, ms=4.5, label="pruned, last return"
         )
     values = [trial.value for trial in trials]
-    scale_returns(axes, "y", min(values), max(values))
+    note = scale_returns(axes, "y", min(values), max(values))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("trial")
-    axes.set_ylabel("mean return of fresh episodes")
+    axes.set_ylabel(f"mean return of fresh episodes{note}")
     axes.grid(True)
 
 

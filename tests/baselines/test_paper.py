@@ -12,12 +12,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from baselines.cli import main
-from baselines.compare.text_table import Grid
+from baselines.compare.text_table import TextTable
 from baselines.paper import figures, glance, published
-from baselines.paper.summary import first_reach, moving_mean
+from baselines.paper.progress import first_reach, read_progress
 from baselines.paper.tables import paper_tables
 from baselines.paper.trainings import find_trainings
-from baselines.paper.windows import Windows
 from baselines.runs.files import RunError, write_json
 from baselines.runs.folder import RunFolder
 from mbn_marl.field import load_field, save_field
@@ -107,13 +106,13 @@ def test_a_cell_is_the_mean_sd_max_and_range_of_all_its_episodes(tmp_path: Path)
 
 def test_the_moving_mean_is_over_the_latest_hundred_episodes(tmp_path: Path) -> None:
     rows = [NOTHING, (60, 10, 0, 10, 10), (60, 20, 0, 20, 20), NOTHING, (100, 50, 0, 50, 50)]
-    windows = Windows.read(make_run(tmp_path, rows) / "progress.csv")
-    steps, means = moving_mean(windows)
-    assert steps.tolist() == [2000, 3000, 4000, 5000]
-    assert means.tolist() == [10.0, 15.0, 15.0, 50.0]
-    assert first_reach(windows, 15.0) == 3000
-    assert first_reach(windows, 10.0) == 3000, "not before a hundred episodes have ended"
-    assert first_reach(windows, 51.0) is None
+    progress = read_progress(make_run(tmp_path, rows) / "progress.csv")
+    begun = progress[progress.moving_mean.notna()]
+    assert begun.env_steps.tolist() == [2000, 3000, 4000, 5000]
+    assert begun.moving_mean.tolist() == [10.0, 15.0, 15.0, 50.0]
+    assert first_reach(progress, 15.0) == 3000
+    assert first_reach(progress, 10.0) == 3000, "not before a hundred episodes have ended"
+    assert np.isnan(first_reach(progress, 51.0))
 
 
 def test_the_papers_numbers_stand_in_its_units(tmp_path: Path) -> None:
@@ -129,12 +128,11 @@ def test_the_papers_numbers_stand_in_its_units(tmp_path: Path) -> None:
 
 
 def test_no_number_of_the_paper_exceeds_the_proved_optimum() -> None:
-    for name in published.fields():
+    cells = published.by_field()
+    assert len(cells) == 10 * 3
+    for (name, _), cell in cells.items():
         optimum = optimal_return(load_field(name))
-        for setting in published.settings():
-            cell = published.of_field(name, setting)
-            assert cell is not None and optimum is not None
-            assert cell.maximum <= optimum
+        assert optimum is not None and cell["max"] <= optimum
 
 
 # ---------------------------------------------------------------- what is missing, what is ours
@@ -278,14 +276,29 @@ def test_comparisons_and_what_was_moved_aside_are_left_out(
         f"left out: {demo}, a comparison; name it to report on its runs",
         f"left out: {run}.1, moved aside by --force",
     ]
-    assert [training.seed for training in find_trainings([demo])] == [33, 34]
-    (aside,) = find_trainings([run.with_name(f"{run.name}.1")])
-    assert aside.windows.mean.tolist() == [9e6]
+    assert find_trainings([demo]).runs.seed.tolist() == [33, 34]
+    aside = find_trainings([run.with_name(f"{run.name}.1")])
+    assert aside.rows["mean"].tolist() == [9e6]
+
+
+def test_of_two_runs_of_a_cell_the_finished_one_is_taken(tmp_path: Path) -> None:
+    killed = make_run(tmp_path / "a", [(1, 9e6, 0, 9e6, 9e6)], finished=False)
+    whole = make_run(tmp_path / "b", [(1, 3e6, 0, 3e6, 3e6)])
+    notes: list[str] = []
+    found = find_trainings([tmp_path], notes.append)
+    assert found.rows["mean"].tolist() == [3e6] and found.runs.finished.tolist() == [True]
+    (note,) = notes
+    assert note.startswith(f"left out: {killed}, unfinished") and str(whole) in note
+    for finished in (True, False):
+        make_run(tmp_path / f"c{finished}", [(1, 1, 0, 1, 1)], seed=7, finished=finished)
+        make_run(tmp_path / f"d{finished}", [(1, 1, 0, 1, 1)], seed=7, finished=finished)
+        with pytest.raises(RunError, match=rf"c{finished}.* and .*d{finished}"):
+            find_trainings([tmp_path / f"c{finished}", tmp_path / f"d{finished}"])
 
 
 def test_latex_escapes_what_it_has_to() -> None:
-    grid = Grid("a_b, 5%", ("field", "x"), (("field_01", "-1.5"), ("", "2"), ("c&d", "3")))
-    latex = grid.latex("tab:x")
+    table = TextTable("a_b, 5%", ("field", "x"), (("field_01", "-1.5"), ("", "2"), ("c&d", "3")))
+    latex = table.latex("tab:x")
     assert r"\caption{a\_b, 5\%}" in latex
     assert "field\\_01 & $-$1.5 \\\\\n & 2 \\\\\n\\addlinespace\nc\\&d & 3 \\\\" in latex
 
@@ -343,7 +356,7 @@ def test_progress_that_cannot_be_read_names_the_place(
     assert old in text
     path.write_text(text.replace(old, new))
     with pytest.raises(RunError, match=f"progress.csv.*{message}"):
-        Windows.read(path)
+        read_progress(path)
 
 
 @pytest.mark.parametrize("rows", [[], [NOTHING]], ids=["no row yet", "no episode yet"])
@@ -351,7 +364,7 @@ def test_a_run_without_an_ended_episode_is_missing(rows: list[Row], tmp_path: Pa
     make_run(tmp_path, rows, finished=False)
     runs = find_trainings([tmp_path])
     assert glance.coverage(runs).lines[4][2] == f"1 x {len(rows)}k, 1 unfinished"
-    assert {table.grid().lines[4][3] for table in paper_tables(runs)[:2]} == {"missing"}
+    assert {table.text().lines[4][3] for table in paper_tables(runs)[:2]} == {"missing"}
     assert figures.learning_curves(runs, "A") is None
     assert figures.against(runs, "A", "A") is None
-    assert first_reach(runs[0].windows, 0.0) is None
+    assert np.isnan(runs.runs.reach).all()

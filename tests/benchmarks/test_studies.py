@@ -24,7 +24,7 @@ from benchmarks.studies.learning import (
 )
 from benchmarks.studies.passing import FieldLine, Passing, best_return, paper_best, passes
 from benchmarks.studies.population import Board
-from tests.baselines.test_comparison import CONFIG, make_run
+from tests.support.records import CONFIG, make_run
 
 GOOD = {
     "return_mean": 150_000.0,

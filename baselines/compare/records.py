@@ -1,0 +1,162 @@
+"""The one reader of runs: what comparisons and the paper's report take from run folders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from baselines.algorithms import ALGORITHMS, Form, find_algorithm
+from baselines.runs.discover import run_folders
+from baselines.runs.files import RunError
+from baselines.runs.folder import RunFolder
+from baselines.training.config import default_label
+from mbn_marl.config import make_config
+from mbn_marl.field import Field
+from mbn_marl.optimum import optimal_return
+
+NEEDED = ("algorithm", "setting", "field", "seed")
+"""Entries that the configuration of every run must have."""
+CONFIG = ("steps", "evaluate_every", "episodes", "environment", "hyperparameters")
+EVALUATION = ("env_steps", "seconds", "stochastic", "deterministic")
+SUMMARY = ("return_mean", "success_rate", "makespan")
+HISTORY = ("env_steps", "seconds", "return_mean")
+"""Entries that a comparison needs besides: of the configuration, the final evaluation, each of its
+two summaries, and every evaluation on the way."""
+
+Kind = Literal["stochastic", "deterministic"]
+"""Of a final evaluation: with sampled actions, or with mean ones."""
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """What a run recorded. Evaluations are read when they are first asked for.
+
+    Attributes:
+        run: its folder.
+        config: its configuration.
+        field: the field it was trained on.
+    """
+
+    run: RunFolder
+    config: Mapping[str, Any]
+    field: Field
+
+    @classmethod
+    def read(cls, run: RunFolder, *, finished: bool = True) -> RunRecord:
+        """Read a run.
+
+        Args:
+            run: its folder.
+            finished: check too that it has all that a comparison needs.
+
+        Raises:
+            RunError: a file cannot be read, or lacks what runs record now.
+        """
+        record = cls(run, run.config, run.field)
+        for name, entries, needed in record._parts(finished):
+            known = entries if isinstance(entries, Mapping) else {}
+            if missing := [entry for entry in needed if entry not in known]:
+                problem = f"has no {', '.join(missing)}: it is not a run of this version"
+                raise RunError(f"{run.path / name} {problem}")
+        if finished and not record.evaluations:
+            raise RunError(f"{run.path / 'evaluations.json'} is empty: the run was never evaluated")
+        return record
+
+    def _parts(self, finished: bool) -> Iterator[tuple[str, Any, Sequence[str]]]:
+        """Yield what is checked: the file, its content, and the entries it must have."""
+        yield "config.json", self.config, NEEDED
+        if finished:
+            yield "config.json", self.config, CONFIG
+            yield "evaluation.json", self.evaluation, EVALUATION
+            yield "evaluation.json", self.evaluation["stochastic"], SUMMARY
+            yield "evaluation.json", self.evaluation["deterministic"], SUMMARY
+            for entry in self.evaluations:
+                yield "evaluations.json", entry, HISTORY
+
+    @cached_property
+    def evaluations(self) -> list[dict[str, Any]]:
+        """The summaries of its fresh evaluations during training, in order."""
+        return self.run.evaluations
+
+    @cached_property
+    def evaluation(self) -> dict[str, Any]:
+        """The final evaluation."""
+        return self.run.evaluation
+
+    @property
+    def label(self) -> str:
+        """The name in tables and figures."""
+        config = self.config
+        return config.get("label") or default_label(config["algorithm"], config["setting"])
+
+    @property
+    def form(self) -> Form:
+        """``"centralized"`` or ``"decentralized"``."""
+        return find_algorithm(self.config["algorithm"]).form
+
+    @cached_property
+    def optimum(self) -> float | None:
+        """The proved best return, or ``None`` if nothing is proved."""
+        return optimal_return(self.field, make_config(self.config["environment"]))
+
+    def final(self, *path: str) -> float:
+        """A number of the final evaluation."""
+        value: Any = self.evaluation
+        for name in path:
+            value = value[name]
+        return float(value)
+
+
+def find_records(
+    paths: Sequence[Path],
+    note: Callable[[str], None] = lambda text: None,
+    *,
+    comparisons: bool = True,
+    finished: bool = True,
+    trust: bool = False,
+) -> list[RunRecord]:
+    """Read the runs at ``paths``: run folders, or folders with run folders anywhere inside.
+
+    Args:
+        paths: where to look.
+        note: receives what is left out, see :func:`baselines.runs.discover.run_folders`.
+        comparisons: read the runs of comparisons inside too.
+        finished: see :meth:`RunRecord.read`.
+        trust: whether pickled files of the runs may be loaded whoever made them.
+
+    Raises:
+        RunError: a path holds no run, or a run cannot be read.
+    """
+    folders = run_folders(paths, note, comparisons=comparisons)
+    return [
+        RunRecord.read(RunFolder.open(path, trust=trust), finished=finished) for path in folders
+    ]
+
+
+def ordered(algorithms: Mapping[str, str]) -> dict[str, int]:
+    """Order labels as every table and figure has them, and number their looks.
+
+    Algorithms are in the order of the registry, and labels of one algorithm in their own order. The
+    first label of an algorithm has the algorithm's place in the registry as its look, so that it
+    looks the same in every report; each further one has the next look that is free.
+
+    Args:
+        algorithms: the algorithm of each label.
+
+    Returns:
+        The number of each label's look, for ``mbn_marl.render.style.series``, in order.
+    """
+    places = {name: place for place, name in enumerate(ALGORITHMS)}
+    labels = sorted(algorithms, key=lambda label: (places[algorithms[label]], label))
+    taken = {places[algorithm] for algorithm in algorithms.values()}
+    free = (place for place in range(len(places) + len(labels)) if place not in taken)
+    seen: set[str] = set()
+    looks = {}
+    for label in labels:
+        first = algorithms[label] not in seen
+        looks[label] = places[algorithms[label]] if first else next(free)
+        seen.add(algorithms[label])
+    return looks

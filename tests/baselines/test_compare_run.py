@@ -1,0 +1,115 @@
+"""Training what is compared: interrupted, resumed, and when a learner diverges."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from baselines.cli import main
+from baselines.compare.run import train_all_runs
+from baselines.compare.summary import summarise
+from baselines.runs.files import RunError, read_json, write_json
+from baselines.runs.folder import RunFolder
+from baselines.training.config import DivergenceError, TrainConfig
+from baselines.training.progress_bar import Report
+from baselines.training.train import train
+from mbn_marl.errors import ConfigError
+from tests.support.records import CONFIG, TINY
+
+
+def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("baselines.compare.markdown.write_animation", lambda episode, path: None)
+    out = tmp_path / "comparison"
+    second = out / CONFIG.runs()[1].name
+
+    def interrupt(report: Report) -> None:
+        if report.run == second.name and (second / "checkpoints").exists():
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        train_all_runs(CONFIG, out, command="mbn compare", processes=1, listener=interrupt)
+    first = out / CONFIG.runs()[0].name / "evaluation.json"
+    finished_at = first.stat().st_mtime_ns
+    killed = out / CONFIG.runs()[2].name
+    killed.mkdir()
+    (killed / ".config.json.x").touch()  # as a process leaves it that is killed at once
+    results = train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
+    assert (results.labels, results.seeds) == (("mappo-tiny", "ippo-tiny"), 2)
+    assert first.stat().st_mtime_ns == finished_at
+    assert read_json(second / "resumed.json")[0]["env_steps"] > 0
+    assert not (killed / "resumed.json").exists()
+    config = read_json(second / "config.json")
+    assert (config["label"], config["hyperparameters"]["num_worlds"]) == ("ippo-tiny", 4)
+    page = tmp_path / "docs" / "found.md"
+    assert main(["report", "--comparison", str(out), "-o", str(page)]) == 0
+    assert "](found/learning_curves_field_03.png)" in page.read_text()
+    reported = read_json(page.parent / "found" / "comparison.json")
+    assert {row["label"] for row in reported["rows"]} == {"mappo-tiny", "ippo-tiny"}
+    again = train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
+    assert summarise(again).to_json() == summarise(results).to_json()
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_learner_that_breaks_down_stops_its_own_run_alone(
+    processes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr("baselines.compare.markdown.write_animation", lambda episode, path: None)
+    out, variants = tmp_path / "out", tmp_path / "variants.yaml"
+    wild = {**TINY, "learning_rate": [1e30, 1e30], "max_grad_norm": 1e30}
+    blocks = {
+        "wild": {"algorithm": "mappo", "hyperparameters": wild},
+        "tame": {"algorithm": "mappo", "hyperparameters": dict(TINY)},
+    }
+    variants.write_text(json.dumps(blocks))
+    budget = "--seeds 0 1 --steps 320 --evaluate-every 320 --episodes 1"
+    where = ["--out", str(out), "--variants", str(variants), "--processes", str(processes)]
+    command = ["compare", *where, *budget.split()]
+    assert main(command) == 2
+    told = capsys.readouterr()
+    for seed in (0, 1):
+        said = f"{out / f'wild-field_03-seed{seed}'}: the learner broke down"
+        assert said in told.err and said in (out / "comparison.md").read_text()
+        assert (out / f"tame-field_03-seed{seed}" / "evaluation.json").is_file()
+    found = read_json(out / "comparison.json")
+    assert {row["label"] for row in found["rows"]} == {"tame"}
+    assert set(found["broken_runs"]) == {"wild-field_03-seed0", "wild-field_03-seed1"}
+
+    alone = json.dumps({"wild": blocks["wild"]})
+    variants.write_text(alone)
+    command[2] = str(tmp_path / "alone")
+    assert main(command) == 2
+    assert "nothing is left to compare" in capsys.readouterr().err
+
+
+def test_one_broken_run_leaves_its_label_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = CONFIG.runs()[-1].name
+
+    def train_or_break(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
+        if config.name == broken:
+            raise DivergenceError("loc is nan")
+        return train(config, out, **options)
+
+    monkeypatch.setattr("baselines.sweep.processes.train", train_or_break)
+    results = train_all_runs(CONFIG, tmp_path / "out", command="mbn compare", processes=1)
+    assert (results.labels, results.seeds) == (("mappo-tiny",), 2)
+    assert results.broken == {broken: "loc is nan"}
+
+
+def test_only_the_same_comparison_goes_on(tmp_path: Path) -> None:
+    out = tmp_path / "comparison"
+    out.mkdir()
+    with pytest.raises(RunError, match="not the folder of a comparison"):
+        train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
+    write_json(out / "config.json", {**CONFIG.to_json(), "seeds": [0, 2], "steps": 7})
+    with pytest.raises(ConfigError) as caught:
+        train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
+    assert caught.value.problems == [
+        "seeds: the comparison has [0, 2], this command [0, 1]",
+        "steps: the comparison has 7, this command 320",
+    ]
+    assert [path.name for path in out.iterdir()] == ["config.json"]

@@ -1,0 +1,80 @@
+"""The statistics of comparisons, by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from baselines.compare import aggregate as stratified
+from baselines.compare.aggregate import Estimate
+
+
+def test_the_interquartile_mean_cuts_a_quarter_at_both_ends() -> None:
+    # Eight runs: two go at each end, and 1, 2, 3, 4 stay. Of five runs one goes at each end.
+    scores = np.array([[0.0, 100.0, 3.0, 9.0], [1.0, 4.0, 2.0, -50.0]])
+    assert stratified.interquartile_mean(scores).value == np.mean([1.0, 2.0, 3.0, 4.0])
+    assert stratified.interquartile_mean(np.array([[9.0, 1.0, 2.0, 3.0, 70.0]])).value == 14.0 / 3.0
+
+
+def test_the_optimality_gap_is_the_mean_shortfall() -> None:
+    # Short of 1 by 0.5, 0, 0 (not -1) and 3.
+    assert stratified.optimality_gap(np.array([[0.5, 1.0], [2.0, -2.0]])).value == 0.875
+
+
+def test_a_resample_stays_within_each_field() -> None:
+    # Fields far apart, their runs equal: whatever is drawn, the mean is the same. Runs drawn
+    # across fields would give means from 0 to 1.
+    scores = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    assert stratified.optimality_gap(scores) == Estimate(0.5, 0.5, 0.5)
+
+
+def test_an_interval_by_hand() -> None:
+    # One field with runs 0 and 1: a resample's gap is 1, 0.5 or 0 with probability 1/4, 1/2, 1/4.
+    assert stratified.optimality_gap(np.array([[0.0, 1.0]])) == Estimate(0.5, 0.0, 1.0)
+    # Two such fields: the mean of two, 0 and 1 with 1/16 each, more than 2.5 %.
+    assert stratified.optimality_gap(np.array([[0.0, 1.0]] * 2)) == Estimate(0.5, 0.0, 1.0)
+    # Three: 0 and 1 with 1/64 each, less than 2.5 %; 1/6 and less with 1/64 + 6/64.
+    low, high = stratified.optimality_gap(np.array([[0.0, 1.0]] * 3))[1:]
+    assert (low, high) == pytest.approx((1 / 6, 5 / 6))
+
+
+def test_the_interval_is_the_bootstrap_of_scipy_in_one_field() -> None:
+    scores = np.random.default_rng(1).normal(0.5, 0.1, (1, 12))
+    ours = stratified.interquartile_mean(scores)
+    theirs = stats.bootstrap(
+        (scores[0],),
+        lambda runs, axis: stats.trim_mean(runs, 0.25, axis=axis),
+        n_resamples=10_000,
+        method="percentile",
+        rng=np.random.default_rng(2),
+    ).confidence_interval
+    assert ours[1:] == pytest.approx((theirs.low, theirs.high), abs=0.01)
+
+
+def test_one_seed_has_no_interval() -> None:
+    scores = np.array([[0.2], [0.4]])
+    assert stratified.interquartile_mean(scores) == pytest.approx((0.3, None, None))
+    assert stratified.probability_of_improvement(scores, scores) == Estimate(0.5, None, None)
+    assert stratified.performance_profile(scores, np.array([0.3])).share.tolist() == [0.5]
+
+
+def test_the_probability_of_improvement_compares_within_each_field() -> None:
+    # Field 0: ours win 3 of 4 pairs and tie the other; field 1: they lose all.
+    ours, theirs = np.array([[2.0, 5.0], [10.0, 10.0]]), np.array([[1.0, 2.0], [99.0, 99.0]])
+    value, low, high = stratified.probability_of_improvement(ours, theirs)
+    assert value == (3.5 / 4 + 0.0) / 2
+    # The most that can be drawn is a win of all pairs of field 0: 1/2. The least is (2, 2)
+    # against (2, 2), probability 1/16, which ties: 1/4.
+    assert (low, high) == (0.25, 0.5)
+    back = stratified.probability_of_improvement(theirs, ours)
+    assert back.value == 1.0 - value
+
+
+def test_the_performance_profile_counts_runs_above() -> None:
+    scores = np.array([[0.0, 0.5], [0.5, 1.0]])
+    profile = stratified.performance_profile(scores, np.array([-1.0, 0.0, 0.5, 0.9, 1.0]))
+    assert profile.share.tolist() == [1.0, 0.75, 0.25, 0.25, 0.0]
+    # Above 0.9: the second field's runs are drawn 0.5 twice, once, or never, 1/4, 1/2, 1/4.
+    assert (profile.low[3], profile.high[3]) == (0.0, 0.5)
+    assert (profile.low[0], profile.high[0]) == (1.0, 1.0)

@@ -1,0 +1,70 @@
+"""Variants of algorithms: from the command line, from a file, and as overrides."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from baselines.compare.variants import parse_variants, read_variants
+from baselines.training.config import TrainConfig
+from baselines.training.overrides import parse, words_of
+from mbn_marl.errors import ConfigError
+
+
+def test_overrides_are_read_and_written() -> None:
+    words = ["sharing=full+id", "model.gamma=0.9", "model.net=[8, 8]", "environment.wind=[0.1, 30]"]
+    values = parse([*words, "rate=1e-05", 'name="3"', "on=true"])
+    assert values == {
+        "sharing": "full+id",
+        "model": {"gamma": 0.9, "net": [8, 8]},
+        "environment": {"wind": [0.1, 30]},
+        "rate": 1e-5,
+        "name": "3",
+        "on": True,
+    }
+    assert parse(words_of(values)) == values
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["gamma"], "gamma: must be NAME=VALUE"),
+        (["model.=1"], "model.=1: must be"),
+        (["a=1", "a=2"], "a=2: a is set twice"),
+        (["a=1", "a.b=2"], "a.b is set twice"),
+        (["environment=3"], r"environment: must be environment\.NAME=VALUE"),
+    ],
+)
+def test_wrong_overrides_are_named(words: list[str], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse(words)
+
+
+def test_variants_on_the_command_line_have_settings() -> None:
+    ppo, crossq = parse_variants(["ppo", "crossq:A"])
+    assert (ppo.name, crossq.name) == ("ppo", "crossq-A")
+    assert crossq.training("field_03", 4, steps=9).name == "crossq-A-field_03-seed4"
+    with pytest.raises(ConfigError, match=r"setting: .*'A', 'B' or 'N' \(got 'C'\)"):
+        parse_variants(["ppo:C"])
+    (mappo,) = parse_variants(["mappo:A"])
+    with pytest.raises(ConfigError, match="setting: mappo has N, not A"):
+        mappo.training("field_03", 0)
+
+
+def test_variants_in_a_file_have_labels(tmp_path: Path) -> None:
+    path = tmp_path / "study.yaml"
+    path.write_text(
+        "team: {algorithm: ippo, environment: {reward_sharing: team}}\n"
+        "low: {algorithm: ippo, hyperparameters: {entropy: 0.01}}\n"
+    )
+    team, low = read_variants(path)
+    run = low.training("field_03", 2, steps=7)
+    assert (run.name, run.hyperparameters) == ("low-field_03-seed2", {"entropy": 0.01})
+    assert run.command.endswith("--label low --set entropy=0.01")
+    assert team.training("field_03", 2).command.endswith("--set environment.reward_sharing=team")
+    path.write_text("team: {algorithm: ippo, colour: red}\n")
+    with pytest.raises(ConfigError, match=r"study\.yaml: team.*\n?.*colour: unknown name; known"):
+        read_variants(path)
+    with pytest.raises(ConfigError, match="label: 'a/b'; allowed: letters"):
+        TrainConfig("ippo", "field_03", label="a/b")
