@@ -4,12 +4,12 @@
 the decentralised form with a policy shared by all robots (one row per robot of each world).
 Worlds step together in one compiled call: no subprocesses, no wrapper per world.
 
-What Stable-Baselines3 expects of the infos, and what a row therefore gets:
+The infos follow Stable-Baselines3's conventions. A row has
 
 - at every step ``TimeLimit.truncated``: the episode ended by ``max_steps`` and nothing else;
-- at the last step of an episode also ``terminal_observation``, ``is_success``, ``episode``
-  (``r``, ``l`` and ``t``: return, length and seconds, as ``Monitor`` writes them, so that
-  ``ep_rew_mean`` and ``success_rate`` are logged without a wrapper) and the metrics of the episode.
+- at the end of an episode also ``terminal_observation``, ``is_success``, the metrics, and
+  ``episode`` (return ``r``, length ``l``, seconds ``t``) as from ``Monitor``, so that
+  ``ep_rew_mean`` and ``success_rate`` are logged without a wrapper.
 """
 
 from __future__ import annotations
@@ -36,67 +36,80 @@ if TYPE_CHECKING:
 
 
 class NavigationVecEnv(VecEnv):
-    """What the two forms share: stepping, automatic reset, seeding and infos.
+    """The base of the two forms: stepping, automatic reset, seeding and infos.
 
     The worlds have one seed: ``seed(s)`` takes effect at the next ``reset``, as always in
-    Stable-Baselines3, and only its first number is used; the engine derives a stream of its own
-    for each world from it.
+    Stable-Baselines3. Only its first number is used; the engine derives a stream for each world.
 
-    All rows live in one object. ``get_attr`` and ``set_attr`` therefore read and write this object
-    (or read the engine), and ``env_method(name, ..., indices=rows)`` calls this object's method
-    once for each row, with the row's index as the first argument.
+    All rows are one object. ``get_attr`` and ``set_attr`` therefore read and write this object (or
+    read the engine), and ``env_method(name, ..., indices=rows)`` calls this object's method once
+    for each row, with the row's index as the first argument.
 
     Args:
-        engine: the worlds.
-        rows_per_world: 1 for the single MDP, n for a row for each robot.
-        observation_space: of a row.
-        action_space: of a row.
+        field: a catalogue name, a file, a ``Field``, or a list of them (world ``w`` gets number
+            ``w`` modulo their count).
+        num_worlds: number of worlds.
+        seed: of all worlds, until ``seed()`` gives another.
+        threads: of the engine; ``None`` takes as many as there are cores.
+        **settings: the fields of ``NavigationConfig``.
 
     Attributes:
-        engine: the engine; look at it, but let only this object step and reset it.
+        engine: the engine; read it, but let only this object step and reset it.
+
+    Raises:
+        FieldError: the field is not valid.
+        ConfigError: a setting is not valid.
     """
 
     render_mode: str | None = None
 
     def __init__(
         self,
-        engine: BatchEngine,
-        rows_per_world: int,
-        observation_space: spaces.Box,
-        action_space: spaces.Box,
+        field: FieldLike | Sequence[FieldLike],
+        num_worlds: int = 64,
+        *,
+        seed: int = 0,
+        threads: int | None = None,
+        **settings: Unpack[Settings],
     ) -> None:
-        self.engine = engine
-        self._rows_per_world = rows_per_world
+        self.engine = BatchEngine(
+            field, num_worlds, seed=seed, autoreset="same_step", threads=threads, **settings
+        )
+        self._rows_per_world, observation_space, action_space = self._row()
         self._actions: NDArray[Any] | None = None
         self._start_time = time.time()
-        super().__init__(engine.num_worlds * rows_per_world, observation_space, action_space)
+        rows = self.engine.num_worlds * self._rows_per_world
+        super().__init__(rows, observation_space, action_space)
+
+    @abstractmethod
+    def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
+        """Return the rows of a world, and the observation and action space of a row."""
 
     @abstractmethod
     def _observations(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """A fresh array of observations by row, from the engine's ``(num_worlds, n, obs_size)``."""
+        """Return fresh observations by row, from the engine's ``(num_worlds, n, obs_size)``."""
 
     @abstractmethod
     def _final_observations(self) -> NDArray[Any]:
-        """The last observations of the episodes that have just ended, in those worlds' rows."""
+        """Return the last observations of the episodes that have just ended, by row."""
 
     @abstractmethod
     def _rewards(self, rewards: NDArray[Any]) -> NDArray[np.float32]:
-        """A fresh array of rewards by row, from the engine's ``(num_worlds, n)``."""
+        """Return fresh rewards by row, from the engine's ``(num_worlds, n)``."""
 
     @abstractmethod
     def _by_row(self, metric: NDArray[Any]) -> NDArray[Any]:
-        """One value for each row, from a metric ``(num_worlds,)`` or ``(num_worlds, n)``."""
+        """Return a value for each row, from a metric ``(num_worlds,)`` or ``(num_worlds, n)``."""
 
     @abstractmethod
     def _returns(self, metrics: dict[str, NDArray[Any]]) -> NDArray[Any]:
-        """The return of each row's episode."""
+        """Return the return of each row's episode."""
 
     def reset(self) -> NDArray[Any]:
         """Start a new episode in every world.
 
         Returns:
-            The observations, ``(num_envs, *observation_space.shape)``, a fresh array in the units
-            of the class.
+            Fresh observations ``(num_envs, *observation_space.shape)``, in the class's units.
         """
         observations = self.engine.reset(seed=self._seeds[0])
         self._reset_seeds()
@@ -108,11 +121,11 @@ class NavigationVecEnv(VecEnv):
         """Take the actions of the next step.
 
         Args:
-            actions: ``(num_envs, *action_space.shape)``, per-axis shares of the full force;
-                numbers outside [-1, 1] are clipped.
+            actions: ``(num_envs, *action_space.shape)``, shares of the full force per axis,
+                clipped to [-1, 1].
 
         Raises:
-            ActionError: the shape is another one.
+            ActionError: the shape is wrong.
         """
         expected = (self.num_envs, *(self.action_space.shape or ()))
         if np.shape(actions) != expected:
@@ -124,13 +137,13 @@ class NavigationVecEnv(VecEnv):
         """Step every world; worlds that end are reset at once.
 
         Returns:
-            The four ``(observations, rewards, dones, infos)``, with rewards float32 and dones bool,
-            each ``(num_envs,)``. Where a row is done its observation is the next episode's first
-            one and its info has the last one. All of it is fresh: the caller may keep or change it.
+            Observations, rewards float32 ``(num_envs,)``, dones bool ``(num_envs,)`` and infos, all
+            fresh. The observation of a done row is the next episode's first one; its info has the
+            last one.
 
         Raises:
             ActionError: an action is not finite; nothing has moved.
-            StepError: there are no actions to step with, or no reset came before.
+            StepError: there are no actions, or there was no reset.
         """
         if self._actions is None:
             raise StepError("step_wait: no actions; call step_async(actions) after a reset first")
@@ -146,7 +159,7 @@ class NavigationVecEnv(VecEnv):
     def _close_episodes(
         self, infos: list[dict[str, Any]], ended: NDArray[np.intp], timeouts: NDArray[np.bool_]
     ) -> None:
-        """Fill the infos of the rows whose episode ended in this step."""
+        """Fill the infos of the rows whose episode has just ended."""
         metrics = self.engine.metrics()
         observations = self._final_observations()[ended]
         columns = {
@@ -165,14 +178,14 @@ class NavigationVecEnv(VecEnv):
             info["episode"] = {"r": returns[index], "l": info["steps"], "t": seconds}
 
     def close(self) -> None:
-        """Nothing to release: the engine holds memory only."""
+        """Do nothing: the engine only uses memory."""
 
     def snapshot(self, row: int) -> Snapshot:
-        """What can be seen now of the world of ``row`` (see ``BatchEngine.snapshot``)."""
+        """Return the current snapshot of the world of ``row``, see ``BatchEngine.snapshot``."""
         return self.engine.snapshot(row // self._rows_per_world)
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """``attr_name`` of this object, or else of the engine, once for each row in ``indices``.
+        """Return ``attr_name`` of this object, or else of the engine, for each of ``indices``.
 
         Raises:
             AttributeError: neither has it.
@@ -184,7 +197,7 @@ class NavigationVecEnv(VecEnv):
         """Set the attribute ``attr_name`` of this object to ``value``, for all rows.
 
         Raises:
-            MbnError: ``indices`` leaves rows out; all rows live in one object.
+            MbnError: ``indices`` omits rows; all rows are one object.
         """
         if set(self._rows(indices)) != set(range(self.num_envs)):
             raise MbnError(f"set_attr({attr_name!r}): all rows share it; leave indices out")
@@ -200,10 +213,10 @@ class NavigationVecEnv(VecEnv):
         """Call ``self.method_name(row, *method_args, **method_kwargs)`` for each row.
 
         Args:
-            method_name: of a method of this object.
-            *method_args: handed to it after the row's index.
+            method_name: the name of a method of this object.
+            *method_args: its arguments after the row's index.
             indices: the rows; ``None`` for all.
-            **method_kwargs: handed to it.
+            **method_kwargs: its keyword arguments.
         """
         method = getattr(self, method_name)
         return [method(row, *method_args, **method_kwargs) for row in self._rows(indices)]
@@ -213,9 +226,9 @@ class NavigationVecEnv(VecEnv):
         wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]],
         indices: VecEnvIndices = None,
     ) -> list[bool]:
-        """True for each of ``indices`` if ``wrapper_class`` is ``Monitor``: the infos follow it.
+        """Return whether ``wrapper_class`` is ``Monitor``, for each of ``indices``.
 
-        So ``evaluate_policy`` reads the true returns from them, under reward scaling too.
+        ``evaluate_policy`` then reads the true returns from the infos, under reward scaling too.
         """
         return [wrapper_class is Monitor] * len(self._rows(indices))
 
@@ -227,21 +240,11 @@ class NavigationVecEnv(VecEnv):
 class CentralizedVecEnv(NavigationVecEnv):
     """The centralised single MDP, batched: a row is a world.
 
-    Observation ``(4n+1,)`` in the engine's dtype (all positions, all velocities, the visit code;
-    raw units, so put a ``VecNormalize`` around it for learning), action ``(n, 2)`` in [-1, 1],
-    reward the team's.
+    Observation ``(4n+1,)`` in the engine's dtype (all positions, all velocities, the visit code, in
+    raw units: wrap it in a ``VecNormalize`` for learning), action ``(n, 2)`` in [-1, 1], reward the
+    team's.
 
-    Args:
-        field: a catalogue name, a file, a ``Field``, or a list of them (world ``w`` gets number
-            ``w`` modulo their count).
-        num_envs: number of worlds, which is the number of rows.
-        seed: of all worlds, until ``seed()`` gives another.
-        threads: of the engine; ``None`` takes as many as there are cores.
-        **settings: the fields of ``NavigationConfig``.
-
-    Raises:
-        FieldError: the field is not valid.
-        ConfigError: a setting is not valid.
+    There are ``num_envs`` worlds; other arguments and errors as :class:`NavigationVecEnv`.
     """
 
     def __init__(
@@ -253,12 +256,12 @@ class CentralizedVecEnv(NavigationVecEnv):
         threads: int | None = None,
         **settings: Unpack[Settings],
     ) -> None:
-        engine = BatchEngine(
-            field, num_envs, seed=seed, autoreset="same_step", threads=threads, **settings
-        )
-        observation_space = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
-        action_space = spaces.Box(-1.0, 1.0, (engine.n_robots, 2), np.float32)
-        super().__init__(engine, 1, observation_space, action_space)
+        super().__init__(field, num_envs, seed=seed, threads=threads, **settings)
+
+    def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
+        engine = self.engine
+        states = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
+        return 1, states, spaces.Box(-1.0, 1.0, (engine.n_robots, 2), np.float32)
 
     def _observations(self, observations: NDArray[np.float32]) -> NDArray[Any]:
         return self.engine.state()
@@ -279,42 +282,20 @@ class CentralizedVecEnv(NavigationVecEnv):
 class SharedPolicyVecEnv(NavigationVecEnv):
     """The decentralised form with one policy for all robots: a row is a robot of a world.
 
-    Row ``w * n + i`` is robot ``i`` of world ``w``: ``num_envs = num_worlds * n`` rows with
+    Row ``w * n + i`` is robot ``i`` of world ``w``, in ``num_envs = num_worlds * n`` rows, with
     observation ``(obs_size,)`` float32, action ``(2,)`` in [-1, 1] and the robot's own reward
-    (the team's with ``reward_sharing="team"``). The rows of a world end together. In the infos
-    ``wall_hits``, ``path_length`` and ``impulse`` are the robot's own, the other metrics its
-    team's. ``one_hot=True`` lets the shared policy tell the robots apart.
+    (the team's with ``reward_sharing="team"``). The rows of a world end together. In the infos,
+    ``wall_hits``, ``path_length`` and ``impulse`` are the robot's own, the other metrics the
+    team's. ``one_hot=True`` lets the policy distinguish the robots.
 
-    Args:
-        field: a catalogue name, a file, a ``Field``, or a list of them (world ``w`` gets number
-            ``w`` modulo their count).
-        num_worlds: number of worlds.
-        seed: of all worlds, until ``seed()`` gives another.
-        threads: of the engine; ``None`` takes as many as there are cores.
-        **settings: the fields of ``NavigationConfig``.
-
-    Raises:
-        FieldError: the field is not valid.
-        ConfigError: a setting is not valid.
+    All arguments and errors as :class:`NavigationVecEnv`.
     """
 
-    def __init__(
-        self,
-        field: FieldLike | Sequence[FieldLike],
-        num_worlds: int = 64,
-        *,
-        seed: int = 0,
-        threads: int | None = None,
-        **settings: Unpack[Settings],
-    ) -> None:
-        engine = BatchEngine(
-            field, num_worlds, seed=seed, autoreset="same_step", threads=threads, **settings
-        )
-        observation_space = spaces.Box(
-            engine.observation_low, engine.observation_high, dtype=np.float32
-        )
-        action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        super().__init__(engine, engine.n_robots, observation_space, action_space)
+    def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
+        engine = self.engine
+        bounds = engine.observation_low, engine.observation_high
+        observations = spaces.Box(*bounds, dtype=np.float32)
+        return engine.n_robots, observations, spaces.Box(-1.0, 1.0, (2,), np.float32)
 
     def _observations(self, observations: NDArray[np.float32]) -> NDArray[Any]:
         return observations.reshape(self.num_envs, -1).copy()
