@@ -1,4 +1,4 @@
-"""Episodes as values: recorded from any form of the environment, kept as JSON, replayed exactly."""
+"""Episodes as values: recorded from any environment, saved as JSON, replayed exactly."""
 
 from mbn_marl.episode.episode import Episode, Outcome
 from mbn_marl.episode.files import is_episode_file, load_episode, save_episode

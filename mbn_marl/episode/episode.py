@@ -14,26 +14,26 @@ from mbn_marl.engine import Snapshot
 from mbn_marl.field import Field
 
 Outcome = Literal["success", "collision", "truncated", "unfinished"]
-"""How an episode ended; ``"unfinished"``: it was still going on after its last step."""
+"""How an episode ended; ``"unfinished"``: its last step did not end it."""
 
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What n robots did in T steps, and what came of it. All arrays are to be left as they are.
+    """The actions of n robots in T steps, and their results. Do not write to the arrays.
 
     Attributes:
-        field: where, with m ROIs.
-        config: the configuration, its team size filled in.
-        actions: (T, n, 2), what the robots were told to do, in [-1, 1], in the engine's dtype.
+        field: the field, with m ROIs.
+        config: the configuration with the team size.
+        actions: (T, n, 2), in [-1, 1], in the engine's dtype.
         positions: (T + 1, n, 2), units, from the reset on, in the engine's dtype.
-        visits: (m,) int32: the step in which each ROI was visited, from 1 on; 0 for never.
+        visits: (m,) int32, the step in which each ROI was visited, from 1 on; 0 for never.
         terms: (T, n, 6) float64, each robot's own reward by term, ordered as ``REWARD_TERMS``.
         team_rewards: (T,) float64, the centralised reward of each step.
         outcome: how it ended.
-        source: what acted, in words.
-        seed: of the world and of what acted; ``None`` if there is none to tell.
+        source: the name of what acted.
+        seed: of the world and of what acted; ``None`` if unknown.
     """
 
     field: Field
@@ -49,7 +49,7 @@ class Episode:
 
     @property
     def steps(self) -> int:
-        """T, how many steps were made."""
+        """T, the number of steps."""
         return len(self.actions)
 
     @property
@@ -58,18 +58,18 @@ class Episode:
         return self.return_after(self.steps)
 
     def return_after(self, step: int) -> float:
-        """The sum of the centralised rewards of the first ``step`` steps."""
+        """Return the sum of the centralised rewards of the first ``step`` steps."""
         return float(sum(self.team_rewards[:step].tolist()))
 
     @property
     def rois_visited(self) -> int:
-        """How many ROIs were visited."""
+        """The number of ROIs visited."""
         return int(np.count_nonzero(self.visits))
 
     def snapshot(self, step: int) -> Snapshot:
-        """What there was to see after ``step`` steps, 0 to T.
+        """Return the snapshot after ``step`` steps, 0 to T.
 
-        Velocities are what the robots moved in that step.
+        Its velocities are the robots' displacements in that step.
         """
         config, trail = self.config, self.positions[: step + 1]
         last = step == self.steps
@@ -89,5 +89,5 @@ class Episode:
         )
 
     def snapshots(self) -> Iterator[Snapshot]:
-        """Those after the reset and after every step, T + 1."""
+        """Yield the T + 1 snapshots after the reset and after every step."""
         return map(self.snapshot, range(self.steps + 1))

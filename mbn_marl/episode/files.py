@@ -1,4 +1,4 @@
-"""Episodes in files, and back."""
+"""Save and load episodes."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ EXPECTED = f"an episode in the format {FORMAT}, as `mbn render -o episode.json` 
 
 
 def save_episode(episode: Episode, path: str | Path) -> Path:
-    """Write ``episode`` to ``path`` as JSON; a file is replaced only once the new one is complete.
+    """Write ``episode`` to ``path`` as JSON, atomically.
 
     Returns:
         The path.
 
     Raises:
         MbnError: the name does not end in ``.json``.
-        OSError: naming the path, if it cannot be written.
+        OSError: the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() != ".json":
@@ -52,11 +52,11 @@ def save_episode(episode: Episode, path: str | Path) -> Path:
 
 
 def load_episode(path: str | Path) -> Episode:
-    """Read what :func:`save_episode` wrote to ``path``, without the engine; see ``check_episode``.
+    """Load the episode at ``path`` without replaying it (see :func:`check_episode`).
 
     Raises:
-        EpisodeError: naming the file and everything that keeps it from being an episode.
-        OSError: naming the file, if it cannot be read.
+        EpisodeError: naming the file and all its problems.
+        OSError: the file cannot be read.
     """
     path = Path(path)
     try:
@@ -79,7 +79,7 @@ def load_episode(path: str | Path) -> Episode:
 
 
 def is_episode_file(path: str | Path) -> bool:
-    """Whether the file at ``path`` says that it is an episode, of whatever version, or cut off."""
+    """Return whether the file at ``path`` claims to be an episode, of any version or cut off."""
     path = Path(path)
     if path.suffix.lower() != ".json" or not path.is_file():
         return False
@@ -87,7 +87,7 @@ def is_episode_file(path: str | Path) -> bool:
 
 
 def to_file(episode: Episode) -> EpisodeFile:
-    """The content of the file of ``episode``."""
+    """Return the content of the file of ``episode``."""
     config = episode.config.model_dump(mode="json", exclude={"wind"})
     rewards = Rewards(
         terms=list(REWARD_TERMS),
@@ -114,10 +114,10 @@ def to_file(episode: Episode) -> EpisodeFile:
 
 
 def from_file(content: EpisodeFile) -> Episode:
-    """The episode in a file.
+    """Return the episode in a file.
 
     Raises:
-        EpisodeError: naming everything that does not fit together.
+        EpisodeError: naming every part that does not fit.
     """
     field, config = _place(content)
     steps, robots, rois = content.steps, content.robots, len(field.rois)
@@ -180,14 +180,14 @@ def _check_sum(document: dict[str, Any]) -> None:
 
 
 def _check_return(stored: float, total: float) -> None:
-    """Raise an error if the return in a file is not the sum of its rewards."""
+    """Check that the return in a file is the sum of its rewards."""
     if stored != total:
         problem = f"team_return: {stored}; allowed: {total}, the sum of rewards.team"
         raise EpisodeError("episode", [problem])
 
 
 def _place(content: EpisodeFile) -> tuple[Field, NavigationConfig]:
-    """The field and the configuration."""
+    """Return the field and the configuration."""
     try:
         field = Field(**content.field)
     except (TypeError, MbnError) as error:

@@ -1,4 +1,4 @@
-"""Playing actions in the engine: how every episode is made, and how one is checked."""
+"""Play actions in the engine, to make an episode or to check one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mbn_marl.errors import EpisodeError, MbnError, ProblemsError
 from mbn_marl.field import Field
 
 COMPARED = ("positions", "terms", "team_rewards")
-"""What has to be equal bit for bit, step by step."""
+"""The arrays that must be equal bit for bit, step by step."""
 
 
 def play(
@@ -29,16 +29,16 @@ def play(
     """Play ``actions`` in a world of the engine.
 
     Args:
-        field: where.
-        config: the configuration; its random starts are not drawn here.
+        field: the field.
+        config: the configuration; ``random_starts`` is ignored.
         actions: (T, n, 2), clipped to [-1, 1].
-        starts: where the robots start, (n, 2) units; ``None`` for the field's own.
-        source: what chose the actions, in words.
-        seed: of that.
+        starts: the robots' starts, (n, 2), units; ``None`` for the field's own.
+        source: the name of what chose the actions.
+        seed: the seed of what chose the actions.
 
     Raises:
         ConfigError: field, configuration and starts do not fit together.
-        EpisodeError: the actions are not finite numbers (T, n, 2), or go on after the end.
+        EpisodeError: the actions are not finite numbers (T, n, 2), or continue after the end.
     """
     settings = {**config.model_dump(), "random_starts": False}
     engine = BatchEngine(field, 1, autoreset=False, threads=1, starts=starts, **settings)
@@ -87,15 +87,15 @@ def play(
 
 
 def check_episode(episode: Episode, name: str = "episode") -> None:
-    """Replay an episode's actions in the engine, and compare all that comes of it bit for bit.
+    """Check that the engine reproduces an episode bit for bit.
 
     Args:
-        episode: what to check.
-        name: how errors call it, such as its file.
+        episode: the episode.
+        name: its name in errors, such as its file.
 
     Raises:
-        EpisodeError: naming the first step in which the engine does something else, or what of
-            its field, configuration, starts and actions does not fit together.
+        EpisodeError: naming the first step that differs, or the parts of its field, configuration,
+            starts and actions that do not fit together.
     """
     try:
         again = play(episode.field, episode.config, episode.actions, starts=episode.positions[0])
@@ -106,7 +106,7 @@ def check_episode(episode: Episode, name: str = "episode") -> None:
         if not np.array_equal(ours, theirs):
             late = len(theirs) - episode.steps
             step = int(np.argmax((ours != theirs).reshape(len(ours), -1).any(axis=1))) + 1 - late
-            problem = f"{what}: the engine has others from step {step} on; it does not replay"
+            problem = f"{what}: the engine gives others from step {step} on; it does not replay"
             raise EpisodeError(name, [problem])
     for what in ("visits", "outcome"):
         ours, theirs = getattr(episode, what), getattr(again, what)
@@ -121,6 +121,6 @@ def _positions(engine: BatchEngine) -> Array:
 
 
 def _visited(engine: BatchEngine) -> Any:
-    """Which ROIs are visited, (m,) bool; the first is the visit code's most significant bit."""
+    """Decode which ROIs are visited, (m,) bool; the first is the code's most significant bit."""
     code = int(engine.state()[0, -1])
     return np.array([code >> bit & 1 for bit in reversed(range(engine.n_rois))], np.bool_)

@@ -1,4 +1,4 @@
-"""Records the episodes of one world, whatever form of the environment it belongs to."""
+"""Records the episodes of one world of any environment."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from mbn_marl.episode.play import play
 from mbn_marl.errors import EpisodeError, MbnError
 
 _INNER = ("unwrapped", "env", "aec_env", "par_env", "venv", "base_env")
-"""What wrappers call what they wrap."""
+"""The attributes in which wrappers keep the wrapped environment."""
 
 
 @dataclass
 class _Tape:
-    """What is noted of one episode: its start, its actions, and its team rewards to check by."""
+    """The record of one episode: starts and actions, and the team rewards for a check."""
 
     starts: Array
     seed: int
@@ -28,7 +28,7 @@ class _Tape:
 
 
 class EpisodeRecorder:
-    """Follows one world of an environment from reset to reset, in a ``with`` block.
+    """Records one world of an environment from reset to reset, in a ``with`` block.
 
     For example::
 
@@ -37,17 +37,17 @@ class EpisodeRecorder:
             ...
         save_episode(recorder.episodes[-1], "episode.json")
 
-    It notes starts and actions. Everything else of an :class:`Episode` comes from playing them
-    again in an engine of one world, and is only handed out if that gave the same rewards.
+    It notes starts and actions; an :class:`Episode` is made by playing them again in an engine of
+    one world, and checked by its rewards.
 
     Args:
         environment: a PettingZoo, Gymnasium, Stable-Baselines3 or TorchRL environment of this
             package, in any wrappers, or a :class:`~mbn_marl.BatchEngine`.
-        world: which world of it.
-        source: what acts, in words.
+        world: the index of the world.
+        source: the name of what acts.
 
     Raises:
-        MbnError: there is no engine in ``environment``, or no such world.
+        MbnError: ``environment`` has no engine, or no such world.
     """
 
     def __init__(self, environment: Any, world: int = 0, *, source: str = "") -> None:
@@ -56,10 +56,10 @@ class EpisodeRecorder:
             raise MbnError(f"world {world}; allowed: 0 to {self._engine.num_worlds - 1}")
         self._world, self._source = world, source
         self._tapes: list[_Tape] = []
-        self._going_on = False
+        self._recording = False
 
     def __enter__(self) -> Self:
-        """Begin to follow: the episode that has just been reset, or else the next one."""
+        """Start with the episode that has just been reset, or else with the next one."""
         self._engine.listeners.append(self)
         self._begin()
         return self
@@ -70,28 +70,28 @@ class EpisodeRecorder:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Stop following; what was recorded stays."""
+        """Stop; keep what was recorded."""
         self._engine.listeners.remove(self)
-        self._going_on = False
+        self._recording = False
 
     @property
     def episodes(self) -> list[Episode]:
-        """Every episode so far of which at least one step was seen, the last perhaps unfinished.
+        """The episodes with at least one recorded step; the last one may be unfinished.
 
         Raises:
-            EpisodeError: the engine did not do the same again.
+            EpisodeError: the engine did not give the same rewards again.
         """
         return [self._episode(tape) for tape in self._tapes if tape.actions]
 
     def was_reset(self, mask: Any) -> None:
-        """Begin a new episode if ``mask`` has the world; the engine calls it."""
+        """Begin a new episode if ``mask`` contains the world; the engine calls this."""
         if mask is None or mask[self._world]:
             self._begin()
 
     def stepped(self, actions: Any, ended: Any) -> None:
-        """Note the world's part of ``actions`` and of ``ended``; the engine calls it."""
+        """Record the world's part of ``actions`` and ``ended``; the engine calls this."""
         engine, world = self._engine, self._world
-        if not self._going_on:
+        if not self._recording:
             if engine.autoreset == "next_step":
                 self._begin()
             return
@@ -99,15 +99,15 @@ class EpisodeRecorder:
         tape.actions.append(np.clip(_host(actions[world]), -1, 1).astype(engine.dtype))
         tape.rewards.append(float(engine.team_rewards[world]))
         if ended[world]:
-            self._going_on = False
+            self._recording = False
             if engine.autoreset == "same_step":
                 self._begin()
 
     def _begin(self) -> None:
-        """Begin a tape, if the world stands at the start of an episode."""
+        """Begin a tape if the world is at the start of an episode."""
         moment = self._engine.snapshot(self._world)
-        self._going_on = bool(self._engine.running[self._world]) and moment.step == 0
-        if self._going_on:
+        self._recording = bool(self._engine.running[self._world]) and moment.step == 0
+        if self._recording:
             self._tapes.append(_Tape(moment.positions, self._engine.seed))
 
     def _episode(self, tape: _Tape) -> Episode:
@@ -121,12 +121,12 @@ class EpisodeRecorder:
             seed=tape.seed,
         )
         if not np.array_equal(tape.rewards, episode.team_rewards):
-            raise EpisodeError("recording", ["rewards: the engine did not do the same again"])
+            raise EpisodeError("recording", ["rewards: the engine gave others when it replayed"])
         return episode
 
 
 def find_engine(environment: Any) -> BatchEngine:
-    """The engine behind ``environment``, which may be one itself or be wrapped.
+    """Return the engine of ``environment``, which may be wrapped or be an engine.
 
     Raises:
         MbnError: there is none.
@@ -142,9 +142,9 @@ def find_engine(environment: Any) -> BatchEngine:
             found = [getattr(inner, name, None) for name in names]
             waiting += [one for one in found if one is not None]
     kind = type(environment).__name__
-    raise MbnError(f"{kind}: no environment of mbn_marl, nor a wrapper round one")
+    raise MbnError(f"{kind}: not an environment of mbn_marl, nor a wrapper of one")
 
 
 def _host(array: Any) -> Array:
-    """As a NumPy array; a torch tensor may be elsewhere."""
+    """Return a NumPy array of an array or a torch tensor of any device."""
     return np.asarray(array.cpu() if hasattr(array, "cpu") else array)

@@ -1,6 +1,6 @@
-"""The file format ``mbn-episode/1``: its model. ``docs/replay.md`` describes it with an example.
+"""The model of the file format ``mbn-episode/1``, which ``docs/replay.md`` describes.
 
-Arrays are the bytes of their numbers in base64, so that they stay exact and small.
+Arrays are base64 of their bytes, so that they are exact and small.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class PackedArray(BaseModel):
-    """An array: its numbers, little-endian, in C order, in base64."""
+    """An array as base64 of its numbers, little-endian, in C order."""
 
     model_config = _STRICT
 
@@ -36,7 +36,7 @@ class PackedArray(BaseModel):
 
     @classmethod
     def pack(cls, array: NDArray[Any]) -> Self:
-        """An array of one of these dtypes."""
+        """Pack an array of one of these dtypes."""
         raw = array.astype(_LITTLE[array.dtype.name]).tobytes()
         return cls(
             dtype=array.dtype.name,  # type: ignore[arg-type]
@@ -45,10 +45,10 @@ class PackedArray(BaseModel):
         )
 
     def unpack(self) -> NDArray[Any]:
-        """The array.
+        """Return the array.
 
         Raises:
-            ValueError: the data is not base64, or not of that shape.
+            ValueError: the data is not base64, or of another size.
         """
         try:
             raw = base64.b64decode(self.data, validate=True)
@@ -62,7 +62,7 @@ class PackedArray(BaseModel):
 
 
 class CodedArray(BaseModel):
-    """An array of few different numbers: a list of them, and for each entry its place in it."""
+    """An array with few different numbers: the numbers, and the index of each entry's number."""
 
     model_config = _STRICT
 
@@ -71,17 +71,17 @@ class CodedArray(BaseModel):
 
     @classmethod
     def pack(cls, array: NDArray[Any]) -> Self:
-        """An array with at most 65,536 different numbers."""
+        """Pack an array with at most 65,536 different numbers."""
         values, indices = np.unique(array, return_inverse=True)
         smallest = np.uint8 if len(values) <= 256 else np.uint16
         packed = PackedArray.pack(indices.reshape(array.shape).astype(smallest))
         return cls(values=values.tolist(), indices=packed)
 
     def unpack(self) -> NDArray[np.float64]:
-        """The array.
+        """Return the array.
 
         Raises:
-            ValueError: the indices cannot be read, or one is not in the list.
+            ValueError: the indices cannot be read, or are out of range.
         """
         indices = self.indices.unpack()
         if indices.dtype.kind != "u" or (indices.size and indices.max() >= len(self.values)):
@@ -91,13 +91,13 @@ class CodedArray(BaseModel):
 
 
 class Rewards(BaseModel):
-    """What each step earned."""
+    """The rewards of each step."""
 
     model_config = _STRICT
 
     terms: list[str] = Field(description="The names of the terms.")
-    robots: CodedArray = Field(description="(T, n, terms): the robots' own rewards by term.")
-    team: CodedArray = Field(description="(T,): the centralised rewards.")
+    robots: CodedArray = Field(description="(T, n, terms), the robots' own rewards by term.")
+    team: CodedArray = Field(description="(T,), the centralised rewards.")
 
 
 class EpisodeFile(BaseModel):
@@ -107,7 +107,9 @@ class EpisodeFile(BaseModel):
 
     format: Literal["mbn-episode/1"] = Field(description="Name and version of the format.")
     version: str = Field(description="The version of mbn_marl that wrote it.")
-    source: Annotated[str, Field(max_length=MAX_SOURCE)] = Field(description="What acted.")
+    source: Annotated[str, Field(max_length=MAX_SOURCE)] = Field(
+        description="The name of what acted."
+    )
     seed: int | None = Field(description="Of the world and of what acted.")
     robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] = Field(description="n.")
     steps: Annotated[int, Field(ge=0)] = Field(description="T.")
