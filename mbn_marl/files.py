@@ -31,24 +31,32 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.replace(path)
 
 
-def claim_file(path: Path, *, force: bool = False) -> Path:
-    """Check that ``path`` is free for a new file, and return it.
+def check_free(path: Path, *, force: bool = False) -> None:
+    """Check that a new file can be at ``path``, before the work; touch nothing.
 
     Args:
         path: where a new file is to be.
-        force: move an existing file aside to ``<path>.1``, ``<path>.2``, ... (the first free name),
-            so that nothing is lost.
+        force: an existing file may be moved aside.
 
     Raises:
         MbnError: ``path`` is a folder, or a file and ``force`` is not set.
     """
     if path.is_dir():
         raise MbnError(f"{path} is a folder; the output must be a file")
+    if path.exists() and not force:
+        raise MbnError(
+            f"{path} already exists; choose another name, or pass --force to move it aside"
+        )
+
+
+def claim_file(path: Path, *, force: bool = False) -> Path:
+    """Make ``path`` free for a new file, and return it; call it when that file is about to come.
+
+    With ``force`` an existing file moves aside to ``<path>.1``, ``<path>.2``, ... (the first free
+    name), so that nothing is lost. Arguments and errors as :func:`check_free`.
+    """
+    check_free(path, force=force)
     if path.exists():
-        if not force:
-            raise MbnError(
-                f"{path} already exists; choose another name, or pass --force to move it aside"
-            )
         path.rename(free_name(path))
     return path
 

@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
-    from baselines.demo.resolve import Actor
     from mbn_marl.sim3d import Deployment, Scale, Simulator
 
 Flights = dict[str, list["Deployment"]]
-"""By what flew them: the simulator, or the plane to compare with."""
+"""Deployments of one actor by simulator, the plane to compare with included."""
 
 
 @dataclass(frozen=True)
 class Deploy:
-    """Deploy a policy on simulated vehicles, and say how it fared."""
+    """Deploy a policy on simulated vehicles, and print how it did."""
 
     policy: Positional[Annotated[str, arg(metavar="POLICY")]]
     """zoo, the zoo's own policy for each field; zoo:NAME; the folder of a run; greedy; planner, the
@@ -34,8 +33,8 @@ class Deploy:
     wind: tuple[float, float] = (0.0, 0.0)
     """Speed (units/step per step) and angle (degrees from +x) of the wind."""
     wind_speeds: str | None = None
-    """Wind speeds to deploy at, such as 0.1,..,0.5; without --figure only up to the first
-    failure."""
+    """Wind speeds to deploy at, such as 0.1,0.2,..,0.5, weakest first; without --figure only up to
+    the first failure."""
     wind_angle: float = 30.0
     """The direction of those winds, degrees from +x."""
     compare: bool = False
@@ -64,11 +63,12 @@ class Deploy:
 
     def run(self, command_line: str) -> None:
         """Deploy, print the table, and write what is asked for."""
-        from baselines.demo.deploy3d import find_pilots, strongest_wind, summarise
+        from baselines.demo.deploy3d import find_pilots, strongest_wind, summarise, sweep_wind
         from baselines.runs.files import write_json
+        from mbn_marl.files import claim_file
         from mbn_marl.sim3d import Scale
 
-        self._check()
+        speeds, angle = self._check()
         scale = Scale(self.metres_per_unit, self.seconds_per_step)
         rows: list[dict[str, Any]] = []
         flights: list[Flights] = []
@@ -76,56 +76,63 @@ class Deploy:
             simulators = self._simulators(scale)
             for simulator in simulators.values():
                 stack.enter_context(simulator)
-            limit = simulators[self.sim].speed_limit
-            for actor in find_pilots(self.policy, self.field, limit):
-                flown = {name: self._fly(actor, one) for name, one in simulators.items()}
+            pilots = find_pilots(self.policy, self.field, simulators[self.sim].speed_limit)
+            if self.video is not None:
+                claim_file(self.video, force=self.force)
+            for actor in pilots:
+                flown = {
+                    name: sweep_wind(actor, one, speeds, angle, every=self.figure is not None)
+                    for name, one in simulators.items()
+                }
                 flights.append(flown)
-                for name, deployments in flown.items():
-                    strongest = strongest_wind(deployments) if self.wind_speeds else None
-                    for one in deployments:
-                        step = one.episode.config.tau * scale.seconds
-                        row = summarise(one, step)
-                        rows.append({"sim": name, **row, "strongest_wind": strongest})
+                for name, sweep in flown.items():
+                    strongest = strongest_wind(sweep) if self.wind_speeds else None
+                    summaries = [summarise(one, scale) for one in sweep]
+                    rows += [{"sim": name, **one, "strongest_wind": strongest} for one in summaries]
         print_deployments(rows, title=f"{self.policy}, {self._vehicles()}")
         if self.figure is not None:
-            self._draw(flights, self.figure)
+            self._draw(flights, claim_file(self.figure, force=self.force))
         if self.json is not None:
             scales = {"metres_per_unit": scale.metres, "seconds_per_step": scale.seconds}
-            write_json(self.json, {"command": command_line, **scales, "deployments": rows})
+            numbers = {"command": command_line, **scales, "deployments": rows}
+            write_json(claim_file(self.json, force=self.force), numbers)
 
-    def _check(self) -> None:
-        """Make sure that the options fit together and that no output is in the way."""
+    def _check(self) -> tuple[list[float], float]:
+        """Check the options and the outputs before anything is touched; return the winds."""
+        from baselines.evaluation.wind import parse_speeds
         from mbn_marl.errors import ConfigError
-        from mbn_marl.files import claim_file
+        from mbn_marl.files import check_free
+        from mbn_marl.render.figures import check_name
 
-        problems = []
-        if self.compare and self.sim == "plane":
-            problems.append("compare: allowed with mujoco and coppeliasim")
-        if self.vehicle != "quadrotor" and self.sim == "coppeliasim":
-            problems.append(f"vehicle: {self.vehicle!r}; allowed with coppeliasim: quadrotor")
-        if self.video is not None and self.sim != "mujoco":
-            problems.append("video: allowed with mujoco")
-        if self.figure is not None and not (self.compare or self.wind_speeds):
-            problems.append("figure: allowed with --compare or --wind-speeds")
-        if self.wind_speeds is not None and any(self.wind):
-            problems.append("wind: allowed without --wind-speeds")
+        other = f"vehicle: {self.vehicle!r}; allowed with coppeliasim: quadrotor"
+        ending = f"video: {self.video}; allowed: a name that ends in .mp4"
+        checks = {
+            "compare: allowed with mujoco and coppeliasim": self.compare and self.sim == "plane",
+            other: self.vehicle != "quadrotor" and self.sim == "coppeliasim",
+            "video: allowed with mujoco": self.video and self.sim != "mujoco",
+            ending: self.video and self.video.suffix.lower() != ".mp4",
+            "figure: allowed with --compare or --wind-speeds": self.figure
+            and not (self.compare or self.wind_speeds),
+            "wind: allowed without --wind-speeds": self.wind_speeds and any(self.wind),
+        }
+        problems = [problem for problem, wrong in checks.items() if wrong]
         if problems:
             raise ConfigError("deployment", problems)
-        for output in (self.video, self.figure, self.json):
-            if output is not None:
-                claim_file(output, force=self.force)
         if self.figure is not None:
-            from mbn_marl.render.figures import check_name
-
             check_name(self.figure)
+        for output in filter(None, (self.video, self.figure, self.json)):
+            check_free(output, force=self.force)
+        if self.wind_speeds is None:
+            return [self.wind[0]], self.wind[1]
+        return parse_speeds(self.wind_speeds), self.wind_angle
 
     def _vehicles(self) -> str:
-        """What flies or drives, in words."""
+        """Return what flies or drives, in words."""
         names = {"mujoco": f"{self.vehicle}s in MuJoCo", "plane": "point masses in the plane"}
         return names.get(self.sim, "quadcopters in CoppeliaSim")
 
     def _simulators(self, scale: Scale) -> dict[str, Simulator]:
-        """By name: the simulator, and the plane before it to compare with."""
+        """Return the simulator by name, and the plane before it to compare with."""
         from mbn_marl.sim3d import PlaneSimulator
 
         simulators: dict[str, Simulator] = {}
@@ -145,16 +152,6 @@ class Deploy:
             )
         return simulators
 
-    def _fly(self, actor: Actor, simulator: Simulator) -> list[Deployment]:
-        """The deployments of an actor, one for each wind."""
-        from baselines.demo.deploy3d import deploy_actor, sweep_wind
-        from baselines.evaluation.wind import parse_speeds
-
-        if self.wind_speeds is None:
-            return [deploy_actor(actor, simulator, self.wind)]
-        speeds, on = parse_speeds(self.wind_speeds), self.figure is not None
-        return sweep_wind(actor, simulator, speeds, self.wind_angle, after_failure=on)
-
     def _draw(self, flights: Sequence[Flights], path: Path) -> None:
         """Draw the paths."""
         from mbn_marl.render import figures
@@ -170,8 +167,8 @@ class Deploy:
         panels = {
             f"{one.episode.field.name}, {name}, wind {one.episode.config.wind[0]:g}": last(one)
             for flown in flights
-            for name, deployments in flown.items()
-            for one in deployments
+            for name, sweep in flown.items()
+            for one in sweep
         }
         columns = len(next(iter(flights[0].values())))
         figures.save(figures.trajectory_panels(panels, columns=columns), path)
@@ -185,33 +182,32 @@ def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     from baselines.console import console
 
     caption = (
-        "ratio: to the plane's makespan; apart: the smallest distance of two robots, units;\n"
+        "ratio: to the plane's makespan; apart: least distance of robots, units;\n"
         "error: of tracking, units a step; speed: times real time on one core"
     )
-    table = Table(
-        title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
-    )
-    headings = ("field", "sim", "wind", "outcome", "makespan", "ratio", "return", "apart")
-    for heading in (*headings, "error", "speed"):
-        words = heading in ("field", "sim", "outcome")
-        table.add_column(heading, justify="left" if words else "right")
+    look: dict[str, Any] = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), "pad_edge": False}
+    table = Table(title=title, caption=caption, **look)
+    for heading in ("field", "sim", "outcome"):
+        table.add_column(heading, justify="left")
+    for heading in ("wind", "makespan", "ratio", "return", "apart", "error", "speed"):
+        table.add_column(heading, justify="right")
+
+    def shown(value: float | None, digits: int) -> str:
+        return "-" if value is None else f"{value:,.{digits}f}"
+
     plane = {
         (row["field"], row["wind_speed"]): row["makespan"] for row in rows if row["sim"] == "plane"
     }
     for row in rows:
-        makespan, best = row["makespan"], plane.get((row["field"], row["wind_speed"]))
-        compared = row["sim"] != "plane" and makespan is not None and best is not None
-        pace = row["times_real_time"]
+        flat, makespan = row["sim"] == "plane", row["makespan"]
+        best = None if flat else plane.get((row["field"], row["wind_speed"]))
         table.add_row(
-            row["field"],
-            row["sim"],
-            f"{row['wind_speed']:g}",
-            row["outcome"],
-            "-" if makespan is None else str(makespan),
-            f"{makespan / best:.2f}" if compared else "-",
-            f"{row['return']:,.0f}",
-            "-" if row["separation"] is None else f"{row['separation']:.1f}",
-            f"{row['tracking_error']:.2f}",
-            "-" if row["sim"] == "plane" or pace is None else f"{pace:.0f}",
+            *(row["field"], row["sim"], row["outcome"], f"{row['wind_speed']:g}"),
+            shown(makespan, 0),
+            shown(makespan / best if makespan and best else None, 2),
+            shown(row["return"], 0),
+            shown(row["separation"], 1),
+            shown(row["tracking_error"], 2),
+            shown(None if flat else row["times_real_time"], 0),
         )
     console().print(table)

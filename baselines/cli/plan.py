@@ -41,7 +41,7 @@ class Plan:
         from mbn_marl.config import make_config
         from mbn_marl.errors import ConfigError
         from mbn_marl.field import load_field
-        from mbn_marl.files import claim_file
+        from mbn_marl.files import check_free
         from mbn_marl.planning import plan
         from mbn_marl.planning.problem import make_problem
 
@@ -62,7 +62,7 @@ class Plan:
         settings: dict[str, Any] = {"n_robots": self.n_robots, "wind": self.wind}
         make_problem(field, make_config(settings))  # says what is wrong before anything is moved
         if self.export is not None:
-            claim_file(self.export, force=self.force)
+            check_free(self.export, force=self.force)
         folder = claim_folder(self.out or Path(f"runs/plan-{field.name}"), force=self.force)
         found = plan(field, time_limit=self.time_limit, **settings)
         print_plan(found)
@@ -78,9 +78,10 @@ class Plan:
         """Write the demonstrations."""
         from baselines.classical.demonstrations import record_demonstrations
         from baselines.runs.files import write_arrays
+        from mbn_marl.files import claim_file
 
         arrays = record_demonstrations(found, settings, episodes=self.episodes, noise=self.noise)
-        write_arrays(path, arrays, compress=True)
+        write_arrays(claim_file(path, force=self.force), arrays, compress=True)
         steps, good = len(arrays["actions"]), arrays["successes"]
         share = sum(good[arrays["episodes"] == k][0] for k in range(self.episodes))
         print(f"written to {path}: {steps} steps, {share} of {self.episodes} episodes succeed")

@@ -37,11 +37,12 @@ class Render:
         """Run the episode and write it."""
         from baselines.evaluation.rollout import check_ending, write_episode
         from mbn_marl.errors import ConfigError
-        from mbn_marl.files import claim_file
+        from mbn_marl.files import check_free, claim_file
 
         if self.steps is not None and self.steps < 1:
             raise ConfigError("render", [f"steps: at least 1, not {self.steps}"])
         check_ending(self.out)
+        check_free(self.out, force=self.force)
         episode = self._episode()
         write_episode(episode, claim_file(self.out, force=self.force))
         print(f"{episode.outcome}, {episode.steps} steps, return {episode.team_return:,.0f}")

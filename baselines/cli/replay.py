@@ -26,11 +26,12 @@ class Replay:
         """Check every episode in the engine, and write the page."""
         from mbn_marl.episode import check_episode, load_episode
         from mbn_marl.errors import MbnError
-        from mbn_marl.files import claim_file, replacing
+        from mbn_marl.files import check_free, claim_file, replacing
         from mbn_marl.web.replay import replay_page
 
         if self.out.suffix.lower() != ".html":
             raise MbnError(f"{self.out}: the file name has to end in .html")
+        check_free(self.out, force=self.force)
         episodes = [load_episode(path) for path in self.episodes]
         for episode, path in zip(episodes, self.episodes, strict=True):
             check_episode(episode, str(path))

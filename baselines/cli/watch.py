@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -41,8 +41,6 @@ class _Window:
     """If that file exists, move it aside."""
 
     def _actor(self) -> Actor:
-        from dataclasses import replace
-
         from baselines.demo.resolve import find_actor, zoo_policy
 
         chosen = self.policy or zoo_policy(self.source)
@@ -54,12 +52,12 @@ class _Window:
     def _show(self) -> Show:
         from baselines.demo.interactive import Show
         from mbn_marl.errors import MbnError
+        from mbn_marl.files import check_free
 
         if self.save is not None:
             if self.save.suffix.lower() != ".json":
                 raise MbnError(f"{self.save}: the file name has to end in .json")
-            if self.save.exists() and not self.force:
-                raise MbnError(f"{self.save} already exists; --force moves it aside")
+            check_free(self.save, force=self.force)
         return Show(not self.sampled, self.seed, self.speed, self.episodes)
 
     def _keep(self, shown: list[Episode]) -> None:
@@ -75,7 +73,7 @@ class _Window:
 
 @dataclass(frozen=True)
 class Watch(_Window):
-    """Watch a policy in a window. Space pauses, R begins anew, Escape closes it."""
+    """Watch a policy in a window. Space pauses, R starts it again, Escape closes it."""
 
     def run(self, command_line: str) -> None:
         """Show episodes until the window is closed."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from baselines.runs.files import claim_folder
-from mbn_marl.files import claim_file
+from mbn_marl.files import check_free, claim_file
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,12 @@ class Place:
         Raises:
             MbnError: something is there already and ``force``, which moves it aside, is not set.
         """
-        if self.page.parent != self.folder:
-            claim_file(self.page, force=force)
+        beside = self.page.parent != self.folder
+        if beside:
+            check_free(self.page, force=force)
         claim_folder(self.folder, force=force)
+        if beside:
+            claim_file(self.page, force=force)
 
     def link(self, name: str) -> str:
         """A file of the folder as the page refers to it."""

@@ -117,7 +117,7 @@ class CoppeliaScene:
         call("setObjectPosition", body, list(place))
         call("setObjectPosition", targets[0], list(place))
         kind = constant("drawing_lines") | constant("drawing_cyclic")
-        colour = _colour(scene.rgba(style.robot_colour(len(self._drawings))))
+        colour = [part / 255.0 for part in style.rgb(style.robot_colour(len(self._drawings)))]
         path = call("addDrawingObject", kind, _PATH_WIDTH, 0.0, -1, _PATH_ITEMS, colour)
         self._drawings.append(path)
         return Follower(body, targets[0], path)
@@ -194,10 +194,9 @@ class CoppeliaScene:
         return shape
 
     def _paint(self, shape: int, colour: str) -> None:
-        component = self._link.constant("colorcomponent_ambient_diffuse")
-        self._link.call("setShapeColor", shape, "", component, _colour(colour))
-
-
-def _colour(channels: str) -> list[float]:
-    """Red, green and blue, 0 to 1, of a colour as MJCF has it."""
-    return [float(channel) for channel in channels.split()[:3]]
+        """Give a shape a colour as MJCF has it; what CoppeliaSim calls transparency is opacity."""
+        red, green, blue, *opacity = map(float, colour.split())
+        parts = {"ambient_diffuse": [red, green, blue], "transparency": opacity or [1.0]}
+        for component, value in parts.items():
+            constant = self._link.constant(f"colorcomponent_{component}")
+            self._link.call("setShapeColor", shape, "", constant, value)

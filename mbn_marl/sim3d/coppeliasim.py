@@ -46,6 +46,7 @@ class CoppeliaSimulator(Simulator):
     """
 
     has_wind: ClassVar[bool] = False
+    external: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -110,7 +111,7 @@ class CoppeliaSimulator(Simulator):
 
         Raises:
             SimulatorError: CoppeliaSim does not answer, the simulation was stopped or paused by
-                hand, or there was no :meth:`reset`.
+                hand in this step or before it, or there was no :meth:`reset`.
         """
         link = self._running()
         before = link.call("getSimulationTime")
@@ -120,7 +121,8 @@ class CoppeliaSimulator(Simulator):
                 link.call("setObjectPosition", vehicle.target, [x, y, self._altitude])
             link.call("step")
         stopped = link.call("getSimulationState") == link.constant("simulation_stopped")
-        if stopped or not link.call("getSimulationTime") > before:
+        lasted = link.call("getSimulationTime") - before
+        if stopped or lasted < (self._substeps - 0.5) * self._time_step:
             raise SimulatorError("CoppeliaSim: the simulation was stopped or paused by hand")
         self._draw(link)
 

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine import REWARD_TERMS, BatchEngine, MeasuredWorld
+from mbn_marl.engine import BatchEngine, MeasuredWorld
 from mbn_marl.episode import Episode, Outcome
 from mbn_marl.field import Field
 from mbn_marl.sim3d.simulator import Floats, Mission, Simulator
 
 
 class Policy(Protocol):
-    """What acts; the policies of ``baselines`` do.
+    """A policy, such as those of ``baselines``.
 
     Attributes:
         observes: ``"observations"``, the robots' own, (1, n, obs_size), or ``"state"``, the
@@ -34,32 +34,35 @@ class Policy(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Deployment:
-    """What came of a policy in a simulator, with n robots in T steps.
+    """The outcome of a policy in a simulator, with n robots in T steps.
 
     Attributes:
         episode: the episode with the measured positions. It does not replay in the engine, whose
             robots move otherwise, unless the simulator was the plane.
         commands: (T, n, 2), the velocities that were commanded, units/step.
-        seconds: of one processor core that the simulator's steps took.
+        wall_hits: steps of any robot that was stopped at the edge of the field or was beyond it.
+        seconds: of one processor core that the simulator's steps took; ``None`` if it is another
+            program, whose time is not known.
     """
 
     episode: Episode
     commands: Floats
-    seconds: float
+    wall_hits: int
+    seconds: float | None
 
     @property
     def success(self) -> bool:
-        """Whether all ROIs were visited, without a collision."""
+        """Return whether all ROIs were visited, without a collision."""
         return self.episode.outcome == "success"
 
     @property
     def makespan(self) -> int | None:
-        """The steps that it took; ``None`` without success."""
+        """Return the steps to success; ``None`` without it."""
         return self.episode.steps if self.success else None
 
     @property
     def separation(self) -> float | None:
-        """The smallest distance of two robots after any step, units; ``None`` for one robot."""
+        """Return the smallest distance of two robots after any step, units; ``None`` for one."""
         positions = self.episode.positions.astype(np.float64)
         if positions.shape[1] == 1:
             return None
@@ -70,18 +73,10 @@ class Deployment:
 
     @property
     def tracking_error(self) -> float:
-        """How far a robot came to be from where the MDP had put it, RMS over steps, units.
-
-        The MDP's place is that of the commanded velocity, ``p + v' tau``.
-        """
+        """Return how far robots came to be from the MDP's ``p + v' tau``, RMS over steps, units."""
         positions = self.episode.positions.astype(np.float64)
         missed = np.diff(positions, axis=0) - self.commands * self.episode.config.tau
         return float(np.sqrt(np.square(missed).sum(axis=-1).mean()))
-
-    @property
-    def wall_hits(self) -> int:
-        """How often a robot was stopped at the edge of the field, or was beyond it."""
-        return int(np.count_nonzero(self.episode.terms[..., REWARD_TERMS.index("wall")]))
 
 
 def deploy(
@@ -134,11 +129,16 @@ def deploy(
         world.measure(motion.positions, motion.velocities)
         for roi in log.add(engine, actions, command.velocities):
             simulator.spray(roi)
-    return Deployment(log.episode(engine, config, source, seed), np.stack(log.commands), seconds)
+    return Deployment(
+        episode=log.episode(engine, config, source, seed),
+        commands=np.stack(log.commands),
+        wall_hits=int(engine.metrics()["wall_hits"].sum()),
+        seconds=None if simulator.external else seconds,
+    )
 
 
 class _Log:
-    """Notes an episode as it goes on."""
+    """The steps of an episode so far."""
 
     def __init__(self, starts: Floats, visits: NDArray[np.int32]) -> None:
         self.positions, self.visits = [starts], visits
@@ -148,7 +148,7 @@ class _Log:
         self.rewards: list[float] = []
 
     def add(self, engine: BatchEngine, actions: Floats, commands: Floats) -> list[int]:
-        """Note a step; which ROIs were visited in it."""
+        """Note a step; return the ROIs that were visited in it."""
         now = engine.snapshot()
         fresh = now.visited & (self.visits == 0)
         self.visits[fresh] = now.step
@@ -162,7 +162,7 @@ class _Log:
     def episode(
         self, engine: BatchEngine, config: NavigationConfig, source: str, seed: int
     ) -> Episode:
-        """What was noted."""
+        """Return the episode that was noted."""
         last = engine.snapshot()
         ended: Outcome = "success" if last.success else "truncated"
         return Episode(

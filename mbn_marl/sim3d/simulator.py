@@ -1,4 +1,4 @@
-"""What every simulator offers the deployment: one small interface, in the units of the MDP."""
+"""The interface of every simulator to the deployment, in the units of the MDP."""
 
 from __future__ import annotations
 
@@ -102,10 +102,12 @@ class Simulator(ABC):
 
     Attributes:
         has_wind: whether the wind acts on its bodies. If not, the wind is part of the commands.
+        external: whether it is another program, whose processor time is not known here.
         speed_limit: the vehicles' own limit per axis, units/step; ``None`` for none but the MDP's.
     """
 
     has_wind: ClassVar[bool] = True
+    external: ClassVar[bool] = False
     speed_limit: float | None = None
 
     @abstractmethod

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import http.server
+import json
 import re
-import socket
-import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,30 +14,20 @@ import shapely
 
 pytest.importorskip("coppeliasim_zmqremoteapi_client", reason="needs mbn_marl[sim3d]")
 
-import cbor
-import zmq
 
 from baselines.classical.controller import make_classical
 from baselines.cli import main
-from mbn_marl.errors import ConfigError, SimulatorError
+from mbn_marl.errors import SimulatorError
 from mbn_marl.field import Field
 from mbn_marl.sim3d import Mission, Scale, deploy
-from mbn_marl.sim3d.coppelia_link import CoppeliaLink, _PatientSocket
+from mbn_marl.sim3d.coppelia_link import _PatientSocket
 from mbn_marl.sim3d.coppeliasim import CoppeliaSimulator
 from mbn_marl.sim3d.scene import AREA, SPRAYED_AREA, SPRAYED_WEED, WEED
-from tests.support.coppelia_server import PAUSED, RUNNING, STOPPED, CoppeliaServer
+from tests.support.coppelia_server import LATE, RUNNING, STOPPED, CoppeliaServer, free_port
 from tests.support.field_cases import square
 from tests.support.pages import Block, commands_of, parse_mbn
 
 PAGE = Path(__file__).parents[2] / "docs" / "coppeliasim.md"
-SHORT = 0.3
-"""Seconds that a server has here to answer which will not."""
-
-
-@pytest.fixture
-def server() -> Iterator[CoppeliaServer]:
-    with CoppeliaServer() as running:
-        yield running
 
 
 def orchard() -> Field:
@@ -69,11 +54,11 @@ EMPTY = (["Floor"], 0, STOPPED)
 
 
 def colours(server: CoppeliaServer) -> list[tuple[bool, bool]]:
-    """Of every weed and its area, whether it has the colour of a sprayed one."""
+    """Return of every weed and its area whether it has the colour of a sprayed one."""
 
     def painted(alias: str, fresh: str, sprayed: str) -> list[bool]:
-        known = {tuple(map(float, text.split()[:3])): text == sprayed for text in (fresh, sprayed)}
-        return [known[thing.colour] for thing in server.named(alias)]
+        known = {tuple(map(float, text.split())): text == sprayed for text in (fresh, sprayed)}
+        return [known[*(thing.colour or ()), thing.opacity] for thing in server.named(alias)]
 
     weeds, areas = painted("mbn_weed", WEED, SPRAYED_WEED), painted("mbn_area", AREA, SPRAYED_AREA)
     return list(zip(weeds, areas, strict=True))
@@ -101,18 +86,22 @@ def test_a_policy_sprays_every_weed_of_a_field_with_a_hole(server: CoppeliaServe
 
 
 def test_the_command_flies_one_field_after_another(
-    server: CoppeliaServer, capsys: pytest.CaptureFixture[str]
+    server: CoppeliaServer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fields, place = ["field_03", "field_04"], ["--host", "127.0.0.1", "--port", str(server.port)]
-    assert main(["deploy", "greedy", "--field", *fields, "--sim", "coppeliasim", *place]) == 0
+    numbers = tmp_path / "numbers.json"
+    words = ["deploy", "greedy", "--field", *fields, "--sim", "coppeliasim", *place]
+    assert main([*words, "--json", str(numbers)]) == 0
     assert capsys.readouterr().out.count("success") == 2
+    rows = json.loads(numbers.read_text())["deployments"]
+    assert [row["times_real_time"] for row in rows] == [None, None], "it is another program"
     assert left(server) == EMPTY
 
 
 def test_the_command_names_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
     port = str(free_port())
     words = ["deploy", "greedy", "--field", "field_03", "--sim", "coppeliasim", "--port", port]
-    assert main([*words, "--timeout", str(SHORT)]) != 0
+    assert main([*words, "--timeout", "0.3"]) != 0
     said = " ".join(capsys.readouterr().err.split())
     assert f"CoppeliaSim at localhost:{port}: no answer" in said
     assert main([*words, "--vehicle", "balancer"]) != 0
@@ -164,6 +153,17 @@ def test_vehicles_track_the_commanded_velocities(server: CoppeliaServer) -> None
     assert motion.positions == pytest.approx(field.starts + 40 * wanted, abs=2.0)
 
 
+def test_the_stand_in_reacts_late_as_the_real_quadcopter_does(server: CoppeliaServer) -> None:
+    with connect(server, scale=Scale(seconds=0.05)) as simulator:
+        simulator.reset(mission())
+        simulator.command(np.full((2, 2), 5.0))
+        moved = []
+        for _ in range(LATE + 2):
+            simulator.step()
+            moved.append(bool(simulator.motion().velocities.any()))
+    assert moved == [False] * LATE + [True] * 2
+
+
 def test_a_target_does_not_run_away_from_a_vehicle_that_is_held_up(server: CoppeliaServer) -> None:
     server.frozen = True
     with connect(server) as simulator:
@@ -212,7 +212,7 @@ def test_the_scene_is_the_field(server: CoppeliaServer) -> None:
             assert places == pytest.approx(np.array([[-4.0, -4.0, 0.35], [-4.0, 4.0, 0.35]]))
 
 
-def test_a_second_reset_builds_anew(server: CoppeliaServer) -> None:
+def test_a_second_reset_builds_it_again(server: CoppeliaServer) -> None:
     with connect(server) as simulator:
         simulator.reset(mission())
         before = left(server)
@@ -248,28 +248,28 @@ def test_closing_stops_and_removes_everything(server: CoppeliaServer) -> None:
         simulator.step()
 
 
-@pytest.mark.parametrize("stops_at", [20, 27])
-def test_a_stop_by_hand_is_an_error(server: CoppeliaServer, stops_at: int) -> None:
-    server.stops_at = stops_at
-    with connect(server) as simulator:
-        simulator.reset(mission())
-        simulator.command(np.zeros((2, 2)))
-        with pytest.raises(SimulatorError, match="stopped or paused by hand"):
-            for _ in range(2):
-                simulator.step()
-    assert left(server) == EMPTY
-    assert not any(client.stepping for client in server.clients.values())
-
-
-def test_a_pause_by_hand_is_an_error(server: CoppeliaServer) -> None:
+@pytest.mark.parametrize("kind", ["stops_at", "pauses_at"])
+@pytest.mark.parametrize("at", [27, 39])
+def test_a_stop_or_pause_by_hand_is_an_error_in_its_step(
+    server: CoppeliaServer, kind: str, at: int
+) -> None:
+    """A step is 20 of the simulator: both happen in the second."""
+    setattr(server, kind, at)
     with connect(server) as simulator:
         simulator.reset(mission())
         simulator.step()
-        server.state = PAUSED
-        with pytest.raises(SimulatorError, match="stopped or paused by hand"):
+        with pytest.raises(SimulatorError, match="by hand"):
             simulator.step()
     assert left(server) == EMPTY
     assert not any(client.stepping for client in server.clients.values())
+
+
+def test_a_stop_at_the_end_of_a_step_is_an_error_in_it(server: CoppeliaServer) -> None:
+    server.stops_at = 20  # it has put all vehicles back to where they started
+    with connect(server) as simulator:
+        simulator.reset(mission())
+        with pytest.raises(SimulatorError, match="by hand"):
+            simulator.step()
 
 
 def test_a_broken_off_call_leaves_nothing_behind(
@@ -311,168 +311,6 @@ def test_a_failed_reset_leaves_nothing_behind(
     with pytest.raises(SimulatorError, match=message):
         connect(server, **changes).reset(mission())
     assert left(server) == EMPTY
-
-
-# No server, and wrong ones
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return int(listener.getsockname()[1])
-
-
-@contextmanager
-def nobody() -> Iterator[int]:
-    yield free_port()
-
-
-@contextmanager
-def mute() -> Iterator[int]:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        yield listener.getsockname()[1]
-
-
-@contextmanager
-def web() -> Iterator[int]:
-    class Quiet(http.server.SimpleHTTPRequestHandler):
-        def log_message(self, *_: object) -> None:
-            pass
-
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Quiet) as page:
-        thread = threading.Thread(target=page.serve_forever, args=(0.01,))
-        thread.start()
-        yield page.server_address[1]
-        page.shutdown()
-        thread.join()
-
-
-def answering(message: bytes) -> Callable[[], Any]:
-    """A ZeroMQ server that answers everything with one message."""
-
-    @contextmanager
-    def serve() -> Iterator[int]:
-        with zmq.Context() as context, context.socket(zmq.REP) as rep:
-            port = rep.bind_to_random_port("tcp://127.0.0.1")
-            over = threading.Event()
-
-            def loop() -> None:
-                while not over.is_set():
-                    if rep.poll(1):
-                        rep.recv()
-                        rep.send(message)
-
-            thread = threading.Thread(target=loop)
-            thread.start()
-            yield port
-            over.set()
-            thread.join()
-
-    return serve
-
-
-OLD = cbor.dumps({"success": False, "error": "version"})
-FOREVER = cbor.dumps({"func": "_*wait*_", "args": []})
-
-
-@pytest.mark.parametrize(
-    ("serve", "message"),
-    [
-        pytest.param(nobody, "no answer.*within 0.3 s.*refused.*running", id="nobody"),
-        pytest.param(mute, "listens there, but does not speak its protocol", id="mute"),
-        pytest.param(web, "listens there, but does not speak its protocol", id="web"),
-        pytest.param(answering(b""), "none of its remote API", id="empty"),
-        pytest.param(answering(b"OK"), "none of its remote API", id="text"),
-        pytest.param(answering(b"\x5b" + b"\xff" * 8), "none of its remote API", id="huge"),
-        pytest.param(answering(b"\x01"), "none of its remote API", id="number"),
-        pytest.param(answering(OLD), "none of its remote API.*'ret'", id="protocol 1"),
-        pytest.param(answering(FOREVER), "no answer", id="wait for ever"),
-        pytest.param(answering(cbor.dumps({"ret": [{}]})), "no simulation", id="no functions"),
-        pytest.param(answering(cbor.dumps({"err": "a_=NL=_b"})), "refuses sim: a\nb", id="refusal"),
-    ],
-)
-def test_a_wrong_server_is_an_error_in_time(serve: Any, message: str) -> None:
-    with serve() as port:
-        begin = time.monotonic()
-        with pytest.raises(SimulatorError, match=f"(?s)127.0.0.1:{port}.*{message}"):
-            CoppeliaSimulator("127.0.0.1", port, timeout=SHORT).reset(mission())
-        assert time.monotonic() - begin < SHORT + 1.0
-
-
-@pytest.mark.parametrize("ending", ["die", "hang", "endless step"])
-def test_a_server_that_goes_away_is_an_error_in_time(ending: str) -> None:
-    server = CoppeliaServer()
-    simulator = CoppeliaSimulator("127.0.0.1", server.port, timeout=SHORT)
-    with server:
-        simulator.reset(mission())
-        simulator.step()
-        server.silent, server.endless = ending == "hang", ending == "endless step"
-        if ending == "die":
-            server.die()
-        begin = time.monotonic()
-        with pytest.raises(SimulatorError, match=r"no answer to sim\..* within 0.3 s"), simulator:
-            simulator.step()
-        assert time.monotonic() - begin < SHORT + 1.0
-        with pytest.raises(SimulatorError, match="reset"):
-            simulator.step()
-
-
-def test_a_simulation_that_does_not_end_is_an_error_in_time(server: CoppeliaServer) -> None:
-    simulator = connect(server, timeout=SHORT)
-    simulator.reset(mission())
-    server.winding_down = 10**9
-    begin = time.monotonic()
-    with pytest.raises(SimulatorError, match=r"did not stop within 0\.3 s"):
-        simulator.close()
-    assert time.monotonic() - begin < SHORT + 1.0
-
-
-def test_numbers_out_of_range_are_named() -> None:
-    with pytest.raises(ConfigError, match="port: 0; allowed: 1 to 65535"):
-        CoppeliaSimulator(port=0).reset(mission())
-    with pytest.raises(ConfigError, match="timeout: 0; allowed"):
-        CoppeliaSimulator(timeout=0.0).reset(mission())
-    with pytest.raises(ConfigError, match="altitude: -1; allowed"):
-        CoppeliaSimulator(altitude=-1.0)
-
-
-def test_a_missing_client_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "coppeliasim_zmqremoteapi_client", None)
-    with pytest.raises(ImportError, match=r"mbn_marl\[sim3d\]"):
-        CoppeliaSimulator().reset(mission())
-
-
-# The link
-
-
-def test_the_link_leaves_the_users_script_alone(
-    server: CoppeliaServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    script = sys.modules["__main__"]
-    monkeypatch.delattr(script, "require", raising=False)
-    before = set(vars(script))
-    CoppeliaLink("127.0.0.1", server.port, 2.0).close()
-    assert set(vars(script)) == before
-    monkeypatch.setattr(script, "require", "mine", raising=False)
-    CoppeliaLink("127.0.0.1", server.port, 2.0).close()
-    assert vars(script)["require"] == "mine"
-
-
-def test_the_link_survives_a_refusal_and_no_more(server: CoppeliaServer) -> None:
-    link = CoppeliaLink("127.0.0.1", server.port, SHORT)
-    with pytest.raises(SimulatorError, match=r"refuses sim\.dance.*No such function"):
-        link.call("dance")
-    with pytest.raises(SimulatorError, match=r"does not know sim\.tempo"):
-        link.constant("tempo")
-    assert link.call("getSimulationState") == STOPPED
-    server.silent = True
-    with pytest.raises(SimulatorError, match=r"no answer to sim\.getSimulationState"):
-        link.call("getSimulationState")
-    server.silent = False
-    with pytest.raises(SimulatorError, match="connection is closed"):
-        link.call("getSimulationState")
-    link.connect()
-    assert link.call("getSimulationState") == STOPPED
-    link.close()
 
 
 def test_the_page_does_what_it_shows(

@@ -5,11 +5,13 @@ told apart by their uuid, answers ``ret`` or ``err``, and ``_*wait*_`` against `
 while a step is being simulated. Behind it is a scene of shapes without physics, whose quadcopters
 follow their targets by the law of the script in CoppeliaSim's own quadcopter, linearised: they
 accelerate by 0.2 / s^2 of the way to the target and by 2 / s of its velocity relative to theirs.
+They react 0.3 s late, as the real one was seen to lag behind that law.
 """
 
 from __future__ import annotations
 
 import re
+import socket
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -22,10 +24,13 @@ import zmq
 RESOURCES = "/opt/CoppeliaSim"
 MODEL = f"{RESOURCES}/models/robots/mobile/Quadcopter.ttm"
 TIME_STEP = 0.05
+LATE = 6
+"""Time steps, 0.3 s, by which a vehicle reacts late."""
 
 STOPPED, PAUSED, RUNNING, STOPPING = 0, 8, 17, 22
 CONSTANTS = {
     "colorcomponent_ambient_diffuse": 0,
+    "colorcomponent_transparency": 4,
     "drawing_cyclic": 0x80,
     "drawing_lines": 1,
     "primitiveshape_cuboid": 3,
@@ -56,10 +61,11 @@ class Thing:
     kind: int = -1
     turn: float = 0.0
     colour: tuple[float, ...] | None = None
+    opacity: float = 1.0
     flags: dict[str, int] = field(default_factory=dict)
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
     target: int = -1
-    target_was: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    seen: list[np.ndarray] = field(default_factory=list)
 
 
 @dataclass
@@ -82,7 +88,8 @@ class CoppeliaServer:
         endless: a step never comes to its end.
         frozen: no vehicle moves.
         stops_at: the step after which somebody stops the simulation by hand.
-        winding_down: how many more passes a simulation takes that has been told to stop.
+        pauses_at: the step after which somebody pauses it by hand.
+        winding_down: how many more passes a simulation takes to stop.
         clients: by their uuid.
     """
 
@@ -104,7 +111,7 @@ class CoppeliaServer:
         self.silent = False
         self.endless = False
         self.frozen = False
-        self.stops_at = 0
+        self.stops_at = self.pauses_at = 0
         self.winding_down = 3
         self._functions: dict[str, Callable[..., list[Any]]] = {
             name: getattr(self, name)
@@ -199,15 +206,15 @@ class CoppeliaServer:
                 continue
             target = self.things[thing.target]
             if not self.steps:
-                target.parent, thing.target_was = -1, target.place
-            moved = (target.place - thing.target_was) / TIME_STEP
-            pull = 0.2 * (target.place - thing.place) + 2.0 * (moved - thing.velocity)
-            thing.target_was = target.place
+                target.parent, thing.seen = -1, [thing.place] * (LATE + 2)
+            thing.seen = [*thing.seen[1:], target.place]
+            before, seen = thing.seen[:2]
+            pull = 0.2 * (seen - thing.place) + 2.0 * ((seen - before) / TIME_STEP - thing.velocity)
             thing.velocity = thing.velocity + pull * TIME_STEP
             thing.place = thing.place + thing.velocity * TIME_STEP
         self.steps += 1
-        if self.steps == self.stops_at:
-            self.state = STOPPED
+        if self.steps in (self.stops_at, self.pauses_at):
+            self.state = STOPPED if self.steps == self.stops_at else PAUSED
 
     def startSimulation(self) -> list[Any]:
         self.state, self.steps = RUNNING, 0
@@ -307,9 +314,12 @@ class CoppeliaServer:
         return []
 
     def setShapeColor(self, handle: int, name: str, component: int, colour: object) -> list[Any]:
-        if name or component != CONSTANTS["colorcomponent_ambient_diffuse"]:
+        if name or component not in (0, 4):
             raise RefusalError("wrong name or component")
-        self._thing(handle).colour = tuple(self._floats(colour, 3))
+        if component:
+            self._thing(handle).opacity = float(self._floats(colour, 1)[0])
+        else:
+            self._thing(handle).colour = tuple(self._floats(colour, 3))
         return []
 
     def getObjectPosition(self, handle: int) -> list[Any]:
@@ -354,3 +364,9 @@ class CoppeliaServer:
             raise RefusalError("drawing object does not exist")
         del self.drawings[handle]
         return []
+
+
+def free_port() -> int:
+    """Return a port of this machine on which nobody listens."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])

@@ -1,14 +1,12 @@
-"""Off the plane: the deployment loop, vehicles with dynamics, and what they are seen doing."""
+"""MuJoCo: vehicles with dynamics, their scene, the policies that fly them, and the film."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-import re
 import subprocess
 import sys
-from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,17 +16,14 @@ import numpy as np
 import pytest
 
 from baselines.classical.controller import make_classical
-from baselines.cli.main import main
-from baselines.evaluation.policy import load_policy
-from baselines.evaluation.rollout import record_episode
-from baselines.zoo.entries import open_run
-from mbn_marl.engine import BatchEngine, MeasuredWorld
-from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
+from baselines.cli import main
+from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
-from mbn_marl.sim3d import Deployment, Mission, PlaneSimulator, Scale, Simulator, deploy
+from mbn_marl.sim3d import Deployment, PlaneSimulator, Scale, deploy
 from mbn_marl.sim3d.deployment import Policy
 from mbn_marl.sim3d.loading import load_mujoco
 from mbn_marl.sim3d.vehicle import Vehicle
+from tests.support.missions import BEND, SMALL, Wander, drive, start
 
 if find_spec("mujoco") is None:
     pytest.skip("MuJoCo is not installed", allow_module_level=True)
@@ -36,145 +31,6 @@ if find_spec("mujoco") is None:
 from mbn_marl.sim3d.mujoco_simulator import MujocoSimulator
 from mbn_marl.sim3d.quadrotor import Quadrotor, attitude_error, wanted_attitude
 from mbn_marl.sim3d.scene import SPRAYED_WEED
-
-BEND = [(200, 150), (300, 150), (300, 170), (220, 170), (220, 250), (200, 250)]
-"""A hole that is not convex."""
-SMALL = Field(
-    vertices=[(100, 100), (400, 100), (400, 300), (100, 300)],
-    holes=[BEND],
-    rois=[(150, 150), (350, 250), (250, 200)],
-    starts=[(120, 120), (380, 120)],
-    name="bend",
-)
-
-
-class Wander:
-    """Actions that look at nothing but the observation, and push into walls."""
-
-    observes = "observations"
-
-    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        return (np.floor(seen[:, :, :2] * 185.0) % 3 - 1).astype(np.float32)
-
-
-def start(simulator: Simulator, field: Field = SMALL, **mission: Any) -> None:
-    simulator.reset(Mission(field, field.starts, **mission))
-
-
-def drive(simulator: Simulator, velocity: tuple[float, float], steps: int) -> None:
-    simulator.command(np.tile(velocity, (2, 1)))
-    for _ in range(steps):
-        simulator.step()
-
-
-# -- the plane is the environment ------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("policy", "field", "settings"),
-    [
-        ("greedy", "field_03", {}),
-        ("greedy", "field_01", {"wind": (0.3, 30.0)}),
-        ("wander", "field_03", {"max_steps": 200}),
-        ("wander", "field_04", {"max_steps": 60, "reward": "formal", "random_starts": True}),
-        ("zoo", "field_03", {"wind": (0.1, 30.0)}),
-    ],
-)
-def test_the_plane_gives_the_environments_own_episode(
-    policy: str, field: str, settings: Mapping[str, Any]
-) -> None:
-    place, acting = load_field(field), policy
-    if acting == "zoo":
-        run = open_run(f"zoo:{field}")
-        settings = {**run.config["environment"], **settings}
-    makers = {
-        "greedy": lambda: make_classical("greedy", place, {}),
-        "wander": Wander,
-        "zoo": lambda: load_policy(run),
-    }
-    ours = deploy(makers[acting](), place, settings, PlaneSimulator(), seed=3).episode
-    theirs = record_episode(makers[acting](), place, settings, seed=3)
-    for name in ("actions", "positions", "visits", "terms", "team_rewards"):
-        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
-    assert (ours.outcome, ours.config) == (theirs.outcome, theirs.config)
-    if policy == "wander":
-        assert (ours.terms[..., 2] < 0).any() == (theirs.terms[..., 2] < 0).any()
-
-
-def measured(**settings: Any) -> tuple[BatchEngine, MeasuredWorld]:
-    engine = BatchEngine(SMALL, 1, autoreset=False, threads=1, **settings)
-    return engine, MeasuredWorld(engine)
-
-
-def test_positions_are_judged_where_they_were_measured() -> None:
-    engine, world = measured()
-    engine.reset()
-    command = world.command(np.ones((2, 2)))
-    np.testing.assert_array_equal(command.velocities, np.full((2, 2), 0.5))
-    world.measure([(141.0, 150.0), (380.0, 120.0)], [(9.0, -9.0), (0.0, 0.0)])
-    now = engine.snapshot()
-    assert now.visited.tolist() == [True, False, False]
-    np.testing.assert_array_equal(now.velocities[0], (5.0, -5.0))  # as far as the MDP knows speeds
-    assert engine.team_rewards[0] == 10_000.0 - 2 * 10.0
-
-
-def test_a_robot_outside_pays_and_is_where_it_is() -> None:
-    engine, world = measured()
-    engine.reset()
-    world.command(np.zeros((2, 2)))
-    world.measure([(120.0, 99.0), (380.0, 120.0)], np.zeros((2, 2)))
-    assert engine.team_rewards[0] == -10_000.0 - 2 * 10.0
-    np.testing.assert_array_equal(engine.snapshot().positions[0], (120.0, 99.0))
-    assert engine.metrics()["wall_hits"][0].tolist() == [1, 0]
-
-
-def test_a_command_out_of_the_field_is_to_stay() -> None:
-    engine, world = measured()
-    engine.reset()
-    world.command(np.zeros((2, 2)))
-    world.measure([(120.0, 102.0), (380.0, 120.0)], [(0.0, -4.0), (0.0, 0.0)])
-    command = world.command(np.zeros((2, 2)))
-    assert command.allowed.tolist() == [False, True]
-    np.testing.assert_array_equal(command.velocities, np.zeros((2, 2)))
-
-
-def test_a_vehicles_own_limit_bounds_its_commands() -> None:
-    engine = BatchEngine(SMALL, 1, autoreset=False, threads=1)
-    world = MeasuredWorld(engine, speed_limit=2.0)
-    engine.reset()
-    world.command(np.zeros((2, 2)))
-    world.measure(SMALL.starts + 5.0, [(1.9, 0.0), (0.0, 4.0)])
-    np.testing.assert_array_equal(world.command(np.ones((2, 2))).velocities, [(2, 0.5), (0.5, 2)])
-    assert engine.config.v_clip == 5.0  # the observation's scale is the policy's
-
-
-def test_a_measured_collision_ends_the_episode() -> None:
-    engine, world = measured()
-    engine.reset()
-    world.command(np.zeros((2, 2)))
-    world.measure([(150.0, 120.0), (159.9, 120.0)], np.zeros((2, 2)))
-    assert engine.snapshot().collision
-    with pytest.raises(StepError, match="has ended"):
-        world.command(np.zeros((2, 2)))
-
-
-def test_what_cannot_be_measured_is_an_error() -> None:
-    engine, world = measured()
-    engine.reset()
-    with pytest.raises(ActionError, match=re.escape("(2, 2)")):
-        world.measure([(1.0, 2.0)], [(0.0, 0.0)])
-    with pytest.raises(ActionError, match="finite"):
-        world.measure(np.full((2, 2), np.nan), np.zeros((2, 2)))
-    with pytest.raises(MbnError, match="one world"):
-        MeasuredWorld(BatchEngine(SMALL, 2, autoreset=False))
-
-
-def test_a_scale_is_above_zero() -> None:
-    with pytest.raises(ConfigError, match=r"metres: 0\.0"):
-        Scale(metres=0.0)
-    assert Scale(0.2, 0.5).speed == 0.4
-    assert Scale(0.2, 0.5).acceleration(tau=2.0) == 0.4
-
 
 # -- the quadrotor ---------------------------------------------------------------------------------
 
@@ -293,7 +149,7 @@ def test_without_control_the_balancer_falls() -> None:
     assert lean(simulator) > 45.0
 
 
-# -- the whole way ---------------------------------------------------------------------------------
+# -- deployments -----------------------------------------------------------------------------------
 
 
 def flown(policy: Policy, vehicle: str | Vehicle = "quadrotor", **settings: Any) -> Deployment:
@@ -322,6 +178,9 @@ def test_a_deployment_measures_what_happened() -> None:
     assert real.separation == pytest.approx(min(gaps))
     missed = np.diff(episode.positions.astype(float), axis=0) - real.commands
     assert real.tracking_error == pytest.approx(np.sqrt((missed**2).sum(axis=2).mean()))
+
+
+# -- the scene -------------------------------------------------------------------------------------
 
 
 def test_the_scene_has_what_the_field_has() -> None:
@@ -358,62 +217,6 @@ def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ImportError, match=r"mbn_marl\[sim3d\]"):
         MujocoSimulator()
-
-
-# -- the command -----------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def small_file(tmp_path: Path) -> str:
-    path = tmp_path / "bend.yaml"
-    save_field(SMALL, path)
-    return str(path)
-
-
-def test_the_command_compares_and_writes(
-    small_file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    numbers, figure = tmp_path / "numbers.json", tmp_path / "paths.png"
-    outputs = ["--json", str(numbers), "--figure", str(figure)]
-    command = ["deploy", "greedy", "--field", small_file, "--compare", *outputs]
-    assert main(command) == 0
-    rows = json.loads(numbers.read_text())["deployments"]
-    assert [row["sim"] for row in rows] == ["plane", "mujoco"]
-    assert all(row["success"] for row in rows)
-    ratio = rows[1]["makespan"] / rows[0]["makespan"]
-    assert f"{ratio:.2f}" in capsys.readouterr().out
-    assert figure.read_bytes().startswith(b"\x89PNG")
-    assert main(command) == 2
-    assert "already exists" in capsys.readouterr().err
-
-
-def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
-    numbers, figure = tmp_path / "numbers.json", tmp_path / "panels.png"
-    command = ["deploy", "greedy", "--field", small_file, "--wind-speeds", "0.1,0.2"]
-    assert main([*command, "--json", str(numbers), "--figure", str(figure)]) == 0
-    rows = json.loads(numbers.read_text())["deployments"]
-    assert [(row["wind_speed"], row["wind_angle"]) for row in rows] == [(0.1, 30.0), (0.2, 30.0)]
-    assert rows[0]["strongest_wind"] == 0.2
-    assert figure.stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("options", "problem"),
-    [
-        (["greedy"], "field: greedy has none of its own"),
-        (["zoo", "--field", "nowhere"], "nowhere"),
-        (["zoo:field_03", "--sim", "plane", "--compare"], "compare: allowed with mujoco"),
-        (["zoo:field_03", "--sim", "plane", "--video", "x.mp4"], "video: allowed with mujoco"),
-        (["zoo:field_03", "--figure", "x.png"], "figure: allowed with --compare"),
-        (["zoo:field_03", "--metres-per-unit", "0"], "metres: 0"),
-        (["zoo:field_03", "--video", "x.avi"], "has to end in .mp4"),
-    ],
-)
-def test_the_command_says_what_is_wrong(
-    options: list[str], problem: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["deploy", *options]) == 2
-    assert problem in capsys.readouterr().err
 
 
 # -- the film --------------------------------------------------------------------------------------

@@ -1,0 +1,144 @@
+"""The deployment loop: in the plane it is the environment, elsewhere it judges what is measured."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.classical.controller import make_classical
+from baselines.evaluation.policy import load_policy
+from baselines.evaluation.rollout import record_episode
+from baselines.zoo.entries import open_run
+from mbn_marl.config import RewardProfile
+from mbn_marl.engine import BatchEngine, MeasuredWorld
+from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
+from mbn_marl.field import load_field
+from mbn_marl.sim3d import PlaneSimulator, Scale, deploy
+from tests.support.missions import SMALL, Wander
+
+
+@pytest.mark.parametrize(
+    ("policy", "field", "settings"),
+    [
+        ("greedy", "field_03", {}),
+        ("greedy", "field_01", {"wind": (0.3, 30.0)}),
+        ("wander", "field_03", {"max_steps": 200}),
+        ("wander", "field_04", {"max_steps": 60, "reward": "formal", "random_starts": True}),
+        ("zoo", "field_03", {"wind": (0.1, 30.0)}),
+    ],
+)
+def test_the_plane_gives_the_environments_own_episode(
+    policy: str, field: str, settings: Mapping[str, Any]
+) -> None:
+    place, acting = load_field(field), policy
+    if acting == "zoo":
+        run = open_run(f"zoo:{field}")
+        settings = {**run.config["environment"], **settings}
+    makers = {
+        "greedy": lambda: make_classical("greedy", place, {}),
+        "wander": Wander,
+        "zoo": lambda: load_policy(run),
+    }
+    ours = deploy(makers[acting](), place, settings, PlaneSimulator(), seed=3).episode
+    theirs = record_episode(makers[acting](), place, settings, seed=3)
+    for name in ("actions", "positions", "visits", "terms", "team_rewards"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
+    assert (ours.outcome, ours.config) == (theirs.outcome, theirs.config)
+    if policy == "wander":
+        assert (ours.terms[..., 2] < 0).any() == (theirs.terms[..., 2] < 0).any()
+
+
+def measured(**settings: Any) -> tuple[BatchEngine, MeasuredWorld]:
+    engine = BatchEngine(SMALL, 1, autoreset=False, threads=1, **settings)
+    return engine, MeasuredWorld(engine)
+
+
+def test_positions_are_judged_where_they_were_measured() -> None:
+    engine, world = measured()
+    engine.reset()
+    command = world.command(np.ones((2, 2)))
+    np.testing.assert_array_equal(command.velocities, np.full((2, 2), 0.5))
+    world.measure([(141.0, 150.0), (380.0, 120.0)], [(9.0, -9.0), (0.0, 0.0)])
+    now = engine.snapshot()
+    assert now.visited.tolist() == [True, False, False]
+    np.testing.assert_array_equal(now.velocities[0], (5.0, -5.0))  # as far as the MDP knows speeds
+    assert engine.team_rewards[0] == 10_000.0 - 2 * 10.0
+
+
+def test_a_robot_outside_pays_and_is_where_it_is() -> None:
+    engine, world = measured()
+    engine.reset()
+    world.command(np.zeros((2, 2)))
+    world.measure([(120.0, 99.0), (380.0, 120.0)], np.zeros((2, 2)))
+    assert engine.team_rewards[0] == -10_000.0 - 2 * 10.0
+    np.testing.assert_array_equal(engine.snapshot().positions[0], (120.0, 99.0))
+    assert engine.metrics()["wall_hits"][0].tolist() == [1, 0]
+
+
+def test_a_command_out_of_the_field_is_to_stay() -> None:
+    engine, world = measured()
+    engine.reset()
+    world.command(np.zeros((2, 2)))
+    world.measure([(120.0, 102.0), (380.0, 120.0)], [(0.0, -4.0), (0.0, 0.0)])
+    command = world.command(np.zeros((2, 2)))
+    assert command.allowed.tolist() == [False, True]
+    np.testing.assert_array_equal(command.velocities, np.zeros((2, 2)))
+
+
+def test_a_vehicles_own_limit_bounds_its_commands() -> None:
+    engine = BatchEngine(SMALL, 1, autoreset=False, threads=1)
+    world = MeasuredWorld(engine, speed_limit=2.0)
+    engine.reset()
+    world.command(np.zeros((2, 2)))
+    world.measure(SMALL.starts + 5.0, [(1.9, 0.0), (0.0, 4.0)])
+    np.testing.assert_array_equal(world.command(np.ones((2, 2))).velocities, [(2, 0.5), (0.5, 2)])
+    assert engine.config.v_clip == 5.0  # the observation's scale is the policy's
+
+
+def test_a_measured_collision_ends_the_episode() -> None:
+    engine, world = measured()
+    engine.reset()
+    world.command(np.zeros((2, 2)))
+    world.measure([(150.0, 120.0), (159.9, 120.0)], np.zeros((2, 2)))
+    assert engine.snapshot().collision
+    with pytest.raises(StepError, match="has ended"):
+        world.command(np.zeros((2, 2)))
+
+
+def test_what_cannot_be_measured_is_an_error() -> None:
+    engine, world = measured()
+    engine.reset()
+    with pytest.raises(ActionError, match=re.escape("(2, 2)")):
+        world.measure([(1.0, 2.0)], [(0.0, 0.0)])
+    with pytest.raises(ActionError, match="finite"):
+        world.measure(np.full((2, 2), np.nan), np.zeros((2, 2)))
+    with pytest.raises(MbnError, match="one world"):
+        MeasuredWorld(BatchEngine(SMALL, 2, autoreset=False))
+
+
+def test_a_scale_is_above_zero() -> None:
+    with pytest.raises(ConfigError, match=r"metres: 0\.0"):
+        Scale(metres=0.0)
+    assert Scale(0.2, 0.5).speed == 0.4
+    assert Scale(0.2, 0.5).acceleration(tau=2.0) == 0.4
+
+
+class Push:
+    """Full force to the left, always."""
+
+    observes = "observations"
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        return np.tile(np.float32((-1.0, 0.0)), (*seen.shape[:2], 1))
+
+
+def test_wall_hits_are_counted_where_they_cost_nothing() -> None:
+    """From x = 120 robot 0 gets to 102 in 8 steps, to 97.5 in the 9th; then 101.5, 100.5, 99."""
+    free = RewardProfile(name="free", large=0.0)
+    done = deploy(Push(), SMALL, {"max_steps": 12, "reward": free}, PlaneSimulator())
+    assert done.wall_hits == 2
+    assert not done.episode.terms[..., 2].any()
