@@ -10,8 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from baselines.compare.text_table import TextTable
-from baselines.sweep.spec import Cell, GridSpec, cells_of
+from baselines.sweep.spec import GridSpec, runs_of
 from baselines.sweep.status import duration
+from baselines.sweep.worker import source_of
+from baselines.training.config import TrainConfig
 
 SPEEDS: Mapping[str, float] = {
     "a2c": 835.0,
@@ -35,21 +37,21 @@ CAPTION = (
 )
 
 
-def makespan(cells: Sequence[Cell], workers: int) -> float:
-    """Return the seconds that ``workers`` take for ``cells``, in the order of an engine."""
-    waiting, done = list(cells), set[str | None]([None])
+def makespan(runs: Sequence[TrainConfig], workers: int) -> float:
+    """Return the seconds that ``workers`` take for ``runs``, in the order of an engine."""
+    waiting, done = list(runs), set[str | None]([None])
     running: list[tuple[float, str]] = []
     now = 0.0
     while waiting or running:
-        ready = (place for place, cell in enumerate(waiting) if cell.source in done)
+        ready = (place for place, run in enumerate(waiting) if source_of(run) in done)
         place = next(ready, None) if len(running) < workers else None
         if place is None:
             now, name = heapq.heappop(running)
             done.add(name)
         else:
-            cell = waiting.pop(place)
-            seconds = cell.config.steps / SPEEDS[cell.config.algorithm]
-            heapq.heappush(running, (now + seconds, cell.name))
+            run = waiting.pop(place)
+            seconds = run.steps / SPEEDS[run.algorithm]
+            heapq.heappush(running, (now + seconds, run.name))
     return now
 
 
@@ -59,11 +61,11 @@ def capacity() -> TextTable:
     for algorithms, name in ((tuple(SPEEDS), "all six"), (CHEAP, "without CrossQ and TQC")):
         for seeds in SEEDS:
             values = {"store": "runs", "algorithms": algorithms, "settings": ["A", "B", "C"]}
-            cells = cells_of(GridSpec.model_validate({**values, "seeds": list(range(seeds))}))
-            hours = sum(cell.config.steps / SPEEDS[cell.config.algorithm] for cell in cells) / 3600
-            times = (duration(makespan(cells, CORES * machines)) for machines in MACHINES)
-            runs = f"{name}, {seeds} seed{'' if seeds == 1 else 's'}"
-            lines.append((runs, str(len(cells)), f"{hours:,.0f}", *times))
+            runs = runs_of(GridSpec.model_validate({**values, "seeds": list(range(seeds))}))
+            hours = sum(run.steps / SPEEDS[run.algorithm] for run in runs) / 3600
+            times = (duration(makespan(runs, CORES * machines)) for machines in MACHINES)
+            label = f"{name}, {seeds} seed{'' if seeds == 1 else 's'}"
+            lines.append((label, str(len(runs)), f"{hours:,.0f}", *times))
     headings = ("grid", "runs", "core hours", *(f"on {n}" for n in MACHINES))
     return TextTable(CAPTION, headings, tuple(lines))
 

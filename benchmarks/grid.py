@@ -5,20 +5,19 @@ from __future__ import annotations
 import logging
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 from typing import Any, ClassVar, NamedTuple
 
-from baselines.sweep.processes import work_all
-from baselines.sweep.ray_cluster import Needs, connected, work_on_ray
-from baselines.sweep.run import Grid, run_grid
-from baselines.sweep.spec import GridSpec, cells_of
+from baselines.sweep.processes import LocalEngine
+from baselines.sweep.ray_cluster import RayEngine
+from baselines.sweep.run import Engine, Sweep
+from baselines.sweep.spec import GridSpec, runs_of
 from baselines.sweep.store import open_store
-from baselines.sweep.worker import Assignment, Claim, Outcome
+from baselines.sweep.worker import TrainJob, Watch
 from benchmarks.report import Advance, Benchmark, Findings, Measurement
 
 EMPTY = 1000
@@ -54,7 +53,8 @@ def measure_grid(steps: int, progress: Advance) -> list[Measurement]:
     """Measure both engines, with ``steps`` env-steps in each of the cells that train."""
     rows = []
     for workers in (1, WORKERS):
-        rows.append(_overhead("local", f"{workers} at a time", _empty_locally(workers)))
+        seconds = _empty(LocalEngine(workers, retries=1), workers)
+        rows.append(_overhead("local", f"{workers} at a time", seconds))
         progress()
     rows.append(_on_ray())
     progress()
@@ -84,21 +84,11 @@ def _overhead(engine: str, how: str, seconds: float) -> Measurement:
     return Measurement(f"{engine}: per cell, {how}", 1000.0 * seconds / EMPTY, "ms", note=what)
 
 
-def claim_and_leave(job: Assignment, report: Callable[[Any], None]) -> None:
-    """Everything that a cell costs but training."""
-    store, name = open_store(job.store), job.cell.name
-    if not store.finished([name]):
-        with Claim(store, job, store.state(name), report) as claim:
-            claim.end("done")
-    report(Outcome(name, "done"))
-
-
-@contextmanager
-def _empty_cells() -> Iterator[list[Assignment]]:
-    """Cells in a store of their own."""
-    with tempfile.TemporaryDirectory() as folder:
-        spec = _spec(Path(folder), seeds=range(EMPTY), steps=1)
-        yield [Assignment(cell, folder, "bench", 0.0) for cell in cells_of(spec)]
+def claim_and_leave(job: TrainJob, report: Callable[[Any], None]) -> None:
+    """Do everything that a run costs but training."""
+    store = open_store(job.store)
+    if not store.finished([job.name]):
+        Watch(store, job, report).note(state="done")
 
 
 def _spec(store: Path, seeds: Sequence[int], steps: int) -> GridSpec:
@@ -107,11 +97,13 @@ def _spec(store: Path, seeds: Sequence[int], steps: int) -> GridSpec:
     return GridSpec.model_validate({"store": str(store), **values, "budget": budget})
 
 
-def _empty_locally(workers: int) -> float:
-    """Seconds for all empty cells, once the processes are there."""
-    with _empty_cells() as jobs:
+def _empty(engine: Engine, workers: int) -> float:
+    """Return the seconds for all empty runs, once the processes are there."""
+    with tempfile.TemporaryDirectory() as folder:
+        runs = runs_of(_spec(Path(folder), seeds=range(EMPTY), steps=1))
+        jobs = [TrainJob(run, folder, noted=True) for run in runs]
         ends: list[float] = []
-        work_all(claim_and_leave, jobs, workers, lambda outcome: ends.append(perf_counter()))
+        engine.run(claim_and_leave, jobs, print, lambda job, end: ends.append(perf_counter()))
         return _after_start(ends, workers)
 
 
@@ -127,11 +119,7 @@ def _on_ray() -> Measurement:
 
     ray.init(**NODE, log_to_driver=False, logging_level=logging.ERROR)
     try:
-        with _empty_cells() as jobs, connected(None):
-            ends: list[float] = []
-            needs = Needs()
-            work_on_ray(claim_and_leave, jobs, lambda outcome: ends.append(perf_counter()), needs)
-            return _overhead("ray", f"{WORKERS} at a time", _after_start(ends, WORKERS))
+        return _overhead("ray", f"{WORKERS} at a time", _empty(RayEngine(), WORKERS))
     finally:
         ray.shutdown()
 
@@ -146,9 +134,9 @@ class Seconds(NamedTuple):
 def _train(steps: int, workers: int, progress: Advance) -> Seconds:
     """Train the cells of a grid."""
     with tempfile.TemporaryDirectory() as folder:
-        grid = Grid.of(_spec(Path(folder), seeds=range(CELLS), steps=steps))
+        sweep = Sweep.of(_spec(Path(folder), seeds=range(CELLS), steps=steps))
         wall, processor = perf_counter(), _of_children()
-        run_grid(grid, engine="local", processes=workers)
+        sweep.train(LocalEngine(workers, retries=1))
         taken = Seconds(perf_counter() - wall, _of_children() - processor)
     progress()
     return taken

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, TypedDict
 
@@ -13,6 +14,10 @@ from mbn_marl.errors import ConfigError, unknown
 MAX_ROBOTS = 64
 MAX_ROIS = 24
 """More ROIs than this would make the visit code inexact in float32."""
+
+_SHORT = reprlib.Repr()
+"""Shows values in messages: long ones without their middle."""
+_SHORT.maxstring = _SHORT.maxother = 80
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -173,7 +178,8 @@ def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
             message = unknown("name", str(name), _level(model, path).model_fields)
         else:
             message = problem["msg"].removeprefix("Value error, ")
-            message += f" (got {problem['input']!r:.80})"
+            if problem["type"] != "missing":  # else the input is all that is around it
+                message += f" (got {_SHORT.repr(problem['input'])})"
         lines.append(f"{place}: {message}")
     return lines
 

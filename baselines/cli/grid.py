@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
-    from baselines.sweep.run import Grid as Cells
+    from baselines.sweep.run import Sweep
 
 ACTIONS = ("status", "fetch")
 
@@ -19,7 +19,7 @@ ACTIONS = ("status", "fetch")
 class Grid:
     """Train a grid of runs that a YAML file declares, see docs/grid.md.
 
-    Finished runs are never made again, failed and interrupted ones go on from their last
+    Finished runs are never made again, failed and interrupted ones resume from their last
     checkpoint. `mbn grid status SPEC` shows how it stands, from any machine that sees the store;
     `mbn grid fetch SPEC` copies the finished runs of a store elsewhere to --out.
     """
@@ -32,9 +32,6 @@ class Grid:
     """local: runs at a time; each takes one core."""
     address: str | None = None
     """ray: HOST:PORT of the cluster; by default $RAY_ADDRESS, or the cluster this machine is in."""
-    trust: bool = False
-    """Load pickled files of the store whoever made them; it is needed where the machines' users
-    have homes of their own, and no key in common."""
     check: bool = False
     """Check the file and say what there is to do, but do nothing."""
     out: Path | None = None
@@ -42,30 +39,24 @@ class Grid:
 
     def run(self, command_line: str) -> None:
         """Do what is asked."""
-        from baselines.sweep.run import Grid as Cells
+        from baselines.sweep.run import Sweep
         from baselines.sweep.spec import read_spec
 
         action, path = self._parsed()
-        grid = Cells.of(read_spec(path))
+        sweep = Sweep.of(read_spec(path))
         if action == "status":
-            self._watch(grid)
+            self._watch(sweep)
         elif action == "fetch":
-            self._fetch(grid)
+            self._fetch(sweep)
         else:
-            self._train(grid)
+            self._train(sweep)
 
     def _parsed(self) -> tuple[str, Path]:
         """What to do, with which file."""
         from mbn_marl.errors import ConfigError
 
-        action, *rest = (
-            self.words
-            if self.words[:1] and self.words[0] in ACTIONS
-            else (
-                "train",
-                *self.words,
-            )
-        )
+        named = bool(self.words) and self.words[0] in ACTIONS
+        action, *rest = self.words if named else ("train", *self.words)
         problems = []
         if len(rest) != 1:
             problems.append(f"SPEC: one file is needed, not {len(rest)}")
@@ -79,16 +70,16 @@ class Grid:
             raise ConfigError("grid", problems)
         return action, Path(rest[0])
 
-    def _train(self, grid: Cells) -> None:
+    def _train(self, sweep: Sweep) -> None:
         from baselines.console import console
-        from baselines.sweep.run import run_grid
+        from baselines.sweep.run import make_engine
         from baselines.sweep.status import live
         from baselines.sweep.worker import Outcome
 
         screen = console()
-        left = grid.left()
+        done = len(sweep.runs) - len(sweep.left())
         screen.print(
-            f"{len(grid.cells)} runs, {len(grid.cells) - len(left)} of them done; {grid.place}",
+            f"{len(sweep.runs)} runs, {done} of them done; {sweep.place}",
             soft_wrap=True,
             highlight=False,
         )
@@ -100,18 +91,11 @@ class Grid:
                 error = "" if outcome.error is None else f" ({outcome.error})"
                 print(f"{outcome.name}: {outcome.state}{error}", flush=True)
 
-        with live(grid, screen):
-            run_grid(
-                grid,
-                engine=self.engine,
-                processes=self.processes,
-                address=self.address,
-                trust=self.trust,
-                listener=tell,
-                note=screen.print,
-            )
+        engine = make_engine(self.engine, self.processes, self.address, sweep.resources)
+        with live(sweep, screen):
+            sweep.train(engine, tell)
 
-    def _watch(self, grid: Cells) -> None:
+    def _watch(self, sweep: Sweep) -> None:
         import time
 
         from baselines.console import console
@@ -119,19 +103,19 @@ class Grid:
 
         screen = console()
         if not screen.is_terminal:
-            screen.print(show(Status.of(grid)), soft_wrap=True, highlight=False)
+            screen.print(show(Status.of(sweep)), soft_wrap=True, highlight=False)
             return
-        with live(grid, screen):
-            while Status.of(grid).count("done") < len(grid.cells):
-                time.sleep(grid.store.refresh)
+        with live(sweep, screen):
+            while Status.of(sweep).count("done") < len(sweep.runs):
+                time.sleep(sweep.store.refresh)
 
-    def _fetch(self, grid: Cells) -> None:
+    def _fetch(self, sweep: Sweep) -> None:
         from baselines.sweep.store import RemoteStore, fetch_all
         from mbn_marl.errors import ConfigError
 
         assert self.out is not None
-        if not isinstance(grid.store, RemoteStore):
-            raise ConfigError("grid", [f"store: {grid.place} is here already; nothing to fetch"])
-        names = sorted(grid.store.finished(grid.names))
-        fetch_all(grid.store, names, self.out)
-        print(f"{len(names)} of {len(grid.cells)} runs are finished and in {self.out}")
+        if not isinstance(sweep.store, RemoteStore):
+            raise ConfigError("grid", [f"store: {sweep.place} is here already; nothing to fetch"])
+        names = sorted(sweep.store.finished(sweep.names))
+        fetch_all(sweep.store, names, self.out)
+        print(f"{len(names)} of {len(sweep.runs)} runs are finished and in {self.out}")

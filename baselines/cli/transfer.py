@@ -11,12 +11,12 @@ from tyro.conf import Positional, arg
 
 @dataclass(frozen=True)
 class Transfer:
-    """Train under setting A on one field, then go on from that policy on each other field."""
+    """Train under setting A on one field, then continue from that policy on each other field."""
 
     algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
     """a2c, ppo, trpo, ars, crossq or tqc."""
     fields: tuple[str, ...] = ()
-    """Where to go on: names of `mbn fields` or paths; by default all others of the catalogue."""
+    """Where to continue: names of `mbn fields` or paths; by default all others of the catalogue."""
     source: str = "field_01"
     """Where the policy comes from. A finished run of it in OUT is taken, of any budget unless
     --source-steps says which."""
@@ -35,32 +35,28 @@ class Transfer:
     episodes: int = 100
     """Episodes of an evaluation."""
     processes: int = 1
-    """Fine-tuning runs at a time; each takes one core."""
+    """Runs at a time; each takes one core. All others begin when the source is finished."""
     out: Path = Path("runs")
     """The folder of all runs: ALGO-A-SOURCE-seedSEED and ALGO-C-FIELD-seedSEED."""
     resume: bool = False
-    """Go on with interrupted runs from their newest checkpoints, and leave finished ones."""
-    trust: bool = False
-    """Load pickled files of runs even if you did not make them; they can run any code."""
+    """Resume interrupted runs from their newest checkpoints, and leave finished ones."""
 
     def run(self, command_line: str) -> None:
         """Train with a bar for every run, then print the final evaluations."""
-        from dataclasses import replace
-
         from baselines.cli.evaluate import print_evaluations
-        from baselines.runs.files import RunError
         from baselines.runs.folder import RunFolder
-        from baselines.sweep.processes import train_all
-        from baselines.sweep.transfer import check_sizes, find_source, transfer_jobs, transfer_runs
+        from baselines.sweep.processes import LocalEngine
+        from baselines.sweep.run import check_outcomes, train_runs
+        from baselines.sweep.transfer import transfer_runs
         from baselines.training.config import TrainConfig
         from baselines.training.progress_bar import ProgressDisplay
         from mbn_marl.errors import ConfigError
         from mbn_marl.field import catalogue_names, load_field
 
-        any_steps = self.source_steps is None
-        source_steps = self.steps if self.source_steps is None else self.source_steps
-        counts = {"processes": self.processes, "source_steps": source_steps}
-        problems = [f"{name}: at least 1, not {n}" for name, n in counts.items() if n < 1]
+        counts = {"processes": self.processes, "source_steps": self.source_steps}
+        problems = [
+            f"{name}: at least 1, not {n}" for name, n in counts.items() if n is not None and n < 1
+        ]
         if problems:
             raise ConfigError("transfer", problems)
         config = TrainConfig(
@@ -77,25 +73,19 @@ class Transfer:
         fields = self.fields or tuple(
             name for name in catalogue_names() if load_field(name) != load_field(self.source)
         )
-        runs = transfer_runs(config, self.out / config.name, fields)
-        check_sizes(self.source, fields)
-        jobs = transfer_jobs(runs, self.out, resume=self.resume, trust=self.trust)
-        first = replace(config, steps=source_steps)
-        with ProgressDisplay([first.name], first.steps) as display:
-            source = find_source(
-                first,
-                self.out,
-                any_steps=any_steps,
-                resume=self.resume,
-                listener=display,
-                trust=self.trust,
-            )
-        print(f"from: {source.path}, {source.evaluation['env_steps']:,} env-steps")
+        runs = transfer_runs(
+            config, self.out, fields, source_steps=self.source_steps, resume=self.resume
+        )
         with ProgressDisplay([run.name for run in runs], self.steps) as display:
-            broken = train_all(jobs, self.processes, display)
-        finished = [RunFolder.open(job.out) for job in jobs if job.config.name not in broken]
-        for folder in (source, *finished):
-            final = folder.evaluation
-            print_evaluations([final["stochastic"], final["deterministic"]], str(folder.path))
-        if broken:
-            raise RunError("\n".join(broken.values()))
+            outcomes = train_runs(
+                runs, str(self.out), LocalEngine(self.processes), listener=display
+            )
+        source = RunFolder(self.out / config.name)
+        if source.finished:
+            print(f"from: {source.path}, {source.evaluation['env_steps']:,} env-steps")
+        done = [RunFolder(self.out / run.name) for run in runs if run.setting == "C"]
+        for folder in (source, *done):
+            if folder.finished:
+                final = folder.evaluation
+                print_evaluations([final["stochastic"], final["deterministic"]], str(folder.path))
+        check_outcomes(outcomes.values(), self.out)

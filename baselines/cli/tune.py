@@ -43,13 +43,14 @@ class Tune:
     out: Path | None = None
     """The folder of the study; by default runs/tune-ALGO-FIELD."""
     resume: bool = False
-    """Go on with the study that is there; a trial that was interrupted is run anew."""
+    """Continue the study that is there; a trial that was interrupted is run again."""
     force: bool = False
     """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
         """Tune, with a progress bar, and say how to train with the result."""
         from baselines.console import console
+        from baselines.sweep.run import make_engine
         from baselines.tuning.display import TuneDisplay
         from baselines.tuning.space import Space
         from baselines.tuning.study import ended, open_study
@@ -58,9 +59,8 @@ class Tune:
         from mbn_marl.errors import ConfigError
 
         if self.resume and self.force:
-            raise ConfigError("tuning", ["resume: goes on with a study that --force moves aside"])
-        if self.address is not None and self.engine != "ray":
-            raise ConfigError("tuning", ["address: allowed with --engine ray"])
+            raise ConfigError("tuning", ["resume: continues a study that --force moves aside"])
+        engine = make_engine(self.engine, self.processes, self.address)
         config = TuneConfig(
             self.algorithm,
             self.field,
@@ -80,11 +80,9 @@ class Tune:
                 config,
                 out,
                 trials=self.trials,
-                processes=self.processes,
+                engine=engine,
                 command=command_line,
                 database=self.database,
-                engine=self.engine,
-                address=self.address,
                 resume=self.resume,
                 force=self.force,
                 listener=display,

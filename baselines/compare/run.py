@@ -12,10 +12,12 @@ from typing import Any
 from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
 from baselines.compare.variants import Variant
+from baselines.runs.differences import differences
 from baselines.runs.files import RunError, alone, claim_folder, read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.provenance import write_provenance
-from baselines.sweep.processes import Job, train_all
+from baselines.sweep.processes import LocalEngine
+from baselines.sweep.run import check_outcomes, train_runs
 from baselines.training.config import TrainConfig
 from baselines.training.loggers import find_wandb
 from baselines.training.progress_bar import Listener
@@ -103,8 +105,7 @@ def train_all_runs(
 ) -> Results:
     """Train every run into a folder of its own under ``out``.
 
-    A learner that breaks down stops its own run alone; its label is then left out of the results,
-    which say so.
+    A run that diverges stops no other; its label is then left out of the results, which say so.
 
     Args:
         config: what to compare.
@@ -112,21 +113,22 @@ def train_all_runs(
         command: the exact command, recorded there.
         processes: runs at a time.
         force: move a folder that is already there aside.
-        resume: go on with the comparison in ``out``, which must be of the same configuration:
-            finished runs are kept, unfinished ones go on, missing ones are started.
+        resume: continue the comparison in ``out``, which must be of the same configuration:
+            finished runs are kept, unfinished ones resumed, missing ones started.
         wandb: a project of Weights & Biases to log to as well.
-        listener: is told where the runs stand.
+        listener: receives where the runs stand.
 
     Raises:
         RunError: ``out`` already holds something, or another process compares there, or a run
-            failed, or every label has one that broke down.
+            failed, or every label has one that diverged.
         ConfigError: with ``resume``, naming every entry of the configuration that differs.
         MbnError: a hyperparameter or a setting of a variant is not valid, or Weights & Biases is
             asked for and not installed.
     """
     if wandb is not None:
         find_wandb()
-    for run in config.runs():
+    runs = config.runs()
+    for run in runs:
         prepare(run)
     if resume:
         _check_same(config, out)
@@ -136,24 +138,21 @@ def train_all_runs(
         if not resume:
             write_json(out / "config.json", config.to_json())
             write_provenance(out, command)
-        jobs = [Job.left(run, out / run.name, wandb) for run in config.runs()]
-        broken = train_all(jobs, processes, listener)
-    left_out = {job.config.shown_as for job in jobs if job.config.name in broken}
-    whole = [job for job in jobs if job.config.shown_as not in left_out]
+        engine = LocalEngine(processes)
+        outcomes = train_runs(runs, str(out), engine, wandb=wandb, listener=listener)
+    broken = {name: one for name, one in outcomes.items() if one.state == "diverged"}
+    check_outcomes((one for name, one in outcomes.items() if name not in broken), out)
+    left_out = {run.shown_as for run in runs if run.name in broken}
+    whole = [run for run in runs if run.shown_as not in left_out]
+    errors = {name: one.error or "" for name, one in broken.items()}
     if not whole:
-        raise RunError("nothing is left to compare:\n" + "\n".join(broken.values()))
-    return Results.of([RunRecord.read(RunFolder.open(job.out)) for job in whole], broken)
+        raise RunError("nothing is left to compare:\n" + "\n".join(errors.values()))
+    return Results.of([RunRecord.read(RunFolder.open(out / run.name)) for run in whole], errors)
 
 
 def _check_same(config: CompareConfig, out: Path) -> None:
-    """Whether the comparison in ``out`` is of this configuration."""
+    """Check that the comparison in ``out`` is of this configuration; raise an error if not."""
     if not (out / "config.json").is_file():
         raise RunError(f"{out} is not the folder of a comparison: it has no config.json")
-    recorded, asked = read_json(out / "config.json"), config.to_json()
-    problems = [
-        f"{name}: the comparison has {recorded.get(name)!r}, this command {asked.get(name)!r}"
-        for name in dict.fromkeys([*recorded, *asked])
-        if recorded.get(name) != asked.get(name)
-    ]
-    if problems:
+    if problems := differences(read_json(out / "config.json"), config.to_json()):
         raise ConfigError(f"{out} cannot be resumed", problems)

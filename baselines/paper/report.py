@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 from baselines.algorithms import SETTINGS, Setting
 from baselines.compare.text_table import DASH
 from baselines.paper import figures, glance, published
+from baselines.paper.study import draw_study
 from baselines.paper.tables import ALGORITHMS, MISSING, PaperTable, paper_tables, write_csv
 from baselines.paper.trainings import Trainings, find_trainings
 from baselines.runs.files import RunError, write_text
 from baselines.runs.provenance import write_provenance
 from baselines.runs.report_path import Place
-from baselines.tuning.study import draw_study
 from mbn_marl.render.figures import save
 
 OVERVIEW = "fields"

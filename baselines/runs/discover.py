@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from baselines.runs.files import RunError, moved_aside, read_json
-from baselines.tuning.study import is_study
 
 
 def run_folders(
@@ -70,3 +69,10 @@ def _why_left_out(folder: Path, comparisons: bool) -> str | None:
     if is_comparison and not comparisons:
         return "a comparison; name it to report on its runs"
     return None
+
+
+def is_study(folder: Path) -> bool:
+    """Return whether ``folder`` is that of a study."""
+    path = folder / "config.json"
+    config = read_json(path) if path.is_file() else None
+    return isinstance(config, dict) and "database" in config

@@ -1,43 +1,97 @@
-"""Work on a Ray cluster: placement, retries and lost machines are Ray's business."""
+"""Jobs on a Ray cluster: placement, retries and lost machines are Ray's business."""
 
 from __future__ import annotations
 
 import logging
 import socket
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
-from baselines.sweep.processes import Failed, Work, stop_all
+from baselines.sweep.processes import Ended, Failure, Job, Work
 from mbn_marl.errors import MbnError
-
-Engine = Literal["local", "ray"]
-"""What does the work: processes of this machine, or a Ray cluster."""
 
 
 @dataclass(frozen=True)
-class Needs:
-    """What Ray is asked to give a job.
+class RayEngine:
+    """A Ray cluster that is there already; every job is a task with a process of its own.
 
     Attributes:
-        cpus: cores that it takes (>= 0).
-        gpus: GPUs that it takes (>= 0), whole or a share of one.
-        retries: how often it is begun again when its process or its machine is lost (>= 0).
-        retry_errors: whether it is begun again after an exception too.
+        address: HOST:PORT; ``None`` for that of ``RAY_ADDRESS``, or the cluster this machine is in.
+        cpus: cores that a job takes (>= 0).
+        gpus: GPUs that a job takes (>= 0), whole or a share of one.
+        retries: how often a job is begun again when its process or machine is lost, or after an
+            error that is none of bad input (>= 0).
     """
 
+    address: str | None = None
     cpus: float = 1.0
     gpus: float = 0.0
     retries: int = 3
-    retry_errors: bool = False
+
+    def run(
+        self, work: Work, jobs: Iterable[Job], report: Callable[[Any], None], ended: Ended
+    ) -> None:
+        """Do all jobs, see :meth:`LocalEngine.run`; only a job's last report is received.
+
+        Raises:
+            MbnError: there is no cluster, or it runs another Ray or Python.
+        """
+        with connected(self.address):
+            self._run(work, jobs, report, ended)
+
+    def _run(
+        self, work: Work, jobs: Iterable[Job], report: Callable[[Any], None], ended: Ended
+    ) -> None:
+        import ray
+
+        if not self._fits_somewhere():
+            logging.getLogger(__name__).warning(
+                "no machine of the cluster has %g cores and %g GPUs for a run now; waiting for one",
+                self.cpus,
+                self.gpus,
+            )
+        task = ray.remote(_do).options(
+            num_cpus=self.cpus,
+            num_gpus=self.gpus,
+            max_retries=self.retries,
+            retry_exceptions=True,
+        )
+        refs: dict[str | None, Any] = {None: None}
+        running: dict[Any, Job] = {}
+        for job in jobs:
+            refs[job.name] = task.remote(work, job, refs[job.after])
+            running[refs[job.name]] = job
+        try:
+            while running:
+                for ref in ray.wait(list(running))[0]:
+                    try:
+                        messages, result = ray.get(ref)
+                    except ray.exceptions.RayError as error:
+                        messages, result = [], Failure(str(getattr(error, "cause", None) or error))
+                    for message in messages:
+                        report(message)
+                    ended(running.pop(ref), result)
+        finally:
+            for ref in running:
+                ray.cancel(ref, force=True)
+
+    def _fits_somewhere(self) -> bool:
+        """Return whether a machine that the cluster has now can give a job what it takes."""
+        import ray
+
+        return any(
+            node["Alive"]
+            and node["Resources"].get("CPU", 0.0) >= self.cpus
+            and node["Resources"].get("GPU", 0.0) >= self.gpus
+            for node in ray.nodes()
+        )
 
 
 @contextmanager
 def connected(address: str | None) -> Iterator[None]:
-    """Use the Ray cluster at ``address``; ``None`` for that of ``RAY_ADDRESS`` or this machine.
-
-    A connection that this process has already is taken, and kept.
+    """Use the Ray cluster at ``address``; a connection that this process has already is kept.
 
     Raises:
         MbnError: there is no cluster, or it runs another Ray or Python.
@@ -64,10 +118,10 @@ def connected(address: str | None) -> Iterator[None]:
 
 
 def _reach(address: str) -> None:
-    """Whether somebody listens at HOST:PORT; Ray itself would try for minutes.
+    """Check that something listens at HOST:PORT, which Ray itself would try for minutes.
 
     Raises:
-        OSError: nobody does.
+        OSError: nothing does.
         ValueError: it is no such address.
     """
     host, _, port = address.removeprefix("ray://").rpartition(":")
@@ -77,83 +131,15 @@ def _reach(address: str) -> None:
         pass
 
 
-def work_on_ray(
-    work: Work,
-    jobs: Sequence[Any],
-    listener: Callable[[Any], None],
-    needs: Needs,
-    *,
-    failed: Failed = stop_all,
-    after: Sequence[int | None] = (),
-) -> None:
-    """Do all jobs as tasks of the connected Ray cluster, each in a process of its own.
-
-    Args:
-        work: does one job.
-        jobs: can be pickled.
-        listener: is told here what a job reported last, when it has ended.
-        needs: of every job.
-        failed: is told of a job that failed for good; by default the first one stops all.
-        after: for each job the place of an earlier one that has to end before it begins, or
-            ``None``.
-
-    Raises:
-        RunError: by default, when a job failed.
-    """
-    import ray
-
-    task = ray.remote(_do).options(
-        num_cpus=needs.cpus,
-        num_gpus=needs.gpus,
-        max_retries=needs.retries,
-        retry_exceptions=needs.retry_errors,
-    )
-    places: dict[Any, int] = {}
-    refs: list[Any] = []
-    for place, (job, before) in enumerate(zip(jobs, after or [None] * len(jobs), strict=True)):
-        refs.append(task.remote(work, job, [] if before is None else refs[before]))
-        places[refs[-1]] = place
-    waiting = list(refs)
-    try:
-        while waiting:
-            ended, waiting = ray.wait(waiting)
-            for ref in ended:
-                try:
-                    messages = ray.get(ref)
-                except ray.exceptions.RayError as error:
-                    failed(places[ref], _words(error))
-                else:
-                    for message in messages:
-                        listener(message)
-    finally:
-        for ref in waiting:
-            ray.cancel(ref, force=True)
-
-
-def enough_somewhere(needs: Needs) -> bool:
-    """Whether a machine that the cluster has now can give a job what it needs."""
-    import ray
-
-    return any(
-        node["Alive"]
-        and node["Resources"].get("CPU", 0.0) >= needs.cpus
-        and node["Resources"].get("GPU", 0.0) >= needs.gpus
-        for node in ray.nodes()
-    )
-
-
-def _do(work: Work, job: Any, before: Any) -> list[Any]:
-    """Do a job here, on some machine; its last report, if it made one."""
+def _do(work: Work, job: Job, before: Any) -> tuple[list[Any], Any]:
+    """Do a job on some machine; return its last report, if it made one, and its result."""
     messages: list[Any] = []
 
     def keep_the_last(message: Any) -> None:
         messages[:] = [message]
 
-    work(job, keep_the_last)
-    return messages
-
-
-def _words(error: Exception) -> str:
-    """What went wrong: the error of the job itself, or what Ray says of its process or machine."""
-    cause = getattr(error, "cause", None)
-    return str(error if cause is None else cause)
+    try:
+        result = work(job, keep_the_last)
+    except MbnError as error:  # it would come again
+        result = Failure(str(error))
+    return messages, result

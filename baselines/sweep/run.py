@@ -1,188 +1,218 @@
-"""A grid from its file to finished runs, by one of the engines."""
+"""Train many runs into a store, by one of the engines."""
 
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from uuid import uuid4
+from typing import Literal
 
+from baselines.runs.differences import differences
 from baselines.runs.files import RunError
-from baselines.sweep.processes import work_all
-from baselines.sweep.ray_cluster import Engine, Needs, connected, enough_somewhere, work_on_ray
-from baselines.sweep.spec import Cell, GridSpec, cells_of
-from baselines.sweep.store import State, Store, open_store
-from baselines.sweep.worker import Assignment, Outcome, work_on_cell
-from baselines.training.progress_bar import Report
+from baselines.sweep.processes import Failure, LocalEngine
+from baselines.sweep.ray_cluster import RayEngine
+from baselines.sweep.spec import GridSpec, Resources, runs_of, without_source
+from baselines.sweep.store import Note, Store, open_store
+from baselines.sweep.worker import Outcome, TrainJob, source_of, train_in_store
+from baselines.training.config import TrainConfig
+from baselines.training.progress_bar import Listener, Report
 from baselines.training.train import prepare, resolve
 from mbn_marl.errors import ConfigError
 
+Engine = LocalEngine | RayEngine
+EngineName = Literal["local", "ray"]
+SHOWN = 10
+"""Failures that a message lists."""
+
+
+def make_engine(
+    name: EngineName, processes: int, address: str | None, resources: Resources | None = None
+) -> Engine:
+    """Return the engine that a command line asks for.
+
+    Args:
+        name: ``"local"``, processes of this machine; or ``"ray"``, a Ray cluster.
+        processes: under ``"local"``, jobs at a time.
+        address: of the Ray cluster; ``None`` for that of ``RAY_ADDRESS`` or of this machine.
+        resources: what a job is given; by default a core, and nothing is retried on this machine.
+
+    Raises:
+        ConfigError: ``processes`` is below 1, or ``address`` is given without ``"ray"``.
+    """
+    if name == "ray":
+        given = resources or Resources()
+        return RayEngine(address, given.cpus, given.gpus, given.retries)
+    if address is not None:
+        raise ConfigError("engine", ["address: allowed with --engine ray"])
+    return LocalEngine(processes, 0 if resources is None else resources.retries)
+
+
+def train_runs(
+    runs: Iterable[TrainConfig],
+    place: str,
+    engine: Engine,
+    *,
+    noted: bool = False,
+    upload_seconds: float = 0.0,
+    wandb: str | None = None,
+    listener: Listener = lambda report: None,
+    ended: Callable[[Outcome], None] = lambda outcome: None,
+) -> dict[str, Outcome]:
+    """Train every run that is not finished; one that fails or diverges stops no other.
+
+    Args:
+        runs: what to train; each comes after the one that it begins with, and the next one is
+            drawn when there is a process for it.
+        place: the path or URL of the store.
+        engine: what does the work.
+        noted: write notes about the runs in the store, for ``mbn grid status``.
+        upload_seconds: to a store elsewhere checkpoints go no more often than so.
+        wandb: a project of Weights & Biases to log to as well.
+        listener: receives where the runs stand.
+        ended: receives how each run ended.
+
+    Returns:
+        How each run ended, by its name.
+    """
+    outcomes: dict[str, Outcome] = {}
+    drawn: set[str] = set()
+
+    def jobs() -> Iterator[TrainJob]:
+        for run in runs:
+            source = source_of(run)
+            after = source if source in drawn else None
+            drawn.add(run.name)
+            yield TrainJob(run, place, after, noted, upload_seconds, wandb)
+
+    def end(job: TrainJob, result: Outcome | Failure) -> None:
+        if isinstance(result, Failure):
+            result = Outcome(job.name, "failed", result.error)
+            if noted:
+                _note_failure(open_store(place), result)
+        if result.error is not None:
+            listener(Report.broken(job.name, result.error))
+        outcomes[job.name] = result
+        ended(result)
+
+    engine.run(train_in_store, jobs(), listener, end)
+    return outcomes
+
+
+def _note_failure(store: Store, outcome: Outcome) -> None:
+    """Note that a run is given up; a process that was killed has left no note itself."""
+    known = store.last_note(outcome.name) or Note(state="failed", attempt=1, machine="", process=0)
+    store.note(outcome.name, known.model_copy(update={"state": "failed", "error": outcome.error}))
+
+
+def check_outcomes(outcomes: Iterable[Outcome], place: str | Path) -> None:
+    """Check that all runs are done.
+
+    Raises:
+        RunError: some are not; the message says why.
+    """
+    all_of_them = list(outcomes)
+    lines = [
+        f"{outcome.name}: {first_line(outcome.error)}"
+        for outcome in all_of_them
+        if outcome.state != "done"
+    ]
+    if lines:
+        more = [f"and {len(lines) - SHOWN} more"] if len(lines) > SHOWN else []
+        shown = "\n  - ".join([*lines[:SHOWN], *more])
+        raise RunError(
+            f"{place}: {len(all_of_them) - len(lines)} of {len(all_of_them)} runs are done; the "
+            f"same command resumes the others\n  - {shown}"
+        )
+
+
+def first_line(error: str | None) -> str:
+    """Return an error in a line; of a defect's traceback the last one."""
+    lines = (error or "").strip().splitlines()
+    return lines[-1] if lines and lines[0].endswith("process failed:") else "".join(lines[:1])
+
 
 @dataclass(frozen=True)
-class Grid:
-    """A grid, checked, and its store.
+class Sweep:
+    """The runs of a grid, checked, and their store.
 
     Attributes:
-        spec: as declared.
-        cells: its runs, in order.
+        runs: in order.
+        resources: of each run.
         place: the store's path or URL, as every machine takes it.
-        store: it.
+        store: the store.
     """
 
-    spec: GridSpec
-    cells: Sequence[Cell]
+    runs: Sequence[TrainConfig]
+    resources: Resources
     place: str
     store: Store
 
     @classmethod
-    def of(cls, spec: GridSpec) -> Grid:
+    def of(cls, spec: GridSpec) -> Sweep:
         """Expand and check a grid.
 
         Raises:
-            MbnError: a value is not valid; the message names it.
+            ConfigError: naming every value that is not valid.
         """
         place = spec.store if "://" in spec.store else str(Path(spec.store).resolve())
-        return cls(spec, cells_of(spec), place, open_store(place))
+        return cls(runs_of(spec), spec.resources, place, open_store(place))
 
     @property
     def names(self) -> list[str]:
-        """Of its runs."""
-        return [cell.name for cell in self.cells]
+        """The names of the runs."""
+        return [run.name for run in self.runs]
 
-    def left(self) -> list[Cell]:
-        """The cells that are not finished.
+    def left(self) -> list[TrainConfig]:
+        """Return the runs that are not finished.
 
         Raises:
             ConfigError: a finished run is of another configuration than the grid asks for.
         """
         finished = self.store.finished(self.names)
         problems = [
-            f"{cell.name}: {problem}"
-            for cell in self.cells
-            if cell.name in finished
-            for problem in _differences(cell, self.store.config(cell.name))
+            f"{run.name}: {problem}"
+            for run in self.runs
+            if run.name in finished
+            for problem in _differences(run, self.store.config(run.name))
         ]
         if problems:
             raise ConfigError(f"{self.place}: finished runs are of another grid", problems)
-        return [cell for cell in self.cells if cell.name not in finished]
+        return [run for run in self.runs if run.name not in finished]
 
+    def train(
+        self, engine: Engine, ended: Callable[[Outcome], None] = lambda outcome: None
+    ) -> None:
+        """Train every run that is not finished.
 
-def run_grid(
-    grid: Grid,
-    *,
-    engine: Engine,
-    processes: int,
-    address: str | None = None,
-    trust: bool = False,
-    listener: Callable[[Outcome], None] = lambda outcome: None,
-    note: Callable[[str], None] = lambda text: None,
-) -> None:
-    """Train every cell that is not finished; one that fails stops no other.
+        Args:
+            engine: what does the work.
+            ended: receives how each run ended.
 
-    Args:
-        grid: what to train.
-        engine: ``"local"``, processes of this machine; or ``"ray"``, a Ray cluster.
-        processes: under ``"local"``, cells at a time.
-        address: of the Ray cluster; by default that of ``RAY_ADDRESS`` or of this machine.
-        trust: load pickled files of the store whoever made them.
-        listener: is told how each cell ended.
-        note: is told what the user should know.
-
-    Raises:
-        ConfigError: a finished run in the store is of another configuration.
-        MbnError: there is no Ray cluster.
-        RunError: cells failed; the message names the first ones.
-    """
-    left = grid.left()
-    if not left:
-        return
-    spec, call = grid.spec, uuid4().hex
-    upload_seconds = spec.resources.upload_seconds
-    jobs = [Assignment(cell, grid.place, call, upload_seconds, trust) for cell in left]
-    places = {cell.name: place for place, cell in enumerate(left)}
-    after = [None if cell.source is None else places.get(cell.source) for cell in left]
-    tries: Counter[int] = Counter()
-
-    def hear(message: Outcome | Report) -> None:
-        if isinstance(message, Outcome):
-            listener(message)
-
-    def failed(place: int, error: str) -> bool:
-        tries[place] += 1
-        if engine == "local" and tries[place] <= spec.resources.retries:
-            return True
-        _note_failure(grid.store, left[place].name, call, error)
-        listener(Outcome(left[place].name, "failed", error))
-        return False
-
-    if engine == "local":
-        work_all(work_on_cell, jobs, processes, hear, failed=failed, after=after)
-    else:
-        needs = Needs(
-            spec.resources.cpus, spec.resources.gpus, spec.resources.retries, retry_errors=True
+        Raises:
+            ConfigError: a finished run is of another configuration.
+            MbnError: there is no Ray cluster.
+            RunError: runs failed; the message names the first ones.
+        """
+        seconds = self.resources.upload_seconds
+        outcomes = train_runs(
+            self.left(), self.place, engine, noted=True, upload_seconds=seconds, ended=ended
         )
-        with connected(address):
-            if not enough_somewhere(needs):
-                note(
-                    f"no machine of the cluster has {needs.cpus:g} cores and {needs.gpus:g} GPUs "
-                    "for a run now; waiting for one"
-                )
-            work_on_ray(work_on_cell, jobs, hear, needs, failed=failed, after=after)
-    _check_outcome(grid, [cell.name for cell in left])
-
-
-def _note_failure(store: Store, name: str, call: str, error: str) -> None:
-    """Note that a cell is given up; it may have left no note itself."""
-    known = store.state(name) or State(state="failed", grid=call, attempt=1, machine="", process=0)
-    store.note(name, known.model_copy(update={"state": "failed", "error": error}))
-
-
-def _check_outcome(grid: Grid, names: Sequence[str]) -> None:
-    """Whether all cells are where they should be.
-
-    Raises:
-        RunError: some are not; the message says why.
-    """
-    finished, states = grid.store.finished(names), grid.store.states()
-    missing = [name for name in names if name not in finished]
-    failed = {
-        name: states[name].error
-        for name in missing
-        if name in states and states[name].state == "failed"
-    }
-    elsewhere = [name for name in missing if name in states and states[name].alive]
-    lost = [name for name in missing if name not in failed and name not in elsewhere]
-    lines = [f"{name}: {first_line(error)}" for name, error in failed.items()]
-    lines += [f"{name}: another mbn grid is at work on it" for name in elsewhere]
-    lines += [f"{name}: not in {grid.place}; do all machines see that place?" for name in lost]
-    if lines:
-        more = [f"and {len(lines) - SHOWN} more; see mbn grid status"] if len(lines) > SHOWN else []
-        shown = "\n  - ".join([*lines[:SHOWN], *more])
-        raise RunError(
-            f"{len(names) - len(missing)} of {len(names)} cells were done; the same command takes "
-            f"up the others\n  - {shown}"
+        finished = self.store.finished(outcomes)
+        missing = "it is not in the store; do all machines see that place?"
+        check_outcomes(
+            (
+                replace(outcome, state="failed", error=missing)
+                if outcome.state == "done" and outcome.name not in finished
+                else outcome
+                for outcome in outcomes.values()
+            ),
+            self.place,
         )
 
 
-SHOWN = 10
-"""Failures that a message lists."""
-
-
-def first_line(error: str | None) -> str:
-    """What an error says in a line; of a defect's traceback the last one."""
-    lines = (error or "").strip().splitlines()
-    return lines[-1] if lines and lines[0].endswith("process failed:") else "".join(lines[:1])
-
-
-def _differences(cell: Cell, recorded: Mapping[str, object]) -> list[str]:
-    """Where a finished run is not what the grid asks for; where its source lay does not matter."""
-    task, hyperparameters = prepare(cell.begun_anew())
-    asked = json.loads(json.dumps(dict(resolve(task, hyperparameters))))
-    asked["setting"] = cell.config.setting
-    return [
-        f"{name}: the run has {recorded.get(name)!r}, the grid {value!r}"
-        for name, value in asked.items()
-        if name != "transferred_from" and recorded.get(name) != value
-    ]
+def _differences(run: TrainConfig, recorded: Mapping[str, object]) -> list[str]:
+    """Return where a finished run is not what is asked for; where its source lay is no matter."""
+    asked = json.loads(json.dumps(dict(resolve(*prepare(without_source(run))))))
+    place = {"transferred_from": recorded.get("transferred_from")}
+    return differences(recorded, {**asked, **place, "setting": run.setting})

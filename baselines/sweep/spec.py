@@ -1,28 +1,54 @@
-"""A grid as a YAML file declares it, and the runs that it stands for."""
+"""A grid as a YAML file declares it, and the runs in it."""
 
 from __future__ import annotations
 
 import itertools
 import json
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from baselines.algorithms import SETTINGS, Setting, find_algorithm
-from baselines.training.config import TrainConfig, default_label
-from baselines.training.hyperparameters import validate
+from baselines.sweep.store import open_store
+from baselines.training.config import MOST_SEED, TrainConfig, default_label
 from baselines.training.overrides import ENVIRONMENT, parse
-from baselines.training.train import found_anywhere, prepare
-from mbn_marl.errors import ConfigError
+from baselines.training.train import found_anywhere, prepare, sizes
+from mbn_marl.config import describe
+from mbn_marl.errors import ConfigError, MbnError, ProblemsError
 from mbn_marl.field import catalogue_names, load_field
 
-Count = Annotated[int, Field(ge=1)]
 _STRICT = ConfigDict(frozen=True, extra="forbid")
+
+
+def _that_loads(load: Callable[[str], object]) -> AfterValidator:
+    """Return a validator of names that ``load`` knows."""
+
+    def check(name: str) -> str:
+        load(name)
+        return name
+
+    return AfterValidator(check)
+
+
+def _each_once(values: Sequence[Any]) -> Sequence[Any]:
+    """Check that no value is there twice."""
+    twice = [value for place, value in enumerate(values) if value in values[:place]]
+    if twice:
+        raise ValueError(f"{', '.join(map(str, twice))} given twice")
+    return values
+
+
+_Axis = (Field(min_length=1), AfterValidator(_each_once))
+Count = Annotated[int, Field(ge=1)]
+Amount = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Seed = Annotated[int, Field(ge=0, le=MOST_SEED)]
+Algorithm = Annotated[str, _that_loads(find_algorithm)]
+FieldName = Annotated[str, _that_loads(load_field)]
 
 
 class Budget(BaseModel):
@@ -32,7 +58,7 @@ class Budget(BaseModel):
         steps: env-steps; ``None`` for the setting's own number.
         evaluate_every: env-steps between two fresh evaluations; a checkpoint is due after each.
         episodes: stochastic episodes of an evaluation.
-        stop_at: stop at the first fresh evaluation with this mean return; ``None``: go on.
+        stop_at: stop at the first fresh evaluation with this mean return; ``None``: do not.
     """
 
     model_config = _STRICT
@@ -49,17 +75,17 @@ class Resources(BaseModel):
     Attributes:
         cpus: cores that Ray sets aside for it; training uses one.
         gpus: GPUs, whole or a share of one; with any, the networks run on a GPU.
-        retries: how often a run is taken up again, from its last checkpoint, when its process or
-            machine is lost or something unforeseen happens.
+        retries: how often a run is resumed from its last checkpoint, when its process or machine is
+            lost or something unforeseen happens.
         upload_seconds: to a store elsewhere checkpoints go no more often than so.
     """
 
     model_config = _STRICT
 
     cpus: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] = 1.0
-    gpus: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    gpus: Amount = 0.0
     retries: Annotated[int, Field(ge=0)] = 3
-    upload_seconds: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 300.0
+    upload_seconds: Amount = 300.0
 
 
 class GridSpec(BaseModel):
@@ -82,49 +108,16 @@ class GridSpec(BaseModel):
 
     model_config = _STRICT
 
-    store: str
-    algorithms: Annotated[tuple[str, ...], Field(min_length=1)]
-    fields: Annotated[tuple[str, ...], Field(min_length=1)] = tuple(catalogue_names())
-    settings: Annotated[tuple[Setting, ...], Field(min_length=1)] = ("N",)
-    seeds: Annotated[tuple[int, ...], Field(min_length=1)]
-    robots: Annotated[tuple[Count, ...], Field(min_length=1)] | None = None
-    set: Mapping[str, Annotated[list[Any], Field(min_length=1)]] = Field(default_factory=dict)
-    source: str = "field_01"
+    store: Annotated[str, _that_loads(open_store)]
+    algorithms: Annotated[tuple[Algorithm, ...], *_Axis]
+    fields: Annotated[tuple[FieldName, ...], *_Axis] = tuple(catalogue_names())
+    settings: Annotated[tuple[Setting, ...], *_Axis] = ("N",)
+    seeds: Annotated[tuple[Seed, ...], *_Axis]
+    robots: Annotated[tuple[Count, ...], *_Axis] | None = None
+    set: Mapping[str, Annotated[list[Any], *_Axis]] = Field(default_factory=dict)
+    source: FieldName = "field_01"
     budget: Budget = Budget()
     resources: Resources = Resources()
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A run of a grid.
-
-    Attributes:
-        config: what to train; under setting C ``transferred_from`` is only the name of a run.
-    """
-
-    config: TrainConfig
-
-    @property
-    def name(self) -> str:
-        """The run's name, and that of its folder in the store."""
-        return self.config.name
-
-    @property
-    def learner(self) -> str:
-        """What all its fields and seeds have in common."""
-        return self.config.label or default_label(self.config.algorithm, self.config.setting)
-
-    @property
-    def source(self) -> str | None:
-        """The name of the run that has to be done before this one; ``None`` for most."""
-        path = self.config.transferred_from
-        return None if path is None else path.name
-
-    def begun_anew(self) -> TrainConfig:
-        """The same training without another run's policy, which does not have to be there yet."""
-        if self.source is None:
-            return self.config
-        return replace(self.config, setting="A", transferred_from=None)
 
 
 def read_spec(path: Path) -> GridSpec:
@@ -139,120 +132,164 @@ def read_spec(path: Path) -> GridSpec:
         raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
     if not isinstance(values, dict):
         raise ConfigError(str(path), ["must be a mapping"])
-    return validate(GridSpec, values, str(path))
+    try:
+        return GridSpec.model_validate(values)
+    except ValidationError as error:
+        problems, wrong = describe(error, GridSpec), {one["loc"][0] for one in error.errors()}
+    if not wrong & {"algorithms", "fields", "settings"}:  # then the others can be looked at too
+        right = {name: value for name, value in values.items() if name not in wrong}
+        spec = GridSpec.model_validate({"store": "", "seeds": [0], **right})
+        problems += _problems(spec)
+    raise ConfigError(str(path), problems)
 
 
-def cells_of(spec: GridSpec) -> list[Cell]:
-    """The runs of a grid, each after the one that it begins with; every one is checked.
+def runs_of(spec: GridSpec) -> list[TrainConfig]:
+    """Return the runs of a grid, each after the one that it begins with; every one is checked.
 
-    Runs under A on the source's field that setting C needs are among them, asked for or not.
+    Runs under A on the source's field that setting C needs are among them, asked for or not. Of
+    ``transferred_from`` only the name counts, of a run in the store.
 
     Raises:
-        ConfigError: an axis names something twice, an algorithm has none of the settings, or two
-            field files have the same name.
-        MbnError: an algorithm, a field, a hyperparameter or a setting is not valid.
+        ConfigError: naming everything that does not fit together.
     """
-    _check_axes(spec)
-    cells: dict[str, Cell] = {}
-    asked = (
-        (algorithm, setting, field, seed, changes)
-        for seed, field, algorithm, setting, changes in itertools.product(
-            spec.seeds,
-            map(found_anywhere, spec.fields),
-            spec.algorithms,
-            spec.settings,
-            _changes(spec),
-        )
-        if setting in find_algorithm(algorithm).settings
-    )
-    for cell in (one for words in asked for one in _with_source(spec, *words)):
-        other = cells.setdefault(cell.name, cell)
-        if other != cell:
-            raise ConfigError("grid", [f"{cell.name}: two runs have this name"])
-    different = [replace(cell.begun_anew(), seed=0) for cell in cells.values()]
-    for config in {config.command: config for config in different}.values():
-        prepare(config)
-    return sorted(cells.values(), key=lambda cell: cell.source is not None)
+    if problems := _problems(spec):
+        raise ConfigError("grid", problems)
+    runs = {run.name: run for run in _runs(spec)}
+    return sorted(runs.values(), key=lambda run: run.transferred_from is not None)
 
 
-def _check_axes(spec: GridSpec) -> None:
-    """Whether every axis names everything once."""
-    axes: dict[str, list[Any]] = {
-        **{name: list(getattr(spec, name)) for name in ("algorithms", "fields", "settings")},
-        "seeds": list(spec.seeds),
-        "robots": list(spec.robots or ()),
-        **{f"set.{name}": list(values) for name, values in spec.set.items()},
-    }
-    problems = [
-        f"{name}: {value} is given twice"
-        for name, values in axes.items()
-        for place, value in enumerate(values)
-        if value in values[:place]
+def without_source(run: TrainConfig) -> TrainConfig:
+    """Return the same training without another run's policy, which need not be there yet."""
+    if run.transferred_from is None:
+        return run
+    return replace(run, setting="A", transferred_from=None)
+
+
+def size_problems(source: str, fields: Iterable[str]) -> list[str]:
+    """Return in which of ``fields`` a policy of the field ``source`` cannot act, and why."""
+    theirs = load_field(source)
+    return [
+        f"{field}: {name} {ours}; allowed: {allowed}, as {source} has"
+        for field in fields
+        for name, (allowed, ours) in sizes(theirs, load_field(field)).items()
+        if allowed != ours
     ]
+
+
+def _problems(spec: GridSpec) -> list[str]:
+    """Return what does not fit together in a grid whose values are valid by themselves."""
+    problems, fields = [], list(spec.fields)
     for name in spec.algorithms:
         there = find_algorithm(name).settings
         if not set(there) & set(spec.settings):
             problems.append(f"settings: {name} has {', '.join(there)}, and none is asked for")
+    if "C" in spec.settings:
+        problems += [f"fields: {problem}" for problem in size_problems(spec.source, fields)]
+        fields.append(spec.source)
     if spec.robots and (axis := f"{ENVIRONMENT}.n_robots") in spec.set:
         problems.append(f"set: {axis} is what robots says")
-    for field in dict.fromkeys((*spec.fields, *([spec.source] if "C" in spec.settings else []))):
+    for field in dict.fromkeys(fields):
         starts, most = len(load_field(field).starts), max(spec.robots or (1,))
         if most > starts:
             problems.append(f"robots: {field} has {starts} starts, not {most}")
-    if problems:
-        raise ConfigError("grid", problems)
+    return problems or list(dict.fromkeys(_problems_of_runs(spec)))
 
 
-def _changes(spec: GridSpec) -> Iterator[tuple[str, dict[str, Any]]]:
-    """What is changed in each run: in words for its label, and as :func:`parse` gives it."""
+def _problems_of_runs(spec: GridSpec) -> Iterator[str]:
+    """Find runs of one name, and what is not valid in one; what a seed cannot change, once."""
+    runs: dict[str, TrainConfig] = {}
+    checked: set[str] = set()
+    try:
+        for run in _runs(spec):
+            if runs.setdefault(run.name, run) != run:
+                yield f"{run.name}: two runs have this name"
+            same = replace(without_source(run), seed=0)
+            if same.command not in checked:
+                checked.add(same.command)
+                problems = _problems_of(same)
+                yield from problems
+                if problems:  # of the environment may hide those of the hyperparameters
+                    yield from _problems_of(replace(same, environment={}))
+                    yield from _problems_of(replace(same, hyperparameters={}))
+    except MbnError as error:
+        yield from _lines(error)
+
+
+def _problems_of(run: TrainConfig) -> list[str]:
+    try:
+        prepare(run)
+    except MbnError as error:
+        return _lines(error)
+    return []
+
+
+def _lines(error: MbnError) -> list[str]:
+    return error.problems if isinstance(error, ProblemsError) else [str(error)]
+
+
+class _Changes(NamedTuple):
+    """Values of the axes that are no part of every grid: in words for a label, and by name."""
+
+    label: str
+    values: dict[str, Any]
+
+
+def _changes(spec: GridSpec) -> Iterator[_Changes]:
+    """Find what is changed in each run."""
     axes = {**({f"{ENVIRONMENT}.n_robots": list(spec.robots)} if spec.robots else {}), **spec.set}
     for values in itertools.product(*axes.values()):
         chosen = dict(zip(axes, values, strict=True))
         label = "".join(f"-{_in_words(name, value)}" for name, value in chosen.items())
-        yield label, parse([f"{name}={json.dumps(value)}" for name, value in chosen.items()])
+        words = [f"{name}={json.dumps(value)}" for name, value in chosen.items()]
+        yield _Changes(label, parse(words))
 
 
 def _in_words(name: str, value: Any) -> str:
-    """An axis and its value as a part of a label."""
+    """Return an axis and its value as a part of a label."""
     last = name.rpartition(".")[2]
     words = re.sub(r"[^\w.+-]+", "+", json.dumps(value)).strip("+")
     return f"{words}robots" if last == "n_robots" else f"{last}{words}"
 
 
-def _with_source(
+def _runs(spec: GridSpec) -> Iterator[TrainConfig]:
+    """Expand a grid; under C a run comes after the one that it begins with."""
+    axes = (spec.seeds, spec.fields, spec.algorithms, spec.settings, _changes(spec))
+    for seed, field, algorithm, setting, changes in itertools.product(*axes):
+        if setting not in find_algorithm(algorithm).settings:
+            continue
+        place, source = found_anywhere(field), None
+        if setting == "C":
+            first = _run(spec, algorithm, "A", found_anywhere(spec.source), seed, changes)
+            yield first
+            source = Path(first.name)
+        yield _run(spec, algorithm, setting, place, seed, changes, source)
+
+
+def _run(
     spec: GridSpec,
     algorithm: str,
     setting: Setting,
     field: str,
     seed: int,
-    changes: tuple[str, dict[str, Any]],
-) -> Iterator[Cell]:
-    """A run, after the one that it begins with if there is one."""
-    label, values = changes
-    values = dict(values)
+    changes: _Changes,
+    source: Path | None = None,
+) -> TrainConfig:
+    """Return one run."""
+    values = dict(changes.values)
     environment = values.pop(ENVIRONMENT, {})
-
-    def cell(setting: Setting, field: str, source: str | None = None) -> Cell:
-        config = TrainConfig(
-            algorithm,
-            field,
-            setting,
-            seed,
-            steps=spec.budget.steps or SETTINGS[setting].steps,
-            evaluate_every=spec.budget.evaluate_every,
-            episodes=spec.budget.episodes,
-            stop_at=spec.budget.stop_at,
-            transferred_from=None if source is None else Path(source),
-            device="cuda" if spec.resources.gpus else "cpu",
-            label=default_label(algorithm, setting) + label if label else None,
-            environment=environment,
-            hyperparameters=values,
-        )
-        return Cell(config)
-
-    if setting != "C":
-        yield cell(setting, field)
-        return
-    first = cell("A", found_anywhere(spec.source))
-    yield first
-    yield cell("C", field, first.name)
+    label = default_label(algorithm, setting) + changes.label if changes.label else None
+    return TrainConfig(
+        algorithm,
+        field,
+        setting,
+        seed,
+        steps=spec.budget.steps or SETTINGS[setting].steps,
+        evaluate_every=spec.budget.evaluate_every,
+        episodes=spec.budget.episodes,
+        stop_at=spec.budget.stop_at,
+        transferred_from=source,
+        device="cuda" if spec.resources.gpus else "cpu",
+        label=label,
+        environment=environment,
+        hyperparameters=values,
+    )

@@ -1,4 +1,4 @@
-"""Setting C: a policy trained on one field goes on learning on others."""
+"""Setting C as a sweep: a run on one field, and runs on others that begin with its policy."""
 
 from __future__ import annotations
 
@@ -8,60 +8,35 @@ from pathlib import Path
 
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
-from baselines.sweep.processes import Job
+from baselines.sweep.spec import size_problems
 from baselines.training.config import TrainConfig
-from baselines.training.progress_bar import Listener
-from baselines.training.train import sizes, train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field
 
 
-def find_source(
+def transfer_runs(
     config: TrainConfig,
     out: Path,
+    fields: Sequence[str],
     *,
-    any_steps: bool,
+    source_steps: int | None,
     resume: bool,
-    listener: Listener,
-    trust: bool = False,
-) -> RunFolder:
-    """The finished run that the others begin with; it is trained if it is not there yet.
+) -> list[TrainConfig]:
+    """Return the runs to train: the source's unless it is finished, then one on each field.
 
     Args:
-        config: of that run.
-        out: the folder of all runs; one of the run's name that is finished there is taken.
-        any_steps: take a finished one whatever its budget was.
-        resume: if it is there but not finished, go on with it.
-        listener: is told where it stands.
-        trust: load pickled files of its folder whoever made them.
+        config: of the source under setting A, with the budget of the other runs.
+        out: the folder of all runs.
+        fields: catalogue names or paths.
+        source_steps: env-steps of the source; ``None`` for a finished one of any budget, or else
+            that of the others.
+        resume: continue runs that are there, and leave finished ones.
 
     Raises:
-        RunError: it is there, not finished, and ``resume`` is not set; or it is finished after
-            another budget, and ``any_steps`` is not set.
-    """
-    path = out / config.name
-    there = path.is_dir() and any(path.iterdir())
-    if not there:
-        return train(config, path, listener=listener)
-    run = RunFolder.open(path)
-    if run.finished:
-        steps = run.config["steps"]
-        if not any_steps and steps != config.steps:
-            raise RunError(
-                f"{path} is finished with a budget of {steps:,} env-steps, not {config.steps:,}; "
-                "choose another --out, or leave --source-steps out to take it as it is"
-            )
-        return run
-    if not resume:
-        raise RunError(f"{path} is not finished; pass --resume to go on with it")
-    return train(config, path, resume=True, trust=trust, listener=listener)
-
-
-def transfer_runs(config: TrainConfig, source: Path, fields: Sequence[str]) -> list[TrainConfig]:
-    """The runs of setting C: as ``config``, from the policy of the run ``source``.
-
-    Raises:
-        ConfigError: no field is named, or one twice, or the policy's own one.
+        ConfigError: no field is named, or one twice, or the policy's own one, or one that the
+            policy does not fit.
+        RunError: a run is there and ``resume`` is not set; or the source is finished after another
+            budget than ``source_steps``.
         MbnError: a field is not valid.
     """
     problems = [] if fields else ["fields: at least one is needed"]
@@ -70,48 +45,22 @@ def transfer_runs(config: TrainConfig, source: Path, fields: Sequence[str]) -> l
             problems.append(f"fields: {field} is given twice")
         if load_field(field) == load_field(config.field):
             problems.append(f"fields: {field} is the field that the policy comes from")
+    problems += size_problems(config.field, dict.fromkeys(fields))
     if problems:
         raise ConfigError("transfer", problems)
-    return [replace(config, field=field, setting="C", transferred_from=source) for field in fields]
-
-
-def check_sizes(source: str, fields: Sequence[str]) -> None:
-    """Whether a policy of the field ``source`` fits the others, before it is trained.
-
-    Raises:
-        ConfigError: naming every field that it does not fit.
-    """
-    theirs = load_field(source)
-    problems = [
-        f"{field}: {name} {ours}; allowed: {theirs_}, as {source} has"
-        for field in fields
-        for name, (theirs_, ours) in sizes(theirs, load_field(field)).items()
-        if theirs_ != ours
+    source = RunFolder(out / config.name)
+    runs = [
+        replace(config, field=field, setting="C", transferred_from=source.path) for field in fields
     ]
-    if problems:
-        raise ConfigError("transfer", problems)
-
-
-def transfer_jobs(
-    runs: Sequence[TrainConfig], out: Path, *, resume: bool, trust: bool = False
-) -> list[Job]:
-    """The runs of setting C, each in a folder of its own under ``out``.
-
-    Args:
-        runs: of :func:`transfer_runs`.
-        out: the folder of all runs.
-        resume: go on with those that are there, and leave finished ones.
-        trust: load pickled files whoever made them.
-
-    Raises:
-        RunError: a run's folder is there and ``resume`` is not set.
-    """
-    paths = [out / run.name for run in runs]
-    there = [path.exists() for path in paths]
-    if any(there) and not resume:
-        first = paths[there.index(True)]
-        raise RunError(f"{first} already exists; choose another --out, or pass --resume")
-    return [
-        Job(run, path, seen, trust=trust)
-        for run, path, seen in zip(runs, paths, there, strict=True)
-    ]
+    if not source.finished:
+        runs.insert(0, replace(config, steps=source_steps or config.steps))
+    elif source_steps not in (None, steps := source.config["steps"]):
+        raise RunError(
+            f"{source.path} is finished with a budget of {steps:,} env-steps, not "
+            f"{source_steps:,}; choose another --out, or leave --source-steps out to take it so"
+        )
+    there = [out / run.name for run in runs if (out / run.name).exists()]
+    if there and not resume:
+        names = ", ".join(map(str, there))
+        raise RunError(f"{names} already exists; choose another --out, or pass --resume")
+    return runs

@@ -1,12 +1,10 @@
-"""A study of hyperparameters in a folder: opened, summarised, drawn.
+"""A study of hyperparameters in a folder: its storage, and what it has found.
 
 Files of a study's folder:
     config.json         what is tuned on what, fixed for the life of the study
     command.txt         the exact command that began it
     versions.json       Python, packages, machine, git revision
     study.log           every trial, as Optuna's journal, unless config.json names a database
-                        instead; it grows, and is never rewritten
-    checksums.json      of all files but the trials' and the figure, while no trial runs
     trials/             the run folder of each trial
     trials.csv          a line a trial
     <algorithm>.yaml    the best values, for ``mbn train ... --setting B --hyperparams``
@@ -18,28 +16,49 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import optuna
-from matplotlib.figure import Figure
 from optuna import Study
+from optuna.exceptions import DuplicatedStudyError, StorageInternalError
+from optuna.storages import BaseStorage, JournalStorage, RDBStorage
+from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, TrialState
+from sqlalchemy.exc import SQLAlchemyError
 
-from baselines.runs.files import RunError, read_json, seal
-from baselines.tuning.address import JOURNAL, Address
-from baselines.tuning.journal import cut_unfinished_line
-from mbn_marl.render.figures import StudyTrial, study_figure
+from baselines.runs.files import RunError, read_json
 
 CONFIG = "config.json"
 DATABASE = "database"
-"""The entry of ``config.json`` that names one."""
-FIXED = (CONFIG, "command.txt", "versions.json")
-"""Files that never change."""
+"""The entry of ``config.json`` that names one, or is null."""
+JOURNAL = "study.log"
 ENOUGH = 10
 """Finished trials that importances need: Optuna asks for five on the good side."""
 DIVERGED = "diverged"
-"""The attribute of a trial whose learner broke down, with what it said, and its constraint."""
+"""The attribute of a trial whose learner diverged, with its error, and its constraint."""
+
+
+def begin_study(folder: Path, database: str | None) -> None:
+    """Begin the study of ``folder``, in a journal there or in the database at a URL.
+
+    Raises:
+        RunError: the database has one of this name, or cannot be reached.
+    """
+    with _errors_named(folder, database) as (name, storage):
+        optuna.create_study(study_name=name, storage=storage, direction="maximize")
+
+
+def load_study(folder: Path, database: str | None) -> Study:
+    """Open a study where it is kept; of its folder no file but the journal has to be here.
+
+    Raises:
+        RunError: the journal or the database cannot be read, or has no such study.
+    """
+    with _errors_named(folder, database) as (name, storage):
+        return optuna.load_study(study_name=name, storage=storage)
 
 
 def open_study(folder: Path) -> Study:
@@ -47,70 +66,68 @@ def open_study(folder: Path) -> Study:
 
     Raises:
         RunError: there is none, or trials have gone from it, or its database cannot be reached.
-        DamageError: a file is not what was written.
     """
-    if not is_study(folder):
+    config = read_json(folder / CONFIG) if (folder / CONFIG).is_file() else {}
+    if DATABASE not in config and not (folder / JOURNAL).is_file():
         raise RunError(f"{folder} is not the folder of a study: it has no {JOURNAL}")
-    address = Address.of(folder, read_json(folder / CONFIG).get(DATABASE))
-    study = address.open()
+    study = load_study(folder, config.get(DATABASE))
     folders = sum(1 for _ in (folder / "trials").glob("trial-*"))
     known = len(study.get_trials(deepcopy=False))
     if folders > known:
-        raise RunError(f"{address.storage} is damaged: it has {known} of {folders} trials")
+        raise RunError(f"the study of {folder} is damaged: it has {known} of {folders} trials")
     return study
 
 
-def is_study(folder: Path) -> bool:
-    """Whether ``folder`` is that of a study."""
-    if (folder / JOURNAL).is_file():
-        return True
-    path = folder / CONFIG
-    config = read_json(path) if path.is_file() else None
-    return isinstance(config, dict) and config.get(DATABASE) is not None
-
-
-def take_up(folder: Path) -> None:
-    """Make the files of a study's folder ready to change again.
+def resume_study(folder: Path) -> Study:
+    """Open the study of ``folder`` and tidy up what an interrupted process left.
 
     Raises:
-        DamageError: a file is not what was written.
+        RunError: as :func:`open_study`.
     """
-    open_study(folder)
-    if (folder / JOURNAL).exists():
-        cut_unfinished_line(folder / JOURNAL)
-    seal(folder, FIXED)
+    study, journal = open_study(folder), folder / JOURNAL
+    if journal.exists():  # a last line that was not written to its end
+        os.truncate(journal, journal.read_bytes().rfind(b"\n") + 1)
+    (folder / "checksums.json").unlink(missing_ok=True)  # of files that change; by older versions
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        study.tell(trial.number, state=TrialState.FAIL)
+    return study
 
 
-def put_down(folder: Path) -> None:
-    """List the checksums of the files of a study's folder: no trial runs any more."""
-    files = (path for path in folder.iterdir() if path.suffix != ".png")
-    seal(folder, [path.name for path in files if not path.name.startswith(".")])
+@contextmanager
+def _errors_named(folder: Path, database: str | None) -> Iterator[tuple[str, BaseStorage]]:
+    """Return a study's name and storage; turn what either says against it into one error."""
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # the display reports every trial
+    place = database or str(folder / JOURNAL)
+    try:
+        if database is None:
+            yield "study", JournalStorage(JournalFileBackend(place))
+        else:
+            yield folder.resolve().name, RDBStorage(database)
+    except DuplicatedStudyError:
+        raise RunError(
+            f"{place} has a study {folder.resolve().name} already; choose another --out, whose "
+            "name the study has"
+        ) from None
+    except KeyError as error:
+        raise RunError(f"{place} is damaged: it lacks {error}") from None
+    except (
+        AttributeError,
+        ImportError,
+        SQLAlchemyError,
+        StorageInternalError,
+        TypeError,
+        ValueError,
+    ) as error:
+        raise RunError(f"{place} cannot be read: {str(error).splitlines()[0]}") from None
 
 
 def ended(study: Study) -> list[FrozenTrial]:
-    """The trials that count: finished or pruned."""
+    """Return the trials that count: finished or pruned."""
     return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
 
 
-def draw_study(folder: Path) -> Figure:
-    """The history of the study of ``folder`` and what mattered in it.
-
-    Raises:
-        RunError: there is no study.
-        MbnError: no trial has a return yet.
-    """
-    study, config = open_study(folder), read_json(folder / CONFIG)
-    trials = [
-        StudyTrial(trial.number, value, trial.state is TrialState.PRUNED)
-        for trial in ended(study)
-        if (value := last_return(trial)) is not None
-    ]
-    title = f"{config['algorithm']} on {config['field']}, {config['steps']:,} env-steps a trial"
-    return study_figure(trials, importances(study), title)
-
-
 def importances(study: Study) -> Mapping[str, float]:
-    """How much each hyperparameter had to do with being in the better half of the finished trials.
+    """Return how much each hyperparameter had to do with a trial's being in the better half.
 
     By PED-ANOVA, as shares of 1, largest first; empty with fewer than ``ENOUGH`` finished trials.
     """
@@ -122,7 +139,7 @@ def importances(study: Study) -> Mapping[str, float]:
 
 
 def last_return(trial: FrozenTrial) -> float | None:
-    """Its final return, or the last one before it was pruned; ``None`` if it had none."""
+    """Return its final return, or the last one before it was pruned, if it had one."""
     if trial.state is TrialState.COMPLETE:
         return trial.value
     values = trial.intermediate_values
@@ -130,7 +147,7 @@ def last_return(trial: FrozenTrial) -> float | None:
 
 
 def trials_csv(study: Study) -> str:
-    """A line a trial: number, state, return, hyperparameters."""
+    """Return a line for each trial: number, state, return, hyperparameters."""
     trials = study.get_trials(deepcopy=False)
     names = list(dict.fromkeys(name for trial in trials for name in trial.params))
     text = io.StringIO()

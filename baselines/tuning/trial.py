@@ -16,9 +16,8 @@ from baselines.runs.folder import RunFolder
 from baselines.training.config import MOST_SEED, DivergenceError, TrainConfig
 from baselines.training.progress_bar import Report
 from baselines.training.train import train
-from baselines.tuning.address import Address
 from baselines.tuning.space import Space
-from baselines.tuning.study import DIVERGED
+from baselines.tuning.study import DIVERGED, load_study
 
 State = Literal["running", "finished", "pruned", "diverged"]
 
@@ -60,13 +59,13 @@ class TuneConfig:
         self.training({})
 
     def training(self, values: dict[str, Any]) -> TrainConfig:
-        """The training of a trial with these hyperparameters."""
+        """Return the training of a trial with these hyperparameters."""
         return TrainConfig(**asdict(self), setting=BASE, hyperparameters={"model": values})
 
 
 @dataclass(frozen=True)
 class News:
-    """Where a trial stands.
+    """How a trial stands.
 
     Attributes:
         number: the trial's number.
@@ -89,36 +88,38 @@ class TrialJob:
 
     Attributes:
         config: what is tuned.
-        address: of the study.
         folder: the study's, for the run folder of the trial.
+        database: the URL of the one that keeps the trials; ``None`` for the journal in ``folder``.
         command: the exact command, recorded there.
-        token: of this job alone; when it is begun again elsewhere, it knows its lost trial by it.
+        name: of this job alone; when it is begun again elsewhere, it knows its lost trial by it.
+        after: no job has to wait for another.
     """
 
     config: TuneConfig
-    address: Address
     folder: Path
+    database: str | None
     command: str
-    token: str
+    name: str
+    after: None = None
 
 
 def run_trial(job: TrialJob, listener: Callable[[News], None]) -> None:
-    """Claim the study's next trial, train it, and tell the study how it ended.
+    """Claim the study's next trial, train it, and report its end to the study.
 
-    The sampler's generator depends on the trial's number: no process, and no later one that goes on
-    with the study, draws what another has drawn.
+    The sampler's generator depends on the trial's number: no process, and no later one that resumes
+    the study, draws what another has drawn.
 
     Args:
         job: the trial to run.
-        listener: is told of it.
+        listener: receives where it stands.
     """
-    study = job.address.open()
+    study = load_study(job.folder, job.database)
     for lost in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-        if lost.user_attrs.get(TOKEN) == job.token:
+        if lost.user_attrs.get(TOKEN) == job.name:
             study.tell(lost.number, state=TrialState.FAIL)
     study.pruner = MedianPruner()
     trial = study.ask()
-    trial.set_user_attr(TOKEN, job.token)
+    trial.set_user_attr(TOKEN, job.name)
     seed = (job.config.seed + trial.number) % (MOST_SEED + 1)
     study.sampler = TPESampler(seed=seed, constant_liar=True)
     values = Space.of(job.config.algorithm).suggest(trial)
@@ -164,7 +165,7 @@ class _Watch:
         self._return: float | None = None
 
     def __call__(self, report: Report) -> None:
-        """Pass on what is new.
+        """Pass on what is new, and prune the trial if it is not worth its time.
 
         Raises:
             TrialPruned: its best return so far is below the median of the finished trials'.
@@ -180,5 +181,5 @@ class _Watch:
             raise TrialPruned
 
     def news(self, state: State) -> News:
-        """Where the trial stands."""
+        """Return how the trial stands."""
         return News(self._trial.number, state, self._env_steps, self._return, self._values)

@@ -1,6 +1,6 @@
 """Damaged files, read by what reads them.
 
-Of each file of a checkpoint, a run folder, a study, and of a field and an episode, copies with one
+Of each file of a checkpoint, a run folder, and of a field and an episode, copies with one
 byte changed or with the end cut off. A copy has to be refused with a message that names it, or to
 be read as what was written: a byte of layout makes no difference. Anything else is a broken
 promise.
@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from baselines.algorithms import find_algorithm
 from baselines.compare.records import RunRecord
 from baselines.console import console
 from baselines.paper.progress import read_progress
@@ -28,9 +27,6 @@ from baselines.runs.folder import RunFolder
 from baselines.training.config import TrainConfig
 from baselines.training.progress_bar import Report
 from baselines.training.train import train
-from baselines.tuning.study import open_study
-from baselines.tuning.trial import TuneConfig
-from baselines.tuning.tune import tune
 from benchmarks.reliability.kills import config_of, outcome
 from benchmarks.report import table
 from mbn_marl.config import make_config
@@ -125,13 +121,6 @@ def subjects(folder: Path) -> Iterator[Subject]:
         run = train(config, folder / f"run-{config.algorithm}")
         read = tuple(path for path in _files(run.path) if path.parts[0] != "tensorboard")
         yield Subject(f"run of {config.algorithm}", run.path, read, _read_run)
-    study = folder / "study"
-    trials = TuneConfig("a2c", "field_03", 0, 40, 20, 1, 2)
-    tune(trials, study, trials=3, processes=1, command="mbn tune")
-    at_top = tuple(path for path in _files(study) if len(path.parts) == 1)
-    unread = ("study.png", "trials.csv", "importances.json", "command.txt", "versions.json")
-    read = tuple(path for path in at_top if path.name not in unread)
-    yield Subject("study", study, read, _read_study)
     place = folder / "fields"
     shutil.copytree(str(catalogue._FOLDER), place)
     named = tuple(path for path in _files(place) if path.suffix == ".yaml")
@@ -168,17 +157,6 @@ def _read_run(folder: Path) -> Any:
     record, rows = RunRecord.read(run), read_progress(run.progress).to_dict("list")
     versions = read_json(folder / "versions.json")
     return outcome(run), record.config, record.field.to_dict(), rows, run.command, versions
-
-
-def _read_study(folder: Path) -> Any:
-    """What ``mbn tune --resume``, ``mbn report`` and ``--hyperparams`` read."""
-    trials = [
-        (trial.number, trial.state, trial.params, trial.values, trial.intermediate_values)
-        for trial in open_study(folder).get_trials()
-    ]
-    file = folder / "a2c.yaml"
-    best = find_algorithm("a2c").resolve({}, setting="B", file=file)
-    return trials, read_json(folder / "config.json"), best.model_dump()
 
 
 def _read_fields(folder: Path) -> Any:

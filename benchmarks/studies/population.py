@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from multiprocessing.sharedctypes import Synchronized, SynchronizedArray
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from baselines.compare.records import RunRecord
 from baselines.compare.text_table import TextTable
@@ -16,7 +15,9 @@ from baselines.console import console
 from baselines.runs.files import RunError, alone, claim_folder, write_json, write_text
 from baselines.runs.folder import RunFolder
 from baselines.runs.provenance import write_provenance
-from baselines.sweep.processes import Job, run_processes, spawning
+from baselines.sweep.processes import LocalEngine
+from baselines.sweep.run import train_runs
+from baselines.sweep.worker import Outcome
 from baselines.training.config import TrainConfig
 from baselines.training.progress_bar import Listener, print_finished
 from benchmarks.report import Benchmark, Measurement
@@ -79,42 +80,46 @@ class Population(Benchmark):
         return True
 
 
-class Board(NamedTuple):
-    """Where the population stands, seen by all processes; ``begun`` has the lock."""
+@dataclass
+class Board:
+    """Where the population stands.
 
-    begun: SynchronizedArray[int]  # runs begun on each field; the next one's seed
-    solved: SynchronizedArray[int]  # 1 where a run reached the proved optimum
-    slowest: Synchronized[float]  # seconds that the longest run took
+    Attributes:
+        begun: runs begun on each field; the next one's seed.
+        solved: whether a run reached the proved optimum, for each field.
+        slowest: seconds that the longest run took.
+    """
+
+    begun: list[int]
+    solved: list[bool]
+    slowest: float = 0.0
 
     @classmethod
     def of(cls, fields: int) -> Board:
-        """Nothing is begun."""
-        make = spawning()
-        return cls(make.Array("i", fields), make.Array("i", fields), make.Value("d", 0.0))
+        """Begin with nothing."""
+        return cls([0] * fields, [False] * fields)
 
     def take(self, deadline: float) -> tuple[int, int] | None:
-        """The next field's number and seed: of those not solved, the one with the fewest runs.
+        """Return the next field's number and seed: of those not solved, the one with fewest runs.
 
         ``None`` if all are solved, or what is left until ``deadline`` (as ``time.time``) is less
         than the longest run took; every field gets one run in any case.
         """
-        with self.begun.get_lock():
-            unsolved = [number for number, solved in enumerate(self.solved[:]) if not solved]
-            if not unsolved:
-                return None
-            number = min(unsolved, key=self.begun.__getitem__)
-            seed = self.begun[number]
-            if seed > 0 and time.time() + self.slowest.value > deadline:
-                return None
-            self.begun[number] += 1
-            return number, seed
+        unsolved = [number for number, solved in enumerate(self.solved) if not solved]
+        if not unsolved:
+            return None
+        number = min(unsolved, key=self.begun.__getitem__)
+        seed = self.begun[number]
+        if seed > 0 and time.time() + self.slowest > deadline:
+            return None
+        self.begun[number] += 1
+        return number, seed
 
     def enter(self, number: int, result: RunRecord, seconds: float) -> None:
         """Enter a finished run on a field."""
-        with self.begun.get_lock():
-            self.slowest.value = max(self.slowest.value, seconds)
-            if best_return(result) == result.optimum:
-                self.solved[number] = 1
+        self.slowest = max(self.slowest, seconds)
+        if best_return(result) == result.optimum:
+            self.solved[number] = True
 
 
 def train_population(
@@ -144,12 +149,11 @@ def train_population(
         started = time.time()
         deadline = started + 60.0 * config.minutes
         board = Board.of(len(config.fields))
-        work = (config, out, board, deadline)
-        run_processes(_train_some, work, config.processes, listener)
+        _train_until(deadline, board, config, out, listener)
         seconds = time.time() - started
     cells = {
         field: _finished(config, out, field, runs)
-        for field, runs in zip(config.fields, board.begun[:], strict=True)
+        for field, runs in zip(config.fields, board.begun, strict=True)
     }
     rows, grid = _rows(config, cells, seconds), _grid(cells)
     best = {name: asdict(FieldLine.of(cell)) for name, cell in cells.items()}
@@ -161,18 +165,29 @@ def train_population(
     return rows, grid
 
 
-def _train_some(
-    config: Population, out: Path, board: Board, deadline: float, listener: Listener
+def _train_until(
+    deadline: float, board: Board, config: Population, out: Path, listener: Listener
 ) -> None:
     """Train one run after the other, until there is none to begin."""
-    while (taken := board.take(deadline)) is not None:
-        number, seed = taken
-        run = config.training(config.fields[number], seed)
-        began = time.time()
-        Job(run, out / run.name).train(listener)
-        folder = RunFolder.open(out / run.name)
-        if folder.finished:
-            board.enter(number, RunRecord.read(folder), time.time() - began)
+    begun: dict[str, tuple[int, float]] = {}
+
+    def runs() -> Iterator[TrainConfig]:
+        while (taken := board.take(deadline)) is not None:
+            number, seed = taken
+            run = config.training(config.fields[number], seed)
+            begun[run.name] = number, time.time()
+            yield run
+
+    def enter(outcome: Outcome) -> None:
+        number, began = begun[outcome.name]
+        if outcome.state == "done":
+            result = RunRecord.read(RunFolder.open(out / outcome.name))
+            board.enter(number, result, time.time() - began)
+        elif outcome.state != "diverged":
+            raise RunError(str(outcome.error))
+
+    engine = LocalEngine(config.processes)
+    train_runs(runs(), str(out), engine, listener=listener, ended=enter)
 
 
 def _finished(config: Population, out: Path, field: str, runs: int) -> list[RunRecord]:

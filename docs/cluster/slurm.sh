@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # A Ray cluster inside a SLURM job, and a grid on it:  sbatch docs/cluster/slurm.sh paper.yaml
-# When the job's time is up, submit it again: what is finished stays, the rest goes on.
+# When the job's time is up, submit it again: finished runs stay, the others are resumed.
 #SBATCH --job-name=mbn-grid
 #SBATCH --nodes=4
 #SBATCH --ntasks-per-node=1

@@ -94,7 +94,7 @@ def test_one_broken_run_leaves_its_label_out(
             raise DivergenceError("loc is nan")
         return train(config, out, **options)
 
-    monkeypatch.setattr("baselines.sweep.processes.train", train_or_break)
+    monkeypatch.setattr("baselines.sweep.worker.train", train_or_break)
     results = train_all_runs(CONFIG, tmp_path / "out", command="mbn compare", processes=1)
     assert (results.labels, results.seeds) == (("mappo-tiny",), 2)
     assert results.broken == {broken: "loc is nan"}
@@ -108,8 +108,5 @@ def test_only_the_same_comparison_goes_on(tmp_path: Path) -> None:
     write_json(out / "config.json", {**CONFIG.to_json(), "seeds": [0, 2], "steps": 7})
     with pytest.raises(ConfigError) as caught:
         train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
-    assert caught.value.problems == [
-        "seeds: the comparison has [0, 2], this command [0, 1]",
-        "steps: the comparison has 7, this command 320",
-    ]
+    assert [problem.partition(": ")[0] for problem in caught.value.problems] == ["seeds", "steps"]
     assert [path.name for path in out.iterdir()] == ["config.json"]

@@ -17,7 +17,8 @@ import yaml
 
 from baselines.cli import main
 from baselines.runs.folder import RunFolder
-from baselines.sweep.run import Grid, run_grid
+from baselines.sweep.processes import LocalEngine
+from baselines.sweep.run import Sweep
 from baselines.sweep.spec import read_spec
 from baselines.sweep.status import Status
 from baselines.tuning.study import open_study
@@ -60,46 +61,46 @@ def spec_in(folder: Path) -> Path:
     return path
 
 
-def node_at_work(cluster: Any, grid: Grid) -> tuple[Any, psutil.Process, str] | None:
+def busy_node(cluster: Any, sweep: Sweep) -> tuple[Any, psutil.Process, str] | None:
     """A node that trains a cell past a checkpoint, the process, held still, and the cell."""
-    status = Status.of(grid)
+    status = Status.of(sweep)
     if status.count("done") < 4:
         return None
-    for one in status.cells:
-        if one.standing != "running" or one.state is None:
+    for one in status.runs:
+        if one.standing != "running" or one.note is None:
             continue
-        process = psutil.Process(one.state.process)
+        process = psutil.Process(one.note.process)
         process.suspend()
-        folder = RunFolder(grid.store.folder(one.cell.name))
+        folder = RunFolder(sweep.store.folder(one.run.name))
         parents = [parent.pid for parent in process.parents()]
         for node in cluster.worker_nodes:
             inside = node.all_processes["raylet"][0].process.pid in parents
             if inside and folder.checkpoint is not None and not folder.finished:
-                return node, process, one.cell.name
+                return node, process, one.run.name
         process.resume()
     return None
 
 
 def test_a_grid_survives_the_loss_of_a_node(cluster: Any, tmp_path: Path) -> None:
-    here = Grid.of(read_spec(spec_in(tmp_path / "local")))
-    assert len(here.cells) == 24
-    run_grid(here, engine="local", processes=1)
+    here = Sweep.of(read_spec(spec_in(tmp_path / "local")))
+    assert len(here.runs) == 24
+    here.train(LocalEngine(1))
 
     spec = spec_in(tmp_path / "ray")
-    grid = Grid.of(read_spec(spec))
+    sweep = Sweep.of(read_spec(spec))
     words = ["grid", str(spec), "--engine", "ray", "--address", cluster.address]
     driver = subprocess.Popen(
         [sys.executable, "-m", "mbn_marl", *words], stdout=subprocess.PIPE, text=True
     )
     try:
         deadline = time.monotonic() + 300.0
-        while (found := node_at_work(cluster, grid)) is None:
+        while (found := busy_node(cluster, sweep)) is None:
             assert driver.poll() is None, "the grid was over before a node could be lost"
             assert time.monotonic() < deadline
             time.sleep(0.005)
         node, process, victim = found
-        states = grid.store.states()
-        done = {name: state for name, state in states.items() if state.state == "done"}
+        notes = sweep.store.notes()
+        done = {name: note for name, note in notes.items() if note.state == "done"}
         cluster.remove_node(node, allow_graceful=False)
         process.kill()  # with its node: held still, it would not notice
         said, _ = driver.communicate(timeout=300)
@@ -108,21 +109,21 @@ def test_a_grid_survives_the_loss_of_a_node(cluster: Any, tmp_path: Path) -> Non
     assert driver.returncode == 0
 
     ended = sorted(line for line in said.splitlines() if "seed" in line)
-    assert ended == sorted(f"{name}: done" for name in grid.names), "each once, all done"
-    states = grid.store.states()
-    assert {name: states[name] for name in done} == done, "what was done was touched again"
-    again = {name for name in grid.names if states[name].attempt > 1}
-    assert again == {victim} and states[victim].attempt == 2
-    history = json.loads((grid.store.folder(victim) / "resumed.json").read_text())
+    assert ended == sorted(f"{name}: done" for name in sweep.names), "each once, all done"
+    notes = sweep.store.notes()
+    assert {name: notes[name] for name in done} == done, "what was done was touched again"
+    again = {name for name in sweep.names if notes[name].attempt > 1}
+    assert again == {victim} and notes[victim].attempt == 2
+    history = json.loads((sweep.store.folder(victim) / "resumed.json").read_text())
     assert [entry["env_steps"] > 0 for entry in history] == [True]
-    for name in grid.names:
-        ours, theirs = (RunFolder(one.store.folder(name)) for one in (grid, here))
+    for name in sweep.names:
+        ours, theirs = (RunFolder(one.store.folder(name)) for one in (sweep, here))
         assert recorded(ours) == recorded(theirs), name
         assert same_policies(ours, theirs), name
 
-    states = grid.store.states()
+    notes = sweep.store.notes()
     assert main(words) == 0
-    assert grid.store.states() == states, "a finished grid has nothing left to do"
+    assert sweep.store.notes() == notes, "a finished grid has nothing left to do"
 
 
 def test_workers_share_a_study(cluster: Any, tmp_path: Path) -> None:

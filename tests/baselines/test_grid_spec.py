@@ -1,0 +1,162 @@
+"""Grids as files: what they declare, and every problem of one at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from baselines.cli import main
+from baselines.sweep.spec import read_spec, runs_of
+from benchmarks import capacity
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field, load_field, save_field
+from tests.support.grids import TINY, spec_of
+from tests.support.pages import ROOT, blocks_of, write_file
+
+
+def names_of(**changes: Any) -> list[str]:
+    return [run.name for run in runs_of(spec_of("runs", **changes))]
+
+
+def test_the_examples_are_what_the_page_says(tmp_path: Path) -> None:
+    for block in blocks_of(ROOT / "docs" / "grid.md"):
+        write_file(block, tmp_path)
+    runs = runs_of(read_spec(tmp_path / "paper.yaml"))
+    assert len(runs) == 180
+    assert {run.steps for run in runs} == {5_000_000}
+    seen: set[str] = set()
+    for run in runs:
+        source = run.transferred_from
+        assert source is None or source.name in seen, "a run comes before its source"
+        seen.add(run.name)
+    names = [run.name for run in runs_of(read_spec(tmp_path / "winds.yaml"))]
+    assert len(names) == 48 and "mappo-2robots-wind0.1+30-field_03-seed1" in names
+
+
+def test_axes_multiply_and_name_the_runs() -> None:
+    names = names_of(
+        algorithms=["ppo", "mappo"],
+        settings=["A", "N"],
+        robots=[2, 3],
+        seeds=[4, 5],
+        set={"environment.wind": [[0.1, 30]]},
+    )
+    assert len(names) == len(set(names)) == 3 * 2 * 2
+    assert names[0] == "ppo-A-2robots-wind0.1+30-field_03-seed4"
+    assert "mappo-3robots-wind0.1+30-field_03-seed5" in names
+    run = runs_of(spec_of("runs", robots=[2], set={"model.gamma": [0.9]}))[0]
+    assert run.environment == {"n_robots": 2}
+    assert run.hyperparameters == {"model": {"gamma": 0.9}}
+    assert run.shown_as == "a2c-A-2robots-gamma0.9"
+
+
+def test_setting_c_brings_the_run_it_begins_with() -> None:
+    assert names_of(settings=["C"]) == ["a2c-A-field_01-seed0", "a2c-C-field_03-seed0"]
+    both = names_of(settings=["A", "C"], fields=["field_01", "field_03"])
+    assert len(both) == 4 and both[:2] == ["a2c-A-field_01-seed0", "a2c-A-field_03-seed0"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"algorithms": []}, "algorithms: "),
+        ({"algorithm": ["ppo"]}, "algorithm: unknown name (did you mean algorithms?)"),
+        ({"algorithms": ["ppo", "ppo"]}, "algorithms: ppo given twice"),
+        ({"algorithms": ["sac"]}, "algorithms.0: sac: unknown"),
+        ({"algorithms": ["mappo"]}, "settings: mappo has N"),
+        ({"fields": ["field_00"]}, "fields.0: "),
+        ({"settings": ["D"]}, "settings.0: "),
+        ({"seeds": [-1]}, "seeds.0: "),
+        ({"robots": [2, 9]}, "robots: field_03"),
+        ({"set": {"model.gama": [1]}}, "model.gama: "),
+        ({"set": {"model.gamma": [2]}}, "model.gamma: "),
+        ({"set": {"model.gamma": [0.9, 0.9]}}, "set.model.gamma: 0.9 given twice"),
+        ({"robots": [2], "set": {"environment.n_robots": [3]}}, "set: environment.n_robots"),
+        ({"set": {"environment.wind": [7]}}, "wind"),
+        ({"budget": {"steps": 0}}, "budget.steps: "),
+        ({"resources": {"cpus": 0}}, "resources.cpus: "),
+        ({"resources": {"retries": -1}}, "resources.retries: "),
+        ({"store": "nowhere://bucket"}, "store: nowhere://bucket: "),
+    ],
+)
+def test_wrong_values_are_named_and_nothing_is_made(
+    changes: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "grid.yaml"
+    path.write_text(yaml.safe_dump({"store": str(tmp_path / "runs"), **TINY, **changes}))
+    assert main(["grid", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("mbn: error: ") and message in error
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "SPEC: "),
+        (["status"], "SPEC: "),
+        (["nothing.yaml"], "nothing.yaml: "),
+        (["a.yaml", "--address", "here:1"], "address: "),
+        (["a.yaml", "--processes", "0"], "processes: "),
+        (["a.yaml", "--out", "runs"], "out: "),
+        (["fetch", "a.yaml"], "out: "),
+    ],
+)
+def test_wrong_commands(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["grid", *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_every_problem_is_named_at_once(tmp_path: Path) -> None:
+    values = {
+        **TINY,
+        "store": "nowhere://bucket",
+        "fields": ["field_03", "field_1"],
+        "seeds": [0, 0],
+        "budget": {"stepss": 7},
+        "resources": {"cpu": 1},
+    }
+    path = tmp_path / "grid.yaml"
+    path.write_text(yaml.safe_dump(values))
+    with pytest.raises(ConfigError) as caught:
+        read_spec(path)
+    problems = {problem.partition(": ")[0]: problem for problem in caught.value.problems}
+    assert set(problems) == {"store", "fields.1", "seeds", "budget.stepss", "resources.cpu"}
+    known = problems["budget.stepss"].partition("known: ")[2]
+    assert known == "steps, evaluate_every, episodes, stop_at"
+    assert problems["resources.cpu"].endswith("known: cpus, gpus, retries, upload_seconds")
+
+
+def test_values_that_do_not_fit_are_named_beside_those_that_are_wrong(tmp_path: Path) -> None:
+    axes = {"model.gama": [1], "model.n_step": [5], "environment.winds": [1]}
+    values = {**TINY, "algorithms": ["a2c", "ppo"], "set": axes, "budget": {"steps": 0}}
+    del values["seeds"]
+    path = tmp_path / "grid.yaml"
+    path.write_text(yaml.safe_dump({"store": "runs", **values}))
+    with pytest.raises(ConfigError) as caught:
+        read_spec(path)
+    said = "\n".join(caught.value.problems)
+    for place in ("seeds: ", "budget.steps: ", "model.gama: ", "model.n_step: ", "winds: "):
+        assert place in said
+    assert len(caught.value.problems) == len(set(caught.value.problems))
+    assert "..." not in said and "'algorithms'" not in said, "the whole file is in a message"
+
+
+def test_a_field_that_a_policy_does_not_fit_is_named(tmp_path: Path) -> None:
+    whole = load_field("field_02")
+    two = tmp_path / "two.yaml"
+    save_field(Field(vertices=whole.vertices, rois=whole.rois, starts=whole.starts[:2]), two)
+    with pytest.raises(ConfigError, match=r"fields: .*two\.yaml: robots 2"):
+        runs_of(spec_of("runs", settings=["C"], fields=[str(two)]))
+
+
+def test_capacity_counts_what_has_to_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capacity, "SPEEDS", {"a2c": 2.0})
+    budget = {"steps": 20}
+    chain = runs_of(spec_of("runs", settings=["C"], budget=budget))
+    assert [capacity.makespan(chain, workers) for workers in (1, 5)] == [20.0, 20.0]
+    three = runs_of(spec_of("runs", seeds=[0, 1, 2], budget=budget))
+    assert [capacity.makespan(three, workers) for workers in (1, 2, 3)] == [30.0, 20.0, 10.0]
