@@ -49,7 +49,7 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """The names of the module, those not loaded yet included."""
+    """Return the names of the module, with those that are not loaded yet."""
     return sorted({*globals(), *_HOMES})
 
 

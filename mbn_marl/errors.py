@@ -7,7 +7,7 @@ from difflib import get_close_matches
 
 
 class MbnError(ValueError):
-    """Base of every error that bad input can cause."""
+    """Base of all errors for bad input."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> str:
@@ -28,7 +28,7 @@ class ProblemsError(MbnError):
     """An error that lists every problem found, one line each, with its place.
 
     Attributes:
-        source: what was being read (a file, ``"field"``, ``"configuration"``).
+        source: the input with the problems (a file, ``"field"``, ``"configuration"``).
         problems: one line per problem, ``"place: what is wrong and what is allowed"``.
     """
 
@@ -41,7 +41,7 @@ class ProblemsError(MbnError):
 
 
 class FieldError(ProblemsError):
-    """A field, or a file that should hold one, is not valid."""
+    """A field or its file is not valid."""
 
 
 class ConfigError(ProblemsError):
@@ -49,25 +49,25 @@ class ConfigError(ProblemsError):
 
 
 class EpisodeError(ProblemsError):
-    """An episode, or a file that should hold one, is not valid or does not replay."""
+    """An episode or its file is not valid, or does not replay."""
 
 
 class DamageError(MbnError):
-    """A file is not what was written there: it was changed, cut off or damaged since."""
+    """A file was changed, cut off or damaged after it was written."""
 
 
 class DisplayError(MbnError, RuntimeError):
-    """There is no display to open a window on."""
+    """There is no display for a window."""
 
 
 class SimulatorError(MbnError, RuntimeError):
-    """A simulator cannot be reached, stopped answering, or refused what it was asked."""
+    """A simulator cannot be reached, stopped answering, or refused a request."""
 
 
 class ActionError(MbnError):
     """An action is missing, of the wrong shape, not finite, or for an unknown agent.
 
-    It is raised before anything moves: the environment is left as it was.
+    Nothing has moved: the environment is unchanged.
     """
 
 

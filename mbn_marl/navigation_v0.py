@@ -1,6 +1,6 @@
-"""Version 0 of the decentralised environment, as the PettingZoo ecosystem names it.
+"""Version 0 of the decentralised environment, under PettingZoo's usual names.
 
-``parallel_env``: all robots act at once. ``env``: one robot after the other (AEC), with
+``parallel_env``: all robots act at once. ``env``: one robot acts after the other (AEC), with
 PettingZoo's order checks. ``raw_env``: AEC without them.
 """
 

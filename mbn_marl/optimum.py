@@ -6,11 +6,11 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.field import Field
 
 VIEW = ("reward_sharing", "observation", "one_hot", "sensing_radius", "dtype")
-"""Settings that change what a learner sees, but not what there is to reach."""
+"""Settings that change what a learner sees, but not the best return."""
 
 
 def optimality_gap(return_: float, optimum: float | None) -> float | None:
-    """How far ``return_`` falls short of ``optimum``, as a share of it; ``None`` without one.
+    """Return the gap of ``return_`` to ``optimum``, as a share of it; ``None`` without one.
 
     Both are in reward units.
     """
@@ -18,17 +18,14 @@ def optimality_gap(return_: float, optimum: float | None) -> float | None:
 
 
 def optimal_return(field: Field, config: NavigationConfig | None = None) -> float | None:
-    """The best possible team return, ``m r_l + r_inf - n r_s T*``, or ``None`` if not proved.
+    """Return the best possible team return, ``m r_l + r_inf - n r_s T*``, ``None`` if not proved.
 
-    Nothing is better: leaving the field, which stops a robot at once, costs ``r_l``, more than all
-    the steps of a proved makespan; where it does not, nothing is claimed.
-
-    It holds for the default dynamics, the released rewards and the field's own starts and team;
-    for any other configuration nothing is proved and the answer is ``None``.
+    It is proved for the default dynamics, the released rewards and the field's own starts and
+    team, as long as ``r_l``, the cost of the abrupt stop at a wall, exceeds that of all the steps.
 
     Args:
-        field: with its proved makespan, if there is one.
-        config: of the environment; ``None`` for the default one.
+        field: the field, with its proved makespan if there is one.
+        config: the configuration of the environment; ``None`` for the default one.
 
     Source:
         The formula is that of ``docs/mdp.md`` for a clean success, T* the planner's.

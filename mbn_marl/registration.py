@@ -1,8 +1,7 @@
-"""The environments' ids in the registries of Gymnasium and PettingZoo.
+"""The environments' ids in the registries of Gymnasium and PettingZoo: ``mbn/field_03-v0`` ...
 
-``mbn/field_03-v0`` and so on, one for each field of the catalogue. Entry points are strings, so
-that nothing of the environments is imported before one of them is made. Without an import of
-this package, Gymnasium finds the ids as ``gymnasium.make("mbn_marl:mbn/field_03-v0")``.
+Entry points are strings, so that an environment is imported only when one is made. Without an
+import of this package, use ``gymnasium.make("mbn_marl:mbn/field_03-v0")``.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from mbn_marl.field import catalogue_names
 
 
 def environment_id(field_name: str) -> str:
-    """The id in both registries of the catalogue field ``field_name``: ``mbn/field_03-v0``."""
+    """Return the id of the catalogue field ``field_name``, such as ``mbn/field_03-v0``."""
     return f"mbn/{field_name}-v0"
 
 

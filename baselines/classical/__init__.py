@@ -1,1 +1,1 @@
-"""Greedy and planner as policies, demonstrations, behaviour cloning."""
+"""Policies without learning (greedy, planner), demonstrations, behaviour cloning."""

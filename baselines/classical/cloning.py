@@ -1,4 +1,4 @@
-"""Behaviour cloning from the planner's demonstrations, as an example of their use.
+"""Behaviour cloning, as an example of the use of the planner's demonstrations.
 
 ``mbn plan field_03 --export demos.npz --episodes 100 --noise 0.2`` records demonstrations, and
 ``python -m baselines.classical.cloning demos.npz field_03`` trains one network for the whole team
@@ -24,10 +24,10 @@ from mbn_marl.optimum import optimal_return, optimality_gap
 
 
 class ClonedPolicy:
-    """All robots' observations in, all robots' actions out.
+    """One network from all robots' observations to all robots' actions.
 
     Args:
-        observations: (K, n, obs_size), to take means and deviations from.
+        observations: (K, n, obs_size), for the means and deviations of the inputs.
         hidden: width of the two hidden layers.
     """
 
@@ -45,13 +45,13 @@ class ClonedPolicy:
         )
 
     def __call__(self, observations: torch.Tensor) -> torch.Tensor:
-        """Actions (K, n, 2), not clipped."""
+        """Return actions (K, n, 2), not clipped."""
         rows = (observations.flatten(1) - self.mean) / self.scale
         actions: torch.Tensor = self.network(rows)
         return actions.view(len(rows), -1, 2)
 
     def act(self, seen: NDArray[np.float32], *, deterministic: bool) -> NDArray[np.float32]:
-        """The cloned action; ``deterministic`` makes no difference."""
+        """Return the cloned actions; ``deterministic`` has no effect."""
         with torch.no_grad():
             actions: NDArray[np.float32] = self(torch.from_numpy(seen)).numpy()
         return actions
@@ -83,16 +83,16 @@ def clone(
 
 @dataclass(frozen=True)
 class Clone:
-    """Train on demonstrations, evaluate, print."""
+    """Train on demonstrations, evaluate, print the result."""
 
     demonstrations: tyro.conf.Positional[Path]
-    """What `mbn plan --export` wrote."""
+    """The file of `mbn plan --export`."""
     field: tyro.conf.Positional[str]
-    """The field that they are from."""
+    """The field of the demonstrations."""
     updates: int = 3000
     """Steps of the optimiser, each on 256 samples."""
     episodes: int = 20
-    """Of the evaluation."""
+    """Episodes of the evaluation."""
 
 
 def main(asked: Clone) -> None:

@@ -1,4 +1,4 @@
-"""Policies that were not learned: the greedy controller, and the planner in closed loop."""
+"""Policies without learning: the greedy controller, and the planner in closed loop."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from mbn_marl.planning.problem import Floats, Problem, make_problem
 from mbn_marl.planning.tracking import Tracker
 
 CLASSICAL = ("greedy", "planner")
-"""The names of the policies here."""
+"""The names of these policies."""
 
 
 class Controller(Protocol):
-    """What drives one team through one episode."""
+    """Controls one team through one episode."""
 
     def act(
         self, positions: Floats, velocities: Floats, visited: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
-        """Actions (n, 2) from positions and velocities (n, 2) and visited ROIs (m,)."""
+        """Return actions (n, 2) for positions and velocities (n, 2) and visited ROIs (m,)."""
         ...
 
 
 class ControllerPolicy:
-    """A controller in every world. Worlds that begin alike share one: it is deterministic.
+    """A deterministic controller for each world; worlds with equal starts share one.
 
     Args:
         problem: the instance.
-        begin: makes the controller of an episode that begins at positions (n, 2).
+        begin: makes the controller of an episode that starts at positions (n, 2).
     """
 
     observes: Literal["observations", "state"] = "state"
@@ -47,7 +47,7 @@ class ControllerPolicy:
         self._of_world: list[bytes] = []
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """Actions (worlds, n, 2) from states (worlds, 4n+1); there is nothing to sample."""
+        """Return actions (worlds, n, 2) for states (worlds, 4n+1); nothing is sampled."""
         n, m = self.problem.n, self.problem.m
         positions = seen[:, : 2 * n].reshape(-1, n, 2)
         velocities = seen[:, 2 * n : 4 * n].reshape(-1, n, 2)
@@ -75,11 +75,11 @@ class ControllerPolicy:
 def make_classical(
     name: str, field: Field, settings: Mapping[str, Any], *, time_limit: float = 60.0
 ) -> Policy:
-    """One of :data:`CLASSICAL`, for a field.
+    """Return one of :data:`CLASSICAL` for a field.
 
     Args:
-        name: of the policy.
-        field: where.
+        name: the name of the policy.
+        field: the field.
         settings: of the environment.
         time_limit: seconds that the planner may take.
 
@@ -96,7 +96,7 @@ def make_classical(
 
 
 def make_tracker(found: Plan, settings: Mapping[str, Any]) -> Tracker:
-    """What follows a plan for one episode.
+    """Return a tracker that follows a plan for one episode.
 
     Args:
         found: the plan.

@@ -1,4 +1,4 @@
-"""Demonstrations for imitation learning: the planner at work, recorded as arrays."""
+"""Demonstrations for imitation learning: the planner's episodes as arrays."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from mbn_marl.planning import Plan
 def record_demonstrations(
     plan: Plan, settings: Mapping[str, Any], *, episodes: int = 1, noise: float = 0.0, seed: int = 0
 ) -> dict[str, NDArray[Any]]:
-    """Episodes of the planner in closed loop, step after step, one episode after the other.
+    """Record episodes of the planner in closed loop, one after the other.
 
-    With noise, the robots do what the planner says and something random besides, and what is
-    recorded is what it says: so a learner sees how to come back from where it strays.
+    Noise disturbs the robots' actions, but the planner's own actions are recorded, so that a
+    learner sees how to return to the plan.
 
     Args:
-        plan: what is followed; it has a makespan.
+        plan: the plan to follow, with a makespan.
         settings: of the environment that the plan was made for.
-        episodes: how many (> 0).
-        noise: standard deviation of what is added to the actions that are taken (>= 0).
+        episodes: their number (> 0).
+        noise: standard deviation of the noise on the actions (>= 0).
         seed: of the noise.
 
     Returns:
         With K steps in all: ``observations`` (K, n, obs_size) float32 and ``states`` (K, 4n+1)
-        float32 before the step, ``actions`` (K, n, 2) float32 as the planner says, ``taken`` the
-        same with the noise, ``rewards`` (K, n) float32, ``terminations`` and ``truncations`` (K,)
+        float32 before the step, the planner's ``actions`` (K, n, 2) float32, ``taken``, the same
+        with the noise, ``rewards`` (K, n) float32, ``terminations`` and ``truncations`` (K,)
         bool, ``successes`` (K,) bool of the step's whole episode, ``episodes`` (K,) int32, from 0.
     """
     engine = BatchEngine(plan.field, 1, autoreset="disabled", threads=1, **settings)
@@ -52,7 +52,7 @@ def _record(
     random: np.random.Generator,
     rows: dict[str, list[Any]],
 ) -> int:
-    """Append one episode to the rows; how many steps it took."""
+    """Append one episode to the rows; return its number of steps."""
     tracker, observations, steps = make_tracker(plan, settings), engine.reset(), 0
     ended = False
     while not ended:
