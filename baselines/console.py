@@ -23,12 +23,15 @@ class WholeCells(Console):
     """
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print as rich does, each table in blocks that fit."""
+        """Print as rich does, each table in blocks that fit, below its title on one line."""
+        for one in objects:
+            if isinstance(one, Table) and one.title:
+                super().print(one.title, style="table.title", highlight=False, soft_wrap=True)
         parts = [[*self._blocks(one)] if isinstance(one, Table) else [one] for one in objects]
         super().print(*itertools.chain.from_iterable(parts), **options)
 
     def _blocks(self, table: Table) -> Iterator[Table]:
-        """The table in blocks: the title above the first one, the caption below the last."""
+        """Yield the table in blocks without its title, the caption below the last one."""
         names = list(itertools.takewhile(lambda column: column.justify == "left", table.columns))
         lead = len(names) if 0 < len(names) < len(table.columns) else 1
         blocks = [table.columns[:lead]]
@@ -38,7 +41,7 @@ class WholeCells(Console):
             blocks[-1] = [*blocks[-1], column]
         for number, columns in enumerate(blocks, start=1):
             block = _part(table, columns)
-            block.title = table.title if number == 1 else None
+            block.title = None
             block.caption = table.caption if number == len(blocks) else None
             yield block
 

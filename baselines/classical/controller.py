@@ -40,6 +40,7 @@ class ControllerPolicy:
     """
 
     observes: Literal["observations", "state"] = "state"
+    samples = False
 
     def __init__(self, problem: Problem, begin: Callable[[Floats], Controller]) -> None:
         self.problem, self.begin = problem, begin

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +14,10 @@ from mbn_marl.optimum import optimality_gap
 if TYPE_CHECKING:
     from baselines.evaluation.policy import Policy
     from mbn_marl.field import Field
+
+
+ONE_EPISODE = "deterministic:\none episode"
+"""In place of a number of episodes, where all are the same."""
 
 
 @dataclass(frozen=True)
@@ -46,31 +50,33 @@ class Evaluate:
     """If an output exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Evaluate, print the summaries, and write the file if one is asked for."""
+        """Evaluate, print the summaries, and write the files that are asked for."""
         from baselines.evaluation.evaluate import EVALUATION_SEED
         from baselines.zoo.entries import PREFIX
         from mbn_marl.errors import ConfigError
 
-        if self.episodes < 1:
-            raise ConfigError("evaluation", [f"episodes: at least 1, not {self.episodes}"])
-        if self.figure is not None and self.wind_speeds is None:
-            raise ConfigError("evaluation", ["figure: allowed with --wind-speeds"])
-        if self.record is not None and self.wind_speeds is not None:
-            raise ConfigError("evaluation", ["record: allowed without --wind-speeds"])
-        files = (self.json, self.figure)
+        in_wind = self.wind_speeds is not None
         homeless = self.field is not None or self.source.startswith(PREFIX)
-        if self.wind_speeds is not None and homeless and None in files:
-            problem = "json, figure: of a policy without a run folder in wind, name both"
-            raise ConfigError("evaluation", [problem])
+        wrong = {
+            f"episodes: at least 1, not {self.episodes}": self.episodes < 1,
+            "figure: allowed with --wind-speeds": self.figure is not None and not in_wind,
+            "record: allowed without --wind-speeds": self.record is not None and in_wind,
+            "json, figure: of a policy without a run folder in wind, name both": in_wind
+            and homeless
+            and None in (self.json, self.figure),
+        }
+        if any(wrong.values()):
+            raise ConfigError("evaluation", [problem for problem in wrong if wrong[problem]])
         subject = self._subject()
         seed = EVALUATION_SEED if self.seed is None else self.seed
+        how: dict[str, Any] = {"episodes": self.episodes, "seed": seed}
         if self.wind_speeds is None:
-            self._evaluate(subject, seed, command_line)
+            self._evaluate(subject, how, command_line)
         else:
-            self._evaluate_in_wind(subject, seed, command_line, self.wind_speeds)
+            self._evaluate_in_wind(subject, how, command_line, self.wind_speeds)
 
     def _subject(self) -> _Subject:
-        """What is evaluated, and where."""
+        """Return what is evaluated, and where."""
         from baselines.classical.controller import CLASSICAL, make_classical
         from baselines.evaluation.policy import load_policy
         from baselines.zoo.entries import open_run
@@ -82,15 +88,20 @@ class Evaluate:
             raise ConfigError("evaluation", [f"field: for {names}, which need it, and no other"])
         if self.field is not None:
             field = load_field(self.field)
-            return _Subject(make_classical(self.source, field, {}), field, {}, Path())
+            return _Subject((make_classical(self.source, field, {}), field, {}), Path())
         run = open_run(self.source, trust=self.trust)
-        return _Subject(load_policy(run), run.field, run.config["environment"], run.path)
+        policy, config = load_policy(run), run.config
+        if not run.finished and run.checkpoint is not None:
+            steps = int(run.checkpoint.name)
+            print(f"unfinished: checkpoint at {steps:,} of {config['steps']:,} env-steps")
+        return _Subject((policy, run.field, config["environment"]), run.path)
 
-    def _evaluate(self, subject: _Subject, seed: int, command_line: str) -> None:
+    def _evaluate(self, subject: _Subject, how: dict[str, Any], command_line: str) -> None:
         """Evaluate as the policy was trained."""
-        from baselines.evaluation.evaluate import evaluate_both
+        from baselines.evaluation.evaluate import evaluate_both, record_evaluation
         from baselines.runs.files import claim_folder, write_json
         from mbn_marl.config import make_config
+        from mbn_marl.episode import save_episode
         from mbn_marl.files import claim_file
         from mbn_marl.optimum import optimal_return
 
@@ -98,42 +109,28 @@ class Evaluate:
             claim_file(self.json, force=self.force)
         if self.record is not None:
             claim_folder(self.record, force=self.force)
-        results = evaluate_both(
-            subject.policy, subject.field, subject.settings, episodes=self.episodes, seed=seed
-        )
-        optimum = optimal_return(subject.field, make_config(subject.settings))
-        summaries = [result.summary() for result in results.values()]
-        print_evaluations(summaries, title=self.source, optimum=optimum)
+        results = evaluate_both(*subject.where, **how)
+        _, field, settings = subject.where
+        optimum = optimal_return(field, make_config(settings))
+        summaries = {name: result.summary() for name, result in results.items()}
+        print_evaluations(summaries.values(), self.source, optimum, one=subject.one_episode)
         if self.json is not None:
-            episodes = {name: result.to_json() for name, result in results.items()}
             gaps = {
-                name: optimality_gap(result.summary()["return_mean"], optimum)
-                for name, result in results.items()
+                name: optimality_gap(summary["return_mean"], optimum)
+                for name, summary in summaries.items()
             }
             heading = {"command": command_line, "optimum": optimum, "optimality_gap": gaps}
+            episodes = {name: result.to_json() for name, result in results.items()}
             write_json(self.json, {**heading, **episodes})
         if self.record is not None:
-            self._record(subject, seed, self.record)
-
-    def _record(self, subject: _Subject, seed: int, folder: Path) -> None:
-        """Write the most telling episodes as recordings."""
-        from baselines.evaluation.evaluate import record_evaluation
-        from mbn_marl.episode import save_episode
-
-        recorded = record_evaluation(
-            subject.policy,
-            subject.field,
-            subject.settings,
-            episodes=self.episodes,
-            seed=seed,
-            source=self.source if self.field else f"{self.source}, sampled actions",
-        )
-        for name, episode in recorded.items():
-            save_episode(episode, folder / f"{name}.json")
-        print(f"recorded: {', '.join(recorded)} in {folder}")
+            source = self.source if self.field else f"{self.source}, sampled actions"
+            recorded = record_evaluation(*subject.where, **how, source=source)
+            for name, episode in recorded.items():
+                save_episode(episode, self.record / f"{name}.json")
+            print(f"recorded: {', '.join(recorded)} in {self.record}")
 
     def _evaluate_in_wind(
-        self, subject: _Subject, seed: int, command_line: str, speeds: str
+        self, subject: _Subject, how: dict[str, Any], command_line: str, speeds: str
     ) -> None:
         """Evaluate at several wind speeds; write the episodes and the picture."""
         from baselines.evaluation.wind import evaluate_in_wind, parse_speeds, write_panels
@@ -142,30 +139,37 @@ class Evaluate:
         from mbn_marl.render.figures import check_name
 
         winds = parse_speeds(speeds), self.wind_angle
-        where = subject.policy, subject.field, subject.settings
         figure = check_name(self.figure or subject.home / "wind.png")
         results = self.json or subject.home / "wind.json"
         for output in (results, figure):
             claim_file(output, force=self.force)
-        rows = evaluate_in_wind(*where, *winds, episodes=self.episodes, seed=seed)
+        rows, episodes = evaluate_in_wind(*subject.where, *winds, **how)
         write_json(results, {"command": command_line, "results": rows})
-        write_panels(*where, *winds, figure)
+        write_panels(episodes, figure)
         print_winds(rows, title=f"{self.source}: wind at {self.wind_angle:g} degrees")
         print(f"written: {results}, {figure}")
 
 
 @dataclass(frozen=True)
 class _Subject:
-    """A policy, where it acts, and the folder that its files go to by default."""
+    """A policy with its field and settings, and the folder that its files go to by default."""
 
-    policy: Policy
-    field: Field
-    settings: Mapping[str, Any]
+    where: tuple[Policy, Field, Mapping[str, Any]]
     home: Path
+
+    def one_episode(self, deterministic: bool) -> bool:
+        """Return whether all episodes with these actions are the same."""
+        from baselines.evaluation.evaluate import is_one_episode
+
+        policy, _, settings = self.where
+        return is_one_episode(policy, settings, deterministic=deterministic)
 
 
 def print_evaluations(
-    summaries: Sequence[Mapping[str, Any]], title: str, optimum: float | None = None
+    summaries: Iterable[Mapping[str, Any]],
+    title: str,
+    optimum: float | None = None,
+    one: Callable[[bool], bool] = lambda deterministic: False,
 ) -> None:
     """Print evaluations (as ``Evaluation.summary()`` has them) as a table, one a row.
 
@@ -173,57 +177,54 @@ def print_evaluations(
         summaries: the rows.
         title: above the table.
         optimum: the proved best return, from which the gap is measured; ``None`` for no gap.
+        one: whether all episodes of a row are the same, from its ``deterministic``.
     """
-    from rich import box
-    from rich.table import Table
+    from baselines.compare.text_table import TextTable
 
-    from baselines.console import console
-
-    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    headings = ["actions", "episodes", "return", "min", "max", "success", "makespan"]
-    if optimum is not None:
-        table.caption = f"gap: to the proved optimum, {optimum:,.0f}"
-        headings.append("gap")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading == "actions" else "right")
+    caption = "" if optimum is None else f"gap: to the proved optimum, {optimum:,.0f}"
+    headings = ("actions", "episodes", "return", "min", "max", "success", "makespan", "gap")
+    lines = []
     for summary in summaries:
-        makespan = summary["makespan"]
+        makespan, deterministic = summary["makespan"], summary["deterministic"]
         gap = optimality_gap(summary["return_mean"], optimum)
-        table.add_row(
-            "mean" if summary["deterministic"] else "sampled",
-            str(summary["episodes"]),
-            *(f"{summary[f'return_{name}']:,.0f}" for name in ("mean", "min", "max")),
-            f"{summary['success_rate']:.1%}",
-            "-" if makespan is None else f"{makespan:.1f}",
-            *([] if gap is None else [f"{gap:.2%}"]),
+        lines.append(
+            (
+                "mean" if deterministic else "sampled",
+                ONE_EPISODE if one(deterministic) else str(summary["episodes"]),
+                *(f"{summary[f'return_{name}']:,.0f}" for name in ("mean", "min", "max")),
+                f"{summary['success_rate']:.1%}",
+                "-" if makespan is None else f"{makespan:.1f}",
+                *([] if gap is None else [f"{gap:.2%}"]),
+            )
         )
-    console().print(table)
+    TextTable(caption, headings[: len(lines[0])], tuple(lines)).print(title)
 
 
 def print_winds(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Print what ``evaluate_in_wind`` returns as a table, one entry a row."""
-    from rich.table import Table
+    from baselines.compare.text_table import TextTable
 
-    from baselines.console import console
-
-    table = Table(title=title, caption="intervals: 95 % over the episodes")
-    for heading in ("wind", "actions", "success", "return", "makespan"):
-        table.add_column(heading, justify="left" if heading == "actions" else "right")
-    for row in rows:
-        table.add_row(
+    lines = tuple(
+        (
             f"{row['wind_speed']:g}",
             "mean" if row["deterministic"] else "sampled",
-            _interval(row["success_interval"], "{:.0%}"),
-            _interval(row["return_interval"], "{:,.0f}"),
-            _interval(row["makespan_interval"], "{:.1f}"),
+            str(row["episodes"]) if row["return_interval"] else ONE_EPISODE,
+            _with_interval(row["success_rate"], row["success_interval"], "{:.0%}"),
+            _with_interval(row["return_mean"], row["return_interval"], "{:,.0f}"),
+            _with_interval(row["makespan"], row["makespan_interval"], "{:.1f}"),
         )
-    console().print(table)
+        for row in rows
+    )
+    headings = ("wind", "actions", "episodes", "success", "return", "makespan")
+    TextTable("intervals: 95 % over the episodes", headings, lines, words=2).print(title)
 
 
-def _interval(interval: Mapping[str, float | None] | None, form: str) -> str:
-    """A mean with its interval below; a dash for none."""
-    if interval is None:
+def _with_interval(
+    mean: float | None, interval: Mapping[str, float | None] | None, form: str
+) -> str:
+    """A mean with its interval below, if it has one; a dash for none."""
+    if mean is None:
         return "-"
-    mean, low, high = (interval[name] for name in ("mean", "low", "high"))
-    shown = form.format(mean)
-    return shown if low is None else f"{shown}\n{form.format(low)} .. {form.format(high)}"
+    low, high = (None, None) if interval is None else (interval["low"], interval["high"])
+    ends = "" if low is None else f"\n{form.format(low)} .. {form.format(high)}"
+    return form.format(mean) + ends

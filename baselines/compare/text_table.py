@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from rich import box
 from rich.table import Table
 
+from baselines.console import console
+
 DASH = "–"  # noqa: RUF001  (a dash, not a minus)
 
 _LATEX = str.maketrans({"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", DASH: "--"})
@@ -63,6 +65,13 @@ class TextTable:
         for line in self.lines:
             table.add_row(*line)
         return table
+
+    def print(self, title: str) -> None:
+        """Print it on the standard output, with its caption below."""
+        screen = console()
+        screen.print(self.rich(title))
+        if self.caption:
+            screen.print(self.caption)
 
 
 def _latex_row(words: tuple[str, ...]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -11,9 +11,11 @@ import numpy as np
 import torch
 
 from baselines.evaluation.intervals import mean_of_known
-from baselines.evaluation.policy import Policy
+from baselines.evaluation.policy import Origin, Policy, RandomPolicy
+from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder
+from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
 EVALUATION_SEED = 1_000_003
@@ -86,9 +88,13 @@ def evaluate(
         episodes: how many (> 0).
         deterministic: take the mean action instead of a sampled one.
         seed: of the worlds and of the sampled actions.
-        attach: is given the engine before the first reset, to follow it.
+        attach: receives the engine before the first reset, to follow it.
+
+    Raises:
+        ConfigError: the policy was trained for other observations, see :func:`check_fits`.
     """
     engine = BatchEngine(field, episodes, seed=seed, threads=1, **settings)
+    check_fits(policy, engine.field, settings)
     attach(engine)
     open_worlds = np.ones(episodes, dtype=bool)
     results: dict[str, np.ndarray] = {}
@@ -115,6 +121,69 @@ def evaluate(
     )
 
 
+def is_one_episode(policy: Policy, settings: Mapping[str, Any], *, deterministic: bool) -> bool:
+    """Return whether all episodes are the same: they start alike, and no action is sampled."""
+    if make_config(settings).random_starts or isinstance(policy, RandomPolicy):
+        return False
+    return deterministic or not getattr(policy, "samples", True)
+
+
+def check_fits(policy: Policy, field: Field, settings: Mapping[str, Any]) -> None:
+    """Check that a loaded policy would see what it was trained to see.
+
+    Raises:
+        ConfigError: naming everything that differs: the number of robots or ROIs and, for a policy
+            that acts on the robots' own observations, their kind and what they are scaled by.
+    """
+    trained: Origin | None = getattr(policy, "origin", None)
+    if trained is None:
+        return
+    ours, theirs = _sizes(*trained), _sizes(field, make_config(settings))
+    if policy.observes == "state":
+        ours, theirs = dict([*ours.items()][:2]), dict([*theirs.items()][:2])
+    problems = [
+        f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
+        for name in ours
+        if ours[name] != theirs[name]
+    ]
+    if problems:
+        raise ConfigError(f"policy in {field.name}", problems)
+
+
+def evaluate_recorded(
+    policy: Policy,
+    field: str | Field,
+    settings: Mapping[str, Any],
+    *,
+    worlds: Iterable[int],
+    source: str = "",
+    **how: Any,
+) -> tuple[Evaluation, list[Episode]]:
+    """Evaluate, and record the episodes of some worlds.
+
+    Args:
+        policy: as for :func:`evaluate`, as all that is not here.
+        field: as there.
+        settings: as there.
+        worlds: their numbers, from 0.
+        source: the name of the policy.
+        how: as there.
+
+    Raises:
+        ConfigError: as there.
+    """
+    recorders: list[EpisodeRecorder] = []
+    with ExitStack() as stack:
+
+        def attach(engine: BatchEngine) -> None:
+            for world in worlds:
+                recorder = EpisodeRecorder(engine, world, source=source)
+                recorders.append(stack.enter_context(recorder))
+
+        evaluation = evaluate(policy, field, settings, attach=attach, **how)
+    return evaluation, [recorder.episodes[0] for recorder in recorders]
+
+
 def record_evaluation(
     policy: Policy,
     field: Field,
@@ -126,20 +195,13 @@ def record_evaluation(
 ) -> dict[str, Episode]:
     """The ``best``, the ``median`` and the ``worst`` episode with sampled actions, by return.
 
-    Arguments as for :func:`evaluate`, which sees the same episodes; ``source`` says what acts.
+    Arguments as for :func:`evaluate`, which sees the same episodes; ``source`` names the policy.
     """
-    recorders: list[EpisodeRecorder] = []
-    with ExitStack() as stack:
-
-        def attach(engine: BatchEngine) -> None:
-            for world in range(episodes):
-                recorder = EpisodeRecorder(engine, world, source=source)
-                recorders.append(stack.enter_context(recorder))
-
-        evaluation = evaluate(policy, field, settings, episodes=episodes, seed=seed, attach=attach)
+    how: dict[str, Any] = {"episodes": episodes, "seed": seed, "source": source}
+    evaluation, recorded = evaluate_recorded(policy, field, settings, worlds=range(episodes), **how)
     order = np.argsort(evaluation.returns, kind="stable")
     worlds = {"best": order[-1], "median": order[len(order) // 2], "worst": order[0]}
-    return {name: recorders[world].episodes[0] for name, world in worlds.items()}
+    return {name: recorded[world] for name, world in worlds.items()}
 
 
 def evaluate_both(
@@ -155,6 +217,21 @@ def evaluate_both(
         )
         for name, deterministic in (("stochastic", False), ("deterministic", True))
     }
+
+
+def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
+    """What the numbers of an observation depend on."""
+    sizes = {
+        "robots": config.n_robots or len(field.starts),
+        "ROIs": len(field.rois),
+        "arena": tuple(map(float, field.arena)),
+        **{name: getattr(config, name) for name in ("observation", "one_hot", "v_clip")},
+    }
+    if config.observation in ("local", "lidar"):
+        sizes["sensing_radius"] = config.sensing_radius
+    elif config.observation == "state":
+        del sizes["arena"], sizes["v_clip"]
+    return sizes
 
 
 def _record(

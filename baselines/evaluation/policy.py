@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from baselines.algorithms import find_algorithm
 from baselines.runs.folder import RunFolder
+from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.field import Field
 
 
 class Policy(Protocol):
@@ -39,6 +41,13 @@ class TrainedPolicy(Policy, Protocol):
         ...
 
 
+class Origin(NamedTuple):
+    """Where a policy was trained."""
+
+    field: Field
+    config: NavigationConfig
+
+
 class RandomPolicy:
     """Uniform actions in [-1, 1], reproducible from the seed."""
 
@@ -53,11 +62,13 @@ class RandomPolicy:
 
 
 def load_policy(run: Path | RunFolder) -> TrainedPolicy:
-    """Load the latest policy of a run.
+    """Load the latest policy of a run, with its :class:`Origin` in the attribute ``origin``.
 
     Raises:
         RunError: there is no run, or it has saved no policy yet.
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
-    policy: TrainedPolicy = find_algorithm(folder.config["algorithm"]).load_policy(folder)
-    return policy
+    policy: Any = find_algorithm(folder.config["algorithm"]).load_policy(folder)
+    policy.origin = Origin(folder.field, make_config(folder.config["environment"]))
+    trained: TrainedPolicy = policy
+    return trained

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from baselines.evaluation.evaluate import check_fits
 from baselines.evaluation.policy import Policy
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder, save_episode
@@ -47,7 +48,11 @@ def record_episode(
         seed: of the world and of the sampled actions.
         limit: stop after so many steps; ``None`` for the whole episode.
         source: what the policy is, in words.
+
+    Raises:
+        ConfigError: the policy was trained for other observations.
     """
+    check_fits(policy, field, settings)
     engine = BatchEngine(field, 1, seed=seed, autoreset="disabled", threads=1, **settings)
     steps, ended = 0, False
     with torch.random.fork_rng(devices=[]), EpisodeRecorder(engine, source=source) as recorder:

@@ -8,10 +8,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from baselines.evaluation.evaluate import Evaluation, evaluate
+from baselines.evaluation.evaluate import Evaluation, evaluate_recorded, is_one_episode
 from baselines.evaluation.intervals import mean_interval, share_interval
 from baselines.evaluation.policy import Policy
-from baselines.evaluation.rollout import record_episode
+from mbn_marl.episode import Episode
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
@@ -72,7 +72,7 @@ def evaluate_in_wind(
     *,
     episodes: int,
     seed: int,
-) -> list[dict[str, Any]]:
+) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
     """Evaluate at every speed, with sampled and with mean actions.
 
     Args:
@@ -81,68 +81,64 @@ def evaluate_in_wind(
         settings: of the environment; its wind is replaced.
         speeds: units/step per step.
         angle: of the wind, degrees from +x.
-        episodes: of every evaluation.
+        episodes: of every evaluation; one where all would be the same.
         seed: of the episodes.
 
     Returns:
-        JSON values, an entry for every speed and way to act: see :func:`with_intervals`.
+        JSON values, an entry for every speed and way to act: see :func:`with_intervals`; and, by
+        its wind in words, the first of the evaluated episodes with mean actions at each speed.
     """
-    return [
-        {
-            "wind_speed": speed,
-            "wind_angle": angle,
-            **with_intervals(
-                evaluate(
-                    policy,
-                    field,
-                    {**settings, "wind": (speed, angle)},
-                    episodes=episodes,
-                    deterministic=deterministic,
-                    seed=seed,
-                )
-            ),
+    rows: list[dict[str, Any]] = []
+    drawn: dict[str, Episode] = {}
+    for speed, deterministic in itertools.product(speeds, (False, True)):
+        world = {**settings, "wind": (speed, angle)}
+        one = is_one_episode(policy, world, deterministic=deterministic)
+        how: dict[str, Any] = {
+            "episodes": 1 if one else episodes,
+            "deterministic": deterministic,
+            "seed": seed,
         }
-        for speed, deterministic in itertools.product(speeds, (False, True))
-    ]
+        worlds = [0] if deterministic else []
+        evaluation, recorded = evaluate_recorded(policy, field, world, worlds=worlds, **how)
+        wind = {"wind_speed": speed, "wind_angle": angle}
+        rows.append({**wind, **with_intervals(evaluation, one_episode=one)})
+        drawn.update({f"wind {speed:g}": episode for episode in recorded})
+    return rows, drawn
 
 
-def with_intervals(evaluation: Evaluation) -> dict[str, Any]:
+def with_intervals(evaluation: Evaluation, *, one_episode: bool) -> dict[str, Any]:
     """An evaluation as JSON values, with 95 % intervals over its episodes.
 
     ``success_interval`` is Wilson's; ``return_interval`` and ``makespan_interval`` are bootstrap
-    intervals of the mean, the latter over successful episodes and ``None`` without any.
+    intervals of the mean, the latter over successful episodes and ``None`` without any. With
+    ``one_episode``, a deterministic one, there is none.
     """
     lengths = [
         float(steps)
         for steps, success in zip(evaluation.steps, evaluation.successes, strict=True)
         if success
     ]
+    intervals = {
+        "success_interval": share_interval(evaluation.successes),
+        "return_interval": mean_interval(evaluation.returns),
+        "makespan_interval": mean_interval(lengths) if lengths else None,
+    }
     return {
         **evaluation.to_json(),
-        "success_interval": asdict(share_interval(evaluation.successes)),
-        "return_interval": asdict(mean_interval(evaluation.returns)),
-        "makespan_interval": asdict(mean_interval(lengths)) if lengths else None,
+        **{
+            name: None if interval is None or one_episode else asdict(interval)
+            for name, interval in intervals.items()
+        },
     }
 
 
-def write_panels(
-    policy: Policy,
-    field: Field,
-    settings: Mapping[str, Any],
-    speeds: Sequence[float],
-    angle: float,
-    path: Path,
-) -> None:
-    """Draw an episode with mean actions at every speed, side by side.
+def write_panels(episodes: Mapping[str, Episode], path: Path) -> None:
+    """Draw episodes side by side.
 
     Raises:
         MbnError: ``path`` does not end in png, pdf or svg.
     """
     from mbn_marl.render import figures
 
-    episodes = {
-        f"wind {speed:g}": record_episode(policy, field, {**settings, "wind": (speed, angle)})
-        for speed in speeds
-    }
     lasts = {name: episode.snapshot(episode.steps) for name, episode in episodes.items()}
     figures.save(figures.trajectory_panels(lasts), path)

@@ -8,11 +8,14 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+import torch
 
+from baselines.classical.controller import make_classical
 from baselines.cli import main
 from baselines.evaluation import wind as wind_module
-from baselines.evaluation.evaluate import Evaluation
+from baselines.evaluation.evaluate import Evaluation, is_one_episode
 from baselines.evaluation.intervals import Interval, share_interval
+from baselines.evaluation.policy import RandomPolicy
 from baselines.evaluation.wind import evaluate_in_wind, parse_speeds, with_intervals
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
@@ -75,14 +78,48 @@ def test_wrong_speeds(text: str, message: str) -> None:
 def test_wind_carries_the_robots() -> None:
     # Along x each step adds the speed v to the velocity: after t steps v t (t + 1) / 2. The ROI's
     # edge is 20 units away: v = 0.5 gets there at t = 9 (22.5), v = 1 at t = 6 (21).
-    rows = evaluate_in_wind(Still(), SQUARE, {}, [0.5, 1.0], 0.0, episodes=2, seed=1)
+    rows, drawn = evaluate_in_wind(Still(), SQUARE, {}, [0.5, 1.0], 0.0, episodes=2, seed=1)
     assert [row["wind_speed"] for row in rows] == [0.5, 0.5, 1.0, 1.0]
     assert [row["deterministic"] for row in rows] == [False, True, False, True]
     assert [row["makespan"] for row in rows] == [9.0, 9.0, 6.0, 6.0]
     assert {row["wind_angle"] for row in rows} == {0.0}
-    away = evaluate_in_wind(Still(), SQUARE, {"max_steps": 4}, [0.5], 180.0, episodes=1, seed=1)
+    assert {name: episode.steps for name, episode in drawn.items()} == {"wind 0.5": 9, "wind 1": 6}
+    away, _ = evaluate_in_wind(Still(), SQUARE, {"max_steps": 4}, [0.5], 180.0, episodes=1, seed=1)
     assert [row["success_rate"] for row in away] == [0.0, 0.0]
     assert away[0]["makespan_interval"] is None
+
+
+class Blind(Still):
+    """Forces that differ in the last bits with the number of worlds, as sums of products may."""
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        if not deterministic:
+            return torch.rand((len(seen), 2, 2)).numpy()
+        return np.full((len(seen), 2, 2), 0.3 / len(seen), np.float32)
+
+
+@pytest.mark.parametrize("random_starts", [False, True])
+def test_the_episode_that_is_drawn_was_evaluated(random_starts: bool) -> None:
+    settings = {"random_starts": random_starts, "max_steps": 30}
+    rows, drawn = evaluate_in_wind(Blind(), SQUARE, settings, [0.1, 0.2], 90.0, episodes=3, seed=4)
+    for row, episode in zip(rows[1::2], drawn.values(), strict=True):
+        assert episode.team_return == row["per_episode"]["returns"][0]
+        assert episode.snapshot(1).wind == pytest.approx((0.0, row["wind_speed"]))
+
+
+def test_a_deterministic_episode_is_run_once_and_has_no_interval() -> None:
+    rows, _ = evaluate_in_wind(Blind(), SQUARE, {"max_steps": 9}, [0.1], 90.0, episodes=5, seed=4)
+    sampled, mean = rows
+    assert (sampled["episodes"], mean["episodes"]) == (5, 1)
+    names = ["success_interval", "return_interval", "makespan_interval"]
+    assert [mean[name] for name in names] == [None] * 3
+    assert sampled["success_interval"]["high"] == pytest.approx(0.4345, abs=2e-4)
+    fixed, scattered = {"random_starts": False}, {"random_starts": True}
+    assert is_one_episode(Blind(), fixed, deterministic=True)
+    assert not is_one_episode(Blind(), fixed, deterministic=False)
+    assert not is_one_episode(Blind(), scattered, deterministic=True)
+    assert not is_one_episode(RandomPolicy(), fixed, deterministic=True)
+    assert is_one_episode(make_classical("greedy", SQUARE, {}), fixed, deterministic=False)
 
 
 def test_share_interval_is_wilsons() -> None:
@@ -107,7 +144,7 @@ def test_the_makespan_is_of_the_successful_alone() -> None:
         rois_visited=[1, 0, 1],
         wall_hits=[0, 0, 0],
     )
-    result = with_intervals(evaluation)
+    result = with_intervals(evaluation, one_episode=False)
     assert result["makespan_interval"] == {"mean": 15.0, "low": 10.0, "high": 20.0}
     assert result["return_interval"]["mean"] == 2.0
     assert result["success_interval"]["mean"] == pytest.approx(2 / 3)
@@ -145,10 +182,11 @@ def test_evaluate_in_wind_from_the_command_line(
     assert main(["evaluate", str(run), *wind]) == 0
     printed = capsys.readouterr().out
     assert "wind at 30 degrees" in printed and "makespan" in printed
+    assert printed.count("deterministic:") == printed.count("one episode") == 3
     result = json.loads((run / "wind.json").read_text())
     assert result["command"].startswith("mbn evaluate")
     assert [row["wind_speed"] for row in result["results"]] == [0.0, 0.0, 0.2, 0.2, 0.4, 0.4]
-    assert all(len(row["per_episode"]["returns"]) == 2 for row in result["results"])
+    assert [row["episodes"] for row in result["results"]] == [2, 1, 2, 1, 2, 1]
     assert (run / "wind.png").read_bytes()[:4] == b"\x89PNG"
     other = ["--json", str(tmp_path / "w.json"), "--figure", str(tmp_path / "w.svg")]
     assert main(["evaluate", str(run), "--wind-speeds", "0.1", "--episodes", "1", *other]) == 0
