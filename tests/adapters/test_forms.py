@@ -26,11 +26,11 @@ ROUNDING = {"float64": 1e-12, "float32": 3e-6}
 SIGHT = 3e-7
 """Tolerance of observations, whose scales are products with reciprocals."""
 DOUBT = 5e-4
-"""What is seen of walls in float32 is what is seen from somewhere this near, in units."""
+"""Tolerance of the position from which walls are seen in float32, in units."""
 
 
 def situations(step: Step) -> dict[str, bool]:
-    """What happened in a step, by name."""
+    """Return the events of a step by name."""
     return {
         "wall": any(step.wall),
         "revisit": any(step.revisit),
@@ -52,7 +52,7 @@ def check_outcome(outcome: Outcome, oracle: Oracle, step: Step, rounding: float)
 
 
 def check_sights(outcome: Outcome, oracle: Oracle, dtype: str, missing: int = 0) -> None:
-    """What the robots see, to rounding; in float32 a ray along a wall or past a corner may jump.
+    """Compare observations to rounding; in float32 a ray along a wall or past a corner may jump.
 
     ``missing`` is by how many ROIs the field has fewer than another of the batch.
     """

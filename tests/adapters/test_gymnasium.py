@@ -36,7 +36,7 @@ MODES = list(AutoresetMode)
 
 
 def equal(first, second):
-    """Whether two results are the same to the bit."""
+    """Return whether two results are equal bit for bit."""
     return data_equivalence(first, second, exact=True)
 
 

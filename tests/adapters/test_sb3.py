@@ -36,7 +36,7 @@ def by_row(env: NavigationVecEnv, of_worlds: np.ndarray) -> np.ndarray:
 
 
 def observed(env: NavigationVecEnv, engine: BatchEngine, observations: np.ndarray) -> np.ndarray:
-    """What the rows of ``env`` should see, by an engine in the same state."""
+    """Return the expected observations of the rows of ``env``, from an engine in its state."""
     if isinstance(env, CentralizedVecEnv):
         return engine.state()
     return observations.reshape(env.num_envs, -1)

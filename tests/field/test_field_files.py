@@ -123,7 +123,7 @@ class TestFiles:
         assert list(tmp_path.iterdir()) == [path]
 
     def test_a_save_replaces_the_file_in_one_step(self, tmp_path: Path) -> None:
-        """Whoever has opened the old file reads all of it, and nothing of the new one."""
+        """A reader of the old file reads all of it and nothing of the new one."""
         path = tmp_path / "field.yaml"
         save_field(square(), path)
         old = path.read_text(encoding="utf-8")

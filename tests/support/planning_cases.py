@@ -117,7 +117,7 @@ def _feasible(
     radius: float,
     wind: tuple[float, float],
 ) -> bool:
-    """Whether there are forces, one for each step and axis, that do it."""
+    """Return whether forces, one for each step and axis, make the visits."""
     once = np.tril(np.ones((steps, steps)))
     pushes = np.arange(1, steps + 1)
     velocity = [once * 0.5, once * 0.5]
