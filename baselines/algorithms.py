@@ -17,7 +17,7 @@ Setting = Literal["A", "B", "C", "N"]
 
 @dataclass(frozen=True)
 class Protocol:
-    """What a run under a setting is, unless it is told otherwise.
+    """A setting, and the defaults of its runs.
 
     Attributes:
         summary: the setting in a few words.
@@ -47,8 +47,7 @@ class Algorithm:
         form: ``"centralized"``, the single MDP, or ``"decentralized"``, each robot acts on its own
             observation.
         package: the package of ``baselines`` that trains it, with one trainer for all its
-            algorithms: ``sb3`` and ``sb3.shared`` with Stable-Baselines3, ``torchrl``
-            with TorchRL.
+            algorithms: ``sb3`` with Stable-Baselines3, ``torchrl`` with TorchRL.
     """
 
     name: str
@@ -86,13 +85,17 @@ class Algorithm:
         return load(self.name, setting, overrides, num_envs=num_envs, file=file)
 
     def check(self, task: Any, hyperparameters: Any) -> None:
-        """Whether a learner can be made; the ranges of TorchRL's ones say all.
+        """Check that a learner can be made; for TorchRL's, the ranges were enough.
 
         Raises:
-            ConfigError: with what the library says against the hyperparameters.
+            ConfigError: with the library's objection to the hyperparameters.
         """
         if self.package != "torchrl":
             self._module("trainer").check(task, hyperparameters)
+
+    def budget(self, task: Any, hyperparameters: Any) -> Any:
+        """The :class:`~baselines.training.config.Budget` of a run."""
+        return self._module("trainer").budget(task, hyperparameters)
 
     @property
     def train(self) -> Callable[..., None]:
@@ -118,8 +121,8 @@ ALGORITHMS: Mapping[str, Algorithm] = {
         Algorithm("tqc", "centralized", "sb3"),
         Algorithm("mappo", "decentralized", "torchrl"),
         Algorithm("ippo", "decentralized", "torchrl"),
-        Algorithm("ppo-shared", "decentralized", "sb3.shared"),
-        Algorithm("ppo-supersuit", "decentralized", "sb3.shared"),
+        Algorithm("ppo-shared", "decentralized", "sb3"),
+        Algorithm("ppo-supersuit", "decentralized", "sb3"),
     )
 }
 

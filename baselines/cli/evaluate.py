@@ -44,8 +44,6 @@ class Evaluate:
     """The direction of that wind, degrees from +x."""
     figure: Path | None = None
     """With --wind-speeds: the picture of an episode at each, by default RUN/wind.png."""
-    trust: bool = False
-    """Load pickled files of the run even if you did not make them; they can run any code."""
     force: bool = False
     """If an output exists, move it aside (to OUT.1, OUT.2, ...)."""
 
@@ -89,12 +87,10 @@ class Evaluate:
         if self.field is not None:
             field = load_field(self.field)
             return _Subject((make_classical(self.source, field, {}), field, {}), Path())
-        run = open_run(self.source, trust=self.trust)
-        policy, config = load_policy(run), run.config
-        if not run.finished and run.checkpoint is not None:
-            steps = int(run.checkpoint.name)
-            print(f"unfinished: checkpoint at {steps:,} of {config['steps']:,} env-steps")
-        return _Subject((policy, run.field, config["environment"]), run.path)
+        run = open_run(self.source)
+        if run.unfinished is not None:
+            print(run.unfinished)
+        return _Subject((load_policy(run), run.field, run.config["environment"]), run.path)
 
     def _evaluate(self, subject: _Subject, how: dict[str, Any], command_line: str) -> None:
         """Evaluate as the policy was trained."""

@@ -28,8 +28,6 @@ class Render:
     """Of the world and of the sampled actions."""
     steps: int | None = None
     """Stop after so many steps; by default at the end of the episode."""
-    trust: bool = False
-    """Load pickled files of the run even if you did not make them; they can run any code."""
     force: bool = False
     """If the file exists, move it aside (to OUT.1, OUT.2, ...)."""
 
@@ -63,7 +61,7 @@ class Render:
             check_episode(episode, self.source)
             return episode
         try:
-            actor = find_actor(self.source, seed=self.seed, trust=self.trust)
+            actor = find_actor(self.source, seed=self.seed)
         except FieldError as error:
             if not self.source.lower().endswith(".json"):
                 raise

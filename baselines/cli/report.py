@@ -27,8 +27,6 @@ class Report:
     """The folder of an `mbn tune`, to draw."""
     notes: Path | None = None
     """A Markdown file to put at the top of the page."""
-    trust: bool = False
-    """Load pickled files of the runs even if you did not make them; they can run any code."""
     force: bool = False
     """If there is a report already, move it aside (to OUT.1, OUT.2, ...)."""
 
@@ -60,6 +58,6 @@ class Report:
 
             write_report(self.runs, self.out, study=self.study, notes=self.notes, **how)
         else:
-            found = report_comparison(self.runs, self.out, trust=self.trust, **how)
+            found = report_comparison(self.runs, self.out, **how)
             print_comparison(found, screen)
         note(f"written to {self.out}")

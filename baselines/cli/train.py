@@ -56,9 +56,6 @@ class Train:
     resume: bool = False
     """Go on with the interrupted run in the folder, from its newest checkpoint; the rest of the
     command must be the same."""
-    trust: bool = False
-    """With --resume or --from: load the run's pickled files even if you did not make them; they
-    can run any code."""
 
     def run(self, command_line: str) -> None:
         """Train, with a progress bar, and print the final evaluation."""
@@ -67,7 +64,7 @@ class Train:
         from baselines.training.config import TrainConfig
         from baselines.training.overrides import ENVIRONMENT, parse
         from baselines.training.progress_bar import ProgressDisplay
-        from baselines.training.train import resolve_hyperparameters, train
+        from baselines.training.train import notes, train
         from mbn_marl.errors import ConfigError
 
         if self.force and self.resume:
@@ -90,8 +87,8 @@ class Train:
             environment=changes.pop(ENVIRONMENT, {}),
             hyperparameters=changes,
         )
-        for name, value in resolve_hyperparameters(config).skipped.items():
-            print(f"skipped: {name} = {value}, since {self.algorithm} has no such argument")
+        for line in notes(config):
+            print(line)
         out = self.out or Path("runs") / config.name
         with ProgressDisplay([config.name], config.steps) as display:
             run = train(
@@ -100,7 +97,6 @@ class Train:
                 command=command_line,
                 force=self.force,
                 resume=self.resume,
-                trust=self.trust,
                 wandb=self.wandb,
                 listener=display,
             )

@@ -35,8 +35,6 @@ class _Window:
     """Close the window after so many."""
     save: Path | None = None
     """Write the last episode to this .json file (see `mbn replay`)."""
-    trust: bool = False
-    """Load pickled files of the run even if you did not make them; they can run any code."""
     force: bool = False
     """If that file exists, move it aside."""
 
@@ -44,7 +42,7 @@ class _Window:
         from baselines.demo.resolve import find_actor, zoo_policy
 
         chosen = self.policy or zoo_policy(self.source)
-        actor = find_actor(self.source, chosen, seed=self.seed, trust=self.trust)
+        actor = find_actor(self.source, chosen, seed=self.seed)
         if self.wind is None:
             return actor
         return replace(actor, settings={**actor.settings, "wind": self.wind})

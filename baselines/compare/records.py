@@ -116,7 +116,6 @@ def find_records(
     *,
     comparisons: bool = True,
     finished: bool = True,
-    trust: bool = False,
 ) -> list[RunRecord]:
     """Read the runs at ``paths``: run folders, or folders with run folders anywhere inside.
 
@@ -125,15 +124,12 @@ def find_records(
         note: receives what is left out, see :func:`baselines.runs.discover.run_folders`.
         comparisons: read the runs of comparisons inside too.
         finished: see :meth:`RunRecord.read`.
-        trust: whether pickled files of the runs may be loaded whoever made them.
 
     Raises:
         RunError: a path holds no run, or a run cannot be read.
     """
     folders = run_folders(paths, note, comparisons=comparisons)
-    return [
-        RunRecord.read(RunFolder.open(path, trust=trust), finished=finished) for path in folders
-    ]
+    return [RunRecord.read(RunFolder.open(path), finished=finished) for path in folders]
 
 
 def ordered(algorithms: Mapping[str, str]) -> dict[str, int]:

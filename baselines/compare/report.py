@@ -21,7 +21,6 @@ def report_comparison(
     *,
     command: str,
     force: bool = False,
-    trust: bool = False,
     note: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
     """Compare the finished runs at ``paths``, wherever they were trained.
@@ -31,7 +30,6 @@ def report_comparison(
         out: an ``.html`` file for one self-contained page; otherwise see :meth:`Place.of`.
         command: the exact command, recorded in the folder or on the page.
         force: move a report that is already there aside.
-        trust: load pickled files of the runs whoever made them.
         note: receives the folders at ``paths`` that are left out, and why.
 
     Raises:
@@ -39,7 +37,7 @@ def report_comparison(
         MbnError: there is a page at ``out`` already.
         ConfigError: naming everything that keeps the runs from being compared.
     """
-    results = Results.of(find_records(paths, note, trust=trust))
+    results = Results.of(find_records(paths, note))
     if is_page(out):
         if not force and out.exists():
             claim_file(out)  # raises before the work

@@ -34,16 +34,13 @@ class Actor:
     name: str
 
 
-def find_actor(
-    source: str, policy: str | None = None, *, seed: int = 0, trust: bool = False
-) -> Actor:
+def find_actor(source: str, policy: str | None = None, *, seed: int = 0) -> Actor:
     """The actor of a command line.
 
     Args:
         source: a run's folder or ``zoo:NAME``, with their field; or a field's name or file.
         policy: in a field: ``"random"``, a run's folder or ``zoo:NAME``; ``None`` for random.
         seed: of random actions.
-        trust: whether pickled files of a run may be loaded whoever made them.
 
     Raises:
         MbnError: one of them is not there.
@@ -54,13 +51,13 @@ def find_actor(
         if policy is not None:
             problem = f"policy: {source} has its own; to try another, name a field"
             raise ConfigError("policy", [problem])
-        return _of_run(open_run(source, trust=trust), source)
+        return _of_run(open_run(source), source)
     if is_episode_file(source):
         raise ConfigError("policy", [f"{source} is an episode; `mbn replay` plays it"])
     field = load_field(source)
     if policy in (None, RANDOM):
         return Actor(RandomPolicy(seed), field, {}, "random actions")
-    run = open_run(str(policy), trust=trust)
+    run = open_run(str(policy))
     sizes = [(len(one.starts), len(one.rois)) for one in (run.field, field)]
     if sizes[0] != sizes[1]:
         trained, asked = (f"{robots} robots and {rois} ROIs" for robots, rois in sizes)

@@ -1,4 +1,4 @@
-"""Folders and files of runs: claimed without overwriting, written whole or not at all, checked."""
+"""Folders and files of runs: claimed without overwriting, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import stat
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
@@ -20,16 +20,16 @@ import numpy as np
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
-from mbn_marl.checksums import LIST, check, make_list, read_checked
+from baselines.runs.checksums import LIST, check, digests_of
 from mbn_marl.errors import MbnError
 from mbn_marl.files import free_name, replacing
 
 LOCK = ".lock"
-"""In a folder that a process is at work in: which one."""
+"""In the folder of a running process: which process that is."""
 
 
 class RunError(MbnError):
-    """A run folder is missing, incomplete, at work, or would be overwritten."""
+    """A run folder is missing, incomplete, in use, or would be overwritten."""
 
 
 def claim_folder(path: Path, *, force: bool = False) -> Path:
@@ -42,7 +42,7 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
 
     Raises:
         RunError: ``path`` is a file, or a folder with something in it and ``force`` is not set or
-            a process is at work there.
+            a process is running there.
     """
     if path.exists() and not path.is_dir():
         raise RunError(f"{path} is a file; the output must be a folder")
@@ -60,17 +60,17 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
 
 
 def _of_a_beginning(path: Path) -> bool:
-    """Whether the file is one that a process leaves that is killed before it wrote anything."""
+    """Return whether the file is what a process leaves if it is killed before its first write."""
     return path.name == LOCK or path.name.startswith(".config.json.")
 
 
 @contextmanager
 def alone(folder: Path, command: str, hint: str = "") -> Iterator[None]:
-    """Hold the lock of ``folder``; the system frees it whatever becomes of this process.
+    """Hold the lock of ``folder``; the system frees it however this process ends.
 
     Args:
-        folder: it has to be there.
-        command: what works there, such as ``"mbn train"``.
+        folder: it must exist.
+        command: what runs there, such as ``"mbn train"``.
         hint: what to do instead.
 
     Raises:
@@ -82,21 +82,21 @@ def alone(folder: Path, command: str, hint: str = "") -> Iterator[None]:
         lock.acquire()
     except Timeout:
         holder = _holder(place, command)
-        raise RunError(f"{folder}: another {holder} is at work here{hint}") from None
+        raise RunError(f"{folder}: another {holder} is running here{hint}") from None
     try:
-        with suppress(OSError):  # whom to name is a courtesy; the lock itself is the system's
+        with suppress(OSError):  # the name is a courtesy; the lock itself is the system's
             since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
             who = {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
             place.write_text(json.dumps({"command": command, **who}) + "\n")
         yield
     finally:
         with suppress(OSError):
-            place.unlink()  # while it is held: who has opened it meanwhile finds it gone, and waits
+            place.unlink()  # while the lock is held, so that nobody locks a removed file
         lock.release()
 
 
 def _holder(place: Path, command: str) -> str:
-    """Who holds a lock, in words; ``command`` if it has not said so yet."""
+    """Who holds a lock, in words; ``command`` if that is not recorded yet."""
     try:
         holder = json.loads(place.read_text())
         return "{command} (process {pid} on {host} since {since})".format(**holder)
@@ -105,7 +105,7 @@ def _holder(place: Path, command: str) -> str:
 
 
 def moved_aside(path: Path) -> bool:
-    """Whether ``path`` has a name that ``force`` gives, and what took its place is there."""
+    """Return whether ``path`` was moved aside by ``force``, and its successor is there."""
     return path.suffix[1:].isdecimal() and path.with_suffix("").exists()
 
 
@@ -125,15 +125,16 @@ def read_json(path: Path) -> Any:
 
     Raises:
         RunError: the file is missing or is not JSON.
-        DamageError: it is not what was written.
+        DamageError: it does not have the checksum that its folder lists.
     """
     try:
-        return json.loads(read_checked(path.parent, path.name))
+        check(path)
+        return json.loads(path.read_bytes())
     except FileNotFoundError:
         raise RunError(f"{path} is missing: {path.parent} is not a finished run") from None
+    except MbnError:
+        raise
     except (ValueError, RecursionError) as error:  # not text, not JSON, or nested without end
-        if isinstance(error, MbnError):
-            raise
         raise RunError(f"{path} is not valid JSON: {error}") from None
 
 
@@ -142,20 +143,16 @@ def read_text(path: Path) -> str:
 
     Raises:
         RunError: the file is missing or is not text.
-        DamageError: it is not what was written.
     """
     try:
-        return read_checked(path.parent, path.name).decode("utf-8")
+        return path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise RunError(f"{path} cannot be read: {error}") from None
 
 
-def seal(folder: Path, names: Iterable[str] | None = None, *, key: bytes | None = None) -> None:
-    """List the checksums of a folder's files there; who reads one from now on, checks it.
-
-    Arguments as for :func:`mbn_marl.checksums.make_list`.
-    """
-    write_json(folder / LIST, make_list(folder, names, key=key))
+def seal(folder: Path) -> None:
+    """List the checksums of the files in ``folder``, none of which may change from now on."""
+    write_json(folder / LIST, {"sha256": digests_of(folder)})
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bool = False) -> None:
@@ -166,11 +163,11 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bo
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read what :func:`write_arrays` wrote; no file can make this run code.
+    """Read what :func:`write_arrays` wrote; no file can run code here.
 
     Raises:
         RunError: the file is missing or damaged, or is another kind of archive.
-        DamageError: it is not what was written.
+        DamageError: it does not have the checksum that its folder lists.
     """
     try:
         check(path)
@@ -188,13 +185,7 @@ UNREADABLE = (OSError, ValueError, EOFError, NotImplementedError, zipfile.BadZip
 
 
 def check_members(path: Path) -> None:
-    """Whether an archive names only files inside it.
-
-    Raises:
-        RunError: it names an absolute path, one that leads out of it, or a link.
-        OSError: it cannot be read.
-        BadZipFile: it is none.
-    """
+    """Check that an archive names only files inside it; raise an error if it does not."""
     with zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
             name = PurePosixPath(member.filename.replace("\\", "/"))
@@ -205,7 +196,7 @@ def check_members(path: Path) -> None:
 
 @contextmanager
 def replacing_folder(path: Path) -> Iterator[Path]:
-    """A new folder that takes the place of ``path`` when the block ends well, whole or not at all.
+    """A new folder that replaces ``path`` when the block ends well.
 
     If the block fails or is killed, ``path`` is left as it was.
     """

@@ -1,20 +1,20 @@
 """The folder of a training run, which records everything about it.
 
 Files of a run folder:
-    config.json        the resolved configuration: what was asked, hyperparameters, environment
+    config.json        the resolved configuration: the request, hyperparameters, environment
     field.yaml         the field
     command.txt        the exact command
     versions.json      Python, packages, machine, git revision
-    resumed.json       if it was interrupted: from where it went on, with what command and versions
+    resumed.json       if it was interrupted: where it was resumed, by what command
     progress.csv       one row per window of training, see baselines.training.run_logger
     tensorboard/       the same numbers and the library's own, as TensorBoard events
     evaluations.json   the fresh evaluations during training, in order
     checkpoints/       until the run is finished: the newest checkpoint, named by its env-steps
     policy/            the final policy
     evaluation.json    the final evaluation; its presence marks a finished run
-    checksums.json     of what does not change any more; whoever reads a file checks it. There is
-                       one in policy/ and in every checkpoint too, signed (see baselines.runs.trust)
-    .lock              which process is at work here, if there is one
+    .lock              the process that is running here, if there is one
+
+A checkpoint, policy/ and the zoo's entries have a checksums.json, see baselines.runs.checksums.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
+from baselines.runs.checksums import check
 from baselines.runs.files import (
     RunError,
     read_json,
@@ -37,19 +38,14 @@ from baselines.runs.files import (
     write_json,
 )
 from baselines.runs.provenance import versions, write_provenance
-from baselines.runs.trust import own_key
-from mbn_marl.checksums import LIST, check, digest, listed
-from mbn_marl.errors import ConfigError, DamageError
+from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 
-FIXED = ("config.json", "field.yaml", "command.txt", "versions.json")
-"""Files that a run folder has from the beginning, and that never change."""
-
-RESULTS = ("progress.csv", "evaluations.json", "evaluation.json", "resumed.json")
-"""Files that are final when the run is finished."""
-
-PARTS = ("policy", "checkpoints", "tensorboard")
-"""Folders inside a run folder."""
+FILES = (
+    *("config.json", "field.yaml", "command.txt", "versions.json", "resumed.json"),
+    *("progress.csv", "evaluations.json", "evaluation.json"),
+)
+FOLDERS = ("policy", "checkpoints", "tensorboard")
 
 
 class RunFolder:
@@ -57,23 +53,13 @@ class RunFolder:
 
     Args:
         path: the folder.
-        trust: whether pickled files in it may be loaded whoever made them.
     """
 
-    def __init__(self, path: Path, *, trust: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self.trust = trust
 
     @classmethod
-    def create(
-        cls,
-        path: Path,
-        resolved: Mapping[str, Any],
-        field: Field,
-        command: str,
-        *,
-        trust: bool = False,
-    ) -> Self:
+    def create(cls, path: Path, resolved: Mapping[str, Any], field: Field, command: str) -> Self:
         """Start a run in a folder that is claimed.
 
         Args:
@@ -81,41 +67,29 @@ class RunFolder:
             resolved: the resolved configuration (JSON values).
             field: the field to train on.
             command: the exact command of the run.
-            trust: see the class.
         """
-        folder = cls(path, trust=trust)
+        folder = cls(path)
         folder._clear_leftovers()
         write_json(path / "config.json", resolved)
         save_field(field, path / "field.yaml")
         write_provenance(path, command)
-        seal(path, FIXED)
         return folder
 
     @classmethod
-    def resume(
-        cls,
-        path: Path,
-        resolved: Mapping[str, Any],
-        field: Field,
-        command: str,
-        *,
-        trust: bool = False,
-    ) -> Self:
-        """Take up the folder of a run that was interrupted; a finished one is left as it is.
+    def resume(cls, path: Path, resolved: Mapping[str, Any], field: Field, command: str) -> Self:
+        """Resume the run in ``path``, if it was interrupted; a finished one is left as it is.
 
         Args:
             path: the folder.
             resolved: the resolved configuration; it must be the recorded one.
             field: the field to train on; it must be the recorded one.
-            command: the exact command that goes on, recorded in the folder.
-            trust: see the class.
+            command: the exact command that resumes it, recorded in the folder.
 
         Raises:
             RunError: there is no run at ``path``.
-            DamageError: a file is not what was written.
             ConfigError: naming every entry of the configuration that differs.
         """
-        folder = cls.open(path, trust=trust)
+        folder = cls.open(path)
         recorded, asked = folder.config, json.loads(json.dumps(resolved))
         problems = [
             f"{name}: the run has {recorded.get(name)!r}, this command {asked.get(name)!r}"
@@ -127,54 +101,46 @@ class RunFolder:
         if problems:
             raise ConfigError(f"{path} cannot be resumed", problems)
         if not folder.finished:
-            folder._take_up(field, command)
-        elif (path / LIST).exists() and "evaluation.json" not in listed(path):
-            folder._seal_results()  # it was killed between the two
+            folder._record_resumption(field, command)
         return folder
 
-    def _take_up(self, field: Field, command: str) -> None:
-        """Record that the run goes on."""
+    def _record_resumption(self, field: Field, command: str) -> None:
+        """Record that the run is resumed, and write what it was killed too early to write."""
         self._clear_leftovers()
-        entry = {
-            "env_steps": 0 if self.checkpoint is None else int(self.checkpoint.name),
-            "command": command,
-            "versions": versions(),
-        }
+        entry = {"env_steps": self.saved_steps, "command": command, "versions": versions()}
         history = self.path / "resumed.json"
         write_json(history, [*(read_json(history) if history.exists() else []), entry])
-        if not (self.path / "versions.json").exists():  # it was killed while it began
+        if not (self.path / "field.yaml").exists():
+            save_field(field, self.path / "field.yaml")
+        if not (self.path / "versions.json").exists():
             write_provenance(self.path, command)
-        save_field(field, self.path / "field.yaml")
-        seal(self.path, FIXED)
 
     def _clear_leftovers(self) -> None:
-        """Clear what a killed process left half-written."""
-        names = (*FIXED, *RESULTS, LIST, "policy")
-        patterns = (*(f".{name}.*" for name in names), ".*.tmp")  # the last one is of save_field
-        for leftover in (file for pattern in patterns for file in self.path.glob(pattern)):
+        """Remove what a killed process left half-written."""
+        names = (*FILES, "policy")
+        for leftover in (file for name in names for file in self.path.glob(f".{name}.*")):
             if leftover.is_dir():
                 shutil.rmtree(leftover)
             else:
                 leftover.unlink()
 
     @classmethod
-    def open(cls, path: Path, *, trust: bool = False) -> Self:
+    def open(cls, path: Path) -> Self:
         """Open the folder of an earlier run.
 
         Args:
             path: the folder.
-            trust: see the class.
 
         Raises:
             RunError: there is no run at ``path``, or a link in it.
         """
         if not (path / "config.json").is_file():
             raise RunError(f"{path} is not a run folder: it has no config.json")
-        inside = (file for part in PARTS for file in (path / part).rglob("*"))
+        inside = (file for name in FOLDERS for file in (path / name).rglob("*"))
         for file in (*path.iterdir(), *inside):
             if file.is_symlink():
                 raise RunError(f"{file} is a link; a run folder has its files in it")
-        return cls(path, trust=trust)
+        return cls(path)
 
     @property
     def config(self) -> dict[str, Any]:
@@ -209,14 +175,27 @@ class RunFolder:
 
     @property
     def finished(self) -> bool:
-        """Whether the run came to its end."""
+        """Return whether the run came to its end."""
         return (self.path / "evaluation.json").is_file()
+
+    @property
+    def unfinished(self) -> str | None:
+        """How far a run without a final policy came, in words; ``None`` if it has one."""
+        if (self.path / "policy").exists():
+            return None
+        saved, asked = self.saved_steps, self.config["steps"]
+        return f"unfinished: checkpoint at {saved:,} of {asked:,} env-steps"
 
     @property
     def checkpoint(self) -> Path | None:
         """The newest checkpoint, if there is one; its name is its number of env-steps."""
         found = (self.path / "checkpoints").glob("[0-9]*")
         return max(found, key=lambda path: int(path.name), default=None)
+
+    @property
+    def saved_steps(self) -> int:
+        """The env-steps of the newest checkpoint; 0 without one."""
+        return 0 if self.checkpoint is None else int(self.checkpoint.name)
 
     @contextmanager
     def new_checkpoint(self, env_steps: int) -> Iterator[Path]:
@@ -229,7 +208,7 @@ class RunFolder:
             yield folder
             for part in (folder, folder / "policy"):
                 if part.exists():
-                    seal(part, key=own_key())
+                    seal(part)
         for other in path.parent.iterdir():
             if other != path:
                 shutil.rmtree(other)
@@ -239,16 +218,12 @@ class RunFolder:
         """A folder to fill; when the block ends well it is the final policy's."""
         with replacing_folder(self.path / "policy") as folder:
             yield folder
-            seal(folder, key=own_key())
+            seal(folder)
 
     def finish(self, evaluation: Mapping[str, Any]) -> None:
-        """Write the final evaluation (JSON values), and drop what a finished run has no use for."""
+        """Write the final evaluation (JSON values), and remove the checkpoint."""
         write_json(self.path / "evaluation.json", evaluation)
-        self._seal_results()
         shutil.rmtree(self.path / "checkpoints", ignore_errors=True)
-
-    def _seal_results(self) -> None:
-        seal(self.path, (*FIXED, *RESULTS))
 
     @property
     def policy(self) -> Path:
@@ -262,26 +237,22 @@ class RunFolder:
         return self.path / "progress.csv"
 
     @property
-    def progress_mark(self) -> dict[str, Any]:
-        """How ``progress.csv`` is now, for :meth:`cut_progress` (JSON values)."""
-        data = self.progress.read_bytes() if self.progress.exists() else b""
-        return {"progress_bytes": len(data), "progress_sha256": digest(data)}
+    def progress_bytes(self) -> int:
+        """The size of ``progress.csv`` now, for :meth:`cut_progress`."""
+        return self.progress.stat().st_size if self.progress.exists() else 0
 
-    def cut_progress(self, size: int, sha256: str | None) -> None:
-        """Leave only the first ``size`` bytes of ``progress.csv``; of nothing, no file.
+    def cut_progress(self, size: int) -> None:
+        """Keep the first ``size`` bytes of ``progress.csv``; with 0, remove it.
 
         Raises:
-            DamageError: they do not have the checksum ``sha256``, if there is one.
+            RunError: it is shorter.
         """
+        if self.progress_bytes < size:
+            raise RunError(f"{self.progress} is damaged: it ends before the checkpoint")
         if size == 0:
             self.progress.unlink(missing_ok=True)
-            return
-        data = self.progress.read_bytes()[:size] if self.progress.exists() else b""
-        if digest(data) != (sha256 or digest(data)):
-            raise DamageError(
-                f"{self.progress} is damaged: its first {size} bytes are not the checkpoint's"
-            )
-        os.truncate(self.progress, size)
+        else:
+            os.truncate(self.progress, size)
 
     def append_progress(self, row: Mapping[str, float]) -> None:
         """Append a row to ``progress.csv``; the first row fixes the columns.

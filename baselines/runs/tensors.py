@@ -1,16 +1,17 @@
-"""Tensors by name in safetensors files, which no reader unpickles: weights, optimisers' moments."""
+"""Tensors by name in safetensors files: weights, and what optimisers remember."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
 from safetensors import torch as safetensors_torch
 
+from baselines.runs.checksums import check
 from baselines.runs.files import RunError
-from mbn_marl.checksums import check
 from mbn_marl.files import replacing
 
 
@@ -22,7 +23,8 @@ def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
     """
     with replacing(path) as temporary:
         try:
-            safetensors_torch.save_file(dict(tensors), temporary)
+            whole = {name: tensor.contiguous() for name, tensor in tensors.items()}
+            safetensors_torch.save_file(whole, temporary)
         except SafetensorError as error:  # the library's, for a full disk too
             raise OSError(f"{path} cannot be written: {error}") from error
 
@@ -32,7 +34,7 @@ def read_tensors(path: Path) -> dict[str, torch.Tensor]:
 
     Raises:
         RunError: the file is missing or damaged.
-        DamageError: it is not what was written.
+        DamageError: it does not have the checksum that its folder lists.
     """
     try:
         check(path)
@@ -42,19 +44,19 @@ def read_tensors(path: Path) -> dict[str, torch.Tensor]:
     return tensors
 
 
-def moments_of(optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """What ``optimizer`` remembers of each parameter: ``"<parameter's number>.<name>"``."""
+def moments_of(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    """The tensors of an optimiser's ``state_dict``, by ``"<parameter's number>.<name>"``."""
     return {
         f"{index}.{name}": tensor
-        for index, entry in optimizer.state_dict()["state"].items()
+        for index, entry in state["state"].items()
         for name, tensor in entry.items()
     }
 
 
-def restore_moments(optimizer: torch.optim.Optimizer, moments: Mapping[str, torch.Tensor]) -> None:
-    """Go on from what :func:`moments_of` returned."""
-    state: dict[int, dict[str, torch.Tensor]] = {}
+def with_moments(state: Mapping[str, Any], moments: Mapping[str, torch.Tensor]) -> dict[str, Any]:
+    """An optimiser's ``state_dict`` with what :func:`moments_of` returned instead of its own."""
+    entries: dict[int, dict[str, torch.Tensor]] = {}
     for key, tensor in moments.items():
         index, name = key.split(".")
-        state.setdefault(int(index), {})[name] = tensor
-    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+        entries.setdefault(int(index), {})[name] = tensor
+    return {**state, "state": entries}

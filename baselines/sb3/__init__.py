@@ -1,1 +1,1 @@
-"""Algorithms of Stable-Baselines3 on the centralised single MDP."""
+"""Algorithms of Stable-Baselines3: on the single MDP, and with one policy for all robots."""

@@ -1,4 +1,4 @@
-"""Augmented random search, told apart from the library's by three details."""
+"""Augmented random search: the library's, but for three details."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 
 class PopulationSearch(ARS):
-    """SB3-Contrib's ARS, for many worlds, and made to go on exactly where a saved one stopped.
+    """SB3-Contrib's ARS, for many worlds, and able to resume exactly where it was saved.
 
     - With several worlds each evaluates a candidate of its own. The library would evaluate one
       candidate after the other, in all worlds at once.
-    - A rollout starts before the random directions are drawn, so that what is saved at that moment
-      draws the same ones.
-    - The search goes on from the parameters that were loaded. The library would begin at zero
-      again: it sets its parameter vector when the object is made, and does not save it.
+    - A rollout starts before the random directions are drawn, so that a learner saved at that
+      moment draws the same ones.
+    - The search continues from the parameters that were loaded. The library would begin at zero
+      again: it sets its parameter vector when the object is made.
 
     Its environment is a ``LearnersView``, perhaps inside a ``VecNormalize``.
     """
@@ -69,7 +69,7 @@ class PopulationSearch(ARS):
     def _episodes(self, candidates: torch.Tensor, callback: BaseCallback) -> torch.Tensor:
         """The returns of an episode of each candidate, side by side.
 
-        A world whose episode has ended goes on until all have, but neither its steps nor its next
+        A world whose episode has ended continues until all have, but neither its steps nor its next
         episodes count.
         """
         worlds, count = self._worlds.num_envs, len(candidates)

@@ -1,4 +1,4 @@
-"""The hyperparameters of the centralised algorithms: ``hyperparams/<algorithm>.yaml``."""
+"""The hyperparameters of Stable-Baselines3's algorithms: ``hyperparams/<algorithm>.yaml``."""
 
 from __future__ import annotations
 
@@ -24,11 +24,15 @@ CLASSES = {
     "ppo": "stable_baselines3:PPO",
     "trpo": "sb3_contrib:TRPO",
     "ars": "baselines.sb3.ars:PopulationSearch",
+    "ppo-shared": "stable_baselines3:PPO",
+    "ppo-supersuit": "stable_baselines3:PPO",
     "crossq": "sb3_contrib:CrossQ",
     "tqc": "sb3_contrib:TQC",
 }
+FILES = {"ppo-supersuit": "ppo-shared"}
+"""Whose hyperparameters an algorithm has, if not its own."""
 RESERVED = ("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
-"""Arguments that the trainer gives itself."""
+"""Arguments that the learner sets."""
 OBJECTS = ("action_noise", "rollout_buffer_class", "replay_buffer_class")
 """Arguments that are objects or classes, which no file can hold."""
 _COUNT, _SHARE, _AMOUNT = (1, math.inf), (0, 1), (0, math.inf)
@@ -44,7 +48,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "top_quantiles_to_drop_per_net": _AMOUNT,
     "gradient_steps": (-1, math.inf),
 }
-"""The least and the most that the numbers of ``model`` may be; the library does not check them."""
+"""The ranges of the numbers of ``model``, which the library does not check."""
 TUNED_IN_PAPER = (
     "learning_rate",
     "gamma",
@@ -54,11 +58,11 @@ TUNED_IN_PAPER = (
     "max_grad_norm",
     "buffer_size",
 )
-"""What the paper tuned. It lists some for algorithms that have no such argument: these are skipped,
-and the run says so. Any other name that the library's class does not take is an error."""
+"""The paper tuned these, some for algorithms without such an argument: there they are skipped, and
+the run says so. Any other name that the library's class does not take is an error."""
 
 
-class CentralizedConfig(Hyperparameters):
+class SB3Config(Hyperparameters):
     """A setting of one algorithm. The defaults are setting A: the library's, on raw numbers.
 
     Attributes:
@@ -105,7 +109,7 @@ def load(
     *,
     num_envs: int | None = None,
     file: Path | None = None,
-) -> CentralizedConfig:
+) -> SB3Config:
     """The hyperparameters of an algorithm under a setting, with ``overrides``.
 
     Setting C fine-tunes with the values of A. An override of ``model`` changes the arguments it
@@ -121,39 +125,15 @@ def load(
     Raises:
         ConfigError: naming every unknown or invalid hyperparameter.
     """
-    block = "A" if setting == "C" and file is None else setting
+    name = "A" if setting == "C" and file is None else setting
     place = f"hyperparameters of {algorithm}" if file is None else str(file)
-    return read(file or FOLDER / f"{algorithm}.yaml", block, algorithm, overrides, num_envs, place)
-
-
-def read(
-    source: Path,
-    name: str,
-    learner: str,
-    overrides: Mapping[str, Any],
-    num_envs: int | None,
-    place: str,
-) -> CentralizedConfig:
-    """Read a block of a YAML file, with ``overrides``.
-
-    Args:
-        source: the file.
-        name: of the block.
-        learner: a name of :data:`CLASSES`, which says what ``model`` may have.
-        overrides: values by name, instead of the block's.
-        num_envs: worlds side by side, instead of the block's number.
-        place: what an error names.
-
-    Raises:
-        ConfigError: naming every unknown or invalid hyperparameter.
-    """
-    block = read_block(source, name)
+    block = read_block(file or FOLDER / f"{FILES.get(algorithm, algorithm)}.yaml", name)
     given = {"num_envs": num_envs} if num_envs is not None else {}
     values = {**block, **overrides, **given}
     if isinstance(block.get("model"), dict) and "model" in overrides:
         values["model"] = {**block["model"], **overrides["model"]}
-    config = validate(CentralizedConfig, values, place)
-    accepted = accepted_arguments(learner)
+    config = validate(SB3Config, values, place)
+    accepted = accepted_arguments(algorithm)
     foreign = {name: value for name, value in config.model.items() if name not in accepted}
     if strange := sorted(set(foreign) - set(TUNED_IN_PAPER)):
         known = sorted(accepted)
@@ -173,7 +153,7 @@ def read(
 
 
 def accepted_arguments(algorithm: str) -> dict[str, Any]:
-    """The names that ``model`` may have, with the types that the library's class says."""
+    """The names that ``model`` may have, with their types in the library's class."""
     parameters = inspect.signature(algorithm_class(algorithm)).parameters
     return {
         name: parameter.annotation
@@ -182,7 +162,7 @@ def accepted_arguments(algorithm: str) -> dict[str, Any]:
     }
 
 
-def model_arguments(config: CentralizedConfig) -> dict[str, Any]:
+def model_arguments(config: SB3Config) -> dict[str, Any]:
     """The arguments of the library's class, with schedules as functions."""
     own = deepcopy(config.model)  # the library writes into policy_kwargs
     return {name: _scheduled(value) for name, value in own.items()}
@@ -194,7 +174,7 @@ def _scheduled(value: Any) -> Any:
 
 
 def _problems(name: str, value: Any, its_type: Any) -> Iterator[str]:
-    """What is wrong with an argument of the library's class that has the type ``its_type``."""
+    """Yield the problems of an argument of the library's class that has the type ``its_type``."""
     strict = ConfigDict(strict=True, arbitrary_types_allowed=True)
     try:
         scheduled = TypeAdapter(its_type, config=strict).validate_python(_scheduled(value))

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import numpy as np
+from pettingzoo.utils.wrappers import BaseParallelWrapper
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from baselines.sb3.config import CentralizedConfig
+from baselines.sb3.config import SB3Config
 from baselines.training.config import Task
 from baselines.training.run_logger import EpisodeWindow
-from mbn_marl.adapters.sb3 import CentralizedVecEnv
+from mbn_marl.adapters.pettingzoo import NavigationParallelEnv, StepResult
+from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
+from mbn_marl.engine import BatchEngine
 
 
 class LearnersView(VecEnvWrapper):
@@ -17,13 +24,13 @@ class LearnersView(VecEnvWrapper):
 
     Args:
         venv: the worlds.
-        scale: the learner sees the reward times this.
+        scale: factor of the reward that the learner sees.
         episodes: where true returns and successes of ended episodes go.
-        stride: rows of a world; its first row tells about the world's episodes.
+        stride: rows of a world; the first one reports the world's episodes.
 
     Attributes:
         watched: (num_envs,) bool, the rows whose episodes are noted: all, unless a learner steps
-            some worlds only because they stand beside others.
+            some worlds only because they are beside others.
     """
 
     def __init__(
@@ -49,14 +56,74 @@ class LearnersView(VecEnvWrapper):
         return observations, rewards * self._scale, dones, infos
 
 
-def make_env(task: Task, hyperparameters: CentralizedConfig, episodes: EpisodeWindow) -> VecEnv:
-    """The worlds of training, as the learner sees them."""
-    worlds = CentralizedVecEnv(
-        task.field,
-        hyperparameters.num_envs,
-        seed=task.config.seed,
-        threads=1,
-        **task.settings,
+class TeamReturn(BaseParallelWrapper):  # type: ignore[misc]  # the library ships no types
+    """Adds the team's return to the infos of an episode's last step.
+
+    SuperSuit starts the next episode in the same call, so it cannot be asked for afterwards.
+    """
+
+    def step(self, actions: Mapping[str, Any]) -> StepResult:
+        """Move all robots."""
+        result: StepResult = self.env.step(actions)
+        if not self.env.agents:
+            team_return = float(self.unwrapped.engine.metrics()["episode_return"][0])
+            for info in result[-1].values():
+                info["episode_return"] = team_return
+        return result
+
+
+def single_mdp(task: Task, num_worlds: int) -> VecEnv:
+    """All worlds in one batch, a row each."""
+    return CentralizedVecEnv(
+        task.field, num_worlds, seed=task.config.seed, threads=1, **task.settings
     )
-    env = LearnersView(worlds, hyperparameters.reward_scale, episodes)
-    return VecNormalize(env, norm_reward=False) if hyperparameters.normalize_observation else env
+
+
+def robot_rows(task: Task, num_worlds: int) -> VecEnv:
+    """All worlds in one batch; row ``w * n + i`` is robot i of world w."""
+    return SharedPolicyVecEnv(
+        task.field, num_worlds, seed=task.config.seed, threads=1, **task.settings
+    )
+
+
+def supersuit_rows(task: Task, num_worlds: int) -> VecEnv:
+    """The rows of :func:`robot_rows` from copies of one PettingZoo environment, stepped in turn.
+
+    SuperSuit cannot seed them, so the one environment is seeded before it is copied: a run can be
+    repeated, but with ``random_starts`` all worlds draw the same starts. It does not report time
+    limits either: the learner takes them for terminations.
+    """
+    from supersuit import concat_vec_envs_v1, pettingzoo_env_to_vec_env_v1
+
+    env = NavigationParallelEnv(task.field, **task.settings)
+    env.reset(seed=task.config.seed)
+    rows = pettingzoo_env_to_vec_env_v1(TeamReturn(env))
+    worlds: VecEnv = concat_vec_envs_v1(rows, num_worlds, base_class="stable_baselines3")
+    return worlds
+
+
+ROWS: Mapping[str, Callable[[Task, int], VecEnv]] = {
+    "ppo-shared": robot_rows,
+    "ppo-supersuit": supersuit_rows,
+}
+"""What a learner's rows are; all others learn on the single MDP."""
+
+
+def make_env(task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> VecEnv:
+    """The worlds of training, as the learner sees them."""
+    make = ROWS.get(task.config.algorithm, single_mdp)
+    worlds = make(task, hyperparameters.num_envs)
+    stride = worlds.num_envs // hyperparameters.num_envs
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "The `render_mode` attribute")  # SuperSuit hides it
+        env = LearnersView(worlds, hyperparameters.reward_scale, episodes, stride)
+        normalized = hyperparameters.normalize_observation
+        return VecNormalize(env, norm_reward=False) if normalized else env
+
+
+def engines(env: VecEnv) -> list[BatchEngine]:
+    """The engines below the rows: one for all worlds, or one for each."""
+    worlds: Any = env.unwrapped
+    if isinstance(worlds, NavigationVecEnv):
+        return [worlds.engine]
+    return [rows.par_env.unwrapped.engine for rows in worlds.vec_envs]

@@ -1,4 +1,4 @@
-"""A learner of the library on disk: kept in a checkpoint, taken up again, moved to a new field."""
+"""A learner of the library: made, kept in a checkpoint, resumed, moved to another field."""
 
 from __future__ import annotations
 
@@ -7,120 +7,147 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.utils import set_random_seed
 
 from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.rng_state import restore_generators, save_generators
-from baselines.sb3.policy import (
-    MODEL,
-    NORMALIZATION,
-    CentralizedPolicy,
-    Normalization,
-    load_model,
-    model_file,
-)
+from baselines.sb3.config import SB3Config, algorithm_class, model_arguments
+from baselines.sb3.envs import engines, make_env
+from baselines.sb3.policy import SHAPE, Normalization, SB3Policy, put_into
 from baselines.training.config import Task
-from mbn_marl.adapters.sb3 import CentralizedVecEnv
+from baselines.training.run_logger import EpisodeWindow
 
 WORLDS = "worlds.npz"
 REPLAY = "replay.npz"
-GENERATORS = "generators.json"
+COUNTERS = "counters.json"
+SEEN = ("_last_obs", "_last_original_obs", "_last_episode_starts")
+"""What a learner keeps of the worlds' last step."""
+COUNTED = ("num_timesteps", "_episode_num")
+LOGGED = ("ep_info_buffer", "ep_success_buffer")
 
 
-def policy_of(model: BaseAlgorithm) -> CentralizedPolicy:
-    """The policy of a learner as it is now."""
-    return CentralizedPolicy(model, Normalization.of(model.get_vec_normalize_env()))
+class Learner:
+    """A fresh learner of the library on the worlds of a task.
 
-
-def save(model: BaseAlgorithm, folder: Path) -> None:
-    """Write, beside its policy, all else that :func:`restore` needs into ``folder``.
-
-    The policy's file has the networks, optimisers and counters; here are the worlds, the replay
-    buffer as far as it is filled, and the random number generators.
-    """
-    worlds = _worlds_of(model.get_env())
-    write_arrays(folder / WORLDS, worlds.engine.save_state(), compress=True)
-    if isinstance(model, OffPolicyAlgorithm):
-        buffer = _buffer_of(model)
-        filled = buffer.buffer_size if buffer.full else buffer.pos
-        arrays = {name: array[:filled] for name, array in _transitions(buffer).items()}
-        place = {"pos": np.array(buffer.pos), "full": np.array(buffer.full)}
-        write_arrays(folder / REPLAY, {**arrays, **place})
-    generators = {"global": save_generators(), "actions": _state_of(model)}
-    write_json(folder / GENERATORS, generators)
-
-
-def restore(task: Task, env: VecEnv, checkpoint: Path, *, trust: bool) -> BaseAlgorithm:
-    """The learner of a checkpoint, on ``env``, at exactly the same point.
+    The library's own ``seed`` would seed the worlds too, which SuperSuit's refuse.
 
     Args:
         task: what is trained.
-        env: its worlds.
-        checkpoint: the folder.
-        trust: load it whoever made it.
+        hyperparameters: of the algorithm.
+        episodes: where training episodes are noted.
 
-    Raises:
-        RunError: a file is missing or damaged, or was made by someone else.
+    Attributes:
+        model: the library's object.
+        stride: rows of a world: the library counts a step of each.
     """
-    path, options = checkpoint / "policy" / MODEL, {"device": task.config.device, "env": env}
-    model = load_model(task.config.algorithm, path, trust=trust, force_reset=False, **options)
-    normalizing = model.get_vec_normalize_env()
-    if normalizing is not None:
-        saved_normalization = read_json(checkpoint / "policy" / NORMALIZATION)
-        Normalization.from_json(saved_normalization).put_into(normalizing)
-    if isinstance(model, OffPolicyAlgorithm):
-        saved, buffer = read_arrays(checkpoint / REPLAY), _buffer_of(model)
-        for name, array in _transitions(buffer).items():
-            array[: len(saved[name])] = saved[name]
-        buffer.pos, buffer.full = int(saved["pos"]), bool(saved["full"])
-    worlds = _worlds_of(env)
-    worlds._reset_seeds()  # the library has seeded them again, from the next reset on
-    worlds.engine.load_state(read_arrays(checkpoint / WORLDS))
-    generators = read_json(checkpoint / GENERATORS)
-    model.action_space.np_random.bit_generator.state = generators["actions"]
-    restore_generators(generators["global"])
-    return model
 
+    def __init__(self, task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> None:
+        config = task.config
+        self._algorithm = config.algorithm
+        self._env = make_env(task, hyperparameters, episodes)
+        self.stride = self._env.num_envs // hyperparameters.num_envs
+        set_random_seed(config.seed, using_cuda=config.device == "cuda")
+        self._env.action_space.seed(config.seed)
+        self.model: Any = algorithm_class(config.algorithm)(
+            hyperparameters.policy,
+            self._env,
+            device=config.device,
+            **model_arguments(hyperparameters),
+        )
 
-def transfer(task: Task, env: VecEnv, source: RunFolder) -> BaseAlgorithm:
-    """A learner that begins with the networks and optimisers of another run.
+    @property
+    def env_steps(self) -> int:
+        """The env-steps so far."""
+        return int(self.model.num_timesteps) // self.stride
 
-    Counters, replay buffer and random numbers begin anew.
+    @property
+    def policy(self) -> SB3Policy:
+        """The policy as it is now."""
+        return SB3Policy.of(self.model, self._algorithm)
 
-    Raises:
-        RunError: the run has saved no policy or a damaged one, or someone else made it.
-    """
-    options = {"device": task.config.device, "env": env, "seed": task.config.seed}
-    algorithm, path = task.config.algorithm, model_file(source)
-    model = load_model(algorithm, path, trust=source.trust, **options)
-    model.num_timesteps = 0
-    return model
+    def begin_with(self, source: RunFolder) -> None:
+        """Take over the networks and optimisers of another run.
 
+        Env-steps, replay buffer and random numbers start as in a fresh learner.
 
-def _worlds_of(env: VecEnv | None) -> CentralizedVecEnv:
-    """The worlds inside the wrappers of a learner's environment."""
-    worlds = None if env is None else env.unwrapped
-    assert isinstance(worlds, CentralizedVecEnv)
-    return worlds
+        Raises:
+            RunError: the run has saved no policy, or a damaged one.
+        """
+        put_into(self.model, source.policy)
 
+    def save(self, folder: Path) -> None:
+        """Write, beside the policy, all else that :meth:`restore` needs into ``folder``."""
+        model = self.model
+        worlds = {
+            f"{number}/{name}": array
+            for number, engine in enumerate(engines(self._env))
+            for name, array in engine.save_state().items()
+        }
+        seen = {name: array for name in SEEN if (array := getattr(model, name)) is not None}
+        write_arrays(folder / WORLDS, {**worlds, **seen}, compress=True)
+        if self._replay is not None:
+            buffer = self._replay
+            filled = buffer.buffer_size if buffer.full else buffer.pos
+            arrays = {name: array[:filled] for name, array in _transitions(buffer).items()}
+            place = {"pos": np.array(buffer.pos), "full": np.array(buffer.full)}
+            write_arrays(folder / REPLAY, {**arrays, **place})
+        episodes = [
+            {name: float(value) for name, value in episode.items()}
+            for episode in model.ep_info_buffer
+        ]
+        counters = {
+            **{name: getattr(model, name) for name in COUNTED},
+            "ep_info_buffer": episodes,
+            "ep_success_buffer": list(map(float, model.ep_success_buffer)),
+            "actions": model.action_space.np_random.bit_generator.state,
+            "generators": save_generators(),
+        }
+        write_json(folder / COUNTERS, counters)
 
-def _buffer_of(model: OffPolicyAlgorithm) -> ReplayBuffer:
-    """The replay buffer of a learner."""
-    buffer = model.replay_buffer
-    assert buffer is not None
-    return buffer
+    def restore(self, checkpoint: Path) -> None:
+        """Resume the learner of a checkpoint at exactly the same point.
+
+        Raises:
+            RunError: a file is missing or damaged, or an older version wrote it.
+        """
+        model = self.model
+        model._setup_learn(0)  # makes what is filled here
+        policy = checkpoint / "policy"
+        put_into(model, policy)
+        normalization = Normalization.from_json(read_json(policy / SHAPE)["normalization"])
+        if normalization is not None:
+            normalization.put_into(model.get_vec_normalize_env())
+        arrays, counters = read_arrays(checkpoint / WORLDS), read_json(checkpoint / COUNTERS)
+        for name in SEEN:
+            setattr(model, name, arrays.pop(name, None))
+        worlds: dict[str, dict[str, NDArray[Any]]] = {}
+        for key, array in arrays.items():
+            number, name = key.split("/")
+            worlds.setdefault(number, {})[name] = array
+        for index, engine in enumerate(engines(self._env)):
+            engine.load_state(worlds[str(index)])
+        if self._replay is not None:
+            saved, buffer = read_arrays(checkpoint / REPLAY), self._replay
+            for name, array in _transitions(buffer).items():
+                array[: len(saved[name])] = saved[name]
+            buffer.pos, buffer.full = int(saved["pos"]), bool(saved["full"])
+        for name in COUNTED:
+            setattr(model, name, counters[name])
+        for name in LOGGED:
+            getattr(model, name).extend(counters[name])
+        model.action_space.np_random.bit_generator.state = counters["actions"]
+        restore_generators(counters["generators"])
+
+    @property
+    def _replay(self) -> ReplayBuffer | None:
+        """The replay buffer; ``None`` of an algorithm without one."""
+        buffer: ReplayBuffer | None = getattr(self.model, "replay_buffer", None)
+        return buffer
 
 
 def _transitions(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
     """The arrays of a replay buffer that have a row for every transition."""
     arrays = {name: value for name, value in vars(buffer).items() if isinstance(value, np.ndarray)}
     return {name: array for name, array in arrays.items() if len(array) == buffer.buffer_size}
-
-
-def _state_of(model: BaseAlgorithm) -> Any:
-    """The state of the generator that draws random actions before learning starts."""
-    return model.action_space.np_random.bit_generator.state

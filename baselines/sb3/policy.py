@@ -1,26 +1,31 @@
-"""A trained centralised policy: Stable-Baselines3's file beside the normalisation as JSON."""
+"""A trained policy of Stable-Baselines3: weights as safetensors, all else as JSON."""
 
 from __future__ import annotations
 
-import io
+import inspect
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
+import torch
+from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 
-from baselines.runs.files import RunError, check_members, read_json, write_json
+from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.folder import RunFolder
-from baselines.runs.trust import check_trusted
+from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
 from baselines.sb3.config import algorithm_class
-from mbn_marl.checksums import read_checked
-from mbn_marl.errors import MbnError
-from mbn_marl.files import replacing
 
-MODEL = "model.zip"
-NORMALIZATION = "normalization.json"
+WEIGHTS = "policy.safetensors"
+SHAPE = "policy.json"
+LEARNER = "learner.safetensors"
+FIRST_SHAPE = {"algorithm": "ppo-shared", "policy": "MlpPolicy", "action_shape": [2]}
+"""What ``policy.json`` did not say when shared-policy PPO alone had one."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +57,15 @@ class Normalization:
         )
 
     def put_into(self, env: VecNormalize) -> None:
-        """Make ``env`` normalise, and go on counting, as this does."""
+        """Make ``env`` normalise, and continue counting, as this does."""
         running: Any = env.obs_rms
         running.mean, running.var, running.count = self.mean, self.variance, self.count
 
     @classmethod
-    def from_json(cls, values: dict[str, Any]) -> Normalization:
-        """The inverse of :meth:`to_json`."""
+    def from_json(cls, values: dict[str, Any] | None) -> Normalization | None:
+        """The inverse of :meth:`to_json`; ``None`` of ``None``."""
+        if values is None:
+            return None
         arrays = {name: np.asarray(values[name]) for name in ("mean", "variance")}
         return cls(**{**values, **arrays})
 
@@ -73,87 +80,149 @@ class Normalization:
         return {**vars(self), "mean": self.mean.tolist(), "variance": self.variance.tolist()}
 
 
-class CentralizedPolicy:
-    """One policy for the whole team, on the paper's state.
+class SB3Policy:
+    """One policy for the whole team, on the paper's state; or one for every robot's observation.
 
     Args:
-        model: the trained algorithm.
-        normalization: of the states; ``None`` if it sees them raw.
+        network: the library's policy.
+        shape: the algorithm's name, the library's name of the policy and its arguments, and the
+            sizes of observation and action (JSON values).
+        normalization: of what it sees; ``None`` if it sees that raw.
+        model: the learner whose policy this is, saved with it for runs that begin with it; ``None``
+            for a loaded policy.
     """
 
-    observes: Literal["observations", "state"] = "state"
-
-    def __init__(self, model: BaseAlgorithm, normalization: Normalization | None) -> None:
-        self.model = model
+    def __init__(
+        self,
+        network: BasePolicy,
+        shape: Mapping[str, Any],
+        normalization: Normalization | None,
+        model: BaseAlgorithm | None = None,
+    ) -> None:
+        self.network = network
+        self.shape = shape
         self.normalization = normalization
+        self._model = model
+        self.observes: Literal["observations", "state"] = (
+            "observations" if list(shape["action_shape"]) == [2] else "state"
+        )
+
+    @classmethod
+    def of(cls, model: BaseAlgorithm, algorithm: str) -> Self:
+        """The policy of a learner as it is now.
+
+        Args:
+            model: the learner.
+            algorithm: its name.
+        """
+        names = {kind: name for name, kind in model.policy_aliases.items()}
+        arguments = {
+            name: value
+            for name, value in {"use_sde": model.use_sde or None, **model.policy_kwargs}.items()
+            if value is not None and not name.startswith("optimizer_")
+        }
+        shape = {
+            "algorithm": algorithm,
+            "policy": names[type(model.policy)],
+            "obs_size": spaces.flatdim(model.observation_space),
+            "action_shape": list(model.action_space.shape or ()),
+            "arguments": arguments,
+        }
+        normalization = Normalization.of(model.get_vec_normalize_env())
+        return cls(model.policy, shape, normalization, model)
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """Actions (worlds, n, 2) for states (worlds, 4n+1)."""
-        states = seen if self.normalization is None else self.normalization(seen)
-        actions, _ = self.model.predict(states, deterministic=deterministic)
-        return actions
+        """Actions (worlds, n, 2) for states (worlds, 4n+1) or observations (worlds, n, size)."""
+        rows = seen.reshape(-1, seen.shape[-1])
+        rows = rows if self.normalization is None else self.normalization(rows)
+        actions, _ = self.network.predict(rows, deterministic=deterministic)
+        return actions.reshape(len(seen), -1, 2)
 
     def save(self, folder: Path) -> None:
-        """Write the model, and the normalisation if it has one, into ``folder``."""
-        if self.normalization is not None:
-            write_json(folder / NORMALIZATION, self.normalization.to_json())
-        file = io.BytesIO()  # since torch reports a full disk as anything but that
-        self.model.save(file)
-        with replacing(folder / MODEL) as temporary:
-            temporary.write_bytes(file.getbuffer())
+        """Write weights (safetensors), shape and normalisation (JSON) into ``folder``."""
+        normalization = None if self.normalization is None else self.normalization.to_json()
+        write_json(folder / SHAPE, {**self.shape, "normalization": normalization})
+        write_tensors(folder / WEIGHTS, self.network.state_dict())
+        if self._model is not None:
+            write_tensors(folder / LEARNER, _learned(self._model))
 
 
-def load(run: RunFolder) -> CentralizedPolicy:
-    """Load the latest policy of a run.
+def _learned(model: Any) -> dict[str, torch.Tensor]:
+    """What a learner has learned beside its policy: optimisers, entropy coefficient, updates."""
+    tensors = {
+        f"{name}/{key}": moment
+        for name, state in model.get_parameters().items()
+        if name != "policy"
+        for key, moment in moments_of(state).items()
+    }
+    entropy = getattr(model, "log_ent_coef", None)
+    learned = {} if entropy is None else {"log_ent_coef": entropy.detach()}
+    return {**tensors, **learned, "updates": torch.tensor(model._n_updates)}
 
-    Raises:
-        RunError: a file is missing or damaged.
-        TrustError: it was made by someone else, and the run is not trusted.
-    """
-    path = model_file(run)
-    model = load_model(run.config["algorithm"], path, trust=run.trust, device="cpu")
-    return CentralizedPolicy(model, load_normalization(run.policy))
 
-
-def load_model(algorithm: str, path: Path, *, trust: bool, **options: Any) -> BaseAlgorithm:
-    """The library's learner from its file ``path``, with ``options`` of the library.
-
-    Args:
-        algorithm: its name.
-        path: the file, which holds pickled parts: loading it runs what is in them.
-        trust: load it whoever made it.
-        options: of the library.
+def put_into(model: Any, folder: Path) -> None:
+    """Load the policy in ``folder`` and all that was learned beside it into a fresh learner.
 
     Raises:
-        DamageError: the file is not what was written.
-        RunError: the file is damaged or does not fit.
-        TrustError: someone else made it, and ``trust`` is not set.
+        RunError: a file is missing or damaged, or does not fit the learner.
+        DamageError: a file does not have the checksum that its folder lists.
     """
+    _check_version(folder, LEARNER)
+    weights, learned = read_tensors(folder / WEIGHTS), read_tensors(folder / LEARNER)
+    parts: dict[str, dict[str, torch.Tensor]] = {}
+    for key, tensor in learned.items():
+        part, _, name = key.rpartition("/")
+        parts.setdefault(part, {})[name] = tensor
+    optimizers = {
+        name: with_moments(state, parts.get(name, {}))
+        for name, state in model.get_parameters().items()
+        if name != "policy"
+    }
     try:
-        data = read_checked(path.parent, path.name)
-        if not trust:
-            check_trusted(path)
-        check_members(path)
-        return algorithm_class(algorithm).load(io.BytesIO(data), **options)
-    except MbnError:
-        raise
-    except Exception as error:  # unpickling raises anything
-        raise RunError(f"{path} cannot be read: {error}") from error
+        model.set_parameters({"policy": weights, **optimizers}, device=model.device)
+        if "log_ent_coef" in learned:
+            model.log_ent_coef.data.copy_(learned["log_ent_coef"])
+        model._n_updates = int(learned["updates"])
+    except (RuntimeError, ValueError, LookupError) as error:
+        raise RunError(f"{folder} does not fit the learner: {error}") from None
 
 
-def model_file(run: RunFolder) -> Path:
-    """The library's file of the latest policy of a run.
+def load_policy(folder: Path) -> SB3Policy:
+    """Load a policy that :meth:`SB3Policy.save` wrote.
 
     Raises:
-        RunError: the run has saved no policy yet.
+        RunError: a file is missing or damaged, or an older version wrote it.
+        DamageError: a file does not have the checksum that its folder lists.
     """
-    path = run.policy / MODEL
-    if not path.is_file():
-        raise RunError(f"{path} is missing: the run has saved no policy")
-    return path
+    _check_version(folder, SHAPE)
+    shape = {**FIRST_SHAPE, **read_json(folder / SHAPE)}
+    normalization = Normalization.from_json(shape.pop("normalization"))
+    weights = read_tensors(folder / WEIGHTS)
+    try:
+        kind: Any = algorithm_class(shape["algorithm"]).policy_aliases[shape["policy"]]
+        learns = "lr_schedule" in inspect.signature(kind).parameters
+        network = kind(
+            spaces.Box(-np.inf, np.inf, (shape["obs_size"],), np.float32),
+            spaces.Box(-1.0, 1.0, tuple(shape["action_shape"]), np.float32),
+            **({"lr_schedule": ConstantSchedule(0.0)} if learns else {}),
+            **shape["arguments"],
+        )
+        network.load_state_dict(weights)
+    except (RuntimeError, TypeError, ValueError, LookupError) as error:
+        raise RunError(f"{folder / WEIGHTS} does not fit {SHAPE}: {error}") from None
+    return SB3Policy(network, shape, normalization)
 
 
-def load_normalization(folder: Path) -> Normalization | None:
-    """The normalisation that :meth:`CentralizedPolicy.save` wrote, if there was one."""
-    path = folder / NORMALIZATION
-    return Normalization.from_json(read_json(path)) if path.is_file() else None
+def load(run: RunFolder) -> SB3Policy:
+    """Load the latest policy of a run."""
+    return load_policy(run.policy)
+
+
+def _check_version(folder: Path, name: str) -> None:
+    """Check that the folder of a policy, if it is there, has the file ``name``."""
+    if folder.is_dir() and not (folder / name).is_file():
+        raise RunError(
+            f"{folder}: {name} is missing. Older versions wrote model.zip, which is not read since "
+            "it could run code: train again (mbn train --force; the command is in command.txt), or "
+            "use the version that wrote it (it is in versions.json)"
+        )

@@ -1,28 +1,25 @@
-"""The one trainer of the centralised algorithms: Stable-Baselines3 on the single MDP."""
+"""The one trainer of Stable-Baselines3's algorithms."""
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from numbers import Real
-from pathlib import Path
 from typing import Any
 
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-from stable_baselines3.common.vec_env import VecEnv
 
-from baselines.evaluation.policy import TrainedPolicy
 from baselines.runs.folder import RunFolder
-from baselines.sb3.config import CentralizedConfig, algorithm_class, model_arguments
-from baselines.sb3.envs import make_env
-from baselines.sb3.learner import policy_of, restore, save, transfer
-from baselines.training.config import Task
+from baselines.sb3.ars import PopulationSearch
+from baselines.sb3.config import SB3Config, algorithm_class
+from baselines.sb3.learner import Learner
+from baselines.training.config import Budget, Task
 from baselines.training.run_logger import ROW_STEPS, EpisodeWindow, Recorder
-from mbn_marl.errors import ConfigError
+from mbn_marl.config import make_config
+from mbn_marl.errors import ConfigError, MbnError
 
 REFUSALS = (
     ArithmeticError,
@@ -34,22 +31,7 @@ REFUSALS = (
     TypeError,
     ValueError,
 )
-"""What the library and torch raise for arguments that they cannot make a learner from."""
-
-
-@dataclass(frozen=True)
-class Keeping:
-    """How a learner is kept, and how its steps are counted.
-
-    Attributes:
-        policy_of: the policy of a learner as it is now.
-        save: writes what a learner needs to go on, beside its policy, into a folder.
-        stride: rows of a world: the library counts a step of each as one.
-    """
-
-    policy_of: Callable[[BaseAlgorithm], TrainedPolicy]
-    save: Callable[[BaseAlgorithm, Path], None]
-    stride: int = 1
+"""What the library and torch raise for arguments that make no learner."""
 
 
 class Reporter(BaseCallback):
@@ -57,34 +39,27 @@ class Reporter(BaseCallback):
 
     Args:
         recorder: where progress goes.
-        keeping: of the learner.
+        learner: what is trained.
     """
 
-    def __init__(self, recorder: Recorder, keeping: Keeping) -> None:
+    def __init__(self, recorder: Recorder, learner: Learner) -> None:
         super().__init__()
         self._recorder = recorder
-        self._keeping = keeping
-
-    @property
-    def _env_steps(self) -> int:
-        return self.num_timesteps // self._keeping.stride
+        self._learner = learner
 
     def _on_training_start(self) -> None:
         self._recorder.start()
 
     def _on_rollout_start(self) -> None:
+        learner = self._learner
         if self._recorder.checkpoint_due:
-            self._recorder.save_checkpoint(
-                self._env_steps,
-                self._keeping.policy_of(self.model),
-                lambda folder: self._keeping.save(self.model, folder),
-            )
+            self._recorder.save_checkpoint(learner.env_steps, learner.policy, learner.save)
 
     def _on_step(self) -> bool:
         return not self._recorder.passed
 
     def _on_rollout_end(self) -> None:
-        self._recorder.update(self._env_steps, self._keeping.policy_of(self.model), {})
+        self._recorder.update(self._learner.env_steps, self._learner.policy, {})
 
 
 class ToRecorder(KVWriter):
@@ -114,74 +89,58 @@ class ToRecorder(KVWriter):
         """Nothing to close: the recorder does."""
 
 
-def train(task: Task, hyperparameters: CentralizedConfig, recorder: Recorder) -> None:
+def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
     """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result.
 
-    The learner is a fresh one, or begins with the policy of another run, or goes on from the
-    recorder's checkpoint, bit by bit as if it had not been interrupted.
+    The learner is a fresh one, or begins with the policy of another run, or resumes the recorder's
+    checkpoint, bit for bit as if it had not been interrupted. An env-step moves every robot of a
+    world.
     """
-    env = make_env(task, hyperparameters, recorder.episodes)
+    learner = Learner(task, hyperparameters, recorder.episodes)
+    model, stride = learner.model, learner.stride
     if recorder.checkpoint is not None:
-        model = restore(task, env, recorder.checkpoint, trust=recorder.trust)
+        learner.restore(recorder.checkpoint)
     elif task.config.transferred_from is not None:
-        source = RunFolder.open(task.config.transferred_from, trust=recorder.trust)
-        model = transfer(task, env, source)
-    else:
-        model = make_model(task, hyperparameters, env)
-    learn(model, task, recorder, Keeping(policy_of, save))
-
-
-def learn(model: BaseAlgorithm, task: Task, recorder: Recorder, keeping: Keeping) -> None:
-    """Train a learner to the end of the budget, and evaluate the result."""
-    stride = keeping.stride
+        learner.begin_with(RunFolder.open(task.config.transferred_from))
     model.set_logger(Logger(None, [ToRecorder(recorder, stride)]))
+    log_interval = 4  # episodes, the library's own; or rollouts of an on-policy algorithm
+    if isinstance(model, OnPolicyAlgorithm):
+        log_interval = math.ceil(ROW_STEPS * stride / (model.n_steps * model.n_envs))
     model.learn(
         task.config.steps * stride - model.num_timesteps,
-        callback=Reporter(recorder, keeping),
-        log_interval=log_interval(model, stride),
+        callback=Reporter(recorder, learner),
+        log_interval=log_interval,
         reset_num_timesteps=recorder.checkpoint is None,
     )
-    recorder.finish(model.num_timesteps // stride, keeping.policy_of(model))
+    recorder.finish(learner.env_steps, learner.policy)
 
 
-def check(task: Task, hyperparameters: CentralizedConfig) -> None:
-    """Whether a learner can be made with these hyperparameters.
-
-    Raises:
-        ConfigError: with what the library says against them.
-    """
-    env = make_env(task, hyperparameters, EpisodeWindow())
-    check_maker(task, lambda: make_model(task, hyperparameters, env))
-
-
-def check_maker(task: Task, make: Callable[[], BaseAlgorithm]) -> None:
-    """Whether ``make`` makes a learner.
+def check(task: Task, hyperparameters: SB3Config) -> None:
+    """Check that a learner can be made with these hyperparameters.
 
     Raises:
-        ConfigError: with what the library says against the hyperparameters.
+        ConfigError: with the library's objection to them.
     """
     try:
-        make()
+        Learner(task, hyperparameters, EpisodeWindow())
+    except MbnError:
+        raise
     except REFUSALS as error:
         place = task.config.hyperparams or f"hyperparameters of {task.config.algorithm}"
         what = " ".join(str(error).split()) or type(error).__name__
         raise ConfigError(str(place), [f"no learner can be made with them: {what}"]) from error
 
 
-def make_model(task: Task, hyperparameters: CentralizedConfig, env: VecEnv) -> BaseAlgorithm:
-    """A fresh learner."""
-    make = algorithm_class(task.config.algorithm)
-    return make(
-        hyperparameters.policy,
-        env,
-        seed=task.config.seed,
-        device=task.config.device,
-        **model_arguments(hyperparameters),
-    )
-
-
-def log_interval(model: BaseAlgorithm, stride: int) -> int:
-    """The library's interval between two log entries: rollouts on-policy, else episodes."""
-    if isinstance(model, OnPolicyAlgorithm):
-        return math.ceil(ROW_STEPS * stride / (model.n_steps * model.n_envs))
-    return 4
+def budget(task: Task, hyperparameters: SB3Config) -> Budget:
+    """How many env-steps a run takes, rounded up to whole rollouts."""
+    library = algorithm_class(task.config.algorithm)
+    known = inspect.signature(library).parameters
+    model = {name: parameter.default for name, parameter in known.items()} | hyperparameters.model
+    steps, worlds = task.config.steps, hyperparameters.num_envs
+    if library is PopulationSearch:
+        episodes = 2 * model["n_delta"] * model["n_eval_episodes"]
+        longest = episodes * make_config(task.settings).max_steps
+        return Budget(steps - 1 + longest, f"updates from {episodes} whole episodes", exact=False)
+    length = model["n_steps"] if issubclass(library, OnPolicyAlgorithm) else model["train_freq"]
+    rounded = math.ceil(steps / (length * worlds)) * length * worlds
+    return Budget(rounded, f"rollouts of {length} steps in {worlds} worlds")

@@ -34,10 +34,9 @@ from baselines.runs.files import (
     RunError,
     read_json,
     replacing_folder,
-    seal,
     write_json,
 )
-from baselines.runs.folder import FIXED, RunFolder
+from baselines.runs.folder import RunFolder
 from mbn_marl.errors import MbnError
 
 if TYPE_CHECKING:
@@ -278,7 +277,6 @@ class RemoteStore(Store):
         if config["transferred_from"] is not None:
             config["transferred_from"] = str(self.source(Path(config["transferred_from"]).name))
             write_json(folder / "config.json", config)
-            seal(folder, FIXED)
 
 
 def open_store(place: str) -> Store:

@@ -19,7 +19,7 @@ import torch
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
-from baselines.runs.tensors import moments_of, read_tensors, restore_moments, write_tensors
+from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
 from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.curriculum import RoiCurriculum
 from baselines.torchrl.loss import Losses, Samples, ppo_losses
@@ -27,7 +27,7 @@ from baselines.torchrl.networks import CRITICS, GaussianPolicy, TeamShape
 from baselines.torchrl.policy import DecentralizedPolicy
 from baselines.torchrl.rollout import Rollout, Worlds
 from baselines.torchrl.shaping import Approach
-from baselines.training.config import Task
+from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
@@ -40,6 +40,15 @@ COUNTERS = "counters.json"
 def train(task: Task, hyperparameters: MultiAgentPPOConfig, recorder: Recorder) -> None:
     """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result."""
     Trainer(task, hyperparameters, recorder).run()
+
+
+def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
+    """How many env-steps a run takes, rounded up to whole rollouts."""
+    asked, env_steps = task.config.steps, 0
+    while env_steps < asked:
+        env_steps += hyperparameters.decisions * hyperparameters.repeat_at(env_steps / asked)
+    steps, worlds = hyperparameters.rollout_steps, hyperparameters.num_worlds
+    return Budget(env_steps, f"rollouts of {steps} decisions in {worlds} worlds")
 
 
 class Trainer:
@@ -208,12 +217,12 @@ class Trainer:
         groups = {
             "network": self.network.state_dict(),
             "critic": self.critic.state_dict(),
-            "optimizer": moments_of(self.optimizer),
+            "optimizer": moments_of(self.optimizer.state_dict()),
             "worlds": {"observations": self.worlds.observations},
             "generator": {"state": self.generator.get_state()},
         }
         tensors = {
-            f"{group}.{name}": tensor.contiguous()
+            f"{group}.{name}": tensor
             for group, entries in groups.items()
             for name, tensor in entries.items()
         }
@@ -241,7 +250,8 @@ class Trainer:
 
         self.network.load_state_dict(group("network"))
         self.critic.load_state_dict(group("critic"))
-        restore_moments(self.optimizer, group("optimizer"))
+        state = with_moments(self.optimizer.state_dict(), group("optimizer"))
+        self.optimizer.load_state_dict(state)
         counters = read_json(folder / COUNTERS)
         self.curriculum = RoiCurriculum(**counters["curriculum"])
         self.worlds = self._make_worlds()

@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from baselines.algorithms import Setting, find_algorithm
 from baselines.training.overrides import ENVIRONMENT, words_of
@@ -138,6 +138,20 @@ class TrainConfig:
 def default_label(algorithm: str, setting: str) -> str:
     """What tables and figures call a run without a label: setting N goes without saying."""
     return algorithm if setting == "N" else f"{algorithm}-{setting}"
+
+
+class Budget(NamedTuple):
+    """The env-steps of a run, rounded up.
+
+    Attributes:
+        env_steps: how many it takes, unless it stops early.
+        unit: what the algorithm learns from, in words.
+        exact: if not, ``env_steps`` is the most that it may take.
+    """
+
+    env_steps: int
+    unit: str
+    exact: bool = True
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from mbn_marl.checksums import read_checked
 from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, FieldError, unknown
 from mbn_marl.field import safe_yaml
@@ -40,7 +39,7 @@ def read_blocks(path: Path) -> dict[str, Any]:
         ConfigError: the file is missing, is no YAML, or is not a mapping of mappings.
     """
     try:
-        data = read_checked(path.parent, path.name)
+        data = path.read_bytes()
         blocks = safe_yaml.parse_yaml(data, str(path), max_scalar=safe_yaml.MAX_TEXT)
     except FieldError as error:
         raise ConfigError(str(path), error.problems) from None

@@ -80,7 +80,6 @@ class Recorder:
     Attributes:
         episodes: the training episodes since the last row.
         checkpoint: the checkpoint that the trainer has to go on from, or ``None``.
-        trust: whether pickled files of runs may be loaded whoever made them.
         passed: whether a fresh evaluation met the run's criterion for stopping early; the trainer
             then goes straight to :meth:`finish`.
         checkpoint_due: whether the trainer should call :meth:`save_checkpoint` as soon as it is
@@ -92,7 +91,6 @@ class Recorder:
     ) -> None:
         self.episodes = EpisodeWindow()
         self.checkpoint = folder.checkpoint
-        self.trust = folder.trust
         self.checkpoint_due = False
         self.passed = False
         self._folder = folder
@@ -115,7 +113,7 @@ class Recorder:
         self._started_at = 0.0
         self._wall_started_at: float | None = None
         self._evaluations: list[dict[str, Any]] = state["evaluations"]
-        folder.cut_progress(state["progress_bytes"], state.get("progress_sha256"))
+        folder.cut_progress(state["progress_bytes"])
         write_json(folder.path / "evaluations.json", self._evaluations)
         self._loggers: list[Logger] = [TensorBoard(folder, self._last_row)]
         if wandb is not None:
@@ -176,7 +174,7 @@ class Recorder:
                 "env_steps": env_steps,
                 "seconds": self._seconds,
                 "wall_seconds": self._wall(),
-                **self._folder.progress_mark,
+                "progress_bytes": self._folder.progress_bytes,
                 "evaluations": self._evaluations,
             }
             write_json(folder / "recorder.json", state)

@@ -29,31 +29,30 @@ def train(
     command: str | None = None,
     force: bool = False,
     resume: bool = False,
-    trust: bool = False,
     wandb: str | None = None,
     listener: Listener = lambda report: None,
 ) -> RunFolder:
     """Train one policy and evaluate it.
 
-    Everything is checked before the folder is made. A run's folder is locked while it is at work.
-    Torch runs on one thread: the networks are small, and comparisons run one process per core.
+    Everything is checked before the folder is made. The folder is locked during the run. Torch has
+    one thread until the end: the networks are small, and comparisons run one process per core.
 
     Args:
         config: what to train.
         out: the run folder to make.
         command: the exact command, recorded in the folder; by default the equivalent one.
         force: move a folder that is already there aside.
-        resume: go on with the interrupted run in ``out``, which must be of the same configuration,
+        resume: continue the interrupted run in ``out``, which must be of the same configuration,
             from its newest checkpoint. A finished one is left as it is.
-        trust: load pickled files of ``out`` or of the run to begin with, whoever made them.
         wandb: a project of Weights & Biases to log to as well.
-        listener: is told where the run stands.
+        listener: receives where the run stands.
 
     Raises:
         MbnError: the algorithm, the field, a setting or a hyperparameter is not valid; or ``out``
-            already holds something, or with ``resume`` no such run, or one that is at work.
+            already holds something, or with ``resume`` no such run, or one that is running.
         RunError: a file could not be written; what was saved before is as it was.
         DivergenceError: the learner's numbers are no longer finite.
+        KeyboardInterrupt: naming the folder, its checkpoint and ``--resume``.
     """
     import torch
 
@@ -61,7 +60,6 @@ def train(
         raise ConfigError("training", ["device: torch finds no GPU here; allowed: cpu"])
     if wandb is not None:
         find_wandb()
-    torch.set_num_threads(1)
     algorithm = find_algorithm(config.algorithm)
     task, hyperparameters = prepare(config)
     resolved, command = resolve(task, hyperparameters), command or config.command
@@ -70,15 +68,38 @@ def train(
     else:
         algorithm.check(task, hyperparameters)
         claim_folder(out, force=force)
-    with _writing_named(RunFolder(out)), alone(out, "mbn train"):
+    run = RunFolder(out)
+    with _one_thread(), _interruption_named(run), _writing_named(run), alone(out, "mbn train"):
         if resume:
-            folder = RunFolder.resume(out, resolved, task.field, command, trust=trust)
+            folder = RunFolder.resume(out, resolved, task.field, command)
         else:
-            folder = RunFolder.create(out, resolved, task.field, command, trust=trust)
+            folder = RunFolder.create(out, resolved, task.field, command)
         if not folder.finished:
             with _divergence_named(folder):
                 algorithm.train(task, hyperparameters, Recorder(folder, task, listener, wandb))
     return folder
+
+
+def notes(config: TrainConfig) -> list[str]:
+    """What a user should know before a run: skipped hyperparameters, and a budget rounded up.
+
+    Raises:
+        MbnError: as :func:`prepare`.
+    """
+    task, hyperparameters = prepare(config)
+    name, steps = config.algorithm, config.steps
+    lines = [
+        f"skipped: {argument} = {value}, since {name} has no such argument"
+        for argument, value in hyperparameters.skipped.items()
+    ]
+    budget = find_algorithm(name).budget(task, hyperparameters)
+    if budget.env_steps > steps:
+        bound = "" if budget.exact else "up to "
+        lines.append(
+            f"steps: {name} learns from whole {budget.unit}, so this run takes "
+            f"{bound}{budget.env_steps:,} env-steps, not {steps:,}"
+        )
+    return lines
 
 
 def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
@@ -96,6 +117,31 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
 
 
 @contextmanager
+def _one_thread() -> Iterator[None]:
+    """Give torch one thread, and afterwards as many as before."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+@contextmanager
+def _interruption_named(folder: RunFolder) -> Iterator[None]:
+    """Say where a run that the user interrupts can be resumed."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        unfinished = folder.unfinished if (folder.path / "config.json").is_file() else None
+        if unfinished is None:
+            raise
+        raise KeyboardInterrupt(f"{folder.path} is {unfinished}; continue with --resume") from None
+
+
+@contextmanager
 def _divergence_named(folder: RunFolder) -> Iterator[None]:
     """Turn what numbers that are not finite cause in a learner or the engine into one error.
 
@@ -109,8 +155,8 @@ def _divergence_named(folder: RunFolder) -> Iterator[None]:
             raise
         what = str(error).splitlines()[0]
         raise DivergenceError(
-            f"{folder.path}: the learner broke down, most likely since its numbers are no longer "
-            f"finite; a smaller learning rate may help ({what})"
+            f"{folder.path}: the learner diverged: its numbers are most likely no longer finite; a "
+            f"smaller learning rate may help ({what})"
         ) from error
 
 
@@ -119,12 +165,12 @@ def _writing_named(folder: RunFolder) -> Iterator[None]:
     """Turn what a full disk or a folder without permission causes into one error.
 
     Raises:
-        RunError: naming the run, and where it can go on from.
+        RunError: naming the run, and where it can be resumed.
     """
     hook = threading.excepthook
 
     def quiet(arguments: threading.ExceptHookArgs) -> None:
-        """Say nothing of what TensorBoard's thread hands on to its next call, which raises it."""
+        """Say nothing of what TensorBoard's thread passes to its next call, which raises it."""
         if not isinstance(arguments.exc_value, OSError):
             hook(arguments)
 
@@ -134,18 +180,16 @@ def _writing_named(folder: RunFolder) -> Iterator[None]:
     except (ConnectionError, InterruptedError):  # not about files
         raise
     except OSError as error:
-        newest = folder.checkpoint
-        steps = "the beginning" if newest is None else f"{int(newest.name):,} env-steps"
         raise RunError(
             f"{folder.path} could not be written to ({error}); what was saved before is as it was: "
-            f"--resume goes on from {steps}"
+            f"--resume continues from {folder.saved_steps:,} env-steps"
         ) from error
     finally:
         threading.excepthook = hook
 
 
 def resolve_hyperparameters(config: TrainConfig) -> Hyperparameters:
-    """The hyperparameters of a run: the recorded ones, with what the request says instead.
+    """The hyperparameters of a run: the recorded ones, with those of the request instead.
 
     Raises:
         ConfigError: naming every unknown or invalid hyperparameter.
@@ -160,7 +204,7 @@ def resolve_hyperparameters(config: TrainConfig) -> Hyperparameters:
 
 
 def sizes(theirs: Field, ours: Field) -> dict[str, tuple[Any, Any]]:
-    """What of two fields must be equal for a policy of one to act in the other."""
+    """By name, what must be equal in two fields for a policy of one to act in the other."""
     return {
         "robots": (len(theirs.starts), len(ours.starts)),
         "ROIs": (len(theirs.rois), len(ours.rois)),
@@ -169,7 +213,7 @@ def sizes(theirs: Field, ours: Field) -> dict[str, tuple[Any, Any]]:
 
 
 def check_source(task: Task, hyperparameters: Hyperparameters) -> None:
-    """Whether the run that a task begins with, if there is one, fits it.
+    """Check that the run that a task begins with, if there is one, fits it.
 
     Raises:
         RunError: there is no such run, or it is not finished.
@@ -179,7 +223,7 @@ def check_source(task: Task, hyperparameters: Hyperparameters) -> None:
         return
     source = RunFolder.open(task.config.transferred_from)
     if not source.finished:
-        raise RunError(f"{source.path} is not finished; go on with it first (--resume)")
+        raise RunError(f"{source.path} is not finished; resume it first (--resume)")
     config, field = source.config, source.field
     asked = hyperparameters.model_dump(mode="json")
     recorded = {**config["hyperparameters"], "num_envs": asked["num_envs"]}

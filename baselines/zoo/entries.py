@@ -25,19 +25,18 @@ def read_card(name: str) -> dict[str, Any]:
     return card
 
 
-def open_run(source: str, *, trust: bool = False) -> RunFolder:
+def open_run(source: str) -> RunFolder:
     """The run that ``source`` means: ``zoo:NAME``, or the path of a run folder.
 
     Args:
         source: which.
-        trust: whether pickled files of the run may be loaded whoever made them.
 
     Raises:
         MbnError: there is no such entry; the message lists those there are.
         RunError: there is no run at the path.
     """
     if not source.startswith(PREFIX):
-        return RunFolder.open(Path(source), trust=trust)
+        return RunFolder.open(Path(source))
     name, known = source.removeprefix(PREFIX), entry_names()
     if name not in known:
         raise MbnError(f"{source}: {unknown('policy', name, known)}")

@@ -1,9 +1,8 @@
-"""Making an entry of the zoo from a finished run."""
+"""Make an entry of the zoo from a finished run."""
 
 from __future__ import annotations
 
 import shlex
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -60,10 +59,14 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
 
     Raises:
         RunError: the run is not finished, or ``path`` holds something that is no entry.
-        ConfigError: its field is not the catalogue's, it holds pickled files, or it is too large.
+        ConfigError: its field is not the catalogue's, or it is too large.
     """
-    config = run.config
-    check_run(run)
+    if not run.finished:
+        raise RunError(f"{run.path} is not finished; resume it first (--resume)")
+    config, field = run.config, run.config["field"]
+    if field not in catalogue_names():
+        allowed = ", ".join(catalogue_names())
+        raise ConfigError(str(run.path), [f"field: {field}; allowed: {allowed}"])
     if path.exists() and not (path / CARD).is_file():
         raise RunError(f"{path} already exists, and is no entry of the zoo")
     card = make_card(run, path.name)
@@ -72,7 +75,7 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
     with replacing_folder(path) as folder:
         write_json(folder / "config.json", config)
         save_field(run.field, folder / "field.yaml")
-        shutil.copytree(run.policy, folder / "policy")
+        load_policy(run).save(folder / "policy")
         write_json(folder / CARD, card)
         for place in (folder / "policy", folder):
             seal(place)
@@ -83,29 +86,8 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
     return card
 
 
-def check_run(run: RunFolder) -> None:
-    """Whether an entry can be made of a run.
-
-    Raises:
-        RunError: the run is not finished.
-        ConfigError: naming everything that stands against it.
-    """
-    if not run.finished:
-        raise RunError(f"{run.path} is not finished; go on with it first (--resume)")
-    field = run.config["field"]
-    problems = [
-        f"{file.name}: may hold pickled parts; allowed: .json and .safetensors"
-        for file in run.policy.iterdir()
-        if file.suffix not in (".json", ".safetensors")
-    ]
-    if field not in catalogue_names():
-        problems.append(f"field: {field}; allowed: {', '.join(catalogue_names())}")
-    if problems:
-        raise ConfigError(str(run.path), problems)
-
-
 def make_card(run: RunFolder, name: str) -> dict[str, Any]:
-    """How a run's policy was trained and what it does, as JSON values.
+    """How a run's policy was trained, and its evaluation, as JSON values.
 
     Args:
         run: the run; its policy is evaluated here.
@@ -132,7 +114,7 @@ def make_card(run: RunFolder, name: str) -> dict[str, Any]:
 
 
 def plain_command(command: str) -> str:
-    """A recorded command without what only says where its files go."""
+    """A recorded command without the options that only place its files."""
     words, kept = iter(shlex.split(command)), []
     for word in words:
         if word in ("--out", "-o"):

@@ -1,9 +1,8 @@
 """Damaged files, read by what reads them.
 
-Of each file of a checkpoint, a run folder, and of a field and an episode, copies with one
-byte changed or with the end cut off. A copy has to be refused with a message that names it, or to
-be read as what was written: a byte of layout makes no difference. Anything else is a broken
-promise.
+Of each file of a checkpoint, a policy and an entry of the zoo, copies with one byte changed or with
+the end cut off. A copy has to be refused with a message that names it, or to be read as what was
+written: a byte of the list of checksums may make no difference. Anything else is a broken promise.
 """
 
 from __future__ import annotations
@@ -17,23 +16,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from baselines.compare.records import RunRecord
 from baselines.console import console
-from baselines.paper.progress import read_progress
+from baselines.evaluation.policy import load_policy
 from baselines.runs.files import read_json
 from baselines.runs.folder import RunFolder
 from baselines.training.config import TrainConfig
 from baselines.training.progress_bar import Report
 from baselines.training.train import train
+from baselines.zoo.entries import CARD, FOLDER
 from benchmarks.reliability.kills import config_of, outcome
 from benchmarks.report import table
-from mbn_marl.config import make_config
-from mbn_marl.episode import load_episode, play, save_episode
-from mbn_marl.episode.files import to_file
 from mbn_marl.errors import MbnError
-from mbn_marl.field import catalogue, files, load_field
 
 
 @dataclass(frozen=True)
@@ -112,24 +105,20 @@ def subjects(folder: Path) -> Iterator[Subject]:
         assert stopped.checkpoint is not None
         inside = _files(stopped.checkpoint)
         place = stopped.checkpoint.relative_to(stopped.path)
-        parts = (*(place / path for path in inside), Path("progress.csv"))
+        parts = tuple(place / path for path in inside)
 
         def resume(copy: Path, config: TrainConfig = config) -> Any:
             return outcome(train(config, copy, resume=True))
 
         yield Subject(f"checkpoint of {config.algorithm}", stopped.path, parts, resume)
         run = train(config, folder / f"run-{config.algorithm}")
-        read = tuple(path for path in _files(run.path) if path.parts[0] != "tensorboard")
-        yield Subject(f"run of {config.algorithm}", run.path, read, _read_run)
-    place = folder / "fields"
-    shutil.copytree(str(catalogue._FOLDER), place)
-    named = tuple(path for path in _files(place) if path.suffix == ".yaml")
-    yield Subject("field of the catalogue", place, (*named, Path("checksums.json")), _read_fields)
-    (folder / "episode").mkdir()
-    actions = np.random.default_rng(0).uniform(-1, 1, (20, 3, 2)).astype(np.float32)
-    episode = play(load_field("field_03"), make_config({}), actions, source="test", seed=1)
-    path = save_episode(episode, folder / "episode" / "episode.json")
-    yield Subject("episode", path.parent, (Path(path.name),), _read_episode)
+        policy = tuple(Path("policy") / path for path in _files(run.policy))
+        unread = ("learner.safetensors",)  # by what evaluates
+        read = tuple(path for path in policy if path.name not in unread)
+        yield Subject(f"policy of {config.algorithm}", run.path, read, _read_run)
+    entry = FOLDER / "field_03"
+    read = tuple(path for path in _files(entry) if path.suffix != ".md")
+    yield Subject("entry of the zoo", entry, read, _read_entry)
 
 
 def _stopped(config: TrainConfig, out: Path) -> RunFolder:
@@ -152,26 +141,16 @@ def _files(folder: Path) -> tuple[Path, ...]:
 
 
 def _read_run(folder: Path) -> Any:
-    """What reports, evaluations and ``mbn zoo`` read."""
+    """What evaluations read."""
+    return outcome(RunFolder.open(folder))
+
+
+def _read_entry(folder: Path) -> Any:
+    """What ``mbn zoo`` and ``mbn evaluate`` read."""
     run = RunFolder.open(folder)
-    record, rows = RunRecord.read(run), read_progress(run.progress).to_dict("list")
-    versions = read_json(folder / "versions.json")
-    return outcome(run), record.config, record.field.to_dict(), rows, run.command, versions
-
-
-def _read_fields(folder: Path) -> Any:
-    """The catalogue, as if the package held these files."""
-    installed = catalogue._FOLDER
-    catalogue._FOLDER = folder
-    try:
-        read = files._catalogue_field.__wrapped__
-        return [read(name).to_dict() for name in catalogue.catalogue_names()]
-    finally:
-        catalogue._FOLDER = installed
-
-
-def _read_episode(folder: Path) -> Any:
-    return to_file(load_episode(folder / "episode.json")).model_dump()
+    policy: Any = load_policy(run)
+    weights = {name: tensor.tolist() for name, tensor in policy.network.state_dict().items()}
+    return run.config, run.field.to_dict(), read_json(folder / CARD), weights
 
 
 @dataclass(frozen=True)

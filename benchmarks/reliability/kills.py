@@ -22,7 +22,6 @@ from baselines.console import console
 from baselines.evaluation.policy import load_policy
 from baselines.runs.files import read_text
 from baselines.runs.folder import RunFolder
-from baselines.sb3.policy import CentralizedPolicy
 from baselines.training.config import TrainConfig
 from baselines.training.train import train
 from benchmarks.report import table
@@ -109,7 +108,6 @@ def outcome(run: RunFolder) -> dict[str, Any]:
         return {name: value for name, value in entry.items() if "seconds" not in name}
 
     policy: Any = load_policy(run)
-    network = policy.model.policy if isinstance(policy, CentralizedPolicy) else policy.network
     lines = read_text(run.progress).splitlines()
     rows = [timeless(row) for row in csv.DictReader(lines)]
     normalization = getattr(policy, "normalization", None)
@@ -117,7 +115,7 @@ def outcome(run: RunFolder) -> dict[str, Any]:
         "rows": rows,
         "evaluations": [timeless(entry) for entry in run.evaluations],
         "evaluation": timeless(run.evaluation),
-        "parameters": {name: value.tolist() for name, value in network.state_dict().items()},
+        "parameters": {name: value.tolist() for name, value in policy.network.state_dict().items()},
         "normalization": None if normalization is None else normalization.to_json(),
     }
 

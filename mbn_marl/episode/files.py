@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from mbn_marl.checksums import digest_of_json
 from mbn_marl.config import NavigationConfig, describe, make_config
 from mbn_marl.engine import REWARD_TERMS
 from mbn_marl.episode.episode import Episode
@@ -43,8 +42,7 @@ def save_episode(episode: Episode, path: str | Path) -> Path:
     path = Path(path)
     if path.suffix.lower() != ".json":
         raise MbnError(f"{path}: the file name has to end in .json")
-    document = to_file(episode).model_dump(mode="json", exclude={"checksum"})
-    document["checksum"] = digest_of_json(document)
+    document = to_file(episode).model_dump(mode="json")
     text = json.dumps(document, ensure_ascii=False, separators=(",", ":"))
     with replacing(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
@@ -70,7 +68,7 @@ def load_episode(path: str | Path) -> Episode:
         problem = f"format: {named}; expected {EXPECTED}"
         raise EpisodeError(str(path), [problem])
     try:
-        _check_sum(document)
+        document.pop("checksum", None)  # of older versions
         return from_file(EpisodeFile.model_validate(document))
     except ValidationError as error:
         raise EpisodeError(str(path), describe(error, EpisodeFile)) from None
@@ -165,18 +163,6 @@ def from_file(content: EpisodeFile) -> Episode:
     )
     _check_return(content.team_return, episode.team_return)
     return episode
-
-
-def _check_sum(document: dict[str, Any]) -> None:
-    """Raise an error if the checksum in a document is not that of the rest; take it out."""
-    checksum = document.pop("checksum", None)
-    try:
-        intact = checksum in (None, digest_of_json(document))
-    except RecursionError:  # nested without end
-        intact = False
-    if not intact:
-        problem = "checksum: not that of what is here; the file is damaged, or was changed"
-        raise EpisodeError("episode", [problem])
 
 
 def _check_return(stored: float, total: float) -> None:

@@ -124,6 +124,3 @@ class EpisodeFile(BaseModel):
     positions: PackedArray = Field(description="(T + 1, n, 2), units, from the reset on.")
     actions: PackedArray = Field(description="(T, n, 2), in [-1, 1].")
     rewards: Rewards
-    checksum: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = Field(
-        default=None, description="SHA-256 of all the rest; files of older versions have none."
-    )

@@ -13,7 +13,7 @@ import yaml
 from pydantic import ValidationError
 
 from mbn_marl.config import describe
-from mbn_marl.errors import DamageError, FieldError, unknown
+from mbn_marl.errors import FieldError, unknown
 from mbn_marl.field import authors
 from mbn_marl.field.catalogue import catalogue_file, catalogue_names
 from mbn_marl.field.field import DEFAULT_ARENA, Field
@@ -65,11 +65,7 @@ def save_field(field: Field, path: str | os.PathLike[str]) -> None:
 
 @cache
 def _catalogue_field(name: str) -> Field:
-    try:
-        data = catalogue_file(name)
-    except DamageError as error:
-        raise FieldError(name, [f"file: {error}"]) from None
-    return _field_of_document(parse_yaml(data, name), name, name)
+    return _field_of_document(parse_yaml(catalogue_file(name), name), name, name)
 
 
 def _field_of_file(location: str) -> Field:

@@ -57,9 +57,7 @@ def text(plain: str) -> str:
 
 def episodes_data(episodes: Sequence[Episode]) -> str:
     """What the player needs of the episodes, as JSON that can stand in a script element."""
-    documents = [
-        to_file(one).model_dump(mode="json", exclude={"actions", "checksum"}) for one in episodes
-    ]
+    documents = [to_file(one).model_dump(mode="json", exclude={"actions"}) for one in episodes]
     return script_data(documents)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,16 @@ from baselines.cli import main
 from baselines.evaluation.policy import load_policy
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
+from baselines.runs.tensors import moments_of
 from baselines.sb3.ars import PopulationSearch
 from baselines.sb3.config import TUNED_IN_PAPER, accepted_arguments, load
 from baselines.sb3.envs import LearnersView, make_env
-from baselines.sb3.learner import transfer
+from baselines.sb3.learner import Learner
 from baselines.training.config import Task, TrainConfig
 from baselines.training.run_logger import EpisodeWindow
-from baselines.training.train import train
+from baselines.training.train import notes, train
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
-from mbn_marl.errors import ConfigError, DamageError
+from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 
 CATALOGUE = Path(__file__).parents[2] / "envs_catalog"
@@ -76,8 +78,11 @@ def test_every_setting_trains_from_the_command_line(
     assert moved["hyperparameters"] == raw["hyperparameters"]
     ours = run("N", "field_03", "--num-envs", "2")
     assert ours["hyperparameters"]["normalize_observation"] and ours["seed"] == 0
-    assert (tmp_path / "N" / "policy" / "normalization.json").is_file()
-    assert not (tmp_path / "A" / "policy" / "normalization.json").exists()
+    for setting, normalized in (("N", True), ("A", False)):
+        shape = json.loads((tmp_path / setting / "policy" / "policy.json").read_text())
+        assert (shape["normalization"] is not None) == normalized
+    files = {path.suffix for path in (tmp_path / "N" / "policy").iterdir()}
+    assert files == {".json", ".safetensors"}
 
 
 def test_values_that_a_class_does_not_take_are_reported(
@@ -204,14 +209,25 @@ def test_a_transferred_learner_begins_with_the_sources_policy(name: str, tmp_pat
     run = train(config, tmp_path / "source")
     task = _task(name, "field_02", setting="C", transferred_from=run.path)
     hyperparameters = load(name, "C", small)
-    model = transfer(task, make_env(task, hyperparameters, EpisodeWindow()), run)
+    learner = Learner(task, hyperparameters, EpisodeWindow())
+    learner.begin_with(run)
+    model = learner.model
     policy: Any = load_policy(run)
-    ours, theirs = model.policy.state_dict(), policy.model.policy.state_dict()
+    ours, theirs = model.policy.state_dict(), policy.network.state_dict()
     assert all(torch.equal(ours[key], theirs[key]) for key in theirs)
-    assert (model.seed, model.num_timesteps) == (3, 0)
+    assert (model.num_timesteps, learner.env_steps) == (0, 0)
     if name == "ars":
-        assert torch.equal(model.weights, policy.model.weights)
+        parameters = torch.nn.utils.parameters_to_vector(policy.network.parameters())
+        assert torch.equal(model.weights, parameters)
         assert model.weights.abs().max() > 0
+    else:
+        moments = [
+            tensor
+            for part, state in model.get_parameters().items()
+            if part.endswith("optimizer")
+            for tensor in moments_of(state).values()
+        ]
+        assert any(moment.abs().max() > 0 for moment in moments)
     model.learn(30)
     assert model.num_timesteps >= 30
 
@@ -329,17 +345,58 @@ def test_a_learner_that_diverges_is_one_clear_message(
     chosen = ["--setting", "A", "--hyperparams", str(tmp_path / "wild.yaml"), "--steps", "100"]
     assert main(["train", "a2c", "field_03", *chosen, "--episodes", "1", "--out", str(out)]) == 2
     error = capsys.readouterr().err
-    assert error.startswith(f"mbn: error: {out}: the learner broke down, most likely since its num")
+    assert error.startswith(f"mbn: error: {out}: the learner diverged")
     assert error.count("\n") == 1
     assert not RunFolder.open(out).finished
 
 
-def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
+def test_a_policy_of_an_older_version_is_refused_with_a_way_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     config = TrainConfig("a2c", "field_01", "A", steps=5, episodes=1)
     run = train(config, tmp_path / "run")
-    (run.path / "policy" / "model.zip").write_bytes(b"half")
-    with pytest.raises(DamageError, match=r"model\.zip is damaged"):
-        load_policy(run)
-    (run.path / "policy" / "checksums.json").unlink()
-    with pytest.raises(RunError, match=r"model\.zip cannot be read"):
-        load_policy(RunFolder.open(run.path, trust=True))
+    for path in run.policy.iterdir():
+        path.unlink()
+    (run.policy / "model.zip").write_bytes(b"PK")
+    assert main(["evaluate", str(run.path)]) == 2
+    error = capsys.readouterr().err
+    assert all(word in error for word in (str(run.policy), "model.zip", "--force", "versions.json"))
+    moved = replace(config, field="field_02", setting="C", transferred_from=run.path)
+    with pytest.raises(RunError, match=r"model\.zip"):
+        train(moved, tmp_path / "moved")
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "said"),
+    [
+        ("ppo", {"model": {"n_steps": 32, "batch_size": 32}}, "takes 128 env-steps, not 100"),
+        ("ppo", {"num_envs": 4, "model": {"n_steps": 25, "batch_size": 25}}, None),
+        ("crossq", {"num_envs": 16}, "takes 112 env-steps, not 100"),
+        ("ppo-shared", {"num_envs": 4, "model": {"n_steps": 16}}, "takes 128 env-steps, not 100"),
+        # Four candidates, an episode of at most 20 steps each, the first of which begins at 99.
+        ("ars", {"model": {"n_delta": 2, "n_top": 1}}, "takes up to 179 env-steps, not 100"),
+        # Two env-steps a decision until half of the budget: 2 x 2 x 16, then 2 x 16.
+        ("mappo", {"num_worlds": 2, "rollout_steps": 16, "action_repeat": [2, 1]}, "takes 128 env"),
+    ],
+)
+def test_a_budget_that_is_rounded_up_is_said_before(
+    name: str, changes: dict[str, Any], said: str | None, tmp_path: Path
+) -> None:
+    small = {"num_envs": 2, "policy": "MlpPolicy"} if ALGORITHMS[name].package == "sb3" else {}
+    config = TrainConfig(
+        name,
+        "field_03",
+        steps=100,
+        episodes=1,
+        environment={"max_steps": 20},
+        hyperparameters={**small, **changes},
+    )
+    lines = [line for line in notes(config) if line.startswith("steps: ")]
+    assert [said in line for line in lines] == ([True] if said else [])
+    taken = train(config, tmp_path / "run").evaluation["env_steps"]
+    if said is None:
+        assert taken == 100
+    elif name == "ars":
+        assert 100 < taken <= 179
+    else:
+        assert f"takes {taken} env-steps" in lines[0]

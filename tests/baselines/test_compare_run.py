@@ -70,7 +70,7 @@ def test_a_learner_that_breaks_down_stops_its_own_run_alone(
     assert main(command) == 2
     told = capsys.readouterr()
     for seed in (0, 1):
-        said = f"{out / f'wild-field_03-seed{seed}'}: the learner broke down"
+        said = f"{out / f'wild-field_03-seed{seed}'}: the learner diverged"
         assert said in told.err and said in (out / "comparison.md").read_text()
         assert (out / f"tame-field_03-seed{seed}" / "evaluation.json").is_file()
     found = read_json(out / "comparison.json")

@@ -328,7 +328,6 @@ def test_wrong_input_is_one_clear_message(
         run = make_run(tmp_path / name, [(1, 0, 0, 0, 0)])
         if name == "old":
             write_json(run / "config.json", {"algorithm": "ppo", "field": "field_01", "seed": 0})
-            (run / "checksums.json").unlink()
     (tmp_path / "empty").mkdir()
     (tmp_path / "latin.md").write_bytes("très".encode("latin-1"))
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""Interrupted runs go on from their newest checkpoint as if nothing had happened."""
+"""Interrupted runs continue from their newest checkpoint as if nothing had happened."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from baselines.training.progress_bar import Report
 from baselines.training.train import train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field, save_field
-from tests.support.runs import recorded, same_policies
+from tests.support.runs import interrupted, recorded, same_policies
 
 SMALL = {"policy_kwargs": {"net_arch": [8]}}
 REPLAY = {**SMALL, "learning_starts": 100, "batch_size": 16, "buffer_size": 150}
@@ -75,23 +75,11 @@ def _assert_equal(run: RunFolder, other: RunFolder) -> None:
     assert same_policies(run, other)
 
 
-def _interrupted(config: TrainConfig, out: Path) -> RunFolder:
-    """The folder of a run that stopped after its first checkpoint."""
-
-    def interrupt(report: Report) -> None:
-        if (out / "checkpoints").exists():
-            raise InterruptedError
-
-    with pytest.raises(InterruptedError):
-        train(config, out, listener=interrupt)
-    return RunFolder.open(out)
-
-
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_a_resumed_run_equals_an_uninterrupted_one(name: str, tmp_path: Path) -> None:
     config = _config(name)
     whole = train(config, tmp_path / "whole")
-    stopped = _interrupted(config, tmp_path / "resumed")
+    stopped = interrupted(config, tmp_path / "resumed")
     torch.manual_seed(99)
     np.random.seed(99)
     resumed = train(config, stopped.path, resume=True)
@@ -126,7 +114,7 @@ def _wait_for_checkpoint(folder: Path, process: subprocess.Popen[str]) -> None:
         ("a2c", signal.SIGTERM, 130, "--steps 4000 --evaluate-every 800 --setting A"),
     ],
 )
-def test_a_killed_process_goes_on(
+def test_a_killed_process_is_resumed(
     name: str, number: signal.Signals, code: int, options: str, tmp_path: Path
 ) -> None:
     arguments = ["train", name, "field_03", "--episodes", "2", *options.split()]
@@ -145,6 +133,12 @@ def test_a_killed_process_goes_on(
         _, error = process.communicate(timeout=60)
         assert process.returncode == code
         assert "Traceback" not in error
+        stopped = RunFolder.open(killed)
+        assert stopped.unfinished is not None
+        if code == 130:
+            assert (
+                error == f"interrupted: {killed} is {stopped.unfinished}; continue with --resume\n"
+            )
     finally:
         process.kill()
     assert not (killed / "evaluation.json").exists()
@@ -156,7 +150,7 @@ def test_a_killed_process_goes_on(
     assert not list(killed.glob(".*"))
 
 
-def test_a_run_killed_before_its_first_checkpoint_begins_anew(tmp_path: Path) -> None:
+def test_a_run_killed_before_its_first_checkpoint_begins_again(tmp_path: Path) -> None:
     config = _config("ppo")
     whole = train(config, tmp_path / "whole")
 
@@ -174,7 +168,7 @@ def test_a_run_killed_before_its_first_checkpoint_begins_anew(tmp_path: Path) ->
 
 def test_tensorboard_shows_every_step_once(tmp_path: Path) -> None:
     config = _config("tqc")
-    stopped = _interrupted(config, tmp_path / "run")
+    stopped = interrupted(config, tmp_path / "run")
     run = train(config, stopped.path, resume=True)
     events = EventAccumulator(str(run.path / "tensorboard")).Reload()
     shown = [(event.step, event.value) for event in events.Scalars("evaluation/return_mean")]
@@ -190,7 +184,7 @@ def test_slow_training_is_saved_between_evaluations(
     monkeypatch.setattr(recorder, "CHECKPOINT_SECONDS", 0.0)
     monkeypatch.setattr(recorder, "ROW_STEPS", 64)
     config = replace(_config("ppo"), evaluate_every=100_000)
-    stopped = _interrupted(config, tmp_path / "run")
+    stopped = interrupted(config, tmp_path / "run")
     assert stopped.checkpoint is not None and int(stopped.checkpoint.name) == 64
     assert stopped.evaluations == []
 
@@ -208,11 +202,46 @@ def test_a_checkpoint_that_fails_leaves_the_one_before(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["000000001000"]
 
 
-def test_a_policy_can_be_looked_at_before_the_run_is_finished(tmp_path: Path) -> None:
-    stopped = _interrupted(_config("ippo"), tmp_path / "run")
+def test_a_policy_can_be_looked_at_before_the_run_is_finished(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopped = interrupted(_config("ippo"), tmp_path / "run")
     load_policy(stopped)
+    assert stopped.unfinished == "unfinished: checkpoint at 128 of 320 env-steps"
+    assert main(["evaluate", str(stopped.path), "--episodes", "1"]) == 0
+    assert stopped.unfinished in capsys.readouterr().out
     with pytest.raises(RunError, match="is not a finished run"):
         _ = stopped.evaluation
+
+
+def test_an_interrupted_run_says_where_it_can_be_resumed(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+
+    def interrupt(report: Report) -> None:
+        if (out / "checkpoints").exists():
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        train(_config("mappo"), out, listener=interrupt)
+    where = f"{out} is unfinished: checkpoint at 128 of 320 env-steps"
+    assert str(caught.value) == f"{where}; continue with --resume"
+
+
+def test_torch_has_its_threads_again_after_a_run(tmp_path: Path) -> None:
+    threads = torch.get_num_threads()
+    during: list[int] = []
+    torch.set_num_threads(3)
+    try:
+        train(
+            _config("ippo"),
+            tmp_path / "run",
+            listener=lambda report: during.append(torch.get_num_threads()),
+        )
+        interrupted(_config("ippo"), tmp_path / "interrupted")
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(threads)
+    assert set(during) == {1}
 
 
 def test_a_finished_run_is_left_as_it_is(tmp_path: Path) -> None:
@@ -225,7 +254,7 @@ def test_a_finished_run_is_left_as_it_is(tmp_path: Path) -> None:
 
 def test_only_the_same_run_can_be_resumed(tmp_path: Path) -> None:
     config = _config("a2c")
-    stopped = _interrupted(config, tmp_path / "run")
+    stopped = interrupted(config, tmp_path / "run")
     before = stopped.progress.read_bytes()
     with pytest.raises(ConfigError) as caught:
         train(replace(config, seed=5, steps=500), stopped.path, resume=True)
@@ -241,7 +270,7 @@ def test_a_field_that_was_edited_meanwhile_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     save_field(load_field("field_03"), path)
     config = replace(_config("a2c"), field=str(path))
-    stopped = _interrupted(config, tmp_path / "run")
+    stopped = interrupted(config, tmp_path / "run")
     save_field(load_field("field_04"), path)
     with pytest.raises(ConfigError, match="it has changed since the run was started"):
         train(config, stopped.path, resume=True)
@@ -255,7 +284,7 @@ def test_a_run_at_work_is_left_alone(tmp_path: Path) -> None:
 
     def interfere(report: Report) -> None:
         for options in ({"resume": True}, {"force": True}):
-            with pytest.raises(RunError, match=r"another mbn.* is at work here") as caught:
+            with pytest.raises(RunError, match=r"another mbn.* is running here") as caught:
                 train(config, out, **options)
             refused.append(str(caught.value))
         raise InterruptedError

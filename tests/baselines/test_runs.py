@@ -64,7 +64,7 @@ def test_a_folder_at_work_is_not_moved_aside(tmp_path: Path) -> None:
     inner.mkdir(parents=True)
     with (
         alone(inner, "mbn train"),
-        pytest.raises(RunError, match=r"run: another mbn train .*is at work"),
+        pytest.raises(RunError, match=r"run: another mbn train .*is running"),
     ):
         claim_folder(tmp_path / "comparison", force=True)
     claim_folder(tmp_path / "comparison", force=True)

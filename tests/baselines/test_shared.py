@@ -11,22 +11,22 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.algorithms import ALGORITHMS, find_algorithm
+from baselines.algorithms import find_algorithm
 from baselines.cli import main
 from baselines.evaluation.policy import load_policy
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import write_tensors
-from baselines.sb3.shared.envs import engines, make_env
-from baselines.sb3.shared.policy import SharedPolicy
-from baselines.sb3.shared.policy import load_policy as load_shared
+from baselines.sb3.envs import ROWS, engines, make_env
+from baselines.sb3.policy import SB3Policy
+from baselines.sb3.policy import load_policy as load_saved
 from baselines.training.config import Task, TrainConfig
 from baselines.training.run_logger import EpisodeWindow
 from baselines.training.train import train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field
 
-NAMES = [name for name, entry in ALGORITHMS.items() if entry.package == "sb3.shared"]
+NAMES = [*ROWS]
 BOTH = pytest.mark.parametrize("name", NAMES)
 ROBOTS = 3
 SMALL: dict[str, Any] = {
@@ -144,13 +144,14 @@ def test_the_bridges_differ_by_the_time_limits_alone(max_steps: int, tmp_path: P
 def test_a_saved_policy_acts_as_before(normalized: bool, tmp_path: Path) -> None:
     config = config_of("ppo-shared", hyperparameters={"normalize_observation": normalized})
     run = train(config, tmp_path / "run")
-    names = {"checksums.json", "policy.json", "policy.safetensors"}
+    names = {"checksums.json", "policy.json", "policy.safetensors", "learner.safetensors"}
     assert {path.name for path in run.policy.iterdir()} == names
     policy = load_policy(run)
-    assert isinstance(policy, SharedPolicy)
+    assert isinstance(policy, SB3Policy)
     assert (policy.normalization is not None) == normalized
     policy.save(tmp_path)
-    copy = load_shared(tmp_path)
+    assert not (tmp_path / "learner.safetensors").exists()
+    copy = load_saved(tmp_path)
     seen = np.random.default_rng(0).uniform(-1.0, 1.0, (5, ROBOTS, 33)).astype(np.float32)
     acts = []
     for one in (policy, copy):
@@ -158,7 +159,7 @@ def test_a_saved_policy_acts_as_before(normalized: bool, tmp_path: Path) -> None
         acts.append([one.act(seen, deterministic=chosen) for chosen in (True, False)])
     np.testing.assert_array_equal(acts[0], acts[1])
     assert acts[0][0].shape == (5, ROBOTS, 2)
-    raw = SharedPolicy(policy.network, policy.arguments, None).act(seen, deterministic=True)
+    raw = SB3Policy(policy.network, policy.shape, None).act(seen, deterministic=True)
     assert np.array_equal(raw, acts[0][0]) != normalized
     # Each robot's action follows from its own observation, by the same network for all.
     turned = policy.act(seen[:, ::-1], deterministic=True)[:, ::-1]
@@ -201,3 +202,15 @@ def test_the_command_line_takes_them(tmp_path: Path) -> None:
     run = RunFolder.open(out)
     assert (run.config["algorithm"], run.evaluation["env_steps"]) == ("ppo-supersuit", 128)
     assert json.loads((out / "versions.json").read_text())["packages"]["supersuit"]
+
+
+def test_a_policy_saved_before_the_centralised_ones_were_kept_alike_is_read(tmp_path: Path) -> None:
+    run = train(config_of("ppo-shared"), tmp_path / "run")
+    policy = load_policy(run)
+    policy.save(tmp_path)
+    shape = json.loads((tmp_path / "policy.json").read_text())
+    old = {name: shape[name] for name in ("obs_size", "arguments", "normalization")}
+    (tmp_path / "policy.json").write_text(json.dumps(old))
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (5, ROBOTS, 33)).astype(np.float32)
+    expected = policy.act(seen, deterministic=True)
+    np.testing.assert_array_equal(load_saved(tmp_path).act(seen, deterministic=True), expected)

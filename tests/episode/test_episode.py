@@ -228,7 +228,6 @@ def document(tmp_path: Path) -> dict[str, Any]:
     episode = play(load_field("field_03"), make_config({}), moves(12), source="test", seed=1)
     path = save_episode(episode, tmp_path / "whole.json")
     content: dict[str, Any] = json.loads(path.read_text())
-    del content["checksum"]  # tests change the rest
     return content
 
 
@@ -309,14 +308,11 @@ def test_a_file_that_is_no_episode_is_named(
     assert str(path) in str(caught.value) and message in str(caught.value)
 
 
-def test_a_change_without_the_engine_is_found(tmp_path: Path) -> None:
+def test_the_layout_and_the_checksum_of_older_versions_do_not_count(tmp_path: Path) -> None:
     episode = play(load_field("field_03"), make_config({}), moves(12), source="test", seed=1)
     path = save_episode(episode, tmp_path / "episode.json")
-    text = path.read_text()
-    path.write_text(text.replace('"source":"test"', '"source":"tess"'))
-    with pytest.raises(EpisodeError, match="checksum: not that of what is here"):
-        load_episode(path)
-    path.write_text(json.dumps(json.loads(text), indent=1))  # the layout does not count
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "checksum": 64 * "0"}, indent=1))
     assert load_episode(path).source == "test"
 
 

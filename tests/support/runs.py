@@ -1,19 +1,53 @@
-"""What two runs have to have in common to be the same."""
+"""Small runs, interrupted ones, and whether two runs are the same bit for bit."""
 
 from __future__ import annotations
 
 import csv
+from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 
 from baselines.evaluation.policy import load_policy
 from baselines.runs.folder import RunFolder
-from baselines.sb3.policy import CentralizedPolicy
+from baselines.training.config import TrainConfig
+from baselines.training.progress_bar import Report
+from baselines.training.train import train
+
+
+def small_config(name: str) -> TrainConfig:
+    """A run of ``"mappo"`` or ``"ppo"`` with two fresh evaluations on the way."""
+    hyperparameters: dict[str, Any] = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8]}
+    hyperparameters |= {"action_repeat": [1, 1], "action_repeat_until": 0.5}
+    if name == "ppo":
+        model = {"policy_kwargs": {"net_arch": [8]}, "n_steps": 32, "batch_size": 32}
+        hyperparameters = {"num_envs": 2, "model": model}
+    return TrainConfig(
+        name,
+        "field_03",
+        steps=320,
+        evaluate_every=100,
+        episodes=2,
+        environment={"max_steps": 50},
+        hyperparameters=hyperparameters,
+    )
+
+
+def interrupted(config: TrainConfig, out: Path) -> RunFolder:
+    """The folder of a run that stopped after its first checkpoint."""
+
+    def interrupt(report: Report) -> None:
+        if (out / "checkpoints").exists():
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        train(config, out, listener=interrupt)
+    return RunFolder.open(out)
 
 
 def recorded(run: RunFolder) -> dict[str, Any]:
-    """What a run recorded, but for the seconds."""
+    """The records of a run without the seconds."""
 
     def timeless(entry: dict[str, Any]) -> dict[str, Any]:
         return {name: value for name, value in entry.items() if "seconds" not in name}
@@ -27,12 +61,11 @@ def recorded(run: RunFolder) -> dict[str, Any]:
 def parameters(run: RunFolder) -> dict[str, torch.Tensor]:
     """The weights of a run's policy."""
     policy: Any = load_policy(run)
-    network = policy.model.policy if isinstance(policy, CentralizedPolicy) else policy.network
-    return dict(network.state_dict())
+    return dict(policy.network.state_dict())
 
 
 def same_policies(run: RunFolder, other: RunFolder) -> bool:
-    """Whether the weights of two runs are bit by bit the same."""
+    """Return whether the weights of two runs are bit for bit the same."""
     ours, theirs = parameters(run), parameters(other)
     return ours.keys() == theirs.keys() and all(
         torch.equal(weight, theirs[name]) for name, weight in ours.items()

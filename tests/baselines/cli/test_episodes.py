@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -55,15 +54,9 @@ def test_replay_writes_a_page_and_nothing_over_another(
         (lambda text: text[:500], "not JSON, or cut off"),
         (lambda text: '{"format": "other"}', "format: 'other'; expected an episode"),
         (lambda text: text.replace("episode/1", "episode/9", 1), "'mbn-episode/9'; expected"),
-        (lambda text: text.replace('"tau":1.0', '"tau":2.0'), "checksum: not that of"),
-        (
-            lambda text: re.sub(
-                '"checksum":".*"', '"checksum":null', text.replace('"tau":1.0', '"tau":2.0')
-            ),
-            "it does not replay",
-        ),
+        (lambda text: text.replace('"tau":1.0', '"tau":2.0'), "it does not replay"),
     ],
-    ids=["cut off", "foreign", "version", "tampered", "tampered with care"],
+    ids=["cut off", "foreign", "version", "tampered"],
 )
 def test_replay_says_what_is_wrong_with_a_file(
     content: Any,
