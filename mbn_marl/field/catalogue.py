@@ -18,5 +18,5 @@ def catalogue_names() -> list[str]:
 
 
 def catalogue_file(name: str) -> bytes:
-    """The bytes of the file of a field whose name is in :func:`catalogue_names`."""
+    """Return the bytes of the file of the catalogue field ``name``."""
     return _FOLDER.joinpath(f"{name}.yaml").read_bytes()
