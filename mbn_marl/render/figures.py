@@ -6,6 +6,7 @@ They are matplotlib figures without pyplot: no display, no global state, nothing
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -150,8 +151,16 @@ def save(figure: Figure, path: str | Path) -> Path:
 
 
 def svg(figure: Figure) -> bytes:
-    """``figure`` as an SVG picture."""
-    stream = io.BytesIO()
+    """``figure`` as an SVG picture whose ground and inks follow the reader's light or dark mode."""
+    stream = io.StringIO()
     with matplotlib.rc_context(style.MATPLOTLIB):
-        figure.savefig(stream, format="svg")
-    return stream.getvalue()
+        figure.savefig(stream, format="svg", facecolor="none")
+    picture, light, dark = stream.getvalue(), "", ""
+    for number, (colour, themes) in enumerate(style.THEMED.items()):
+        picture = re.sub(colour, f"var(--c{number})", picture, flags=re.IGNORECASE)
+        light, dark = (
+            f"{rules}--c{number}:{theme};"
+            for rules, theme in zip((light, dark), themes, strict=True)
+        )
+    rules = f":root{{{light}}}@media (prefers-color-scheme: dark){{:root{{{dark}}}}}"
+    return re.sub(r"(<svg[^>]*>)", rf"\1<style>{rules}</style>", picture, count=1).encode()

@@ -38,7 +38,6 @@ WIND: Final = BLUE
 CALM: Final = 1e-9
 """Wind weaker than this, in units/step per step, is none (cos 90 degrees is not quite 0)."""
 
-_SERIES: Final = (BLUE, VERMILLION, REDDISH_PURPLE, ORANGE, SKY_BLUE, BLACK)
 ROBOTS: Final = (
     *(BLUE, VERMILLION, REDDISH_PURPLE, ORANGE, SKY_BLUE, BLACK),
     *(PLUM, BROWN, LAVENDER, INDIGO),
@@ -128,6 +127,20 @@ DARK_PAGE: Final = PagePalette(
 """On dark ground the hues stay; black turns white, and text is lighter."""
 
 
+THEMED: Final = {
+    BLACK: (BLACK, WHITE),
+    **{
+        getattr(LIGHT_PAGE, name): (getattr(LIGHT_PAGE, name), getattr(DARK_PAGE, name))
+        for name in ("ground", "obstacle", "outline", "ink")
+    },
+    FAINT_INK: (LIGHT_PAGE.faint_ink, DARK_PAGE.faint_ink),
+    BROWN: (BROWN, "#A68A73"),
+    PLUM: (PLUM, "#D45AAE"),
+    INDIGO: (INDIGO, "#6A4DFF"),
+}
+"""Colours of figures that differ on a light and on a dark page."""
+
+
 class SeriesStyle(NamedTuple):
     """How one of several curves is drawn: colour, dash pattern and marker all tell it apart."""
 
@@ -139,7 +152,7 @@ class SeriesStyle(NamedTuple):
 def series(index: int) -> SeriesStyle:
     """Return the style of curve ``index``; any three in a row differ in all three ways."""
     return SeriesStyle(
-        _SERIES[index % len(_SERIES)],
+        ROBOTS[index % len(ROBOTS)],
         _DASHES[index % len(_DASHES)],
         _MARKERS[index % len(_MARKERS)],
     )

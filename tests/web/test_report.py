@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
+import statistics
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from baselines.cli import main
 from tests.support.chromium import Chromium, fact, needs_browser
@@ -73,6 +75,15 @@ def test_the_report_is_one_page_with_everything(
     assert fact(browser, 0, "ROIs") == fact(browser, 1, "ROIs") == "6/6"
     browser.size(390, 844, phone=True)
     browser.wait_for("document.documentElement.scrollWidth <= 390")
+    boxes = "[...document.querySelectorAll('figure div')]"
+    assert browser.run(f"{boxes}.every(box => box.scrollWidth <= box.clientWidth)")
+    for dark, (darkest, lightest) in ((False, (200, 256)), (True, (0, 60))):
+        browser.size(390, 844, dark=dark, phone=True)
+        browser.run("document.querySelector('figure img').scrollIntoView()")
+        browser.picture(tmp_path / "figure.png")
+        with Image.open(tmp_path / "figure.png") as picture:
+            middle = picture.convert("L").crop((60, 0, 720, 300))
+            assert darkest <= statistics.median(middle.tobytes()) < lightest
 
 
 def test_a_report_is_refused_before_the_work(
@@ -102,7 +113,7 @@ def test_a_report_is_refused_before_the_work(
     (unfinished / "evaluations.json").write_text("[]")
     (unfinished / "config.json").write_text('{"algorithm": "ppo"}')
     assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
-    assert "config.json has no setting, seed" in capsys.readouterr().err
+    assert "config.json has no setting, field, seed" in capsys.readouterr().err
     assert main(["report", str(runs), "--paper", "-o", str(tmp_path / "new.html")]) == 2
     assert main(["report", str(runs), "-o", str(tmp_path / "folder")]) == 2
     assert not (tmp_path / "new.html").exists()
