@@ -5,13 +5,13 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
-from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
 
-import tyro
+from baselines.cli.options import UsageError, read_options
+from mbn_marl.errors import MbnError, unknown
 
-from mbn_marl.errors import MbnError
+PROGRAM = "python -m benchmarks"
 
 SUBJECTS = {
     "speed": ("speed.measure", "Speed", "engine and adapters, against a plain loop and peers"),
@@ -50,21 +50,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not words or words[0] in ("-h", "--help"):
         print(USAGE)
         return 0
-    if words[0] not in SUBJECTS:
-        close = get_close_matches(words[0], SUBJECTS)
-        hint = f"; did you mean {close[0]}?" if close else ""
-        return _fail(f"subject: {words[0]} is none{hint}\n{USAGE}")
-    command = shlex.join(["python", "-m", "benchmarks", *words])
-    benchmark = tyro.cli(
-        benchmark_class(words[0]),
-        args=words[1:],
-        prog=f"python -m benchmarks {words[0]}",
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
+    subject, *options = words
     try:
-        return 0 if benchmark.run(command) else FAILED
+        if subject not in SUBJECTS:
+            raise UsageError(f"{subject}: {unknown('subject', subject, SUBJECTS)}")
+        benchmark: Any = read_options(benchmark_class(subject), options, f"{PROGRAM} {subject}")
+        return 0 if benchmark.run(f"{PROGRAM} {shlex.join(words)}") else FAILED
     except (MbnError, OSError) as error:
-        return _fail(str(error))
+        print(f"benchmarks: error: {error}", file=sys.stderr)
+        return WRONG_INPUT
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -74,11 +68,6 @@ def benchmark_class(subject: str) -> Any:
     """Return the dataclass of a subject; only its own module is loaded."""
     module, name, _ = SUBJECTS[subject]
     return getattr(import_module(f"benchmarks.{module}"), name)
-
-
-def _fail(message: str) -> int:
-    print(f"benchmarks: error: {message}", file=sys.stderr)
-    return WRONG_INPUT
 
 
 if __name__ == "__main__":

@@ -11,11 +11,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-import tyro
 import yaml
 
 from baselines.cli import main
 from baselines.cli.main import read_command
+from baselines.cli.options import read_options
 from benchmarks.__main__ import benchmark_class
 from mbn_marl import load_field
 from mbn_marl.config import NavigationConfig
@@ -132,7 +132,7 @@ def check_tool(words: Sequence[str]) -> None:
             named = re.search(r"\[(.*)\]", rest[-1])
             assert rest[-1].startswith(".") and (named is None or named[1] in extras), words
         case ["python", "-m", "benchmarks", subject, *options]:
-            tyro.cli(benchmark_class(subject), args=options)
+            read_options(benchmark_class(subject), options, f"benchmarks {subject}")
         case ["python", "-m", module, *_]:
             assert find_spec(module), words
         case ["python", file, *_]:
