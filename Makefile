@@ -1,13 +1,15 @@
 # make demo   set up .venv, train PPO, MAPPO and IPPO on field_03, print the comparison
-# make test   set up .venv, lint, type-check, run the tests
+# make quick  set up .venv, lint, run the tests that take no seconds
+# make test   set up .venv, lint, type-check, run all tests
 # make docs   set up .venv, build the documentation site into build/docs, warnings as errors
+# make pages  set up .venv, build the wheel, run what README and docs show with it elsewhere
 # make clean  remove what the others made, but not runs/
 
 PYTHON ?= python3
 BIN := .venv/bin
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 
-.PHONY: demo test lint docs clean
+.PHONY: demo quick test lint docs pages clean
 .DELETE_ON_ERROR:
 
 .venv/installed: pyproject.toml constraints.txt
@@ -26,11 +28,18 @@ lint: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+quick: .venv/installed
+	$(BIN)/ruff check .
+	$(BIN)/pytest -n 2 -m "not slow"
+
 test: lint
 	$(BIN)/pytest -n 2
 
 docs: .venv/installed
 	$(BIN)/sphinx-build -q -W --keep-going -d build/doctrees docs build/docs
+
+pages: .venv/installed
+	$(BIN)/python -m tests.newcomer
 
 clean:
 	rm -rf .venv .numba_cache .mypy_cache .ruff_cache .pytest_cache *.egg-info build

@@ -221,20 +221,16 @@ def limits(rows: list[Size], facts: dict[str, int]) -> list[str]:
     first, last = rows[0], rows[-1]
     lines = []
     if first.graph_rate > 1.5 * first.eager_rate:
+        times = first.graph_rate / first.eager_rate
         lines.append(
-            f"{first.worlds} worlds launch by launch: the host, which prepares a launch's arguments"
-            f" slower than the device steps (a graph is {first.graph_rate / first.eager_rate:.1f}"
-            " times as fast)"
+            f"{first.worlds} worlds: the host's launches (a graph is {times:.1f} x as fast)"
         )
     resident = facts["resident_threads"] / facts["most_resident_threads"]
     if last.ratio_to_copy >= TARGET_RATIO:
-        why = "memory: the bytes of a step, most of them observations, near a copy's rate"
+        lines.append(f"{last.worlds} worlds: memory, near a copy's rate")
     else:
-        why = (
-            "not the counted bytes alone: 32-byte sectors fetched for single filter words and trail"
-            f" entries, and latency that {resident:.0%} resident threads"
-            f" ({facts['registers_per_thread']} registers each) do not hide; profile with"
-            " ncu --set full to tell them apart"
+        lines.append(
+            f"{last.worlds} worlds: not the counted bytes alone, but 32-byte sectors fetched for"
+            f" single words, and latency that {resident:.0%} resident threads do not hide"
         )
-    lines.append(f"{last.worlds} worlds: {why}")
     return lines

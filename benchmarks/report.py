@@ -32,22 +32,13 @@ ALLOWED = 0.1
 
 @dataclass(frozen=True)
 class Measurement:
-    """One line of the table.
-
-    Attributes:
-        name: of what was measured.
-        value: the figure; ``None`` if it was not measured (``note`` says why), infinite for never.
-        unit: of ``value`` and ``target``.
-        target: the figure aimed at, or ``None``.
-        at_least: whether the target is a lower bound; otherwise it is an upper one.
-        note: how the figure came about, if the name does not say it.
-    """
+    """One line of the table."""
 
     name: str
-    value: float | None
+    value: float | None  # None if it was not measured (the note says why), infinite for never
     unit: str
     target: float | None = None
-    at_least: bool = True
+    at_least: bool = True  # whether the target is a lower bound; otherwise it is an upper one
     note: str = ""
 
     @property
@@ -77,23 +68,14 @@ HEADINGS = ("what", "measured", "target", "", "note")
 
 @dataclass(frozen=True)
 class Findings:
-    """Everything that a benchmark found.
-
-    Attributes:
-        title: of the table of measurements.
-        measurements: its lines.
-        tables: others, printed below it.
-        remarks: lines below these.
-        details: JSON values that are written too.
-        draw: writes a figure to a path, or ``None``.
-    """
+    """Everything that a benchmark found."""
 
     title: str
     measurements: Sequence[Measurement]
-    tables: Sequence[Table] = ()
-    remarks: Sequence[str] = ()
-    details: Mapping[str, Any] = field(default_factory=dict)
-    draw: Callable[[Path], None] | None = None
+    tables: Sequence[Table] = ()  # printed below the measurements
+    remarks: Sequence[str] = ()  # lines below the tables
+    details: Mapping[str, Any] = field(default_factory=dict)  # JSON values that are written too
+    draw: Callable[[Path], None] | None = None  # writes a figure
 
 
 @dataclass(frozen=True)
@@ -212,11 +194,8 @@ def _others() -> float | None:
 def describe_machine() -> dict[str, Any]:
     """Return processor, usable cores, memory (GiB), and the versions of everything measured."""
     described = versions()
-    for name in PEERS:
-        try:
-            described["packages"][name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            described["packages"][name] = None
+    installed = {found.name: found.version for found in importlib.metadata.distributions()}
+    described["packages"] |= {name: installed.get(name) for name in PEERS}
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     try:

@@ -39,7 +39,7 @@ from tests.support.pages import (
 from tests.support.wheel import build_wheel
 
 WIDTH = 80
-LONGEST = 300.0
+LONGEST = 600.0
 """Seconds that a command may take."""
 PAGES_AT_A_TIME = 2
 RULE = re.compile("[─━═╌]{3}")

@@ -88,7 +88,7 @@ def test_notebook_prints_what_it_keeps(path: Path) -> None:
 
 def test_marks_of_blocks_are_known() -> None:
     for page in PAGES:
-        marks = re.findall(r"<!-- needs:(.*)-->", page.read_text(encoding="utf-8"))
+        marks = re.findall(r"(?m)^<!-- needs:(.*)-->$", page.read_text(encoding="utf-8"))
         assert {mark.strip() for mark in marks} <= {*NEEDS}, page
         assert len(marks) == sum(bool(block.needs) for block in blocks_of(page)), page
 

@@ -23,7 +23,7 @@ from mbn_marl import BatchEngine
 from mbn_marl.field import catalogue_names
 
 FIELD = "field_01"
-MILLION = 1e6
+MILLION, RATE = 1e6, "M env-steps/s"
 STEP, LARGE, FIELDS, LARGE_FIELDS, CHECK = "step", "large", "fields", "large fields", "check"
 
 
@@ -33,81 +33,58 @@ def measure_engine(budget: Budget) -> tuple[list[Measurement], dict[str, float]]
     All of them, the plain loop and VMAS (where installed) take turns. The loop, on one thread,
     comes after VMAS, whose threads keep a core busy for some time after their work is done.
     """
-    vmas = vmas_cases()
-    plain = plain_case()
+    vmas, plain, all_fields = vmas_cases(), plain_case(), list(catalogue_names())
     parts = part_cases(budget.worlds, budget.warm_up)
-    cases = [plain, *_engine_cases(budget), *parts, *vmas]
-    timings = interleaved(cases, budget)
-    rows = [
-        *_rate_rows(timings, budget),
-        _plain_row(timings, plain.name),
-        _vmas_row(timings, [case.name for case in vmas]),
-        _check_row(timings),
+    cases = [
+        engine_case(name, BatchEngine(field, worlds), budget.warm_up)
+        for name, field, worlds in (
+            (STEP, FIELD, budget.worlds),
+            (LARGE, FIELD, budget.many_worlds),
+            (FIELDS, all_fields, budget.worlds),
+            (LARGE_FIELDS, all_fields, budget.many_worlds),
+        )
     ]
+    timings = interleaved([plain, *cases, _check_case(budget.worlds), *parts, *vmas], budget)
+    rows = [*_rates(timings, budget), *_ratios(timings, plain.name, [case.name for case in vmas])]
     return rows, _parts(timings)
-
-
-def _engine_cases(budget: Budget) -> list[Case]:
-    fields = list(catalogue_names())
-
-    def case(name: str, field: str | list[str], worlds: int) -> Case:
-        return engine_case(name, BatchEngine(field, worlds), budget.warm_up)
-
-    return [
-        case(STEP, FIELD, budget.worlds),
-        case(LARGE, FIELD, budget.many_worlds),
-        case(FIELDS, fields, budget.worlds),
-        case(LARGE_FIELDS, fields, budget.many_worlds),
-        _check_case(budget.worlds),
-    ]
 
 
 def _check_case(worlds: int) -> Case:
     """The check of actions in ``step`` (shape, type, NaN), in seconds per env-step."""
     engine = BatchEngine(FIELD, worlds)
-    backend = cpu_backend(engine)
     shape = (worlds, engine.n_robots, 2)
-    return RandomSteps(shape, backend.checked_actions).case(CHECK, worlds)
+    return RandomSteps(shape, cpu_backend(engine).checked_actions).case(CHECK, worlds)
 
 
-def _rate_rows(timings: dict[str, Timing], budget: Budget) -> list[Measurement]:
+def _rates(timings: dict[str, Timing], budget: Budget) -> list[Measurement]:
     some, many = f"{budget.worlds:,} worlds", f"{budget.many_worlds:,} worlds"
-    unit = "M env-steps/s"
-
-    def row(name: str, case: str, target: float | None, note: str = "") -> Measurement:
-        return Measurement(name, timings[case].rate / MILLION, unit, target, note=note)
-
     note = "the rest of a step is in the second table"
     return [
-        row(f"BatchEngine.step, {some}", STEP, 12.0),
-        row(f"BatchEngine.step, {many}", LARGE, 10.0),
-        row(f"the ten fields in one batch, {some}", FIELDS, 8.0),
-        row(f"the ten fields in one batch, {many}", LARGE_FIELDS, 8.0),
-        row(f"physics, rewards and collisions only, {some}", _up_to(REWARDS), None, note),
+        Measurement(name, timings[case].rate / MILLION, RATE, target, note=note)
+        for name, case, target, note in (
+            (f"BatchEngine.step, {some}", STEP, 12.0, ""),
+            (f"BatchEngine.step, {many}", LARGE, 10.0, ""),
+            (f"the ten fields in one batch, {some}", FIELDS, 8.0, ""),
+            (f"the ten fields in one batch, {many}", LARGE_FIELDS, 8.0, ""),
+            (f"physics, rewards and collisions only, {some}", _up_to(REWARDS), None, note),
+        )
     ]
 
 
-def _plain_row(timings: dict[str, Timing], plain: str) -> Measurement:
-    name = "BatchEngine.step against the plain loop"
-    loop = timings[plain]
-    note = f"the loop: {loop.rate:,.0f} env-steps/s"
-    return Measurement(name, timings[STEP].times_faster_than(loop), "x", 1000.0, note=note)
-
-
-def _vmas_row(timings: dict[str, Timing], vmas: list[str]) -> Measurement:
-    name = "BatchEngine.step against VMAS simple_spread"
-    if not vmas:
-        return Measurement(name, None, "x", 5.0, note="needs vmas: pip install 'mbn-marl[bench]'")
-    best = min(vmas, key=lambda case: timings[case].median)
-    note = f"its best: {best.partition(', ')[2]}, {timings[best].rate / MILLION:.2f} M env-steps/s"
-    return Measurement(name, timings[STEP].times_faster_than(timings[best]), "x", 5.0, note=note)
-
-
-def _check_row(timings: dict[str, Timing]) -> Measurement:
-    share = 100 / timings[CHECK].times_faster_than(timings[STEP])
-    return Measurement(
-        "check of the actions (NaN, shape), of a step", share, "%", 3.0, at_least=False
-    )
+def _ratios(timings: dict[str, Timing], plain: str, vmas: list[str]) -> list[Measurement]:
+    step, loop = timings[STEP], timings[plain]
+    ratio, note = None, "needs vmas: pip install 'mbn-marl[bench]'"
+    if vmas:
+        best = min(vmas, key=lambda case: timings[case].median)
+        ratio = step.times_faster_than(timings[best])
+        note = f"its best: {best.partition(', ')[2]}, {timings[best].rate / MILLION:.2f} {RATE}"
+    share = 100 / timings[CHECK].times_faster_than(step)
+    times, of_loop = step.times_faster_than(loop), f"the loop: {loop.rate:,.0f} env-steps/s"
+    return [
+        Measurement("BatchEngine.step against the plain loop", times, "x", 1000.0, note=of_loop),
+        Measurement("BatchEngine.step against VMAS simple_spread", ratio, "x", 5.0, note=note),
+        Measurement("check of the actions (NaN, shape), of a step", share, "%", 3.0, False),
+    ]
 
 
 def _parts(timings: dict[str, Timing]) -> dict[str, float]:

@@ -19,43 +19,25 @@ SETS = 64
 
 @dataclass(frozen=True)
 class Budget:
-    """How much is measured.
+    """How much is measured."""
 
-    Attributes:
-        rounds: how often every case has its turn.
-        seconds: how long a turn takes, about; at least one call.
-        warm_up: steps before the first turn. As many as an episode has at most let the worlds'
-            episodes be of all ages.
-        worlds: worlds of a batch.
-        many_worlds: worlds of a large batch.
-        sized_worlds: worlds of the batches that show the cost against a size.
-        startup: also start fresh processes, with an empty cache and with a filled one.
-    """
-
-    rounds: int = 15
-    seconds: float = 0.06
-    warm_up: int = 1000
+    rounds: int = 15  # how often every case has its turn
+    seconds: float = 0.06  # how long a turn takes, about; at least one call
+    warm_up: int = 1000  # steps before; as many as an episode has at most: episodes of all ages
     worlds: int = 4096
-    many_worlds: int = 16_384
-    sized_worlds: int = 1024
-    startup: bool = True
+    many_worlds: int = 16_384  # of a large batch
+    sized_worlds: int = 1024  # of the batches that show the cost against a size
+    startup: bool = True  # also start fresh processes, with an empty cache and with a filled one
 
 
 @dataclass(frozen=True)
 class Case:
-    """Something to time.
-
-    Attributes:
-        name: of the case, unique in its group.
-        run: does it so many times.
-        units: how many units (env-steps, say) it does each time.
-        prepare: gets ready for so many times before the clock starts.
-    """
+    """Something to time; the name is unique in its group."""
 
     name: str
-    run: Callable[[int], object]
-    units: float = 1.0
-    prepare: Callable[[int], object] = lambda calls: None
+    run: Callable[[int], object]  # does it so many times
+    units: float = 1.0  # how many units (env-steps, say) it does each time
+    prepare: Callable[[int], object] = lambda calls: None  # before the clock starts
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ NEVER = float("inf")
 
 @dataclass(frozen=True)
 class Passing:
-    """When a run first passed a fresh evaluation: ``NEVER`` in both for one that did not.
+    """When a run first passed a fresh evaluation; ``NEVER`` in both for one that did not.
 
     A run passes when the mean return of fresh episodes with sampled actions is 100 000 or more, at
     least 99 % of them succeed, and so does the policy with mean actions.
@@ -51,40 +51,21 @@ def best_return(result: RunRecord) -> float:
 
 @dataclass(frozen=True)
 class FieldLine:
-    """What the runs of one label on one field reached.
-
-    Attributes:
-        label: the label.
-        field: the field.
-        runs: how many there are.
-        passed: how many final policies pass.
-        env_steps: median of the env-steps of the first evaluation that passes; ``None`` if most
-            runs never do.
-        worst_env_steps: the most of them; ``None`` if a run never does.
-        seconds: median wall time to that evaluation.
-        return_mean: mean return with sampled actions.
-        success_rate: share of those episodes that succeed.
-        deterministic_median: median over seeds of the return with mean actions.
-        deterministic_best: the best return with mean actions of any evaluation of theirs, on the
-            way or at the end, as the paper's tables have the best of training. Of a run only the
-            last policy is kept.
-        optimum: the proved best return, or ``None``.
-        paper_best: the paper's best on the field over its algorithms and settings, or ``None``.
-    """
+    """What the runs of one label on one field reached; ``None`` for never or unknown."""
 
     label: str
     field: str
     runs: int
-    passed: int
-    env_steps: float | None
+    passed: int  # final policies that pass
+    env_steps: float | None  # median to the first evaluation that passes
     worst_env_steps: float | None
-    seconds: float | None
-    return_mean: float
-    success_rate: float
-    deterministic_median: float
-    deterministic_best: float
-    optimum: float | None
-    paper_best: float | None
+    seconds: float | None  # median wall time to that evaluation
+    return_mean: float  # with sampled actions
+    success_rate: float  # of those episodes
+    deterministic_median: float  # return with mean actions, of final policies
+    deterministic_best: float  # of any evaluation, as the paper's tables have the best of training
+    optimum: float | None  # the proved best return
+    paper_best: float | None  # over its algorithms and settings
 
     @classmethod
     def of(cls, cell: Sequence[RunRecord]) -> FieldLine:

@@ -21,7 +21,7 @@ from baselines.sweep.worker import Outcome
 from baselines.training.config import TrainConfig
 from baselines.training.progress_bar import Listener, print_finished
 from benchmarks.report import Benchmark, Measurement
-from benchmarks.studies.learning import STEPS, Learning, best_rows, bound, measurement_grid, shown
+from benchmarks.studies.learning import STEPS, Learning, best_rows, measurement_grid, shown
 from benchmarks.studies.passing import FieldLine, best_return
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import catalogue_names
@@ -205,7 +205,9 @@ def _rows(
     """The targets."""
     lines = [FieldLine.of(cell) for cell in cells.values()]
     note = f"{config.processes} at a time"
-    wall = bound("population: wall time of all runs", seconds, "s", 60.0 * config.minutes, note)
+    wall = Measurement(
+        "population: wall time of all runs", seconds, "s", 60.0 * config.minutes, False, note
+    )
     return [*best_rows("population", lines), wall]
 
 
