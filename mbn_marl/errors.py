@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 
 
@@ -38,6 +39,18 @@ class ProblemsError(MbnError):
         count = len(self.problems)
         title = f"{source}: {count} problem{'s' if count != 1 else ''}"
         super().__init__("\n  - ".join([title, *self.problems]))
+
+
+@contextmanager
+def collecting(problems: list[str]) -> Iterator[None]:
+    """Add what an error says to ``problems``, once and with its place, instead of raising it."""
+    try:
+        yield
+    except ProblemsError as error:
+        found = [f"{error.source}: {problem}" for problem in error.problems]
+        problems += [problem for problem in found if problem not in problems]
+    except MbnError as error:
+        problems += [str(error)] if str(error) not in problems else []
 
 
 class FieldError(ProblemsError):

@@ -3,34 +3,50 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import arg
+from tyro.constructors import PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+from baselines.cli.options import REGISTRY, Reading
+from baselines.compare.config import CompareConfig
+from baselines.compare.variants import Variant, parse_variants, read_variants
+from mbn_marl.errors import ConfigError
 
 if TYPE_CHECKING:
     from baselines.compare.results import Results
-    from baselines.compare.run import CompareConfig
+
+
+@REGISTRY.primitive_rule
+def read_variant(info: PrimitiveTypeInfo) -> Reading | None:
+    """Read a variant from ``ALGO`` or ``ALGO:SETTING``."""
+    if info.type is not Variant:
+        return None
+
+    def read(words: list[str]) -> Variant:
+        try:
+            return parse_variants(words)[0]
+        except ConfigError as error:
+            raise ValueError(f"{words[0]!r}; {', '.join(error.problems)}") from None
+
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="ALGO",
+        instance_from_str=read,
+        is_instance=lambda value: isinstance(value, Variant),
+        str_from_instance=lambda value: [value.name],
+    )
 
 
 @dataclass(frozen=True)
 class Compare:
     """Train every algorithm on every field with every seed, then print and write a comparison."""
 
-    algos: tuple[str, ...] = ()
-    """Algorithms of `mbn train`, centralised and decentralised together; crossq:A is crossq under
-    setting A, crossq under N. By default ppo mappo ippo."""
+    config: Annotated[CompareConfig, arg(name="")]
     variants: Path | None = None
     """Instead of --algos: a YAML file of labelled variants, see docs/comparison.md."""
-    fields: tuple[str, ...] = ("field_03",)
-    """Names of `mbn fields`, or paths of field files."""
-    seeds: tuple[int, ...] = (0, 1, 2)
-    """One run per algorithm, field and seed."""
-    steps: int = 655_360
-    """Budget of every run in env-steps."""
-    evaluate_every: int = 32_768
-    """Env-steps between two fresh evaluations."""
-    episodes: int = 100
-    """Episodes of an evaluation."""
     processes: int = os.cpu_count() or 1
     """Runs at a time; each takes one core."""
     out: Path = Path("runs/comparison")
@@ -38,28 +54,18 @@ class Compare:
     force: bool = False
     """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
     resume: bool = False
-    """Go on with the comparison in the folder: finished runs are kept, interrupted ones go on,
+    """Resume the comparison in the folder: finished runs are kept, interrupted ones are resumed,
     missing ones are started. The rest of the command must be the same."""
     wandb: str | None = None
     """Log every run to this project of Weights & Biases too (pip install wandb)."""
 
     def run(self, command_line: str) -> None:
         """Train with a bar for every run, then print the tables."""
-        from baselines.compare.run import CompareConfig
-        from baselines.compare.variants import parse_variants, read_variants
-        from mbn_marl.errors import ConfigError
-
-        if self.algos and self.variants is not None:
-            raise ConfigError("comparison", ["algos and variants: allowed is one of them"])
-        named = parse_variants(self.algos or ("ppo", "mappo", "ippo"))
-        config = CompareConfig(
-            named if self.variants is None else read_variants(self.variants),
-            self.fields,
-            self.seeds,
-            self.steps,
-            self.evaluate_every,
-            self.episodes,
-        )
+        config = self.config
+        if self.variants is not None:
+            if config.variants != CompareConfig.variants:
+                raise ConfigError("comparison", ["algos and variants: allowed is one of them"])
+            config = replace(config, variants=read_variants(self.variants))
         train_and_compare(
             config,
             self.out,
@@ -96,7 +102,6 @@ def train_and_compare(
     from baselines.runs.files import RunError
     from baselines.runs.report_path import Place
     from baselines.training.progress_bar import ProgressDisplay
-    from mbn_marl.errors import ConfigError
 
     problems = []
     if processes < 1:

@@ -82,7 +82,7 @@ def read_options(command: type[Command], words: Sequence[str], prog: str) -> Com
 
 def _wrapped(line: str) -> str:
     """Return a line of the description wrapped; those of the options begin with a space."""
-    return line if line.startswith(" ") else textwrap.fill(line, WIDTH)
+    return line.rstrip() if line.startswith(" ") else textwrap.fill(line, WIDTH)
 
 
 def _in_short(said: str) -> str:
@@ -118,6 +118,8 @@ def _option(field: Field[Any], hint: Any, texts: dict[str, str]) -> StructFieldS
         default = field.default_factory()
     if default is MISSING:
         default = tyro.MISSING
+    if default is None and isinstance(hint, type):
+        hint = hint | None
     silent = any(default is nothing for nothing in (None, False, (), tyro.MISSING))
     hint = Annotated[hint, arg(help_behavior_hint="" if silent else _default)]
     return StructFieldSpec(field.name, hint, default, texts.get(field.name))
@@ -137,7 +139,13 @@ def _help_texts(command: type) -> dict[str, str]:
             match above, below:
                 case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(text))):
                     texts[name] = text
-    return {name: " ".join(text.split()) for name, text in texts.items()}
+    return {name: _sentence(text.split()) for name, text in texts.items()}
+
+
+def _sentence(words: list[str]) -> str:
+    """Return words as a text that begins with a capital letter, unless a name is first."""
+    first, *rest = words
+    return " ".join([first[0].upper() + first[1:] if first.isalpha() else first, *rest])
 
 
 @REGISTRY.primitive_rule

@@ -2,94 +2,21 @@
 
 from __future__ import annotations
 
-import itertools
-import json
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from baselines.compare.config import CompareConfig
 from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
-from baselines.compare.variants import Variant
 from baselines.runs.differences import differences
 from baselines.runs.files import RunError, alone, claim_folder, read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.provenance import write_provenance
 from baselines.sweep.processes import LocalEngine
 from baselines.sweep.run import check_outcomes, train_runs
-from baselines.training.config import TrainConfig
 from baselines.training.loggers import find_wandb
 from baselines.training.progress_bar import Listener
 from baselines.training.train import prepare
-from mbn_marl.errors import ConfigError
-
-
-@dataclass(frozen=True)
-class CompareConfig:
-    """What to compare: every variant on every field with every seed.
-
-    Attributes:
-        variants: ways to train, each under a label of its own.
-        fields: catalogue names or paths.
-        seeds: one run each.
-        steps: env-steps of every run.
-        evaluate_every: env-steps between two fresh evaluations.
-        episodes: stochastic episodes of an evaluation.
-
-    Raises:
-        ConfigError: a list is empty or names something twice, two field files have the same name,
-            or a number is out of range.
-        MbnError: an algorithm or a field is not valid.
-    """
-
-    variants: tuple[Variant, ...]
-    fields: tuple[str, ...]
-    seeds: tuple[int, ...]
-    steps: int
-    evaluate_every: int
-    episodes: int
-
-    def __post_init__(self) -> None:
-        """Check everything before the first run starts."""
-        problems = []
-        lists: dict[str, Sequence[Any]] = {
-            "algorithms": [variant.name for variant in self.variants],
-            "fields": self.fields,
-            "seeds": self.seeds,
-        }
-        for name, values in lists.items():
-            if not values:
-                problems.append(f"{name}: at least one is needed")
-            problems += [
-                f"{name}: {value} is given twice"
-                for value in dict.fromkeys(values)
-                if values.count(value) > 1
-            ]
-        if problems:
-            raise ConfigError("comparison", problems)
-        names = [run.name for run in self.runs()]
-        if len(set(names)) < len(names):
-            raise ConfigError("comparison", ["fields: two files have the same name"])
-
-    def runs(self) -> list[TrainConfig]:
-        """The runs, seed by seed."""
-        return [
-            variant.training(
-                field,
-                seed,
-                steps=self.steps,
-                evaluate_every=self.evaluate_every,
-                episodes=self.episodes,
-            )
-            for seed, field, variant in itertools.product(self.seeds, self.fields, self.variants)
-        ]
-
-    def to_json(self) -> dict[str, Any]:
-        """As JSON values."""
-        values = {**vars(self), "variants": [variant.model_dump() for variant in self.variants]}
-        as_json: dict[str, Any] = json.loads(json.dumps(values))
-        return as_json
+from mbn_marl.errors import ConfigError, collecting
 
 
 def train_all_runs(
@@ -128,8 +55,12 @@ def train_all_runs(
     if wandb is not None:
         find_wandb()
     runs = config.runs()
+    problems: list[str] = []
     for run in runs:
-        prepare(run)
+        with collecting(problems):
+            prepare(run)
+    if problems:
+        raise ConfigError("comparison", problems)
     if resume:
         _check_same(config, out)
     else:

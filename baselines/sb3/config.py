@@ -130,7 +130,7 @@ def load(
     block = read_block(file or FOLDER / f"{FILES.get(algorithm, algorithm)}.yaml", name)
     given = {"num_envs": num_envs} if num_envs is not None else {}
     values = {**block, **overrides, **given}
-    if isinstance(block.get("model"), dict) and "model" in overrides:
+    if isinstance(block.get("model"), dict) and isinstance(overrides.get("model"), dict):
         values["model"] = {**block["model"], **overrides["model"]}
     config = validate(SB3Config, values, place)
     accepted = accepted_arguments(algorithm)

@@ -1,4 +1,4 @@
-"""What is asked of a training run: the request as given, and as a trainer gets it."""
+"""A training run: the request as given, and as a trainer gets it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
-from baselines.algorithms import Setting, find_algorithm
+from tyro.conf import Positional, Suppress, arg
+
+from baselines.algorithms import SETTINGS, Setting, find_algorithm
 from baselines.training.overrides import ENVIRONMENT, words_of
-from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.errors import ConfigError, MbnError, collecting
 from mbn_marl.field import Field, load_field
 
 LABEL = re.compile(r"[A-Za-z0-9][\w.+-]*")
@@ -23,55 +25,67 @@ MOST_SEED = 2**32 - 1
 
 
 class DivergenceError(MbnError):
-    """A learner broke down in training."""
+    """A learner diverged: its numbers are no longer finite."""
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """What a training run is asked to do.
+    """A training run: what is asked of it, and the options of `mbn train`.
 
     Attributes:
-        algorithm: a name of :data:`baselines.algorithms.ALGORITHMS`.
-        field: a catalogue name or the path of a field file.
-        setting: a name of :data:`baselines.algorithms.SETTINGS` that the algorithm has.
-        seed: seeds the networks, the exploration and the worlds (0 to 2^32 - 1).
-        steps: the budget in env-steps (> 0), rounded up to whole updates of the learner.
-        evaluate_every: env-steps between two fresh evaluations (> 0).
-        episodes: stochastic episodes of an evaluation (> 0).
-        stop_at: stop before the end of the budget, at the first fresh evaluation whose mean true
-            return is at least this, if at least 99 % of its episodes succeed and all of those
-            with mean actions. ``None``: train to the end.
-        num_envs: worlds side by side; ``None`` for the setting's own number.
-        hyperparams: a YAML file whose block of the setting takes the place of the recorded one.
-        transferred_from: under setting C, the folder of the run whose policy it begins with.
-        device: what the networks run on, ``"cpu"`` or ``"cuda"``.
-        label: what tables and figures call it; ``None`` for :func:`default_label`.
+        algorithm: a2c, ppo, trpo, ars, crossq, tqc (the centralised MDP); mappo, ippo, ppo-shared
+            and ppo-supersuit (decentralised).
+        field: a name of `mbn fields`, or the path of a field file.
+        setting: A: the paper's library defaults, raw observation and reward. B: its Optuna values.
+            C: as A, from a policy trained on another field. N: normalised observation, scaled
+            reward.
+        seed: of networks, exploration and worlds, 0 to 2^32 - 1; by default 33 under A, B and C, 0
+            under N.
+        steps: the budget in env-steps (an env-step moves every robot of one world once), rounded up
+            to whole updates; by default 5,000,000 under A, B and C, 655,360 under N.
+        evaluate_every: env-steps between two fresh evaluations; after each one a checkpoint is
+            written.
+        episodes: stochastic episodes of an evaluation.
+        stop_at: stop before the end of the budget, at the first fresh evaluation with this mean
+            return (reward) and 99 % success, if all episodes with mean actions succeed too.
+        num_envs: worlds stepped side by side; by default 1 under A, B and C, the recorded number
+            under N.
+        hyperparams: a YAML file whose block named as the setting replaces the recorded one.
+        transferred_from: under C: the folder of the run whose policy it begins with; `mbn transfer`
+            does it all.
+        device: where the networks run, and under mappo and ippo the worlds too; of the centralised
+            algorithms, worth it for crossq and tqc.
+        label: the name in tables and figures, and of the folder; by default the algorithm.
         environment: settings of the environment that differ from the algorithm's own.
         hyperparameters: hyperparameters that differ from the algorithm's own.
 
     Raises:
-        ConfigError: naming every number out of range, or a setting the algorithm does not have.
-        MbnError: the algorithm or the field is not valid.
+        ConfigError: naming every number out of range, and an algorithm, setting or field that is
+            not there.
     """
 
-    algorithm: str
-    field: str
+    algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
+    field: Positional[Annotated[str, arg(metavar="FIELD")]]
     setting: Setting = "N"
-    seed: int = 0
-    steps: int = 655_360
+    seed: int = None  # type: ignore[assignment]  # replaced by the setting's own
+    steps: int = None  # type: ignore[assignment]
     evaluate_every: int = 32_768
     episodes: int = 100
     stop_at: float | None = None
     num_envs: int | None = None
     hyperparams: Path | None = None
-    transferred_from: Path | None = None
+    transferred_from: Annotated[Path | None, arg(name="from", metavar="RUN")] = None
     device: Literal["cpu", "cuda"] = "cpu"
     label: str | None = None
-    environment: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    hyperparameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    environment: Suppress[Mapping[str, Any]] = dataclasses.field(default_factory=dict)
+    hyperparameters: Suppress[Mapping[str, Any]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the numbers and the names."""
+        """Fill in the setting's own numbers; check the numbers and the names."""
+        protocol = SETTINGS.get(self.setting, SETTINGS["N"])
+        for name in ("seed", "steps"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, getattr(protocol, name))
         counts = {"steps": 1, "evaluate_every": 1, "episodes": 1, "num_envs": 1}
         problems = [
             f"{name}: must be at least {least} (got {value})"
@@ -80,24 +94,24 @@ class TrainConfig:
         ]
         if self.seed > MOST_SEED:
             problems.append(f"seed: must be at most 2^32 - 1 (got {self.seed})")
-        if problems:
-            raise ConfigError("training", problems)
-        algorithm = find_algorithm(self.algorithm)
-        if self.setting not in algorithm.settings:
-            allowed = ", ".join(algorithm.settings)
-            problems.append(f"setting: {self.algorithm} has {allowed}, not {self.setting}")
-        elif self.setting == "C" and self.transferred_from is None:
-            problems.append("setting: C goes on from a trained policy; name its run with --from")
-        elif self.setting != "C" and self.transferred_from is not None:
-            problems.append(f"from: setting {self.setting} begins anew; allowed: setting C")
         if self.label is not None and not LABEL.fullmatch(self.label):
             problems.append(
                 f"label: {self.label!r}; allowed: letters, digits, _ . + -, the first a letter "
                 "or digit"
             )
+        with collecting(problems):
+            allowed = find_algorithm(self.algorithm).settings
+            if self.setting not in allowed:
+                has = ", ".join(allowed)
+                problems.append(f"setting: {self.algorithm} has {has}, not {self.setting}")
+            elif self.setting == "C" and self.transferred_from is None:
+                problems.append("setting: C continues from a trained policy; name it with --from")
+            elif self.setting != "C" and self.transferred_from is not None:
+                problems.append(f"from: allowed under setting C, not {self.setting}")
+        with collecting(problems):
+            load_field(self.field)
         if problems:
             raise ConfigError("training", problems)
-        load_field(self.field)
 
     @property
     def name(self) -> str:
@@ -108,27 +122,17 @@ class TrainConfig:
 
     @property
     def shown_as(self) -> str:
-        """What tables and figures call it."""
+        """The name in tables and figures."""
         return self.label or default_label(self.algorithm, self.setting)
 
     @property
     def command(self) -> str:
         """The command line that repeats this run."""
-        options = {
-            "--setting": self.setting,
-            "--seed": self.seed,
-            "--steps": self.steps,
-            "--evaluate-every": self.evaluate_every,
-            "--episodes": self.episodes,
-            "--stop-at": self.stop_at,
-            "--num-envs": self.num_envs,
-            "--hyperparams": self.hyperparams,
-            "--from": self.transferred_from,
-            "--device": self.device,
-            "--label": self.label,
-        }
-        given = {name: value for name, value in options.items() if value is not None}
-        words = [str(word) for option in given.items() for word in option]
+        words: list[str] = []
+        for field in dataclasses.fields(self)[2:-2]:
+            name = "from" if field.name == "transferred_from" else field.name.replace("_", "-")
+            if (value := getattr(self, field.name)) is not None:
+                words += [f"--{name}", str(value)]
         environment = {ENVIRONMENT: self.environment} if self.environment else {}
         if changes := words_of({**self.hyperparameters, **environment}):
             words += ["--set", *changes]
@@ -136,7 +140,7 @@ class TrainConfig:
 
 
 def default_label(algorithm: str, setting: str) -> str:
-    """What tables and figures call a run without a label: setting N goes without saying."""
+    """Return the name in tables and figures of a run without a label; setting N is left out."""
     return algorithm if setting == "N" else f"{algorithm}-{setting}"
 
 
@@ -156,7 +160,7 @@ class Budget(NamedTuple):
 
 @dataclass(frozen=True)
 class Task:
-    """What a trainer gets: the request with its field loaded and its settings resolved.
+    """A request with its field loaded and its settings resolved, as a trainer gets it.
 
     Attributes:
         config: the request.

@@ -18,7 +18,7 @@ from baselines.training.loggers import find_wandb
 from baselines.training.progress_bar import Listener
 from baselines.training.run_logger import Recorder
 from mbn_marl.config import make_config
-from mbn_marl.errors import ActionError, ConfigError, MbnError
+from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
 from mbn_marl.field import Field, load_field
 
 
@@ -108,7 +108,13 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
     Raises:
         MbnError: the field, a setting, a hyperparameter or the run to begin with is not valid.
     """
-    hyperparameters = resolve_hyperparameters(config)
+    problems: list[str] = []
+    with collecting(problems):
+        make_config(config.environment)
+    with collecting(problems):
+        hyperparameters = resolve_hyperparameters(config)
+    if problems:
+        raise ConfigError("training", problems)
     settings = {**hyperparameters.environment, **config.environment}
     make_config(settings)
     task = Task(config, load_field(config.field), settings)

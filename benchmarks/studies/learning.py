@@ -12,8 +12,8 @@ from statistics import median
 from typing import ClassVar
 
 from baselines.cli.compare import train_and_compare
+from baselines.compare.config import CompareConfig
 from baselines.compare.results import Results
-from baselines.compare.run import CompareConfig
 from baselines.compare.text_table import TextTable
 from baselines.compare.variants import read_variants
 from baselines.console import console
@@ -57,7 +57,7 @@ class Study(Benchmark):
         """Return the comparison.
 
         Raises:
-            MbnError: as :class:`~baselines.compare.run.CompareConfig`.
+            MbnError: as :class:`~baselines.compare.config.CompareConfig`.
         """
         variants = read_variants(Path(__file__).with_name(f"{self.name}.yaml"))
         return CompareConfig(variants, self.fields, self.seeds, self.steps, 32_768, 100)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from baselines.cli import main
+from baselines.cli.main import main, read_command
 
 CATALOGUE = Path(__file__).parents[3] / "envs_catalog"
 TINY = ("--steps", "1", "--evaluate-every", "4096", "--episodes", "2")
@@ -149,6 +150,56 @@ def test_wrong_input_is_one_clear_message(
     assert message in error
     assert "Traceback" not in error
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "places"),
+    [
+        (
+            ["train", "pppo", "feld_03", "--seed", "-1", "--label", "a/b"],
+            ["seed: ", "label: ", "pppo: ", "feld_03: "],
+        ),
+        (
+            ["compare", "--algos", "pppo", "tqqc", "--fields", "feld_03", "--seeds", "0", "0"],
+            ["seeds: ", "pppo: ", "tqqc: ", "feld_03: "],
+        ),
+        (
+            ["train", "ippo", "field_03", "--set", "gama=1", "clip=x", "environment.max_step=5"],
+            ["gama: ", "clip: ", "max_step: unknown name (did you mean max_steps?)"],
+        ),
+        (["train", "ippo", "field_03", "--set", "gamma", "=3"], ["gamma: must", "=3: must"]),
+        (["train", "ppo", "field_03", "--set", "model=3"], ["model: "]),
+        (["train", "ppo", "field_03", "--set", "model=null"], ["model: "]),
+        (["train", "ppo", "field_03", "--set", "model.policy=3"], ["model.policy: "]),
+        (
+            ["train", "ippo", "field_03", "--set", "task=3", "algorithm=4"],
+            ["task: ", "algorithm: "],
+        ),
+        (["train", "ppo", "field_03", "--set", "environment=3"], ["environment: "]),
+    ],
+)
+def test_all_problems_are_named_at_once(
+    arguments: list[str],
+    places: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n  - ") == len(places)
+    assert all(place in error for place in places), error
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("setting", "seed", "steps"), [("A", 33, 5_000_000), ("N", 0, 655_360)])
+def test_a_setting_has_its_own_seed_and_budget(setting: str, seed: int, steps: int) -> None:
+    command = read_command(["train", "ppo", "field_03", "--setting", setting])
+    assert (command.config.seed, command.config.steps) == (seed, steps)
+    asked = read_command(["train", "ppo", "field_03", "--setting", setting, "--steps", "1e3"])
+    assert (asked.config.seed, asked.config.steps) == (seed, 1000)
+    assert read_command(shlex.split(asked.config.command)[1:]) == asked
 
 
 def _wait_for(condition: Callable[[], bool], seconds: float = 120.0) -> bool:

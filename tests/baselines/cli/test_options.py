@@ -119,7 +119,7 @@ def test_help_is_plain(capsys: pytest.CaptureFixture[str]) -> None:
     assert not caught.value.code
     lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
     words = " ".join(" ".join(lines).split())
-    assert "--steps INT how many steps are taken, all in all and on the whole" in words
+    assert "--steps INT How many steps are taken, all in all and on the whole" in words
     assert "(default: 5)" in words and "(default: 0 0.5)" in words
     assert "--limit INT At most. -o PATH, --out PATH Where. --quiet Say nothing." in words
 
