@@ -85,6 +85,12 @@ def test_a_reader_of_baselines_sees_few_names() -> None:
     assert len({name for name in names if not name.startswith(("_", "README"))}) <= 15, names
 
 
+def test_no_file_is_longer_than_a_reader_likes() -> None:
+    paths = [*MODULES.values(), *(ROOT / "tests").rglob("*.py"), ROOT / "docs" / "conf.py"]
+    lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in paths}
+    assert {path: count for path, count in lines.items() if count > 400} == {}
+
+
 def test_no_circle_within_a_package() -> None:
     graph = {
         module: {

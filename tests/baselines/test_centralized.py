@@ -383,14 +383,8 @@ def test_a_budget_that_is_rounded_up_is_said_before(
     name: str, changes: dict[str, Any], said: str | None, tmp_path: Path
 ) -> None:
     small = {"num_envs": 2, "policy": "MlpPolicy"} if ALGORITHMS[name].package == "sb3" else {}
-    config = TrainConfig(
-        name,
-        "field_03",
-        steps=100,
-        episodes=1,
-        environment={"max_steps": 20},
-        hyperparameters={**small, **changes},
-    )
+    budget: dict[str, Any] = {"steps": 100, "episodes": 1, "environment": {"max_steps": 20}}
+    config = TrainConfig(name, "field_03", **budget, hyperparameters={**small, **changes})
     lines = [line for line in notes(config) if line.startswith("steps: ")]
     assert [said in line for line in lines] == ([True] if said else [])
     taken = train(config, tmp_path / "run").evaluation["env_steps"]
