@@ -31,20 +31,12 @@ from mbn_marl.errors import MbnError
 
 @dataclass(frozen=True)
 class Subject:
-    """Something that is read.
-
-    Attributes:
-        name: what it is.
-        folder: where it lies.
-        files: its files, relative to the folder.
-        read: reads all of them in a copy of the folder; what it returns has a ``repr`` that shows
-            everything.
-    """
+    """Something that is read."""
 
     name: str
     folder: Path
-    files: tuple[Path, ...]
-    read: Callable[[Path], Any]
+    files: tuple[Path, ...]  # relative to the folder
+    read: Callable[[Path], Any]  # from a copy of the folder; the repr of the result shows all
 
 
 @dataclass

@@ -42,21 +42,13 @@ FAMILIES: Mapping[str, tuple[str, dict[str, Any], int]] = {
 
 @dataclass
 class Count:
-    """The killed runs of a family.
+    """The killed runs of a family."""
 
-    Attributes:
-        kills: runs that were killed before their end.
-        early: of these, killed before the first checkpoint.
-        lost: runs that could not be brought to their end.
-        missteps: runs whose steps do not add up.
-        unequal: runs that ended otherwise than one left alone.
-    """
-
-    kills: int = 0
-    early: int = 0
-    lost: int = 0
-    missteps: int = 0
-    unequal: int = 0
+    kills: int = 0  # runs that were killed before their end
+    early: int = 0  # of these, killed before the first checkpoint
+    lost: int = 0  # runs that could not be brought to their end
+    missteps: int = 0  # runs whose steps do not add up
+    unequal: int = 0  # runs that ended otherwise than one left alone
 
     @property
     def good(self) -> bool:
