@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +23,8 @@ class Plan:
     """Team size; by default as many as the field has starts."""
     wind: tuple[float, float] = (0.0, 0.0)
     """Speed (units/step per step) and direction (degrees from +x) of the wind."""
+    write: bool = False
+    """Write a proved optimum into the field file, as its `optimal_makespan`."""
     time_limit: float = 60.0
     """Seconds after which the best interval so far is returned."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
@@ -39,11 +42,32 @@ class Plan:
         """Plan, print, and write the files."""
         from baselines.runs.files import claim_folder, write_json
         from mbn_marl.config import make_config
-        from mbn_marl.errors import ConfigError
         from mbn_marl.field import load_field
         from mbn_marl.files import check_free
         from mbn_marl.planning import plan
         from mbn_marl.planning.problem import make_problem
+
+        self._check()
+        field = load_field(self.field)
+        settings: dict[str, Any] = {"n_robots": self.n_robots, "wind": self.wind}
+        make_problem(field, make_config(settings))  # says what is wrong before anything is moved
+        if self.export is not None:
+            check_free(self.export, force=self.force)
+        folder = claim_folder(self.out or Path(f"runs/plan-{field.name}"), force=self.force)
+        found = plan(field, time_limit=self.time_limit, **settings)
+        print_plan(found)
+        self._keep_optimum(found)
+        write_json(folder / "plan.json", {"command": command_line, **found.to_json()})
+        names = ["plan.json"]
+        if found.makespan is not None:
+            names += _write_plan(found, folder, settings)
+        print(f"written to {folder}: {', '.join(names)}")
+        if self.export is not None:
+            self._export(found, settings, self.export)
+
+    def _check(self) -> None:
+        """Check that the options fit together."""
+        from mbn_marl.errors import ConfigError
 
         problems = []
         if not self.time_limit > 0.0:
@@ -56,23 +80,26 @@ class Plan:
             problems.append("episodes, noise: for --export")
         if self.export is not None and self.export.suffix != ".npz":
             problems.append(f"export: allowed: a name that ends in .npz, not {self.export}")
+        if self.write and not Path(self.field).is_file():
+            problems.append(f"write: allowed with a field file of yours, not {self.field}")
+        if self.write and (self.n_robots is not None or any(self.wind)):
+            problems.append("write: allowed without --n-robots and --wind")
         if problems:
             raise ConfigError("plan", problems)
-        field = load_field(self.field)
-        settings: dict[str, Any] = {"n_robots": self.n_robots, "wind": self.wind}
-        make_problem(field, make_config(settings))  # says what is wrong before anything is moved
-        if self.export is not None:
-            check_free(self.export, force=self.force)
-        folder = claim_folder(self.out or Path(f"runs/plan-{field.name}"), force=self.force)
-        found = plan(field, time_limit=self.time_limit, **settings)
-        print_plan(found)
-        write_json(folder / "plan.json", {"command": command_line, **found.to_json()})
-        names = ["plan.json"]
-        if found.makespan is not None:
-            names += _write_plan(found, folder, settings)
-        print(f"written to {folder}: {', '.join(names)}")
-        if self.export is not None:
-            self._export(found, settings, self.export)
+
+    def _keep_optimum(self, found: FoundPlan) -> None:
+        """Say which line keeps a proved optimum in the field file, or write it there."""
+        from mbn_marl.errors import MbnError
+
+        path, usual = Path(self.field), self.n_robots is None and not any(self.wind)
+        if self.write and not found.optimal:
+            raise MbnError(f"{path}: nothing is written, since this plan is not proved optimal")
+        if self.write:
+            write_optimum(path, found)
+            print(f"written to {path}: optimal_makespan: {found.makespan}")
+        elif path.is_file() and usual and found.optimal and found.field.optimal_makespan is None:
+            line = f"optimal_makespan: {found.makespan}"
+            print(f"to keep it, add this line to {path} (--write does): {line}")
 
     def _export(self, found: FoundPlan, settings: dict[str, Any], path: Path) -> None:
         """Write the demonstrations."""
@@ -85,6 +112,31 @@ class Plan:
         steps, good = len(arrays["actions"]), arrays["successes"]
         share = sum(good[arrays["episodes"] == k][0] for k in range(self.episodes))
         print(f"written to {path}: {steps} steps, {share} of {self.episodes} episodes succeed")
+
+
+def write_optimum(path: Path, found: FoundPlan) -> None:
+    """Write a proved optimum into a field file; all else in it stays as it is.
+
+    Raises:
+        ConfigError: the file is not a block of YAML whose field the plan is of.
+    """
+    from mbn_marl.errors import ConfigError, FieldError
+    from mbn_marl.field import load_field
+    from mbn_marl.files import replacing
+
+    text = path.read_text(encoding="utf-8")
+    line = f"optimal_makespan: {found.makespan}"
+    new, count = re.subn(r"^optimal_makespan:[ \t]*[\w~]*", line, text, count=1, flags=re.MULTILINE)
+    if not count:
+        new = f"{text}{'' if text.endswith(chr(10)) else chr(10)}{line}\n"
+    try:
+        with replacing(path) as temporary:
+            temporary.write_text(new, encoding="utf-8")
+            if load_field(temporary).optimal_makespan != found.makespan:
+                raise FieldError(str(path), ["another field"])
+    except FieldError:
+        problem = f"write: this file has no lines of YAML to add to; add {line} yourself"
+        raise ConfigError(str(path), [problem]) from None
 
 
 def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> list[str]:
