@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Set as AbstractSet
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,19 +15,12 @@ from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.errors import ConfigError
 from mbn_marl.render import Viewer
 
+_RIGHT, _LEFT, _UP, _DOWN = (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)
 DIRECTIONS = {
-    "right": (1.0, 0.0),
-    "d": (1.0, 0.0),
-    "left": (-1.0, 0.0),
-    "a": (-1.0, 0.0),
-    "up": (0.0, 1.0),
-    "w": (0.0, 1.0),
-    "down": (0.0, -1.0),
-    "s": (0.0, -1.0),
+    **{"right": _RIGHT, "left": _LEFT, "up": _UP, "down": _DOWN},
+    **{"d": _RIGHT, "a": _LEFT, "w": _UP, "s": _DOWN},
 }
 """The force along x and y of each key."""
-
-
 _KEYS = "space: pause, R: restart, Esc: close"
 
 
@@ -107,13 +99,16 @@ def _run(actor: Actor, how: Show, driven: int | None, keys: str) -> list[Episode
 def _one_episode(
     engine: BatchEngine, viewer: Viewer, actor: Actor, how: Show, driven: int | None
 ) -> bool:
-    """Show one episode and rest at its end; False if it was cut short."""
-    observations = engine.reset()
+    """Show one episode and rest at its end; return False if it was cut short."""
+    policy, observations, paused = actor.policy, engine.reset(), False
     viewer.draw(engine.snapshot())
-    paused = False
     while engine.running[0]:
         if not paused:
-            observations = _step(engine, actor, observations, how, viewer, driven)
+            seen = engine.state() if policy.observes == "state" else observations
+            actions = np.array(policy.act(seen, deterministic=how.deterministic), np.float64)
+            if driven is not None:
+                actions[0, driven] = push(viewer.held)
+            observations = engine.step(actions)[0]
         viewer.draw(engine.snapshot())
         paused ^= "space" in viewer.pressed
         if viewer.closed or "r" in viewer.pressed:
@@ -123,20 +118,3 @@ def _one_episode(
         if viewer.closed or viewer.pressed:
             break
     return True
-
-
-def _step(
-    engine: BatchEngine,
-    actor: Actor,
-    observations: Any,
-    how: Show,
-    viewer: Viewer,
-    driven: int | None,
-) -> Any:
-    """Let everybody act; returns the observations."""
-    policy = actor.policy
-    seen = engine.state() if policy.observes == "state" else observations
-    actions = np.array(policy.act(seen, deterministic=how.deterministic), np.float64)
-    if driven is not None:
-        actions[0, driven] = push(viewer.held)
-    return engine.step(actions)[0]

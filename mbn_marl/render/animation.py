@@ -5,10 +5,9 @@ from __future__ import annotations
 import importlib
 import zlib
 from collections.abc import Iterable
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ _EVEN = 2
 Frame = NDArray[np.uint8]
 
 
-class Mp4Writer:
+class Mp4Writer(AbstractContextManager["Mp4Writer"]):
     """Writes a video frame by frame, in a ``with`` block or until it is closed.
 
     Args:
@@ -81,16 +80,8 @@ class Mp4Writer:
         """Complete the file, if there was a frame; closing twice does no harm."""
         self._open.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._open.__exit__(kind, error, traceback)
+    def __exit__(self, *exception: Any) -> None:
+        self._open.__exit__(*exception)
 
 
 def write_mp4(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.0) -> Path:

@@ -7,6 +7,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+import shapely
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -116,7 +117,9 @@ def trajectory_figure(
         figure, axes = _canvas(field)
         draw_field(axes, field, visited=visited, roi_radius=roi_radius)
         draw_trails(axes, trails)
-        handles = [_roi_handle(False), _start_handle(), _robot_handle("end of robot i")]
+        start = _robot_handle("start")
+        start.set(markersize=5, markerfacecolor=style.WHITE)
+        handles = [_roi_handle(False), start, _robot_handle("end of robot i")]
         if visited is not None:
             handles.insert(1, _roi_handle(True))
         if collision:
@@ -231,13 +234,8 @@ def _finish(axes: Axes, title: str, handles: Sequence[Line2D]) -> None:
 
 def _opposed(field: Field) -> list[NDArray[np.float64]]:
     """Return the holes, each turning against the outline, so that filling leaves them empty."""
-    turn = _signed_area(field.vertices)
-    return [hole[::-1] if _signed_area(hole) * turn > 0 else hole for hole in field.holes]
-
-
-def _signed_area(ring: NDArray[np.float64]) -> float:
-    x, y = ring.T
-    return float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2.0
+    turn = shapely.LinearRing(field.vertices).is_ccw
+    return [hole[::-1] if shapely.LinearRing(hole).is_ccw == turn else hole for hole in field.holes]
 
 
 def _roi_marker(visited: bool) -> dict[str, Any]:
@@ -299,11 +297,6 @@ def draw_wind(axes: Axes, wind: tuple[float, float]) -> None:
         color=style.WIND,
         annotation_clip=False,
     )
-
-
-def _start_handle() -> Line2D:
-    ink = style.FAINT_INK
-    return Line2D([], [], marker="o", ls="none", color=ink, mfc=style.WHITE, ms=5, label="start")
 
 
 def _robot_handle(label: str) -> Line2D:

@@ -68,15 +68,10 @@ class Scene:
 
     def _prepare(self, snapshot: Snapshot) -> None:
         """Redraw what stays from frame to frame, if any of it differs from the last frame's."""
-        look = (
-            snapshot.roi_radius,
-            snapshot.safety_distance,
-            len(snapshot.positions),
-            snapshot.wind,
-        )
-        if snapshot.field == self._field and look == self._look:
+        field, robots = snapshot.field, len(snapshot.positions)
+        look = (snapshot.roi_radius, snapshot.safety_distance, robots, snapshot.wind)
+        if field == self._field and look == self._look:
             return
-        field = snapshot.field
         width, height = self.size
         margin, header = _MARGIN * self._ui, _HEADER * self._ui
         footer = _FOOTER * self._ui if self._keys else margin
@@ -97,7 +92,7 @@ class Scene:
         safety = snapshot.safety_distance / 2.0 * self._view.scale
         self._robots = [
             sprites.robot(index, _ROBOT * self._ui, safety, own=index == self._own)
-            for index in range(len(snapshot.positions))
+            for index in range(robots)
         ]
         self._field, self._look = field, look
 
@@ -143,13 +138,11 @@ class Scene:
         elif snapshot.success:
             self._write("success", style.WHITE, (column, rows[1]), style.SUCCESS)
 
-    def _write(
-        self, text: str, colour: str, place: tuple[int, int], badge: str | None = None
-    ) -> None:
+    def _write(self, text: str, colour: str, place: tuple[int, int], badge: str = "") -> None:
         """Write ``text`` with its top left corner at ``place``, on a ``badge`` of that colour."""
         picture = self._font.render(text, True, style.rgb(colour))
         box = picture.get_rect(topleft=place)
-        if badge is not None:
+        if badge:
             pad = round(4 * self._ui)
             around = box.inflate(2 * pad, pad)
             pygame.draw.rect(self._frame, style.rgb(badge), around, border_radius=pad)
@@ -157,8 +150,5 @@ class Scene:
 
 
 def _stamp(target: pygame.Surface, sprite: pygame.Surface, centre: Sequence[float]) -> None:
-    corner = (
-        round(centre[0] - sprite.get_width() / 2),
-        round(centre[1] - sprite.get_height() / 2),
-    )
-    target.blit(sprite, corner, special_flags=pygame.BLEND_PREMULTIPLIED)
+    place = [round(at - side / 2) for at, side in zip(centre, sprite.get_size(), strict=True)]
+    target.blit(sprite, place, special_flags=pygame.BLEND_PREMULTIPLIED)

@@ -34,14 +34,9 @@ class Viewport:
         extent = np.maximum(high - low, 1e-9)
         scale = float(min(width / extent[0], height / extent[1]))
         middle = (low + high) / 2.0
-        return cls(
-            scale,
-            (
-                left + width / 2.0 - scale * float(middle[0]),
-                top + height / 2.0 + scale * float(middle[1]),
-            ),
-        )
+        x, y = (scale * middle).tolist()
+        return cls(scale, (left + width / 2.0 - x, top + height / 2.0 + y))
 
     def to_pixels(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Points (..., 2) in units, as pixels (..., 2): right from the left, down from the top."""
+        """Return points (..., 2) in units as pixels (..., 2), from the top left corner."""
         return np.asarray(self.origin) + np.asarray(points, np.float64) * (self.scale, -self.scale)

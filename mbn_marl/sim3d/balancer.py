@@ -52,40 +52,26 @@ class Balancer(Vehicle):
     speed_limit: ClassVar[float | None] = SPEED_LIMIT
 
     def add_body(self, body: Element, name: str, colour: str) -> None:
-        """A box on an axle between two wheels."""
+        """Add a box on an axle between two wheels."""
         add_air_shape(body, BODY_CENTRE, 0.1, 0.15)
-        add(
-            body,
-            "geom",
-            class_="part",
-            type="box",
-            pos=(0, 0, BODY_CENTRE),
-            size=BODY_HALF,
-            mass=BODY_MASS,
-            rgba=colour,
-        )
+        place = (0, 0, BODY_CENTRE)
+        solid = {"size": BODY_HALF, "mass": BODY_MASS, "rgba": colour}
+        add(body, "geom", class_="part", type="box", pos=place, **solid)
         add(body, "geom", class_="part", type="box", pos=(0.06, 0, 0.22), size=(0.004, 0.07, 0.05))
-        for side, place in (("left", TRACK / 2.0), ("right", -TRACK / 2.0)):
-            wheel = add(body, "body", name=f"{name}_{side}", pos=(0, place, 0))
+        for side, across in (("left", TRACK / 2.0), ("right", -TRACK / 2.0)):
+            wheel = add(body, "body", name=f"{name}_{side}", pos=(0, across, 0))
             add(wheel, "joint", name=f"{name}_{side}", type="hinge", axis=(0, 1, 0))
-            add(
-                wheel,
-                "geom",
-                class_="wheel",
-                type="cylinder",
-                size=(WHEEL_RADIUS, 0.02),
-                euler=(90, 0, 0),
-                mass=WHEEL_MASS,
-            )
+            disc = {"size": (WHEEL_RADIUS, 0.02), "euler": (90, 0, 0), "mass": WHEEL_MASS}
+            add(wheel, "geom", class_="wheel", type="cylinder", **disc)
 
     def add_motors(self, actuator: Element, name: str) -> None:
-        """A motor a wheel, between wheel and body."""
+        """Add a motor a wheel, between wheel and body."""
         for side in ("left", "right"):
             torques = (-FULL_TORQUE, FULL_TORQUE)
             add(actuator, "motor", joint=f"{name}_{side}", gear=1, ctrlrange=torques)
 
     def control(self, senses: Senses, commands: Array) -> Array:
-        """Torques of the left and the right wheel (n, 2), N m, for ``commands`` (n, 2), m/s."""
+        """Return torques of left and right wheels (n, 2), N m, for ``commands`` (n, 2), m/s."""
         heading = np.arctan2(senses.rotations[:, 1, 0], senses.rotations[:, 0, 0])
         ahead = np.column_stack([np.cos(heading), np.sin(heading)])
         up = senses.rotations[:, :, 2]
@@ -99,7 +85,7 @@ class Balancer(Vehicle):
 
 
 def _wanted_turn(commands: Array, heading: Array) -> Array:
-    """Rates of turn (n,), rad/s, towards the direction of ``commands`` or the opposite one."""
+    """Return rates of turn (n,), rad/s, towards the direction of ``commands`` or its opposite."""
     error = np.arctan2(commands[:, 1], commands[:, 0]) - heading
     error = (error + np.pi / 2.0) % np.pi - np.pi / 2.0
     error[np.linalg.norm(commands, axis=1) < STILL] = 0.0

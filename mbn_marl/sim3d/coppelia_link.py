@@ -17,7 +17,7 @@ _PROBE = 1.0
 
 
 class CoppeliaLink:
-    """CoppeliaSim's remote API through its official client, which itself would wait for ever.
+    """CoppeliaSim's remote API through its official client, which would wait for ever.
 
     Args:
         host: the machine that CoppeliaSim runs on.
@@ -36,7 +36,13 @@ class CoppeliaLink:
     """
 
     def __init__(self, host: str, port: int, timeout: float) -> None:
-        _check(port, timeout)
+        problems = []
+        if not 1 <= port <= 65535:
+            problems.append(f"port: {port}; allowed: 1 to 65535")
+        if not 0.0 < timeout < float("inf"):
+            problems.append(f"timeout: {timeout:g}; allowed: a finite number of seconds above 0")
+        if problems:
+            raise ConfigError("CoppeliaSim", problems)
         self._place = (host, port)
         self._address = f"CoppeliaSim at {host}:{port}"
         self.timeout = timeout
@@ -60,7 +66,7 @@ class CoppeliaLink:
             return self._client.call(f"sim.{name}", arguments)
 
     def constant(self, name: str) -> Any:
-        """The value of ``sim.<name>``.
+        """Return ``sim.<name>``.
 
         Raises:
             SimulatorError: this CoppeliaSim does not know it.
@@ -70,7 +76,7 @@ class CoppeliaLink:
         return getattr(self._sim, name)
 
     def connect(self) -> None:
-        """Connect anew, as a client that CoppeliaSim has not seen before.
+        """Connect again, as a client that CoppeliaSim has not seen before.
 
         Raises:
             SimulatorError: nothing answers there, or what answers is not CoppeliaSim.
@@ -84,7 +90,7 @@ class CoppeliaLink:
             raise SimulatorError(f"{self._address}: what answers has no simulation to step")
 
     def close(self) -> None:
-        """Drop the connection, without a word to CoppeliaSim and without waiting."""
+        """Drop the connection without telling CoppeliaSim and without waiting."""
         self.lost = True
         self._socket.close()
         self._client.context.term()
@@ -129,7 +135,7 @@ class CoppeliaLink:
 
 
 class _PatientSocket:
-    """The client's socket, with an end to its patience.
+    """The client's socket, with a deadline.
 
     Attributes:
         deadline: on the clock of :func:`time.monotonic`, when sending and receiving give up.
@@ -164,18 +170,8 @@ class _PatientSocket:
             raise TimeoutError
 
 
-def _check(port: int, timeout: float) -> None:
-    problems = []
-    if not 1 <= port <= 65535:
-        problems.append(f"port: {port}; allowed: 1 to 65535")
-    if not 0.0 < timeout < float("inf"):
-        problems.append(f"timeout: {timeout:g}; allowed: a finite number of seconds above 0")
-    if problems:
-        raise ConfigError("CoppeliaSim", problems)
-
-
 def _client(host: str, port: int) -> tuple[_PatientSocket, Any]:
-    """The official client, and the socket that it was given."""
+    """Return the socket and the official client that uses it."""
     try:
         import zmq
         from coppeliasim_zmqremoteapi_client import RemoteAPIClient

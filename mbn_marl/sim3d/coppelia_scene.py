@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -52,7 +50,9 @@ class Follower:
 
 
 class CoppeliaScene:
-    """What one reset makes in CoppeliaSim, so that all of it can be removed again.
+    """What one reset makes in CoppeliaSim, noted so that all of it can be removed.
+
+    Its methods raise :class:`~mbn_marl.errors.SimulatorError` where CoppeliaSim refuses a call.
 
     Args:
         link: to CoppeliaSim, with no simulation running.
@@ -66,16 +66,8 @@ class CoppeliaScene:
         self._areas: list[int] = []
 
     def plant(self, mission: Mission, frame: scene.Frame) -> None:
-        """Make soil, corn, a line round the field, weeds, and walls along the edges of holes.
-
-        Args:
-            mission: with the field.
-            frame: from units to metres.
-
-        Raises:
-            SimulatorError: CoppeliaSim refuses a call.
-        """
-        ground = shapely.transform(mission.field.polygon, frame.to_metres)
+        """Make soil, corn, a line round the field, weeds, and walls along the edges of holes."""
+        ground = frame.ground(mission)
         width, depth = (frame.size + 2.0 * _MARGIN).tolist()
         place = (0.0, 0.0, _ABOVE_FLOOR - _THIN / 2)
         self._block("soil", (width, depth, _THIN), place, scene.SOIL, solid=True)
@@ -97,8 +89,7 @@ class CoppeliaScene:
         """Load a vehicle that follows a dummy.
 
         Args:
-            model: the model's file, from CoppeliaSim's folder of resources on; or an absolute
-                path on its machine.
+            model: a file in CoppeliaSim's folder of resources, or an absolute path on its machine.
             place: ``(x, y, z)``, metres.
 
         Raises:
@@ -128,11 +119,7 @@ class CoppeliaScene:
         self._paint(self._areas[roi], scene.SPRAYED_AREA)
 
     def remove(self) -> None:
-        """Remove everything that was made and is still there; no simulation may be running.
-
-        Raises:
-            SimulatorError: CoppeliaSim refuses a call.
-        """
+        """Remove everything that was made and still exists; no simulation may be running."""
         for drawing in self._drawings:
             self._link.call("removeDrawingObject", drawing)
         there = [handle for handle in self._objects if self._link.call("isHandle", handle)]
@@ -150,12 +137,11 @@ class CoppeliaScene:
         *,
         solid: bool = False,
     ) -> None:
-        """A cuboid on the ground along each edge of a ring."""
-        for a, b in itertools.pairwise(np.array(ring.coords)):
-            (x, y), (dx, dy) = ((a + b) / 2).tolist(), (b - a).tolist()
-            size, place = (math.hypot(dx, dy), thickness, height), (x, y, height / 2)
+        """Make a cuboid on the ground along each edge of a ring."""
+        for length, middle, angle in scene.edges(ring):
+            size, place = (length, thickness, height), (*middle, height / 2)
             beam = self._block(name, size, place, colour, solid=solid)
-            self._link.call("setObjectOrientation", beam, [0.0, 0.0, math.atan2(dy, dx)])
+            self._link.call("setObjectOrientation", beam, [0.0, 0.0, angle])
 
     def _block(
         self,
@@ -167,14 +153,14 @@ class CoppeliaScene:
         kind: str = "cuboid",
         solid: bool = False,
     ) -> int:
-        """A primitive shape, centred at ``place``."""
+        """Make a primitive shape, centred at ``place``."""
         kind = self._link.constant(f"primitiveshape_{kind}")
         block = self._make("createPrimitiveShape", kind, list(size), 0)
         self._link.call("setObjectPosition", block, list(place))
         return self._dress(block, name, colour, solid=solid)
 
     def _mesh(self, name: str, mesh: Mesh, colour: str) -> int:
-        """A shape of triangles, where they are."""
+        """Make a shape of triangles, where they are."""
         vertices, faces = mesh.vertices.ravel().tolist(), mesh.faces.ravel().tolist()
         return self._dress(self._make("createShape", 0, 0.0, vertices, faces), name, colour)
 

@@ -74,10 +74,7 @@ class CoppeliaSimulator(Simulator):
         self._bodies: Array = np.zeros((0, 3))
 
     def reset(self, mission: Mission) -> None:
-        """Build the scene of ``mission`` by API calls, and start the simulation in stepped mode.
-
-        Args:
-            mission: where the vehicles start, and in what field. Its wind is not simulated.
+        """Build the scene of ``mission``, without its wind, and start stepping the simulation.
 
         Raises:
             ConfigError: port or timeout are out of their range.
@@ -96,11 +93,7 @@ class CoppeliaSimulator(Simulator):
             raise
 
     def command(self, velocities: Floats) -> None:
-        """Let the vehicles track these velocities from now on.
-
-        Args:
-            velocities: (n, 2), units/step.
-        """
+        """Let the vehicles track ``velocities``, (n, 2) in units/step, from now on."""
         self._velocities = np.asarray(velocities, np.float64) * self._scale.speed
         lead = self._targets - self._bodies[:, :2]
         length = np.linalg.norm(lead, axis=1, keepdims=True)
@@ -127,7 +120,7 @@ class CoppeliaSimulator(Simulator):
         self._draw(link)
 
     def motion(self) -> Motion:
-        """The vehicles now; fresh arrays.
+        """Return the vehicles now; fresh arrays.
 
         Raises:
             SimulatorError: CoppeliaSim does not answer, or there was no :meth:`reset`.
@@ -140,9 +133,6 @@ class CoppeliaSimulator(Simulator):
 
     def spray(self, roi: int) -> None:
         """Give the weed at ROI ``roi``, 0 to m - 1, another colour.
-
-        Args:
-            roi: its number, 0 to m - 1.
 
         Raises:
             SimulatorError: CoppeliaSim does not answer, or there was no :meth:`reset`.
@@ -184,7 +174,7 @@ class CoppeliaSimulator(Simulator):
         self._bodies = self._places(link)
 
     def _start(self, link: CoppeliaLink, lasting: float) -> None:
-        """Start the simulation, of which ``lasting`` seconds are a step of the MDP."""
+        """Start the simulation, with ``lasting`` seconds for a step of the MDP."""
         self._time_step = link.call("getSimulationTimeStep")
         self._substeps = round(lasting / self._time_step)
         if not self._substeps or not np.isclose(self._substeps * self._time_step, lasting):
@@ -197,7 +187,7 @@ class CoppeliaSimulator(Simulator):
         link.call("startSimulation")
 
     def _clear(self, link: CoppeliaLink) -> None:
-        """Stop the simulation that this one started, and remove what it made."""
+        """Stop the simulation if it was started here, and remove what was made."""
         if self._started:
             self._stop(link)
             self._started = False
@@ -216,13 +206,13 @@ class CoppeliaSimulator(Simulator):
         link.call("setStepping", False)
 
     def _draw(self, link: CoppeliaLink) -> None:
-        """See where the vehicles have come, and draw their paths on."""
+        """Look where the vehicles are now, and lengthen their paths."""
         before, self._bodies = self._bodies, self._places(link)
         for vehicle, ends in zip(self._vehicles, np.hstack([before, self._bodies]), strict=True):
             link.call("addDrawingObjectItem", vehicle.path, ends.tolist())
 
     def _places(self, link: CoppeliaLink) -> Array:
-        """Where the vehicles are, (n, 3) metres."""
+        """Return where the vehicles are, (n, 3) metres."""
         places = [link.call("getObjectPosition", vehicle.body) for vehicle in self._vehicles]
         return np.array(places, np.float64)
 

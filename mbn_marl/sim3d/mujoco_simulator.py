@@ -65,8 +65,6 @@ class MujocoSimulator(Simulator):
         self.vehicle, self.scale, self._film = vehicle, scale or Scale(), film
         self.speed_limit = vehicle.speed_limit
 
-    # -- the mission -------------------------------------------------------------------------------
-
     def reset(self, mission: Mission) -> None:
         """Build the scene, with every vehicle at rest at its start and working height."""
         mujoco = self._mujoco
@@ -116,15 +114,13 @@ class MujocoSimulator(Simulator):
             if self._film is not None:
                 self._film.look(self.model, self.data)
 
-    # -- what there is to see ----------------------------------------------------------------------
-
     @property
     def seconds(self) -> float:
-        """Simulated since the reset."""
+        """Return the seconds simulated since the reset."""
         return float(self.data.time)
 
     def senses(self) -> Senses:
-        """What the controllers know now."""
+        """Return what the controllers know now."""
         places, speeds = self.data.qpos[self._places], self.data.qvel[self._speeds]
         rotations = np.empty((len(places), 9))
         for matrix, place in zip(rotations, places, strict=True):
@@ -132,7 +128,7 @@ class MujocoSimulator(Simulator):
         return Senses(places[:, :3], speeds[:, :3], rotations.reshape(-1, 3, 3), speeds[:, 3:])
 
     def motion(self) -> Motion:
-        """The vehicles now; fresh arrays."""
+        """Return the vehicles now; fresh arrays."""
         senses = self.senses()
         return Motion(
             self._frame.to_units(senses.positions[:, :2]),

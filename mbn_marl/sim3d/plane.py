@@ -12,31 +12,20 @@ from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Simulator
 class PlaneSimulator(Simulator):
     """Point masses that have every commanded velocity at once (mdp.md, steps 1 and 2).
 
-    A deployment here is the environment's own episode, number for number; its methods have the
-    arguments of :class:`~mbn_marl.sim3d.Simulator`.
-
-    Attributes:
-        has_wind: false: the wind is part of the commands.
+    A deployment here is the environment's own episode, number for number. The wind is part of the
+    commands.
     """
 
     has_wind: ClassVar[bool] = False
 
     def reset(self, mission: Mission) -> None:
-        """Put the point masses at their starts.
-
-        Args:
-            mission: where, units.
-        """
+        """Put the point masses at the starts of ``mission``."""
         self._tau = mission.starts.dtype.type(mission.tau)
         self._positions = mission.starts.copy()
         self._velocities = np.zeros_like(self._positions)
 
     def command(self, velocities: Floats) -> None:
-        """Take these velocities.
-
-        Args:
-            velocities: (n, 2), units/step.
-        """
+        """Take ``velocities``, (n, 2) in units/step."""
         self._velocities = velocities.astype(self._positions.dtype)
 
     def step(self) -> None:
@@ -44,16 +33,12 @@ class PlaneSimulator(Simulator):
         self._positions = self._positions + self._velocities * self._tau
 
     def motion(self) -> Motion:
-        """The point masses now; fresh arrays."""
+        """Return the point masses now; fresh arrays."""
         heights = np.zeros(len(self._positions))
         return Motion(self._positions.copy(), self._velocities.copy(), heights)
 
     def spray(self, roi: int) -> None:
-        """Show nothing.
-
-        Args:
-            roi: 0 to m - 1.
-        """
+        """Show nothing of ``roi``, 0 to m - 1."""
 
     def close(self) -> None:
-        """Nothing to free."""
+        """Free nothing: there is nothing to free."""

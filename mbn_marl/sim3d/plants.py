@@ -29,7 +29,7 @@ class Mesh(NamedTuple):
 
 
 def corn_rows(ground: shapely.Polygon) -> Array:
-    """Where corn stands in rows along y on ``ground``: (k, 2), metres; none if it is too small."""
+    """Return places of corn in rows along y on ``ground``, (k, 2) in metres; maybe none."""
     wider = max(1.0, (ground.area / (ROW_SPACING * PLANT_SPACING * MOST_PLANTS)) ** 0.5)
     left, bottom, right, top = ground.bounds
     rows = np.arange(left, right, ROW_SPACING * wider) + ROW_SPACING * wider / 2.0
@@ -40,26 +40,20 @@ def corn_rows(ground: shapely.Polygon) -> Array:
 
 
 def corn(places: Array) -> Mesh:
-    """Corn at ``places`` (k, 2), one mesh; every plant is a little different."""
+    """Return corn at ``places`` (k, 2) as one mesh; every plant is a little different."""
     random = np.random.default_rng(0)
-    return _leaves(
-        places,
-        turns=random.uniform(0.0, np.pi, len(places)),
-        heights=CORN_HEIGHT * random.uniform(0.7, 1.0, len(places)),
-        leaves=4,
-        width=1.0,
-    )
+    turns = random.uniform(0.0, np.pi, len(places))
+    heights = CORN_HEIGHT * random.uniform(0.7, 1.0, len(places))
+    return _leaves(places, turns, heights, leaves=4, width=1.0)
 
 
 def weed() -> Mesh:
-    """A weed at the origin: broad leaves close to the ground."""
-    return _leaves(
-        np.zeros((1, 2)), turns=np.zeros(1), heights=np.array([0.1]), leaves=9, width=2.0
-    )
+    """Return a weed at the origin: broad leaves close to the ground."""
+    return _leaves(np.zeros((1, 2)), np.zeros(1), np.array([0.1]), leaves=9, width=2.0)
 
 
 def _leaves(places: Array, turns: Array, heights: Array, leaves: int, width: float) -> Mesh:
-    """Plants at ``places`` (k, 2), turned by ``turns`` and of ``heights`` (k,)."""
+    """Return plants at ``places`` (k, 2), turned by ``turns`` and of ``heights`` (k,)."""
     angles = turns[:, None] + np.arange(leaves) * 2.0 * np.pi / leaves
     cos, sin = np.cos(angles)[..., None], np.sin(angles)[..., None]
     x, y, z = LEAF[:, 0] * width, LEAF[:, 1] * width, LEAF[:, 2]

@@ -67,7 +67,7 @@ class Quadrotor(Vehicle):
         self._unmix = np.linalg.inv(mixing)
 
     def add_body(self, body: Element, name: str, colour: str) -> None:
-        """A hub with its battery, two arms, and four rotors, the front two in ``colour``."""
+        """Add a hub with its battery, two arms, and four rotors, the front two in ``colour``."""
         add(body, "inertial", pos=(0, 0, 0), mass=MASS, diaginertia=INERTIA)
         add_air_shape(body, 0.0, 0.2, 0.06)
         dark = "0.15 0.17 0.2 1"
@@ -85,20 +85,14 @@ class Quadrotor(Vehicle):
             add(body, "site", name=f"{name}_rotor_{number}", pos=place)
 
     def add_motors(self, actuator: Element, name: str) -> None:
-        """A motor a rotor, which pushes along the body's z and turns against its reaction."""
+        """Add a motor a rotor, which pushes along the body's z and turns against its reaction."""
         for number, (_, _, turn) in enumerate(ROTORS):
-            add(
-                actuator,
-                "general",
-                site=f"{name}_rotor_{number}",
-                gear=(0, 0, 1, 0, 0, turn * REACTION),
-                ctrlrange=(0, FULL_THRUST),
-                dyntype="filterexact",
-                dynprm=ROTOR_LAG,
-            )
+            lag = {"dyntype": "filterexact", "dynprm": ROTOR_LAG, "ctrlrange": (0, FULL_THRUST)}
+            gear = (0, 0, 1, 0, 0, turn * REACTION)
+            add(actuator, "general", site=f"{name}_rotor_{number}", gear=gear, **lag)
 
     def control(self, senses: Senses, commands: Array) -> Array:
-        """Thrusts of the rotors (n, 4), N, for velocities ``commands`` (n, 2), m/s."""
+        """Return thrusts of the rotors (n, 4), N, for velocities ``commands`` (n, 2), m/s."""
         push = self._acceleration(senses, commands) + np.array([0.0, 0.0, GRAVITY])
         thrust = MASS * np.einsum("ni,ni->n", push, senses.rotations[:, :, 2])
         error = attitude_error(senses.rotations, wanted_attitude(push))
@@ -110,7 +104,7 @@ class Quadrotor(Vehicle):
         return thrusts
 
     def _acceleration(self, senses: Senses, commands: Array) -> Array:
-        """The acceleration (n, 3), m/s^2, that the velocity and the height ask for."""
+        """Return the acceleration (n, 3), m/s^2, that the velocity and the height ask for."""
         level = self._velocity_gain * (commands - senses.velocities[:, :2])
         size = np.linalg.norm(level, axis=1, keepdims=True)
         level *= STEEPEST / np.maximum(size, STEEPEST)
@@ -120,7 +114,7 @@ class Quadrotor(Vehicle):
 
 
 def wanted_attitude(push: Array) -> Array:
-    """Rotations (n, 3, 3) whose z axis is along ``push`` (n, 3), with the heading along +x."""
+    """Return rotations (n, 3, 3) with z along ``push`` (n, 3) and the heading along +x."""
     up = push / np.linalg.norm(push, axis=1, keepdims=True)
     x, y, z = up.T
     level = np.hypot(y, z)
@@ -132,7 +126,7 @@ def wanted_attitude(push: Array) -> Array:
 
 
 def attitude_error(rotations: Array, wanted: Array) -> Array:
-    """The rotation vectors (n, 3) of half the skew part of ``wanted^T rotations``, (n, 3, 3)."""
+    """Return half the skew part of ``wanted^T rotations``, (n, 3, 3), as vectors (n, 3)."""
     relative = wanted.transpose(0, 2, 1) @ rotations
     skew = (relative - relative.transpose(0, 2, 1)) / 2.0
     error: Array = skew[:, (2, 0, 1), (1, 2, 0)]

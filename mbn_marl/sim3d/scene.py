@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -47,19 +49,67 @@ class Frame:
         self.metres = metres
         self.size: Array = (high - low) * metres
 
+    def ground(self, mission: Mission) -> shapely.Polygon:
+        """Return the field with its holes, in metres."""
+        return shapely.transform(mission.field.polygon, self.to_metres)
+
     def to_metres(self, points: NDArray[np.floating]) -> Array:
-        """Points (k, 2) in units, as metres."""
+        """Return points (k, 2) in units as metres."""
         moved: Array = (np.asarray(points, float) - self.middle) * self.metres
         return moved
 
     def to_units(self, points: Array) -> Array:
-        """Points (k, 2) in metres, as units."""
+        """Return points (k, 2) in metres as units."""
         moved: Array = points / self.metres + self.middle
         return moved
 
 
+# What all scenes share: physics, light, the classes of geoms, soil, sky and sun.
+_COMMON = f"""
+<mujoco>
+  <compiler angle="degree" inertiafromgeom="auto"/>
+  <option gravity="0 0 {-GRAVITY}" density="{AIR_DENSITY}" integrator="implicitfast"/>
+  <visual>
+    <global offwidth="{LARGEST_PICTURE[0]}" offheight="{LARGEST_PICTURE[1]}"
+            fovy="{FIELD_OF_VIEW}"/>
+    <headlight ambient="0.45 0.45 0.45" diffuse="0.25 0.25 0.25" specular="0 0 0"/>
+    <quality offsamples="0"/>
+    <map znear="0.005" zfar="20"/>
+  </visual>
+  <statistic center="0 0 0"/>
+  <default>
+    <default class="scenery"><geom contype="0" conaffinity="0" group="1"/></default>
+    <default class="air">
+      <geom contype="0" conaffinity="0" group="4" mass="0" type="ellipsoid"
+            fluidshape="ellipsoid" fluidcoef="0.5 0.25 1.5 0 0"/>
+    </default>
+    <default class="part">
+      <geom contype="0" conaffinity="1" mass="0" rgba="0.25 0.28 0.32 1"/>
+    </default>
+    <default class="wheel">
+      <geom contype="1" conaffinity="1" friction="1 0.01 0.001" rgba="0.12 0.12 0.13 1"/>
+    </default>
+  </default>
+  <asset>
+    <texture type="skybox" builtin="gradient" rgb1="0.75 0.85 0.95" rgb2="0.95 0.97 1"
+             width="64" height="384"/>
+    <texture name="soil" type="2d" builtin="flat" rgb1="{SOIL}" mark="random"
+             markrgb="{DARK_SOIL}" random="0.25" width="256" height="256"/>
+    <material name="soil" texture="soil" texrepeat="0.4 0.4" texuniform="true" specular="0"
+              shininess="0"/>
+  </asset>
+  <worldbody>
+    <light directional="true" dir="0.3 0.4 -1" pos="0 0 10" diffuse="0.6 0.6 0.57"
+           specular="0.1 0.1 0.1" castshadow="false"/>
+    <geom name="ground" type="plane" size="0 0 0.1" material="soil" contype="1" conaffinity="1"/>
+  </worldbody>
+  <actuator/>
+</mujoco>
+"""
+
+
 def build_scene(mission: Mission, frame: Frame, vehicle: Vehicle, timestep: float) -> str:
-    """The MJCF of a mission.
+    """Return the MJCF of a mission.
 
     Robot i is the body ``robot_i``, ROI j the geoms ``weed_j`` and ``area_j``.
 
@@ -69,216 +119,85 @@ def build_scene(mission: Mission, frame: Frame, vehicle: Vehicle, timestep: floa
         vehicle: what stands at each start.
         timestep: of the simulation, seconds.
     """
-    root = Element("mujoco", model=mission.field.name)
-    add(root, "compiler", angle="degree", inertiafromgeom="auto")
-    add(
-        root,
-        "option",
-        timestep=timestep,
-        gravity=(0, 0, -GRAVITY),
-        density=AIR_DENSITY,
-        integrator="implicitfast",
-    )
-    _add_look(root, frame)
-    assets, world = add(root, "asset"), add(root, "worldbody")
-    ground = shapely.Polygon(
-        frame.to_metres(mission.field.vertices),
-        [frame.to_metres(hole) for hole in mission.field.holes],
-    )
-    _add_ground(assets, world, frame)
-    _add_boundary(world, ground)
+    root = ElementTree.fromstring(_COMMON)
+    root.set("model", mission.field.name)
+    part = {child.tag: child for child in root}
+    part["option"].set("timestep", f"{timestep:.9g}")
+    part["statistic"].set("extent", f"{frame.size.max():.9g}")
+    assets, world, actuator = part["asset"], part["worldbody"], part["actuator"]
+    ground = frame.ground(mission)
+    for length, place, angle in edges(ground.exterior):
+        size, turn = (length / 2.0, BOUNDARY_WIDTH / 2.0, 0.004), (0, 0, math.degrees(angle))
+        add_scenery(world, "box", pos=(*place, 0.004), size=size, euler=turn, rgba=CHALK)
     _add_obstacles(assets, world, ground)
-    _add_corn(assets, world, ground)
-    _add_weeds(assets, world, frame.to_metres(mission.field.rois), mission, frame)
+    places = corn_rows(ground)
+    if len(places):
+        _add_mesh(assets, "corn", corn(places))
+        add_scenery(world, "mesh", mesh="corn", rgba=LEAF_GREEN)
+    _add_weeds(
+        assets, world, frame.to_metres(mission.field.rois), mission.roi_radius * frame.metres
+    )
     _add_cameras(world, frame)
-    actuator = add(root, "actuator")
     for index, (x, y) in enumerate(frame.to_metres(mission.starts)):
         name = f"robot_{index}"
         body = add(world, "body", name=name, pos=(x, y, vehicle.height))
         add(body, "freejoint", name=name)
         vehicle.add_body(body, name, rgba(style.robot_colour(index)))
         if index == 0:
-            place, look = (-1.6, 0, 0.9), (0, -1, 0, 0.45, 0, 1)
-            add(body, "camera", name="chase", mode="trackcom", pos=place, xyaxes=look)
+            look = {"pos": (-1.6, 0, 0.9), "xyaxes": (0, -1, 0, 0.45, 0, 1)}
+            add(body, "camera", name="chase", mode="trackcom", **look)
         vehicle.add_motors(actuator, name)
     return ElementTree.tostring(root, encoding="unicode")
 
 
 def rgba(colour: str, alpha: float = 1.0) -> str:
-    """``"#RRGGBB"`` as MJCF has it."""
+    """Return ``"#RRGGBB"`` as MJCF has it."""
     return " ".join(f"{channel / 255.0:.4g}" for channel in style.rgb(colour)) + f" {alpha:g}"
 
 
-def _add_look(root: Element, frame: Frame) -> None:
-    """Light, and what geoms have in common."""
-    visual = add(root, "visual")
-    width, height = LARGEST_PICTURE
-    add(visual, "global", offwidth=width, offheight=height, fovy=FIELD_OF_VIEW)
-    add(
-        visual,
-        "headlight",
-        ambient=(0.45, 0.45, 0.45),
-        diffuse=(0.25, 0.25, 0.25),
-        specular=(0, 0, 0),
-    )
-    add(visual, "quality", offsamples=0)
-    add(visual, "map", znear=0.005, zfar=20)
-    add(root, "statistic", extent=float(frame.size.max()), center=(0, 0, 0))
-    default = add(root, "default")
-    add(add(default, "default", class_="scenery"), "geom", contype=0, conaffinity=0, group=1)
-    add(
-        add(default, "default", class_="air"),
-        "geom",
-        contype=0,
-        conaffinity=0,
-        group=4,
-        mass=0,
-        fluidshape="ellipsoid",
-        fluidcoef=(0.5, 0.25, 1.5, 0, 0),
-    )
-    part = {"contype": 0, "conaffinity": 1, "mass": 0, "rgba": "0.25 0.28 0.32 1"}
-    add(add(default, "default", class_="part"), "geom", **part)
-    rubber = {"contype": 1, "conaffinity": 1, "friction": (1.0, 0.01, 0.001)}
-    add(add(default, "default", class_="wheel"), "geom", rgba="0.12 0.12 0.13 1", **rubber)
+def edges(ring: shapely.LinearRing) -> Iterator[tuple[float, tuple[float, float], float]]:
+    """Yield each edge of a ring: its length, its middle ``(x, y)``, and its angle in radians."""
+    for (ax, ay), (bx, by) in itertools.pairwise(ring.coords):
+        middle = ((ax + bx) / 2.0, (ay + by) / 2.0)
+        yield math.hypot(bx - ax, by - ay), middle, math.atan2(by - ay, bx - ax)
 
 
-def _add_ground(assets: Element, world: Element, frame: Frame) -> None:
-    """Soil, wider than the field, and the sky and the sun above it."""
-    add(
-        assets,
-        "texture",
-        type="skybox",
-        builtin="gradient",
-        rgb1="0.75 0.85 0.95",
-        rgb2="0.95 0.97 1",
-        width=64,
-        height=384,
-    )
-    add(
-        assets,
-        "texture",
-        name="soil",
-        type="2d",
-        builtin="flat",
-        rgb1=SOIL,
-        mark="random",
-        markrgb=DARK_SOIL,
-        random=0.25,
-        width=256,
-        height=256,
-    )
-    add(
-        assets,
-        "material",
-        name="soil",
-        texture="soil",
-        texrepeat=(0.4, 0.4),
-        texuniform="true",
-        specular=0,
-        shininess=0,
-    )
-    add(
-        world,
-        "light",
-        directional="true",
-        dir=(0.3, 0.4, -1),
-        pos=(0, 0, 10),
-        diffuse=(0.6, 0.6, 0.57),
-        specular=(0.1, 0.1, 0.1),
-        castshadow="false",
-    )
-    add(
-        world,
-        "geom",
-        name="ground",
-        type="plane",
-        size=(0, 0, 0.1),
-        material="soil",
-        contype=1,
-        conaffinity=1,
-    )
-
-
-def _add_boundary(world: Element, ground: shapely.Polygon) -> None:
-    """A white line along the outline of the field."""
-    corners = np.array(ground.exterior.coords)
-    for (ax, ay), (bx, by) in itertools.pairwise(corners):
-        add(
-            world,
-            "geom",
-            class_="scenery",
-            type="box",
-            pos=((ax + bx) / 2.0, (ay + by) / 2.0, 0.004),
-            size=(math.hypot(bx - ax, by - ay) / 2.0, BOUNDARY_WIDTH / 2.0, 0.004),
-            euler=(0, 0, math.degrees(math.atan2(by - ay, bx - ax))),
-            rgba=CHALK,
-        )
+def add_scenery(world: Element, kind: str, **attributes: Any) -> None:
+    """Add a geom that nothing runs into."""
+    add(world, "geom", class_="scenery", type=kind, **attributes)
 
 
 def _add_obstacles(assets: Element, world: Element, ground: shapely.Polygon) -> None:
-    """The holes as solid blocks: a prism for each triangle that they are made of."""
+    """Add the holes as solid blocks: a prism for each triangle that they are made of."""
     holes = shapely.MultiPolygon([shapely.Polygon(ring) for ring in ground.interiors])
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(holes))
+    look = {"type": "mesh", "rgba": rgba(style.FAINT_INK), "conaffinity": 1}
     for number, triangle in enumerate(triangles):
         base = np.array(triangle.exterior.coords[:3])
         prism = np.vstack([np.column_stack([base, np.full(3, z)]) for z in (0.0, OBSTACLE_HEIGHT)])
         name = f"obstacle_{number}"
         add(assets, "mesh", name=name, vertex=prism)
-        add(
-            world,
-            "geom",
-            name=name,
-            type="mesh",
-            mesh=name,
-            rgba=rgba(style.FAINT_INK),
-            conaffinity=1,
-        )
+        add(world, "geom", name=name, mesh=name, **look)
 
 
-def _add_corn(assets: Element, world: Element, ground: shapely.Polygon) -> None:
-    places = corn_rows(ground)
-    if len(places):
-        _add_mesh(assets, "corn", corn(places))
-        add(world, "geom", class_="scenery", type="mesh", mesh="corn", rgba=LEAF_GREEN)
-
-
-def _add_weeds(
-    assets: Element, world: Element, places: Array, mission: Mission, frame: Frame
-) -> None:
-    """At each ROI a weed, on the area from which it is sprayed."""
+def _add_weeds(assets: Element, world: Element, places: Array, radius: float) -> None:
+    """Add a weed at each ROI, on the area of a ``radius`` in metres from which it is sprayed."""
     _add_mesh(assets, "weed", weed())
-    radius = max(mission.roi_radius * frame.metres, 1e-3)
+    size = (max(radius, 1e-3), 0.002)
     for index, (x, y) in enumerate(places):
-        weeds, areas = {"name": f"weed_{index}"}, {"name": f"area_{index}"}
-        add(
-            world,
-            "geom",
-            class_="scenery",
-            type="mesh",
-            mesh="weed",
-            pos=(x, y, 0),
-            rgba=WEED,
-            **weeds,
-        )
-        add(
-            world,
-            "geom",
-            class_="scenery",
-            type="cylinder",
-            pos=(x, y, 0.006),
-            size=(radius, 0.002),
-            rgba=AREA,
-            **areas,
-        )
+        names = {kind: {"name": f"{kind}_{index}"} for kind in ("weed", "area")}
+        add_scenery(world, "mesh", mesh="weed", pos=(x, y, 0), rgba=WEED, **names["weed"])
+        place = (x, y, 0.006)
+        add_scenery(world, "cylinder", pos=place, size=size, rgba=AREA, **names["area"])
 
 
 def _add_mesh(assets: Element, name: str, mesh: Mesh) -> None:
-    """Leaves have no volume: MuJoCo takes their inertia as that of a shell."""
+    """Add leaves, which have no volume: MuJoCo takes their inertia as that of a shell."""
     add(assets, "mesh", name=name, vertex=mesh.vertices, face=mesh.faces, inertia="shell")
 
 
 def _add_cameras(world: Element, frame: Frame) -> None:
-    """One across the field from the south, and one from above, north up."""
+    """Add one across the field from the south, and one from above, north up."""
     x, y = frame.size / 2.0
     tall = 0.92 * math.tan(math.radians(FIELD_OF_VIEW / 2.0))  # half the picture, a metre away
     wide = tall * 4.0 / 3.0

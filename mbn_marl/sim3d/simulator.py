@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +89,7 @@ class Motion:
     heights: Floats
 
 
-class Simulator(ABC):
+class Simulator(AbstractContextManager["Simulator"]):
     """Vehicles in a field. Positions are in units and velocities in units/step.
 
     It is used in a ``with`` block, or closed by hand::
@@ -142,13 +142,5 @@ class Simulator(ABC):
     def close(self) -> None:
         """Free what the simulator holds; closing twice does no harm."""
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

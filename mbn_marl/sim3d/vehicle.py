@@ -1,4 +1,4 @@
-"""What every vehicle of the MuJoCo backend is: a body in MJCF, and a controller for its motors."""
+"""The vehicles of the MuJoCo backend: a body in MJCF, and a controller for its motors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GRAVITY = 9.81
 
 
 class Senses(NamedTuple):
-    """What the controllers know of n vehicles, in the world's frame unless said otherwise."""
+    """State of n vehicles for their controllers, in the world's frame unless said otherwise."""
 
     positions: Array  # (n, 3) m
     velocities: Array  # (n, 3) m/s
@@ -61,13 +61,13 @@ class Vehicle(ABC):
 
 
 def add(parent: Element, tag: str, **attributes: Any) -> Element:
-    """A new MJCF element: numbers and sequences of them become text, ``class_`` is ``class``."""
+    """Add an MJCF element: numbers and sequences of them become text, ``class_`` is ``class``."""
     texts = {name.rstrip("_"): _text(value) for name, value in attributes.items()}
     return SubElement(parent, tag, texts)
 
 
 def add_air_shape(body: Element, centre: float, radius: float, half_height: float) -> None:
-    """Give a body its shape for the air: an upright ellipsoid, which is not seen and not touched.
+    """Give a body its shape for the air: an upright ellipsoid, invisible and not touched.
 
     It is round from above, so that the drag points along the wind; it makes no lift.
 
@@ -77,14 +77,7 @@ def add_air_shape(body: Element, centre: float, radius: float, half_height: floa
         radius: metres.
         half_height: metres.
     """
-    add(
-        body,
-        "geom",
-        class_="air",
-        type="ellipsoid",
-        pos=(0, 0, centre),
-        size=(radius, radius, half_height),
-    )
+    add(body, "geom", class_="air", pos=(0, 0, centre), size=(radius, radius, half_height))
 
 
 def _text(value: Any) -> str:

@@ -18,24 +18,24 @@ SCRIPTS = ("dom.js", "episode.js", "stage.js", "chart.js", "replay.js")
 
 
 def static(name: str) -> str:
-    """The text of a file of the package."""
+    """Return the text of a file of the package."""
     return (files("mbn_marl.web") / "static" / name).read_text(encoding="utf-8")
 
 
 def fill(template: str, values: Mapping[str, str]) -> str:
-    """``template`` with every ``{{name}}`` replaced; what is put in is not searched again."""
+    """Return ``template`` with every ``{{name}}`` replaced, once."""
     return re.sub(r"{{(\w+)}}", lambda match: values[match[1]], template)
 
 
 def whole(
     body: str, title: str, values: Mapping[str, str], extra_styles: Sequence[str] = ()
 ) -> str:
-    """A self-contained page, with the player in it, that may load nothing from elsewhere.
+    """Return a self-contained page, with the player, that may load nothing from elsewhere.
 
     Args:
         body: the name of the body's template.
         title: as plain text.
-        values: what the body's names stand for, as HTML.
+        values: of the body's names, as HTML.
         extra_styles: names of style sheets besides the player's.
     """
     return fill(
@@ -51,23 +51,24 @@ def whole(
 
 
 def text(plain: str) -> str:
-    """``plain`` so that it can stand in HTML."""
+    """Return ``plain`` escaped for HTML."""
     return html.escape(plain)
 
 
 def episodes_data(episodes: Sequence[Episode]) -> str:
-    """What the player needs of the episodes, as JSON that can stand in a script element."""
-    documents = [to_file(one).model_dump(mode="json", exclude={"actions"}) for one in episodes]
-    return script_data(documents)
+    """Return what the player needs of the episodes, as JSON for a script element."""
+    return script_data(
+        [to_file(one).model_dump(mode="json", exclude={"actions"}) for one in episodes]
+    )
 
 
 def script_data(value: Any) -> str:
-    """``value`` as JSON that can stand in a script element."""
+    """Return ``value`` as JSON for a script element."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def _styles(names: Iterable[str]) -> str:
-    """The colours as CSS variables, light and dark, and the style sheets."""
+    """Return the colours as CSS variables, light and dark, and the style sheets."""
     light, dark = (_variables(palette) for palette in (style.LIGHT_PAGE, style.DARK_PAGE))
     colours = (
         f":root {{\n{light}}}\n@media (prefers-color-scheme: dark) {{ :root {{\n{dark}}} }}\n"
@@ -77,12 +78,8 @@ def _styles(names: Iterable[str]) -> str:
 
 
 def _variables(palette: style.PagePalette) -> str:
-    named = {
-        name.replace("_", "-"): colour
-        for name, colour in palette._asdict().items()
-        if name != "robots"
-    }
-    for index, colour in enumerate(palette.robots):
+    named = {name.replace("_", "-"): colour for name, colour in palette._asdict().items()}
+    for index, colour in enumerate(named.pop("robots")):
         named[f"robot-{index}"] = colour
         named[f"ink-on-robot-{index}"] = style.ink_on(colour)
     return "".join(f"  --{name}: {colour};\n" for name, colour in named.items())

@@ -113,7 +113,8 @@ def test_a_report_is_refused_before_the_work(
     (unfinished / "evaluations.json").write_text("[]")
     (unfinished / "config.json").write_text('{"algorithm": "ppo"}')
     assert main(["report", str(unfinished), "-o", str(tmp_path / "new.html")]) == 2
-    assert "config.json has no setting, field, seed" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "config.json" in error and "seed" in error
     assert main(["report", str(runs), "--paper", "-o", str(tmp_path / "new.html")]) == 2
     assert main(["report", str(runs), "-o", str(tmp_path / "folder")]) == 2
     assert not (tmp_path / "new.html").exists()
