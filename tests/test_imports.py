@@ -103,6 +103,19 @@ def test_no_circle_within_a_package() -> None:
     TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
+def test_no_circle_between_the_folders_of_baselines() -> None:
+    """Modules directly in ``baselines`` count as folders of their own."""
+    graph: dict[str, set[str]] = {}
+    for module in (name for name in MODULES if name.startswith("baselines.")):
+        folder = ".".join(module.split(".")[:2])
+        imported = {".".join(name.split(".")[:2]) for name in imports_of(module)}
+        graph.setdefault(folder, set()).update(
+            other for other in imported if other.startswith("baselines.") and other != folder
+        )
+    assert {"baselines.runs", "baselines.sb3", "baselines.training"} <= graph.keys()
+    TopologicalSorter(graph).prepare()
+
+
 def loaded_by(statement: str) -> set[str]:
     """The top-level packages that a fresh process has loaded after ``statement``."""
     code = f"import sys; {statement}; print(*{{name.split('.')[0] for name in sys.modules}})"
@@ -116,6 +129,7 @@ def loaded_by(statement: str) -> set[str]:
     ("statement", "allowed"),
     [
         ("import mbn_marl", set()),
+        ("import mbn_marl; from baselines import load_policy", set()),
         ("from mbn_marl.__main__ import main; main(['--help'])", set()),
         ("from mbn_marl.__main__ import main; main(['--version'])", set()),
         ("from mbn_marl.__main__ import main; main(['fields'])", set()),
