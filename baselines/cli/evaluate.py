@@ -82,8 +82,10 @@ class Evaluate:
         from mbn_marl.field import load_field
 
         if (self.source in CLASSICAL) != (self.field is not None):
-            names = " and ".join(CLASSICAL)
-            raise ConfigError("evaluation", [f"field: for {names}, which need it, and no other"])
+            problem = f"{self.source} has its own; --field is for {' and '.join(CLASSICAL)}"
+            if self.field is None:
+                problem = f"needed, for example: mbn evaluate {self.source} --field field_03"
+            raise ConfigError("evaluation", [f"field: {problem}"])
         if self.field is not None:
             field = load_field(self.field)
             return _Subject((make_classical(self.source, field, {}), field, {}), Path())

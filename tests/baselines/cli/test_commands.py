@@ -131,6 +131,7 @@ def test_compare_writes_table_and_figures(
         (["compare", "--force", "--resume"], "force and resume: allowed is one of them"),
         (["compare", "--resume", "--out", "none"], "none is not the folder of a comparison"),
         (["train", "ippo", "field_03", "--set", "gamma"], "gamma: must be NAME=VALUE"),
+        (["evaluate", "greedy"], "mbn evaluate greedy --field field_03"),
         (["evaluate", "nowhere"], "nowhere is not a run folder"),
         (["render", "field_03", "-o", "picture.bmp"], ".png"),
         (["replay", "none.json", "-o", "a.html"], "error: none.json: No such file or directory"),
