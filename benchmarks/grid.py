@@ -25,7 +25,7 @@ EMPTY = 1000
 STEPS = 20_000
 """Env-steps of each of the cells that train."""
 CELLS = 4
-"""Of them."""
+"""Cells that train."""
 WORKERS = 2
 NODE: dict[str, Any] = {
     "num_cpus": WORKERS,
@@ -125,7 +125,7 @@ def _on_ray() -> Measurement:
 
 
 class Seconds(NamedTuple):
-    """How long something took, and how long processors worked on it."""
+    """The time of something by the clock, and of the processors."""
 
     wall: float
     processor: float

@@ -52,7 +52,7 @@ class Grid:
             self._train(sweep)
 
     def _parsed(self) -> tuple[str, Path]:
-        """What to do, with which file."""
+        """Return what to do, and with which file."""
         from mbn_marl.errors import ConfigError
 
         named = bool(self.words) and self.words[0] in ACTIONS

@@ -51,7 +51,7 @@ class Tune:
         """Tune, with a progress bar, and say how to train with the result."""
         from baselines.console import console
         from baselines.sweep.run import make_engine
-        from baselines.tuning.display import TuneDisplay
+        from baselines.tuning.display import tune_display
         from baselines.tuning.space import Space
         from baselines.tuning.study import ended, open_study
         from baselines.tuning.trial import TuneConfig
@@ -75,7 +75,7 @@ class Tune:
         for name in Space.of(self.algorithm).skipped:
             screen.print(f"skipped: {name}, since {self.algorithm} has no such argument")
         before = len(ended(open_study(out))) if self.resume else 0
-        with TuneDisplay(self.trials, before, self.steps, screen) as display:
+        with tune_display(self.trials, before, self.steps, screen) as display:
             path = tune(
                 config,
                 out,

@@ -72,7 +72,7 @@ def train_all_runs(
         engine = LocalEngine(processes)
         outcomes = train_runs(runs, str(out), engine, wandb=wandb, listener=listener)
     broken = {name: one for name, one in outcomes.items() if one.state == "diverged"}
-    check_outcomes((one for name, one in outcomes.items() if name not in broken), out)
+    check_outcomes([one for name, one in outcomes.items() if name not in broken], out)
     left_out = {run.shown_as for run in runs if run.name in broken}
     whole = [run for run in runs if run.shown_as not in left_out]
     errors = {name: one.error or "" for name, one in broken.items()}

@@ -1,4 +1,4 @@
-"""What a comparison compares: algorithms, and variants of them under labels of their own."""
+"""The subjects of a comparison: algorithms, and variants of them under labels of their own."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Variant(BaseModel):
 
     Attributes:
         algorithm: a name of :data:`baselines.algorithms.ALGORITHMS`.
-        setting: one of those it has; C is no way to train of its own, but goes on from a run.
+        setting: one of those it has; C begins with another run, and cannot be compared.
         label: what the comparison calls it; ``None`` for the algorithm's own name.
         hyperparameters: those that differ from the recorded ones.
         environment: settings of the environment that differ from the algorithm's own.
@@ -33,7 +33,7 @@ class Variant(BaseModel):
 
     @property
     def name(self) -> str:
-        """What tables and figures call it."""
+        """The name in tables and figures."""
         return self.label or default_label(self.algorithm, self.setting)
 
     def training(self, field: str, seed: int, **budget: Any) -> TrainConfig:

@@ -38,55 +38,57 @@ class RayEngine:
         Raises:
             MbnError: there is no cluster, or it runs another Ray or Python.
         """
-        with connected(self.address):
-            self._run(work, jobs, report, ended)
-
-    def _run(
-        self, work: Work, jobs: Iterable[Job], report: Callable[[Any], None], ended: Ended
-    ) -> None:
         import ray
 
-        if not self._fits_somewhere():
+        with connected(self.address):
+            self._warn_if_too_small()
+            task = ray.remote(_do).options(
+                num_cpus=self.cpus,
+                num_gpus=self.gpus,
+                max_retries=self.retries,
+                retry_exceptions=True,
+            )
+            refs: dict[str | None, Any] = {None: None}
+            running: dict[Any, Job] = {}
+            for job in jobs:
+                refs[job.name] = task.remote(work, job, refs[job.after])
+                running[refs[job.name]] = job
+            try:
+                while running:
+                    for ref in ray.wait(list(running))[0]:
+                        messages, result = _result_of(ref)
+                        for message in messages:
+                            report(message)
+                        ended(running.pop(ref), result)
+            finally:
+                for ref in running:
+                    ray.cancel(ref, force=True)
+
+    def _warn_if_too_small(self) -> None:
+        """Say so if no machine that the cluster has now can give a job what it takes."""
+        import ray
+
+        wanted = {"CPU": self.cpus, "GPU": self.gpus}
+        if not any(
+            node["Alive"] and all(node["Resources"].get(one, 0.0) >= n for one, n in wanted.items())
+            for node in ray.nodes()
+        ):
             logging.getLogger(__name__).warning(
                 "no machine of the cluster has %g cores and %g GPUs for a run now; waiting for one",
                 self.cpus,
                 self.gpus,
             )
-        task = ray.remote(_do).options(
-            num_cpus=self.cpus,
-            num_gpus=self.gpus,
-            max_retries=self.retries,
-            retry_exceptions=True,
-        )
-        refs: dict[str | None, Any] = {None: None}
-        running: dict[Any, Job] = {}
-        for job in jobs:
-            refs[job.name] = task.remote(work, job, refs[job.after])
-            running[refs[job.name]] = job
-        try:
-            while running:
-                for ref in ray.wait(list(running))[0]:
-                    try:
-                        messages, result = ray.get(ref)
-                    except ray.exceptions.RayError as error:
-                        messages, result = [], Failure(str(getattr(error, "cause", None) or error))
-                    for message in messages:
-                        report(message)
-                    ended(running.pop(ref), result)
-        finally:
-            for ref in running:
-                ray.cancel(ref, force=True)
 
-    def _fits_somewhere(self) -> bool:
-        """Return whether a machine that the cluster has now can give a job what it takes."""
-        import ray
 
-        return any(
-            node["Alive"]
-            and node["Resources"].get("CPU", 0.0) >= self.cpus
-            and node["Resources"].get("GPU", 0.0) >= self.gpus
-            for node in ray.nodes()
-        )
+def _result_of(ref: Any) -> tuple[list[Any], Any]:
+    """Return what :func:`_do` returned, or how it failed."""
+    import ray
+
+    try:
+        done: tuple[list[Any], Any] = ray.get(ref)
+    except ray.exceptions.RayError as error:
+        return [], Failure(str(getattr(error, "cause", None) or error))
+    return done
 
 
 @contextmanager

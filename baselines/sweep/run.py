@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -21,13 +21,15 @@ from baselines.training.train import prepare, resolve
 from mbn_marl.errors import ConfigError
 
 Engine = LocalEngine | RayEngine
-EngineName = Literal["local", "ray"]
 SHOWN = 10
 """Failures that a message lists."""
 
 
 def make_engine(
-    name: EngineName, processes: int, address: str | None, resources: Resources | None = None
+    name: Literal["local", "ray"],
+    processes: int,
+    address: str | None,
+    resources: Resources | None = None,
 ) -> Engine:
     """Return the engine that a command line asks for.
 
@@ -88,8 +90,11 @@ def train_runs(
     def end(job: TrainJob, result: Outcome | Failure) -> None:
         if isinstance(result, Failure):
             result = Outcome(job.name, "failed", result.error)
-            if noted:
-                _note_failure(open_store(place), result)
+            if noted:  # a process that was killed has left no note itself
+                store = open_store(place)
+                known = store.last_note(job.name) or Note(state="failed")
+                failed = {"state": "failed", "error": result.error}
+                store.note(job.name, known.model_copy(update=failed))
         if result.error is not None:
             listener(Report.broken(job.name, result.error))
         outcomes[job.name] = result
@@ -99,30 +104,19 @@ def train_runs(
     return outcomes
 
 
-def _note_failure(store: Store, outcome: Outcome) -> None:
-    """Note that a run is given up; a process that was killed has left no note itself."""
-    known = store.last_note(outcome.name) or Note(state="failed", attempt=1, machine="", process=0)
-    store.note(outcome.name, known.model_copy(update={"state": "failed", "error": outcome.error}))
-
-
-def check_outcomes(outcomes: Iterable[Outcome], place: str | Path) -> None:
+def check_outcomes(outcomes: Collection[Outcome], place: str | Path) -> None:
     """Check that all runs are done.
 
     Raises:
         RunError: some are not; the message says why.
     """
-    all_of_them = list(outcomes)
-    lines = [
-        f"{outcome.name}: {first_line(outcome.error)}"
-        for outcome in all_of_them
-        if outcome.state != "done"
-    ]
+    lines = [f"{one.name}: {first_line(one.error)}" for one in outcomes if one.state != "done"]
     if lines:
         more = [f"and {len(lines) - SHOWN} more"] if len(lines) > SHOWN else []
         shown = "\n  - ".join([*lines[:SHOWN], *more])
         raise RunError(
-            f"{place}: {len(all_of_them) - len(lines)} of {len(all_of_them)} runs are done; the "
-            f"same command resumes the others\n  - {shown}"
+            f"{place}: {len(outcomes) - len(lines)} of {len(outcomes)} runs are done; the same "
+            f"command resumes the others\n  - {shown}"
         )
 
 
@@ -198,17 +192,11 @@ class Sweep:
         outcomes = train_runs(
             self.left(), self.place, engine, noted=True, upload_seconds=seconds, ended=ended
         )
-        finished = self.store.finished(outcomes)
-        missing = "it is not in the store; do all machines see that place?"
-        check_outcomes(
-            (
-                replace(outcome, state="failed", error=missing)
-                if outcome.state == "done" and outcome.name not in finished
-                else outcome
-                for outcome in outcomes.values()
-            ),
-            self.place,
-        )
+        for name in outcomes.keys() - self.store.finished(outcomes):
+            if outcomes[name].state == "done":
+                missing = "it is not in the store; do all machines see that place?"
+                outcomes[name] = Outcome(name, "failed", missing)
+        check_outcomes(outcomes.values(), self.place)
 
 
 def _differences(run: TrainConfig, recorded: Mapping[str, object]) -> list[str]:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
@@ -52,7 +52,7 @@ FieldName = Annotated[str, _that_loads(load_field)]
 
 
 class Budget(BaseModel):
-    """How long each run is.
+    """The length of each run.
 
     Attributes:
         steps: env-steps; ``None`` for the setting's own number.
@@ -70,7 +70,7 @@ class Budget(BaseModel):
 
 
 class Resources(BaseModel):
-    """What a run is given.
+    """The resources of a run.
 
     Attributes:
         cpus: cores that Ray sets aside for it; training uses one.
@@ -211,37 +211,26 @@ def _problems_of_runs(spec: GridSpec) -> Iterator[str]:
                 if problems:  # of the environment may hide those of the hyperparameters
                     yield from _problems_of(replace(same, environment={}))
                     yield from _problems_of(replace(same, hyperparameters={}))
-    except MbnError as error:
-        yield from _lines(error)
+    except ConfigError as error:
+        yield from error.problems
 
 
 def _problems_of(run: TrainConfig) -> list[str]:
     try:
         prepare(run)
     except MbnError as error:
-        return _lines(error)
+        return error.problems if isinstance(error, ProblemsError) else [str(error)]
     return []
 
 
-def _lines(error: MbnError) -> list[str]:
-    return error.problems if isinstance(error, ProblemsError) else [str(error)]
-
-
-class _Changes(NamedTuple):
-    """Values of the axes that are no part of every grid: in words for a label, and by name."""
-
-    label: str
-    values: dict[str, Any]
-
-
-def _changes(spec: GridSpec) -> Iterator[_Changes]:
-    """Find what is changed in each run."""
+def _changes(spec: GridSpec) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Find what the other axes change in a run: in words for its label, and by name."""
     axes = {**({f"{ENVIRONMENT}.n_robots": list(spec.robots)} if spec.robots else {}), **spec.set}
     for values in itertools.product(*axes.values()):
         chosen = dict(zip(axes, values, strict=True))
         label = "".join(f"-{_in_words(name, value)}" for name, value in chosen.items())
         words = [f"{name}={json.dumps(value)}" for name, value in chosen.items()]
-        yield _Changes(label, parse(words))
+        yield label, parse(words)
 
 
 def _in_words(name: str, value: Any) -> str:
@@ -271,13 +260,12 @@ def _run(
     setting: Setting,
     field: str,
     seed: int,
-    changes: _Changes,
+    changes: tuple[str, dict[str, Any]],
     source: Path | None = None,
 ) -> TrainConfig:
     """Return one run."""
-    values = dict(changes.values)
+    words, values = changes[0], dict(changes[1])
     environment = values.pop(ENVIRONMENT, {})
-    label = default_label(algorithm, setting) + changes.label if changes.label else None
     return TrainConfig(
         algorithm,
         field,
@@ -289,7 +277,7 @@ def _run(
         stop_at=spec.budget.stop_at,
         transferred_from=source,
         device="cuda" if spec.resources.gpus else "cpu",
-        label=label,
+        label=default_label(algorithm, setting) + words if words else None,
         environment=environment,
         hyperparameters=values,
     )

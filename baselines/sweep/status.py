@@ -1,4 +1,4 @@
-"""How the runs of a grid stand: counted, estimated, shown."""
+"""The progress of a grid: counted, estimated, shown."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STANDINGS: tuple[Standing, ...] = ("done", "running", "failed", "waiting")
 
 @dataclass(frozen=True)
 class RunStatus:
-    """How a run stands.
+    """The progress of a run.
 
     Attributes:
         run: what is trained.
@@ -53,7 +53,7 @@ class RunStatus:
 
 @dataclass(frozen=True)
 class Status:
-    """How all runs of a grid stand."""
+    """The progress of all runs of a grid."""
 
     runs: Sequence[RunStatus]
 

@@ -48,7 +48,7 @@ LOST = 900.0
 
 
 class Note(BaseModel):
-    """How a run stands, as the process that trained it last has noted.
+    """The progress of a run, as the process that trained it last has noted it.
 
     Attributes:
         state: what it does, or how it ended.
@@ -64,9 +64,9 @@ class Note(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     state: Literal["running", "done", "diverged", "failed"]
-    attempt: int
-    machine: str
-    process: int
+    attempt: int = 1
+    machine: str = ""
+    process: int = 0
     env_steps: int = 0
     steps_per_second: float = 0.0
     updated: float = 0.0
@@ -182,9 +182,19 @@ class RemoteStore(Store):
         self._scratch = Path(tempfile.gettempdir()) / f"mbn-grid-{own}"
 
     def finished(self, names: Collection[str]) -> set[str]:
-        """Return those of ``names`` whose run is finished and here."""
+        """Return those of ``names`` whose run is finished and here.
+
+        Raises:
+            RunError: some are folders, as older versions left them.
+        """
         there = {PurePosixPath(path).name for path in self._list()}
-        return {name for name in names if f"{name}.zip" in there}
+        done = {name for name in names if f"{name}.zip" in there}
+        if older := sorted((there & set(names)) - done):
+            raise RunError(
+                f"{self._root} has runs of an older version; pack the files of each folder NAME "
+                f"into NAME.zip (cd NAME; zip -r ../NAME.zip .): {', '.join(older)}"
+            )
+        return done
 
     def config(self, name: str) -> dict[str, Any]:
         """Return the ``config.json`` of a finished run."""

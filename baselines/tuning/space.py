@@ -1,4 +1,4 @@
-"""What is tuned for an algorithm, and in which ranges: the paper's."""
+"""The search space of an algorithm: the paper's hyperparameters and ranges."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Parameter(NamedTuple):
 
 @dataclass(frozen=True)
 class Space:
-    """What is tuned for an algorithm.
+    """The hyperparameters that are tuned for an algorithm.
 
     Attributes:
         parameters: in the paper's order.

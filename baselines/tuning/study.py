@@ -108,17 +108,10 @@ def _errors_named(folder: Path, database: str | None) -> Iterator[tuple[str, Bas
             f"{place} has a study {folder.resolve().name} already; choose another --out, whose "
             "name the study has"
         ) from None
-    except KeyError as error:
-        raise RunError(f"{place} is damaged: it lacks {error}") from None
-    except (
-        AttributeError,
-        ImportError,
-        SQLAlchemyError,
-        StorageInternalError,
-        TypeError,
-        ValueError,
-    ) as error:
+    except (AttributeError, ImportError, KeyError, TypeError, ValueError) as error:
         raise RunError(f"{place} cannot be read: {str(error).splitlines()[0]}") from None
+    except (SQLAlchemyError, StorageInternalError) as error:
+        raise RunError(f"{place} cannot be used: {str(error).splitlines()[0]}") from None
 
 
 def ended(study: Study) -> list[FrozenTrial]:

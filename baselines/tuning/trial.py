@@ -29,7 +29,7 @@ TOKEN = "job"
 
 @dataclass(frozen=True)
 class TuneConfig:
-    """What a study tunes, the same for all its trials.
+    """The subject of a study, the same for all its trials.
 
     Attributes:
         algorithm: one that the paper tuned.
@@ -65,7 +65,7 @@ class TuneConfig:
 
 @dataclass(frozen=True)
 class News:
-    """How a trial stands.
+    """The progress of a trial.
 
     Attributes:
         number: the trial's number.
@@ -124,45 +124,38 @@ def run_trial(job: TrialJob, listener: Callable[[News], None]) -> None:
     study.sampler = TPESampler(seed=seed, constant_liar=True)
     values = Space.of(job.config.algorithm).suggest(trial)
     out = job.folder / "trials" / f"trial-{trial.number:04d}"
-    watch = _Watch(trial, job.config, out, values, listener)
+    watch = _Watch(trial, job.config.steps, RunFolder(out), values, listener)
     try:
         run = train(job.config.training(values), out, command=job.command, listener=watch)
     except TrialPruned:
         study.tell(trial, state=TrialState.PRUNED)
-        listener(watch.news("pruned"))
+        watch.tell("pruned")
     except DivergenceError as error:
         trial.set_user_attr(DIVERGED, str(error))
         trial.set_constraint(DIVERGED, 1.0)  # the sampler takes it for the worst that can be
         study.tell(trial, state=TrialState.PRUNED)
-        listener(watch.news("diverged"))
+        watch.tell("diverged")
     else:
         study.tell(trial, run.evaluation["stochastic"]["return_mean"])
-        listener(watch.news("finished"))
+        watch.tell("finished")
 
 
+@dataclass
 class _Watch:
-    """Listens to a training, reports its fresh evaluations to the study, and prunes it.
+    """Listen to a training, report its fresh evaluations to the study, and prune it.
 
     The evaluations are counted, since the env-steps at which they are made differ from trial to
     trial where an update has no fixed length.
     """
 
-    def __init__(
-        self,
-        trial: Trial,
-        config: TuneConfig,
-        out: Path,
-        values: dict[str, Any],
-        listener: Callable[[News], None],
-    ) -> None:
-        self._trial = trial
-        self._steps = config.steps
-        self._run = RunFolder(out)
-        self._values = values
-        self._listener = listener
-        self._seen = 0
-        self._env_steps = 0
-        self._return: float | None = None
+    trial: Trial
+    steps: int
+    run: RunFolder
+    values: dict[str, Any]
+    listener: Callable[[News], None]
+    seen: int = 0
+    env_steps: int = 0
+    return_mean: float | None = None
 
     def __call__(self, report: Report) -> None:
         """Pass on what is new, and prune the trial if it is not worth its time.
@@ -170,16 +163,17 @@ class _Watch:
         Raises:
             TrialPruned: its best return so far is below the median of the finished trials'.
         """
-        self._env_steps = report.env_steps
-        new = self._run.evaluations[self._seen :]
+        self.env_steps = report.env_steps
+        new = self.run.evaluations[self.seen :]
         for entry in new:
-            self._seen += 1
-            self._return = entry["return_mean"]
-            self._trial.report(entry["return_mean"], self._seen)
-        self._listener(self.news("running"))
-        if new and report.env_steps < self._steps and self._trial.should_prune():
+            self.seen += 1
+            self.return_mean = entry["return_mean"]
+            self.trial.report(entry["return_mean"], self.seen)
+        self.tell("running")
+        if new and report.env_steps < self.steps and self.trial.should_prune():
             raise TrialPruned
 
-    def news(self, state: State) -> News:
-        """Return how the trial stands."""
-        return News(self._trial.number, state, self._env_steps, self._return, self._values)
+    def tell(self, state: State) -> None:
+        """Report how the trial stands."""
+        number = self.trial.number
+        self.listener(News(number, state, self.env_steps, self.return_mean, self.values))

@@ -82,7 +82,7 @@ class Population(Benchmark):
 
 @dataclass
 class Board:
-    """Where the population stands.
+    """The progress of the population.
 
     Attributes:
         begun: runs begun on each field; the next one's seed.

@@ -14,7 +14,7 @@ from benchmarks import capacity
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from tests.support.grids import TINY, spec_of
-from tests.support.pages import ROOT, blocks_of, write_file
+from tests.support.pages import FILE_NAME, ROOT, blocks_of
 
 
 def names_of(**changes: Any) -> list[str]:
@@ -23,7 +23,8 @@ def names_of(**changes: Any) -> list[str]:
 
 def test_the_examples_are_what_the_page_says(tmp_path: Path) -> None:
     for block in blocks_of(ROOT / "docs" / "grid.md"):
-        write_file(block, tmp_path)
+        if name := FILE_NAME.match(block.text):
+            (tmp_path / name[1]).write_text(block.text)
     runs = runs_of(read_spec(tmp_path / "paper.yaml"))
     assert len(runs) == 180
     assert {run.steps for run in runs} == {5_000_000}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
 from baselines.sweep import store as stores
 from baselines.sweep import worker
@@ -154,6 +156,17 @@ def test_a_damaged_checkpoint_is_not_taken(tmp_path: Path, monkeypatch: pytest.M
     use_machine(tmp_path / "machine-2", monkeypatch)
     outcome = train_in_store(job_of(Sweep.of(spec_of(sweep.place)), 0), print)
     assert outcome.state == "failed" and archive.name in (outcome.error or "")
+
+
+def test_a_run_of_an_older_version_is_named_and_taken_once_it_is_packed(tmp_path: Path) -> None:
+    store, folder = open_store((tmp_path / "store").as_uri()), tmp_path / "store" / "run"
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text('{"steps": 7}')
+    with pytest.raises(RunError, match=r": run$"):
+        store.finished(["run", "other"])
+    shutil.make_archive(str(folder), "zip", folder)
+    assert store.finished(["run", "other"]) == {"run"}
+    assert store.config("run") == {"steps": 7}
 
 
 def test_a_path_and_a_url_are_stores_of_their_kind(tmp_path: Path) -> None:

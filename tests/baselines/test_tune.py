@@ -126,7 +126,7 @@ def test_a_report_draws_the_study_and_takes_its_trials_for_no_runs(
 # ---------------------------------------------------------------- interrupted, and side by side
 
 
-def test_resume_keeps_what_there_is_and_runs_an_interrupted_trial_anew(tmp_path: Path) -> None:
+def test_resume_keeps_what_there_is_and_runs_an_interrupted_trial_again(tmp_path: Path) -> None:
     out = tmp_path / "study"
     words = ["tune", "a2c", *TINY, "--out", str(out)]
     assert main([*words, "--trials", "1"]) == 0
@@ -228,7 +228,7 @@ def test_a_trial_that_diverges_counts_as_the_worst(
     assert [row["state"] for row in table(out)] == ["diverged"] * 2
     study = open_study(out)
     assert study.get_trials()[0].state is TrialState.PRUNED
-    # The sampler's order: of two that were told pruned, the one that broke down later is worse.
+    # The sampler's order: of two pruned ones, the one that diverged later is worse.
     pruned = create_trial(state=TrialState.PRUNED, intermediate_values={1: -1e9})
     study.add_trial(pruned)
     broken = create_trial(
@@ -273,13 +273,13 @@ def test_importances_need_enough_finished_trials(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["sac"], "sac: unknown algorithm; known: a2c, ppo"),
-        (["ippo"], "ippo has no ranges to tune it in; those that have: a2c, ppo, trpo"),
+        (["sac"], "sac: unknown algorithm"),
+        (["ippo"], "ippo has no ranges"),
         (["ppo", "--field", "field_00"], "known: field_01"),
-        (["ppo", "--steps", "0"], "steps: must be at least 1"),
-        (["ppo", "--num-envs", "0"], "num_envs: must be at least 1"),
-        (["ppo", "--trials", "0"], "trials: must be at least 1"),
-        (["ppo", "--processes", "0"], "processes: must be at least 1"),
+        (["ppo", "--steps", "0"], "steps: "),
+        (["ppo", "--num-envs", "0"], "num_envs: "),
+        (["ppo", "--trials", "0"], "trials: "),
+        (["ppo", "--processes", "0"], "processes: "),
         (["ppo", "--resume"], "is not the folder of a study"),
         (["ppo", "--resume", "--force"], "--force moves aside"),
     ],
