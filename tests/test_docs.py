@@ -107,7 +107,7 @@ def test_shapes() -> None:
         "state": env.state().shape,
     }
     for name, shape in shapes.items():
-        row = next(line for line in TEXT.splitlines() if line.startswith(f"| {name} shape"))
+        row = next(line for line in TEXT.splitlines() if line.startswith(f"| {name}"))
         assert f"`{shape}`" in row, (name, shape)
     env.close()
 
