@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import reprlib
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
@@ -23,10 +23,26 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
-_STRICT = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+class Checked(BaseModel):
+    """A model whose constructor lists all problems of its arguments as one ``ConfigError``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+    if not TYPE_CHECKING:  # type checkers know the arguments from the fields
+
+        def __init__(self, **values: Any) -> None:
+            try:
+                super().__init__(**values)
+            except ValidationError as error:
+                raise ConfigError(self._source(), describe(error, type(self))) from None
+
+    @classmethod
+    def _source(cls) -> str:
+        return cls.__name__
 
 
-class RewardProfile(BaseModel):
+class RewardProfile(Checked):
     """A named set of reward rules and weights (mdp.md, "Reward profiles").
 
     Attributes:
@@ -35,15 +51,15 @@ class RewardProfile(BaseModel):
         small: r_s, the charge of a step on new ground (reward units, >= 0).
         medium: r_m, the charge of a step on known ground (reward units, >= 0).
         large: r_l, for a visited ROI, and against leaving the field (reward units, >= 0).
-        infinite: r_inf, the finite stand-in for infinity: success and collision (reward units,
-            >= 0).
+        infinite: r_inf, finite in place of infinity: success and collision (reward units, >= 0).
+
+    Raises:
+        ConfigError: naming every unknown or invalid argument and what is allowed.
 
     Source:
         Choton, Woods, Hsu, section 3 (``"formal"``) and the authors' released code
         (``"released"``).
     """
-
-    model_config = _STRICT
 
     name: str
     rules: Literal["released", "formal"] = "released"
@@ -59,7 +75,7 @@ REWARD_PROFILES: Mapping[str, RewardProfile] = {
 }
 
 
-class NavigationConfig(BaseModel):
+class NavigationConfig(Checked):
     """Everything about the MDP that is not the field. Symbols are those of the paper.
 
     Attributes:
@@ -67,8 +83,9 @@ class NavigationConfig(BaseModel):
         reward: the name of a reward profile, or a :class:`RewardProfile`.
         reward_sharing: ``"individual"`` (each robot its own share; the shares sum to the team's
             reward) or ``"team"`` (every robot gets the team's reward).
+        dynamics: how robots move: ``"point_mass"``, see ``engine.mdp.dynamics``.
         observation: ``"relative"``, ``"state"``, ``"local"`` or ``"lidar"``, see
-            ``engine.observation``.
+            ``engine.mdp.observations``.
         one_hot: append the robot's index as a one-hot vector to its observation.
         sensing_radius: how far ``"local"`` and ``"lidar"`` see, in units.
         wind: ``(v_a, beta_a)``: speed in units/step per step, angle in degrees from +x.
@@ -84,17 +101,16 @@ class NavigationConfig(BaseModel):
             field's own starts.
 
     Raises:
-        ConfigError: through :func:`make_config`, listing every problem.
+        ConfigError: naming every unknown or invalid setting and what is allowed.
 
     Source:
         Choton, Woods, Hsu, sections 3 and 4: symbols, dynamics and default numbers.
     """
 
-    model_config = _STRICT
-
     n_robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] | None = None
     reward: RewardProfile = REWARD_PROFILES["released"]
     reward_sharing: Literal["individual", "team"] = "individual"
+    dynamics: Literal["point_mass"] = "point_mass"
     observation: Literal["relative", "state", "local", "lidar"] = "relative"
     one_hot: bool = False
     sensing_radius: Positive = 100.0
@@ -108,6 +124,10 @@ class NavigationConfig(BaseModel):
     safety_distance: NonNegative = 10.0
     roi_radius: NonNegative = 10.0
     random_starts: bool = False
+
+    @classmethod
+    def _source(cls) -> str:
+        return "configuration"
 
     @field_validator("reward", mode="before")
     @classmethod
@@ -130,6 +150,7 @@ class FixedSettings(TypedDict, total=False):
 
     reward: str | RewardProfile
     reward_sharing: Literal["individual", "team"]
+    dynamics: Literal["point_mass"]
     observation: Literal["relative", "state", "local", "lidar"]
     one_hot: bool
     sensing_radius: float
@@ -157,22 +178,23 @@ def make_config(settings: Mapping[str, Any]) -> NavigationConfig:
     Raises:
         ConfigError: naming every unknown or invalid setting and what is allowed.
     """
-    try:
-        return NavigationConfig.model_validate(dict(settings))
-    except ValidationError as error:
-        raise ConfigError("configuration", describe(error, NavigationConfig)) from None
+    return NavigationConfig(**settings)
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
     """One line for each problem that pydantic found: the place, what is wrong, what is allowed.
 
     Args:
-        error: what pydantic raised.
-        model: what was to be made; its fields, and those of the models in it, are the known names.
+        error: raised by pydantic.
+        model: the model to be made; its fields, and those of the models in it, are the known names.
     """
     lines = []
     for problem in error.errors():
         place = ".".join(map(str, problem["loc"])) or model.__name__
+        cause = problem.get("ctx", {}).get("error")
+        if isinstance(cause, ConfigError):  # of a part that is a model
+            lines += [f"{place}.{line}" for line in cause.problems]
+            continue
         if problem["type"] == "extra_forbidden":
             *path, name = problem["loc"]
             message = unknown("name", str(name), _level(model, path).model_fields)

@@ -79,6 +79,12 @@ def test_recipes_fit_the_code(tmp_path: Path) -> None:
     assert languages == {"diff", "yaml", "python", "sh"}
 
 
+def test_a_reward_term_is_four_edits() -> None:
+    diffs = [block.text for block in blocks_of(EXTENDING) if block.language == "diff"]
+    assert "+    idle: NonNegative" in diffs[0]
+    assert len(re.findall("^@@", diffs[0], re.MULTILINE)) <= 4
+
+
 @pytest.mark.parametrize("path", notebooks.notebooks(), ids=lambda path: path.stem)
 def test_notebook_prints_what_it_keeps(path: Path) -> None:
     kept = nbformat.read(path, as_version=4)
@@ -125,7 +131,10 @@ def test_the_code_of_the_equations_exists() -> None:
     named = CODE.findall(section)
     assert len(named) > 15
     for module, name in named:
-        assert hasattr(importlib.import_module(f"mbn_marl.engine.{module}"), name), (module, name)
+        assert hasattr(importlib.import_module(f"mbn_marl.engine.mdp.{module}"), name), (
+            module,
+            name,
+        )
 
 
 # -- docstrings ------------------------------------------------------------------------------------

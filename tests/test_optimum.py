@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mbn_marl import centralized_env, parallel_env
+from mbn_marl.adapters.infos import UNDEFINED
 from mbn_marl.field import Field
 from mbn_marl.optimum import optimal_return
 from mbn_marl.planning import plan
@@ -34,12 +35,15 @@ def test_infos_report_the_gap_at_the_end() -> None:
     for actions in found.actions:
         infos = env.step(dict(zip(env.agents, actions, strict=True)))[-1]
         gaps.append({info["optimality_gap"] for info in infos.values()})
-    assert gaps == [{0.0}] * 17
+    assert gaps == [{UNDEFINED}] * 16 + [{0.0}]
     team = centralized_env("field_03")
     team.reset(seed=0)
     gaps = [team.step(np.zeros((3, 2)))[-1]["optimality_gap"] for _ in range(1000)]
     # Of each robot's 1000 steps the first costs 10, the others, on known ground, 100; two ROIs lie
     # exactly 10 units from starts.
     total = 2 * 10_000 - 3 * (10 + 999 * 100)
-    assert gaps == [0.0] * 999 + [pytest.approx(1.0 - total / 159_490)]
-    assert "optimality_gap" not in centralized_env("field_03", wind=(0.1, 0.0)).reset()[1]
+    assert gaps[:-1] == [UNDEFINED] * 999
+    assert gaps[-1] == pytest.approx(1.0 - total / 159_490)
+    unproved = centralized_env("field_03", wind=(0.1, 0.0), max_steps=1)
+    infos = unproved.reset()[1], unproved.step(np.zeros((3, 2)))[-1]
+    assert [info["optimality_gap"] for info in infos] == [UNDEFINED] * 2

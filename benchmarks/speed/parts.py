@@ -13,23 +13,23 @@ import numpy as np
 from benchmarks.speed.timing import Case, RandomSteps, cpu_backend
 from mbn_marl import BatchEngine
 from mbn_marl.engine.constants import unpack
-from mbn_marl.engine.observation import observe
-from mbn_marl.engine.reset import finish_world, reset_world
+from mbn_marl.engine.mdp.dynamics import propose_move
+from mbn_marl.engine.mdp.observations import observe
+from mbn_marl.engine.reset import copy_episode, reset_world
 from mbn_marl.engine.step import (
     BLOCK,
-    accelerate,
-    collide,
-    contain,
-    grow,
-    judge,
+    autoreset,
+    check_termination,
+    find_collisions,
+    give_rewards,
+    grow_filter,
+    hash_positions,
     make_scratch,
-    move,
-    recall,
-    record,
-    remember,
-    reward,
-    settle,
-    visit,
+    mark_revisits,
+    mark_visits,
+    record_positions,
+    stop_at_walls,
+    test_containment,
 )
 
 PHYSICS, REWARDS, MEMORY, OBSERVATIONS = range(4)
@@ -48,7 +48,7 @@ def restart(p, g, mem, now, final, out, lo, hi):  # type: ignore[no-untyped-def]
     for w in range(lo, hi):
         if out.terminated[w] | out.truncated[w]:
             ended += 1
-            finish_world(now, final, w)
+            copy_episode(now, w, final, w, now.x.shape[0])
             reset_world(p, g, mem, now, w)
     return ended
 
@@ -64,27 +64,27 @@ def step_parts(store, actions, last, lo, hi):  # type: ignore[no-untyped-def]  #
     while lo < hi:
         end = min(lo + np.uint64(BLOCK), hi)
         for i in range(now.x.shape[0]):
-            accelerate(p, g, now, to, actions, i, lo, end)
-            contain(g, to, lo, end)
-            move(p, now, out, to, i, lo, end)
-            visit(p, g, now, out, i, lo, end)
+            propose_move(p, g, now, to, actions, i, lo, end)
+            test_containment(g, to, lo, end)
+            stop_at_walls(p, now, out, to, i, lo, end)
+            mark_visits(p, g, now, out, i, lo, end)
         if last >= MEMORY:
-            record(mem, now, lo, end)
+            record_positions(mem, now, lo, end)
             for i in range(now.x.shape[0]):
-                recall(mem, now, out, to, i, lo, end)
+                hash_positions(mem, now, out, to, i, lo, end)
         if last >= OBSERVATIONS:
             observe(p, g, now, lo, end, to.tile, out.observations)
         if last >= MEMORY:
             for i in range(now.x.shape[0]):
-                remember(mem, now, out, to, i, lo, end)
+                mark_revisits(mem, now, out, to, i, lo, end)
         if last >= REWARDS:
-            collide(p, now, to, lo, end)
-            judge(p, g, mem, now, out, to, lo, end)
-            reward(p, now, out, to, lo, end)
+            find_collisions(p, now, to, lo, end)
+            check_termination(p, g, mem, now, out, to, lo, end)
+            give_rewards(p, now, out, to, lo, end)
         if last >= MEMORY:
-            grow(mem, now, lo, end)
+            grow_filter(mem, now, lo, end)
         if last >= OBSERVATIONS:
-            ended += settle(p, g, mem, now, final, out, to, lo, end)
+            ended += autoreset(p, g, mem, now, final, out, to, lo, end)
         elif last >= REWARDS:
             ended += restart(p, g, mem, now, final, out, lo, end)
         lo = end

@@ -18,7 +18,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.engine import Entry
-from mbn_marl.engine.observation import observation_table
+from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.field import catalogue_names, load_field
 
 Rows = Sequence[Sequence[str]]

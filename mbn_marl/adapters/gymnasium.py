@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.adapters.infos import Infos
+from mbn_marl.adapters.infos import INFO_KEYS, NOTHING, Infos
 from mbn_marl.adapters.one_world import OneWorld
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings
@@ -83,7 +83,7 @@ class CentralizedEnv(OneWorld, gymnasium.Env[State, Actions]):
         """
         super().reset(seed=seed)
         self._start(seed)
-        return self.engine.state()[0], self._infos.nothing()
+        return self.engine.state()[0], dict(NOTHING)
 
     def step(self, action: ArrayLike) -> tuple[State, float, bool, bool, dict[str, Any]]:
         """Move all robots.
@@ -101,8 +101,7 @@ class CentralizedEnv(OneWorld, gymnasium.Env[State, Actions]):
         """
         actions = _as_actions(action, (self.engine.n_robots, 2))
         _, _, terminated, truncated = self._move(actions)
-        row = self._infos.of_teams(np.array([terminated or truncated]))[0]
-        info = dict(zip(self._infos.keys, row.tolist(), strict=True))
+        info = self._infos.of_team(terminated or truncated)
         return self.state(), float(self.engine.team_rewards[0]), terminated, truncated, info
 
 
@@ -192,7 +191,7 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
             mask = np.ones(self.num_envs, np.bool_)
         else:
             self._reset_some(mask, seed)
-        nothing = np.zeros((self.num_envs, len(self._infos.keys)))
+        nothing = np.tile(list(NOTHING.values()), (self.num_envs, 1))
         return self.engine.state(), self._by_key(nothing, mask)
 
     def step(
@@ -249,7 +248,7 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         for world in np.flatnonzero(ended):
             states[world] = final_state[world]
         return {
-            **self._by_key(np.where(ended[:, None], 0.0, rows), everywhere),
+            **self._by_key(np.where(ended[:, None], list(NOTHING.values()), rows), everywhere),
             "final_obs": states,
             "_final_obs": ended,
             "final_info": self._by_key(np.where(ended[:, None], rows, 0.0), ended),
@@ -258,7 +257,7 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
 
     def _by_key(self, rows: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
         """Split rows of infos ``(W, keys)`` by key; ``_key`` is the mask of valid worlds."""
-        infos = dict(zip(self._infos.keys, rows.T.copy(), strict=True))
+        infos = dict(zip(INFO_KEYS, rows.T.copy(), strict=True))
         return {**infos, **{f"_{key}": mask for key in infos}}
 
 

@@ -10,8 +10,8 @@ key                 value (float)
 ``path_length``     distance the robot has moved in this episode, in units
 ``impulse``         the robot's part of the paper's objective, ``|sum_t u_i tau|``
 ``reward/<term>``   the terms of this step's reward, which sum to the robot's own reward
-``optimality_gap``  once the episode has ended, by how much its return falls short of the proved
-                    optimum, as a share of that; 0 before. Only where there is a proved optimum
+``optimality_gap``  at the end of the episode, by how much its return falls short of the proved
+                    optimum, as a share of that; NaN before, and where no optimum is proved
 ==================  =========================================================================
 
 In a team's info the robots' own values (from ``wall_hits`` on) are summed over the team.
@@ -25,8 +25,22 @@ from numpy.typing import NDArray
 from mbn_marl.engine import INFO_COLUMNS, BatchEngine
 from mbn_marl.optimum import optimal_return
 
-INFO_KEYS = INFO_COLUMNS
+
+class Undefined(np.float64):
+    """NaN that equals NaN: the checkers of PettingZoo and Gymnasium compare infos by ``==``."""
+
+    def __eq__(self, other: object) -> bool:
+        return bool(other != other)
+
+    __hash__ = np.float64.__hash__
+
+
+UNDEFINED = Undefined("nan")
 GAP = "optimality_gap"
+INFO_KEYS = (*INFO_COLUMNS, GAP)
+"""The keys of every info."""
+NOTHING = {**dict.fromkeys(INFO_COLUMNS, 0.0), GAP: UNDEFINED}
+"""The info of a reset."""
 TEAM_WIDE = slice(0, INFO_KEYS.index("wall_hits"))
 """The first keys describe the team and are the same for all robots."""
 
@@ -35,35 +49,25 @@ class Infos:
     """Makes the infos of the worlds of ``engine``.
 
     Attributes:
-        keys: the keys of every info.
-        optima: (W,), reward units: the proved optimum of each world, or ``None`` unless all have
-            one.
+        optima: (W,), reward units: the proved optimum of each world, NaN where there is none.
     """
 
     def __init__(self, engine: BatchEngine) -> None:
         self._engine = engine
-        known = [optimal_return(field, engine.config) for field in engine.fields]
-        optima = [optimum for optimum in known if optimum is not None]
-        proved = len(optima) == len(known)
-        self.optima = np.resize(np.array(optima), engine.num_worlds) if proved else None
-        self.keys = INFO_KEYS if self.optima is None else (*INFO_KEYS, GAP)
-
-    def nothing(self) -> dict[str, float]:
-        """Return the info of a reset."""
-        return dict.fromkeys(self.keys, 0.0)
+        optima = [optimal_return(field, engine.config) for field in engine.fields]
+        self.optima = np.resize(np.array(optima, np.float64), engine.num_worlds)
 
     def of_robots(self, ended: bool) -> list[dict[str, float]]:
-        """Return an info for each robot of the first world; ``ended``: its episode has ended."""
-        rows = self._engine.infos()[0].tolist()
-        infos = [dict(zip(INFO_KEYS, row, strict=True)) for row in rows]
-        if self.optima is not None:
-            gap = float(self._gaps(np.array([ended]))[0]) if ended else 0.0
-            for info in infos:
-                info[GAP] = gap
-        return infos
+        """One info for each robot of the first world; ``ended``: whether its episode has."""
+        gap = self._gaps(np.array([ended])).tolist()
+        return [_named(row + gap) for row in self._engine.infos()[0].tolist()]
+
+    def of_team(self, ended: bool) -> dict[str, float]:
+        """The info of the first world's team; ``ended``: whether its episode has."""
+        return _named(self.of_teams(np.array([ended]))[0].tolist())
 
     def of_teams(self, ended: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the info of every world's team, ordered as the keys.
+        """The info of every world's team, ordered as ``INFO_KEYS``.
 
         Args:
             ended: (W,) bool, the worlds whose episode has ended.
@@ -74,10 +78,15 @@ class Infos:
         robots = self._engine.infos()
         team: NDArray[np.float64] = robots.sum(axis=1)
         team[:, TEAM_WIDE] = robots[:, 0, TEAM_WIDE]
-        return team if self.optima is None else np.column_stack([team, self._gaps(ended)])
+        return np.column_stack([team, self._gaps(ended)])
 
     def _gaps(self, ended: NDArray[np.bool_]) -> NDArray[np.float64]:
-        if self.optima is None or not ended.any():
-            return np.zeros(len(ended))
+        if not ended.any():
+            return np.full(len(ended), np.nan)
         returns = self._engine.metrics()["episode_return"]
-        return np.where(ended, 1.0 - returns / self.optima, 0.0)
+        return np.where(ended, 1.0 - returns / self.optima, np.nan)
+
+
+def _named(row: list[float]) -> dict[str, float]:
+    info = dict(zip(INFO_KEYS, row, strict=True))
+    return {**info, GAP: UNDEFINED} if np.isnan(info[GAP]) else info

@@ -12,6 +12,7 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
+from mbn_marl.adapters.infos import NOTHING
 from mbn_marl.adapters.one_world import OneWorld
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import FieldLike
@@ -131,7 +132,7 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         """
         observations = self._start(seed)
         self.agents = list(self.possible_agents)
-        infos = {agent: self._infos.nothing() for agent in self.agents}
+        infos = {agent: dict(NOTHING) for agent in self.agents}
         return dict(zip(self.agents, observations, strict=True)), infos
 
     def step(self, actions: Mapping[str, ArrayLike]) -> StepResult:

@@ -2,10 +2,10 @@
 
 from mbn_marl.engine.batch import BatchEngine, FieldLike
 from mbn_marl.engine.kernels import INFO_COLUMNS
-from mbn_marl.engine.measured import Command, MeasuredWorld
-from mbn_marl.engine.observation import Entry
-from mbn_marl.engine.rewards import REWARD_TERMS
+from mbn_marl.engine.mdp.observations import Entry
+from mbn_marl.engine.mdp.rewards import REWARD_TERMS
 from mbn_marl.engine.snapshot import Snapshot
+from mbn_marl.engine.tracked_world import Command, TrackedWorld
 
 __all__ = [
     "INFO_COLUMNS",
@@ -14,6 +14,6 @@ __all__ = [
     "Command",
     "Entry",
     "FieldLike",
-    "MeasuredWorld",
     "Snapshot",
+    "TrackedWorld",
 ]

@@ -1,15 +1,19 @@
-"""Where an engine's worlds live and move: what ``BatchEngine`` needs to know of it."""
+"""The worlds of an engine on one kind of device, and what all kinds share."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.state import Episode, Geometry, Memory, Output
+from mbn_marl.engine import state
+from mbn_marl.engine.kernels import INFO_COLUMNS
+from mbn_marl.engine.state import Array, Episode, Geometry, Memory, Output
+from mbn_marl.errors import ActionError, StepError
 
 CUDA_NEEDS = (
     "device: 'cuda' needs an NVIDIA GPU, a torch that can use it (see pytorch.org), "
@@ -18,7 +22,7 @@ CUDA_NEEDS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class BackendSpec:
     """What a backend is made from.
 
     Attributes:
@@ -27,6 +31,7 @@ class Plan:
         obs_size: entries of a robot's observation.
         autoreset: the mode's name.
         threads: of the CPU.
+        seed: key of the random numbers.
         geometry: NumPy tables of the field, or of each world's.
         constants: the MDP's, (1,) record.
     """
@@ -36,6 +41,7 @@ class Plan:
     obs_size: int
     autoreset: str
     threads: int | None
+    seed: int
     geometry: Geometry
     constants: NDArray[Any]
 
@@ -45,75 +51,160 @@ class Plan:
         return self.num_worlds, self.geometry.masses.size, 2
 
 
-class Backend(Protocol):
-    """The worlds on one kind of device, and everything that differs between kinds.
+class Backend(ABC):
+    """The worlds on one kind of device; what differs between kinds is left to subclasses.
 
     Attributes:
-        plan: what it was made from.
-        now: the episode that goes on in each world.
+        spec: what it was made from.
+        now: the present episode of each world.
         final: the last finished ones (autoreset same-step).
         memory: what outlives or supports an episode.
-        output: what the last step or reset handed out.
+        output: what the last step or reset returned.
+        xp: the module of the arrays: numpy or torch.
+        derived: the attributes that :meth:`_connect` makes, and a copy makes for itself.
     """
 
-    plan: Plan
+    xp: ModuleType
+    derived: tuple[str, ...]
+    spec: BackendSpec
     now: Episode
     final: Episode
     memory: Memory
     output: Output
 
-    @property
-    def xp(self) -> ModuleType:
-        """The module of the arrays: numpy or torch."""
+    def _make_worlds(self, spec: BackendSpec) -> None:
+        """Make all arrays, on the default device of ``xp``."""
+        (worlds, n, _), config, xp = spec.actions_shape, spec.config, self.xp
+        self.spec, self._real = spec, getattr(xp, config.dtype)
+        self.now = state.make_episode(worlds, n, config, xp)
+        self.final = state.make_episode(worlds, n, config, xp)
+        self.memory = state.make_memory(worlds, n, config, self.now, xp)
+        self.output = state.make_output(worlds, n, spec.obs_size, config, xp)
+        self._everyone = xp.ones(worlds, dtype=xp.bool)
+        self._actions = xp.zeros(spec.actions_shape, dtype=self._real)
+        self.memory.seed[:] = spec.seed
 
     def reseed(self, seed: int) -> None:
         """Use another seed, and number episodes and draws from 0 again."""
+        self.memory.seed[:] = seed
+        self.memory.draw[:] = 0
+        self.memory.episode[:] = -1
 
+    @abstractmethod
     def reset(self, mask: Any) -> None:
         """Begin a new episode in the worlds of a mask (W,), or in all if it is ``None``."""
 
+    @abstractmethod
     def step(self, actions: Any, active: Any) -> None:
         """Check the arguments and step the worlds."""
 
-    def infos(self) -> Any:
+    def infos(self) -> Array:
         """See ``BatchEngine.infos``."""
+        worlds, n, _ = self.spec.actions_shape
+        rows: Array = self._empty((worlds, n, len(INFO_COLUMNS)), self.xp.float64)
+        self._write_infos(rows)
+        return rows
 
-    def states(self, *, final: bool) -> Any:
+    def states(self, *, final: bool) -> Array:
         """See ``BatchEngine.state`` and ``BatchEngine.final_state``."""
+        worlds, n, _ = self.spec.actions_shape
+        rows: Array = self._empty((worlds, 4 * n + 1), self._real)
+        self._write_states(self.final if final else self.now, rows)
+        return rows
 
-    def draw_actions(self) -> Any:
+    def draw_actions(self) -> Array:
         """The seed's next random actions, a fresh array."""
+        rows: Array = self._empty(self.spec.actions_shape, self.xp.float32)
+        draw = self.memory.draw
+        self._write_draw(rows)
+        draw += 1
+        return rows
 
-    @property
-    def counters(self) -> dict[str, Any]:
-        """The seed and the number of the next draw, arrays (1,)."""
-
-    def recount(self) -> None:
+    def recount(self) -> None:  # noqa: B027 - where nothing is counted, there is nothing to do
         """Take note that the arrays were written from outside."""
 
-    def raise_fault(self) -> None:
+    def raise_fault(self) -> None:  # noqa: B027 - where a step raises what it finds
         """Raise what a step has found wrong and could not raise itself."""
 
+    @abstractmethod
     def host(self, array: Any) -> NDArray[Any]:
         """A NumPy copy of an array of this backend."""
 
+    # -- what is given -----------------------------------------------------------------------------
 
-def mask_problem(name: str, shape: tuple[int, ...], dtype: object, worlds: int) -> str:
-    """What to say of a mask that is not (W,) of bool."""
-    return f"{name}: shape {shape} of {dtype}; allowed: ({worlds},) of bool"
+    def checked_actions(self, actions: Any) -> Any:
+        """Return the actions in the engine's precision.
 
+        Raises:
+            ActionError: wrong shape, not numeric, or found not to be finite.
+        """
+        given, allowed = self._given("actions", actions), self.spec.actions_shape
+        if tuple(given.shape) != allowed:
+            shape = f"shape {tuple(given.shape)}; allowed: {allowed} (worlds, robots, axes)"
+            raise ActionError(f"actions: {shape}")
+        if not self._is_real(given):
+            raise ActionError(f"actions: dtype {given.dtype}; allowed: a real number type")
+        return self._in_precision(given)
 
-def actions_shape_problem(shape: tuple[int, ...], plan: Plan) -> str:
-    """What to say of actions of another shape."""
-    return f"actions: shape {shape}; allowed: {plan.actions_shape} (worlds, robots, axes)"
+    def _checked_mask(self, name: str, mask: Any) -> Any:
+        """Return a mask of the worlds; ``None`` is that of all."""
+        if mask is None:
+            return self._everyone
+        given, worlds = self._given(name, mask), self.spec.num_worlds
+        if tuple(given.shape) != (worlds,) or given.dtype != self.xp.bool:
+            wrong = f"shape {tuple(given.shape)} of {given.dtype}"
+            raise ActionError(f"{name}: {wrong}; allowed: ({worlds},) of bool")
+        return given
 
+    def _waiting(self, world: int, place: str = "") -> StepError:
+        """The error of a step of a world that waits for a reset."""
+        why = "has ended" if self.memory.episode[world] >= 0 else "was never reset"
+        return StepError(f"{place}world {world} {why}; allowed: reset() or reset_worlds() first")
 
-def waiting_problem(world: int, *, was_reset: bool) -> str:
-    """What to say of a step of a world that waits for a reset."""
-    why = "has ended" if was_reset else "was never reset"
-    return f"world {world} {why}; allowed: reset() or reset_worlds() first"
+    @staticmethod
+    def _left_out(world: int, place: str = "") -> StepError:
+        """The error of a step without a world that is in an episode."""
+        return StepError(
+            f"{place}world {world} is left out of the step; allowed: only ended worlds"
+        )
 
+    # -- what differs between devices --------------------------------------------------------------
 
-def left_out_problem(world: int) -> str:
-    """What to say of a running world that a step leaves out."""
-    return f"world {world} is left out of the step; allowed: only ended worlds"
+    @abstractmethod
+    def _given(self, name: str, value: Any) -> Any:
+        """An argument as an array of this backend, or an error that says what it is."""
+
+    @abstractmethod
+    def _is_real(self, given: Any) -> bool:
+        """Return whether an array holds real numbers."""
+
+    @abstractmethod
+    def _in_precision(self, given: Any) -> Any:
+        """Actions of the right shape in the engine's precision."""
+
+    @abstractmethod
+    def _empty(self, shape: tuple[int, ...], dtype: Any) -> Any: ...
+
+    @abstractmethod
+    def _write_infos(self, rows: Any) -> None: ...
+
+    @abstractmethod
+    def _write_states(self, episode: Episode, rows: Any) -> None: ...
+
+    @abstractmethod
+    def _write_draw(self, rows: Any) -> None: ...
+
+    # -- copies ------------------------------------------------------------------------------------
+
+    def _connect(self) -> None:
+        """Make what refers to the arrays."""
+        self.memory = state.share_bits(self.memory, self.now, self.xp)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but what :meth:`_connect` makes."""
+        return {name: vars(self)[name] for name in vars(self) if name not in self.derived}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        """Make a copy that continues exactly as the original would."""
+        vars(self).update(kept)
+        self._connect()

@@ -10,17 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.config import Settings, make_config
-from mbn_marl.engine.backend import CUDA_NEEDS, Backend, Plan
-from mbn_marl.engine.checks import Autoreset, Device, autoreset_mode, check_setup, seed_problems
+from mbn_marl.engine import validation
+from mbn_marl.engine.backend import CUDA_NEEDS, Backend, BackendSpec
 from mbn_marl.engine.constants import make_record
 from mbn_marl.engine.cpu import CpuBackend
-from mbn_marl.engine.kernels import INFO_COLUMNS
+from mbn_marl.engine.kernels import MEASURES
 from mbn_marl.engine.listener import Listener
-from mbn_marl.engine.observation import observation_table
-from mbn_marl.engine.rewards import COLLISION, REWARD_TERMS, SUCCESS
-from mbn_marl.engine.saved import restore_worlds, save_worlds
+from mbn_marl.engine.mdp.observations import observation_table
+from mbn_marl.engine.mdp.rewards import COLLISION, REWARD_TERMS, SUCCESS
 from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.engine.state import Array, make_geometry
+from mbn_marl.engine.state_io import restore_worlds, save_worlds
+from mbn_marl.engine.validation import Autoreset, Device
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field
 
@@ -94,9 +95,11 @@ class BatchEngine:
         config = make_config(settings)
         n = config.n_robots or min((len(one.starts) for one in self.fields), default=1)
         self.config = config.model_copy(update={"n_robots": n})
-        self.autoreset = autoreset_mode(autoreset)
+        self.autoreset = validation.autoreset_mode(autoreset)
         given = None if starts is None else np.asarray(starts)
-        check_setup(self.fields, self.config, n, num_worlds, threads, seed, device, given)
+        validation.check_setup(
+            self.fields, self.config, n, num_worlds, threads, seed, device, given
+        )
         self.num_worlds, self.n_robots, self.device = num_worlds, n, device
         self.n_rois = max(len(one.rois) for one in self.fields)
         self.dtype = np.dtype(config.dtype)
@@ -108,14 +111,15 @@ class BatchEngine:
         self.listeners: list[Listener] = []
         self._backend = _make_backend(
             device,
-            Plan(
+            BackendSpec(
                 config=self.config,
                 num_worlds=num_worlds,
                 obs_size=self.obs_size,
                 autoreset=self.autoreset,
                 threads=threads,
+                seed=seed,
                 geometry=make_geometry(self.fields, self.config, n, num_worlds, given),
-                constants=make_record(self.config, n, self.field.arena, self.autoreset, seed),
+                constants=make_record(self.config, n, self.field.arena, self.autoreset),
             ),
         )
 
@@ -158,7 +162,7 @@ class BatchEngine:
             ConfigError: the seed is not allowed.
         """
         if seed is not None:
-            if problems := seed_problems(seed):
+            if problems := validation.seed_problems(seed):
                 raise ConfigError("reset", problems)
             self._backend.reseed(seed)
         self._backend.reset(None)
@@ -222,17 +226,15 @@ class BatchEngine:
         """What is known of each agent as of the last step, before any automatic reset.
 
         Returns:
-            A fresh array (W, n, 12), whose last axis is ordered as ``INFO_COLUMNS``. These are
-            ``success``, ``rois_visited`` and ``collision`` of the team; the agent's own
+            A fresh array (W, n, columns), whose last axis is ordered as ``INFO_COLUMNS``. These
+            are ``success``, ``rois_visited`` and ``collision`` of the team; the agent's own
             ``wall_hits``, ``path_length`` (units) and ``impulse`` (``|sum over steps of u tau|``,
-            mass x units/step) of this episode; and the six terms of its own reward in the last
-            step.
+            mass x units/step) of this episode; and the terms of its own reward in the last step.
         """
-        rows: NDArray[np.float64] = self._backend.infos()
-        return rows
+        return self._backend.infos()
 
     def reward_terms(self) -> Array:
-        """The named terms of each agent's own reward in the last step, (W, n, 6) real.
+        """The named terms of each agent's own reward in the last step, (W, n, terms) real.
 
         The last axis is ordered as ``REWARD_TERMS`` and sums to the individual reward.
         """
@@ -247,16 +249,14 @@ class BatchEngine:
         All positions ``x1, y1, x2, y2, ...``, then all velocities, then the visit code, whose most
         significant bit is the first ROI.
         """
-        states: Array = self._backend.states(final=False)
-        return states
+        return self._backend.states(final=False)
 
     def final_state(self) -> Array:
         """:meth:`state` at the end of the last finished episodes, (W, 4n + 1) real, raw units.
 
         With autoreset same-step only.
         """
-        states: Array = self._backend.states(final=True)
-        return states
+        return self._backend.states(final=True)
 
     def metrics(self) -> dict[str, Array]:
         """Measures of each episode as of the last step, before any automatic reset.
@@ -269,7 +269,7 @@ class BatchEngine:
         """
         backend = self._backend
         infos, now, final, xp = self.infos(), backend.now, backend.final, backend.xp
-        columns = {name: infos[..., k] for k, name in enumerate(INFO_COLUMNS[:6])}
+        columns = {name: infos[..., k] for k, name in enumerate(MEASURES)}
         ended = backend.output.terminated | backend.output.truncated
         ended &= self.autoreset == "same_step"
         return {
@@ -286,8 +286,7 @@ class BatchEngine:
 
     def sample_actions(self) -> Floats:
         """Uniform random actions, (W, n, 2) float32 in [-1, 1): the seed's next ones."""
-        actions: Floats = self._backend.draw_actions()
-        return actions
+        return self._backend.draw_actions()
 
     def save_state(self) -> dict[str, NDArray[Any]]:
         """Copies of everything that changes, by name: NumPy arrays, to be kept in a file.
@@ -316,7 +315,7 @@ class BatchEngine:
     @property
     def seed(self) -> int:
         """The key of the random numbers."""
-        return int(self._backend.counters["seed"][0])
+        return int(self._backend.memory.seed[0])
 
     @property
     def running(self) -> Flags:
@@ -342,7 +341,7 @@ class BatchEngine:
         steps, visited = int(now.steps[world]), int(now.visited[world])
         outcome = int(backend.output.outcomes[world]) if steps else 0
         field = self.fields[world % len(self.fields)]
-        roi_bits = backend.plan.geometry.roi_bits
+        roi_bits = backend.spec.geometry.roi_bits
         bits = roi_bits[: len(field.rois), world % roi_bits.shape[1]]
         return Snapshot(
             field=field,
@@ -366,12 +365,12 @@ def _is_several(field: FieldLike | Sequence[FieldLike]) -> TypeGuard[Sequence[Fi
     return isinstance(field, Sequence) and not isinstance(field, str)
 
 
-def _make_backend(device: Device, plan: Plan) -> Backend:
+def _make_backend(device: Device, spec: BackendSpec) -> Backend:
     """Where the worlds live: only CUDA needs torch, and so loads it."""
     if device == "cpu":
-        return CpuBackend(plan)
+        return CpuBackend(spec)
     try:
         from mbn_marl.engine.cuda import CudaBackend
     except ImportError as error:
         raise ConfigError("configuration", [f"{CUDA_NEEDS}; {error}"]) from None
-    return CudaBackend(plan)
+    return CudaBackend(spec)

@@ -2,110 +2,116 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.compiling import compiled
-from mbn_marl.engine.observation import OBSERVATIONS
-from mbn_marl.engine.rewards import RULES
+from mbn_marl.config import NavigationConfig, RewardProfile
+from mbn_marl.engine.jit import generated
+from mbn_marl.engine.mdp.dynamics import DYNAMICS
+from mbn_marl.engine.mdp.observations import OBSERVATIONS
+from mbn_marl.engine.mdp.rewards import RULES
 
 AUTORESET_MODES = ("disabled", "same_step", "next_step")
 
+WEIGHTS = [name for name, field in RewardProfile.model_fields.items() if field.annotation is float]
+Weights = namedtuple("Weights", WEIGHTS)  # type: ignore[misc]
+"""The numbers of a :class:`RewardProfile`, real, reward units."""
+
 
 class Constants(NamedTuple):
-    """Constants of the MDP as kernels see them: scalars. All before ``max_steps`` are real."""
+    """Constants of the MDP as kernels see them: scalars; ``float`` is the engine's precision."""
 
-    zero: Any
-    one: Any
-    tau: Any
-    f_max: Any
-    v_clip: Any
-    wind_x: Any  # velocity that the wind adds in a step
-    wind_y: Any
-    arena_x: Any
-    arena_y: Any
-    half_arena_x: Any
-    half_arena_y: Any
-    safety_squared: Any  # C^2
-    roi_squared: Any  # rho^2
-    sensing_squared: Any
-    small: Any  # r_s; a share is a robot's part of a reward that the whole team gets
-    small_share: Any
-    medium: Any  # r_m
-    medium_share: Any
-    large: Any  # r_l
-    infinite: Any  # r_inf
-    infinite_share: Any
-    per_arena_x: Any  # reciprocals, for scaled observations
-    per_arena_y: Any
-    per_half_arena_x: Any
-    per_half_arena_y: Any
-    per_speed: Any
-    per_speed_range: Any
-    max_steps: Any
-    rules: Any
-    team_sharing: Any
-    observation: Any
-    one_hot: Any
-    random_starts: Any
-    autoreset: Any
-    seed: Any
+    zero: float
+    one: float
+    tau: float
+    f_max: float
+    v_clip: float
+    wind_x: float  # velocity that the wind adds in a step
+    wind_y: float
+    arena_x: float
+    arena_y: float
+    half_arena_x: float
+    half_arena_y: float
+    safety_squared: float  # C^2
+    roi_squared: float  # rho^2
+    sensing_squared: float
+    whole: Weights
+    share: Weights  # a robot's part of what the whole team gets
+    per_arena_x: float  # reciprocals, for scaled observations
+    per_arena_y: float
+    per_half_arena_x: float
+    per_half_arena_y: float
+    per_speed: float
+    per_speed_range: float
+    max_steps: int
+    dynamics: int
+    rules: int
+    team_sharing: int
+    observation: int
+    one_hot: int
+    random_starts: int
+    autoreset: int
 
 
-REALS = Constants._fields.index("max_steps")
+KINDS = get_type_hints(Constants)
 
 
 def make_record(
-    config: NavigationConfig, n: int, arena: tuple[float, float], autoreset: str, seed: int
+    config: NavigationConfig, n: int, arena: tuple[float, float], autoreset: str
 ) -> NDArray[Any]:
-    """The constants as one structured array, (1,), that kernels take as a single argument."""
+    """The constants as one structured array, (1,), that kernels take as a single argument.
+
+    Those that are a setting have its name.
+    """
     real = np.dtype(config.dtype)
-    profile = config.reward
+    weights = [getattr(config.reward, name) for name in WEIGHTS]
     wind_x, wind_y = config.wind_increment()
     width, height = arena
-    constants = Constants(
-        zero=0.0,
-        one=1.0,
-        tau=config.tau,
-        f_max=config.f_max,
-        v_clip=config.v_clip,
-        wind_x=wind_x,
-        wind_y=wind_y,
-        arena_x=width,
-        arena_y=height,
-        half_arena_x=width / 2,
-        half_arena_y=height / 2,
-        safety_squared=config.safety_distance**2,
-        roi_squared=config.roi_radius**2,
-        sensing_squared=config.sensing_radius**2,
-        small=profile.small,
-        small_share=profile.small / n,
-        medium=profile.medium,
-        medium_share=profile.medium / n,
-        large=profile.large,
-        infinite=profile.infinite,
-        infinite_share=profile.infinite / n,
-        per_arena_x=_reciprocal(width, real),
-        per_arena_y=_reciprocal(height, real),
-        per_half_arena_x=_reciprocal(width / 2, real),
-        per_half_arena_y=_reciprocal(height / 2, real),
-        per_speed=_reciprocal(config.v_clip, real),
-        per_speed_range=_reciprocal(2 * config.v_clip, real),
-        max_steps=config.max_steps,
-        rules=RULES[profile.rules],
-        team_sharing=config.reward_sharing == "team",
-        observation=OBSERVATIONS[config.observation],
-        one_hot=config.one_hot,
-        random_starts=config.random_starts,
-        autoreset=AUTORESET_MODES.index(autoreset),
-        seed=seed,
-    )
-    types = [real] * REALS + [np.dtype(np.int64)] * (len(constants) - REALS)
-    layout = np.dtype(list(zip(Constants._fields, types, strict=True)), align=True)
-    return np.array([tuple(constants)], layout)
+    values = {
+        **{name: getattr(config, name, None) for name in Constants._fields},
+        "zero": 0.0,
+        "one": 1.0,
+        "wind_x": wind_x,
+        "wind_y": wind_y,
+        "arena_x": width,
+        "arena_y": height,
+        "half_arena_x": width / 2,
+        "half_arena_y": height / 2,
+        "safety_squared": config.safety_distance**2,
+        "roi_squared": config.roi_radius**2,
+        "sensing_squared": config.sensing_radius**2,
+        "whole": tuple(weights),
+        "share": tuple(weight / n for weight in weights),
+        "per_arena_x": _reciprocal(width, real),
+        "per_arena_y": _reciprocal(height, real),
+        "per_half_arena_x": _reciprocal(width / 2, real),
+        "per_half_arena_y": _reciprocal(height / 2, real),
+        "per_speed": _reciprocal(config.v_clip, real),
+        "per_speed_range": _reciprocal(2 * config.v_clip, real),
+        "dynamics": DYNAMICS[config.dynamics],
+        "rules": RULES[config.reward.rules],
+        "team_sharing": config.reward_sharing == "team",
+        "observation": OBSERVATIONS[config.observation],
+        "autoreset": AUTORESET_MODES.index(autoreset),
+    }
+    types: dict[Any, Any] = {
+        float: real,
+        int: np.int64,
+        Weights: [(name, real) for name in WEIGHTS],
+    }
+    layout = [(name, types[kind]) for name, kind in KINDS.items()]
+    record = tuple(values[name] for name in Constants._fields)
+    return np.array([record], np.dtype(layout, align=True))
+
+
+def constants_of(record: NDArray[Any]) -> Constants:
+    """What ``unpack`` gives, on the host: NumPy's reals and Python's integers."""
+    values = zip(KINDS.values(), record[0], strict=True)
+    make: dict[Any, Any] = {float: lambda real: real, int: int, Weights: lambda row: Weights(*row)}
+    return Constants(*(make[kind](value) for kind, value in values))
 
 
 def _reciprocal(span: float, real: np.dtype[Any]) -> Any:
@@ -116,48 +122,16 @@ def _reciprocal(span: float, real: np.dtype[Any]) -> Any:
     return value
 
 
-@compiled
-def unpack(record):
-    """The record (1,) as :class:`Constants`.
+def _source_of(name: str, kind: Any) -> str:
+    """How ``unpack`` reads the constant ``name`` from the record r."""
+    weights = ", ".join(f"r.{name}.{weight}" for weight in WEIGHTS)
+    return f"Weights({weights})" if kind is Weights else f"r.{name}"
 
-    Scalars that live in registers cannot alias the arrays that a pass writes, so they leave its
-    loop.
-    """
-    r = record[0]
-    return Constants(
-        r.zero,
-        r.one,
-        r.tau,
-        r.f_max,
-        r.v_clip,
-        r.wind_x,
-        r.wind_y,
-        r.arena_x,
-        r.arena_y,
-        r.half_arena_x,
-        r.half_arena_y,
-        r.safety_squared,
-        r.roi_squared,
-        r.sensing_squared,
-        r.small,
-        r.small_share,
-        r.medium,
-        r.medium_share,
-        r.large,
-        r.infinite,
-        r.infinite_share,
-        r.per_arena_x,
-        r.per_arena_y,
-        r.per_half_arena_x,
-        r.per_half_arena_y,
-        r.per_speed,
-        r.per_speed_range,
-        r.max_steps,
-        r.rules,
-        r.team_sharing,
-        r.observation,
-        r.one_hot,
-        r.random_starts,
-        r.autoreset,
-        r.seed,
-    )
+
+READS = ", ".join(_source_of(name, kind) for name, kind in KINDS.items())
+UNPACK = f"def unpack(record):\n    r = record[0]\n    return Constants({READS})\n"
+unpack = generated("unpack", UNPACK, Constants=Constants, Weights=Weights)
+"""The record (1,) as :class:`Constants`.
+
+Scalars that live in registers cannot alias the arrays that a pass writes, so they leave its loop.
+"""

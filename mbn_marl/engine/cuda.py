@@ -4,32 +4,22 @@ from __future__ import annotations
 
 import importlib.util
 import warnings
-from types import ModuleType
 from typing import Any
 
-import numpy as np
 import torch
 from numba import cuda
 from numba.core.errors import NumbaPerformanceWarning
 from numpy.typing import NDArray
 
 from mbn_marl.engine import cuda_kernels as kernels
-from mbn_marl.engine.backend import (
-    CUDA_NEEDS,
-    Plan,
-    actions_shape_problem,
-    left_out_problem,
-    mask_problem,
-    waiting_problem,
-)
-from mbn_marl.engine.constants import Constants
-from mbn_marl.engine.kernels import INFO_COLUMNS
-from mbn_marl.engine.state import Geometry, make_episode, make_memory, make_output, share_bits
-from mbn_marl.errors import ActionError, ConfigError, StepError
+from mbn_marl.engine.backend import CUDA_NEEDS, Backend, BackendSpec
+from mbn_marl.engine.constants import constants_of
+from mbn_marl.engine.state import Episode, Geometry
+from mbn_marl.errors import ActionError, ConfigError
 
 
 class Device:
-    """torch's current CUDA device and stream, as Numba's kernels get to know them."""
+    """torch's current CUDA device and stream, for Numba's kernels."""
 
     def __init__(self) -> None:
         if problem := _missing():
@@ -42,7 +32,7 @@ class Device:
         return cuda.as_cuda_array(tensor.detach(), sync=False)
 
     def is_capturing(self) -> bool:
-        """Whether what is launched now becomes part of a CUDA graph."""
+        """Return whether what is launched now becomes part of a CUDA graph."""
         return torch.cuda.is_current_stream_capturing()
 
     def launch(self, kernel: Any, blocks: int, threads: int, *arguments: Any) -> None:
@@ -68,80 +58,48 @@ def _missing() -> str | None:
     return None if found else "numba-cuda finds no GPU"
 
 
-class CudaBackend:
-    """The worlds of an engine in torch tensors; see ``backend.Backend``.
+class CudaBackend(Backend):
+    """The worlds of an engine in torch tensors.
 
     Nothing here waits for the device but :meth:`raise_fault` and :meth:`host`. What a captured
     graph has to find changed later (seed, number of the draw, first fault) is in tensors.
     """
 
-    def __init__(self, plan: Plan) -> None:
-        self.plan = plan
-        self._device = Device()
-        worlds, n, _ = plan.actions_shape
-        real = np.dtype(plan.config.dtype)
-        with self._device.torch:
-            self.now = make_episode(worlds, n, real, torch)
-            self.final = make_episode(worlds, n, real, torch)
-            self.memory = make_memory(worlds, n, plan.config, self.now, torch)
-            self.output = make_output(worlds, n, plan.obs_size, real, torch)
-            self._control = kernels.Control(
-                seed=torch.tensor([int(plan.constants["seed"][0])]),
-                draw=torch.zeros(1, dtype=torch.int64),
-                fault=torch.tensor([int(kernels.NO_FAULT)]),
-            )
-            self._everyone = torch.ones(worlds, dtype=torch.bool)
-            self._geometry = Geometry(*map(self._tensor, plan.geometry))
-            self._actions = torch.zeros(plan.actions_shape, dtype=getattr(torch, real.name))
+    xp = torch
+    derived = ("_arrays", "_final", "_output", "_faults", "_device")
+
+    def __init__(self, spec: BackendSpec) -> None:
+        self._constants = constants_of(spec.constants)
+        with Device().torch as place:
+            self._make_worlds(spec)
+            self._fault = torch.tensor([int(kernels.NO_FAULT)])
+            tables: Any = (torch.as_tensor(table, device=place) for table in spec.geometry)
+            self._geometry = Geometry(*tables)
         self._connect()
 
-    @property
-    def xp(self) -> ModuleType:
-        """The module of the arrays."""
-        return torch
-
-    # -- the cycle ---------------------------------------------------------------------------------
-
-    def reseed(self, seed: int) -> None:
-        """Use another seed, and number episodes and draws from 0 again."""
-        self._control.seed.fill_(seed)
-        self._control.draw.zero_()
-        self.memory.episode[:] = -1
-
     def reset(self, mask: Any) -> None:
-        """Begin a new episode in the masked worlds, or in all.
-
-        Raises:
-            ActionError: the mask is no such tensor; or, before anything is reset, what
-                :meth:`raise_fault` raises.
-        """
-        chosen = self._everyone if mask is None else self._checked_mask("mask", mask)
+        """Begin a new episode in the masked worlds, or in all, unless there is a fault to raise."""
+        chosen = self._checked_mask("mask", mask)
         self.raise_fault()
         self._run(
-            kernels.reset_kernel(self.plan.obs_size),
+            kernels.reset_kernel(self.spec.obs_size),
             self._constants,
             *self._arrays,
-            self._out,
+            self._output,
             self._call(self._actions, chosen),
-            self._controls,
         )
 
     def step(self, actions: Any, active: Any) -> None:
-        """Step the worlds; those with a fault rest.
-
-        Raises:
-            ActionError: no tensor on this device, wrong shape, or not numeric.
-        """
-        n, size = self.plan.actions_shape[1], self.plan.obs_size
-        moving = self._everyone if active is None else self._checked_mask("active", active)
+        """Step the worlds; those with a fault rest."""
+        n, size = self.spec.actions_shape[1], self.spec.obs_size
+        moving = self._checked_mask("active", active)
         self._run(
-            kernels.step_kernel(n, size, self.plan.config.dtype),
+            kernels.step_kernel(n, size, self.spec.config.dtype),
             self._constants,
             *self._arrays,
-            self._last,
-            self._out,
-            self._call(self._checked_actions(actions), moving),
-            self._controls,
+            self._final,
+            self._output,
+            self._call(self.checked_actions(actions), moving),
         )
 
     def raise_fault(self) -> None:
@@ -153,130 +111,79 @@ class CudaBackend:
         """
         if self._device.is_capturing():
             return
-        fault = int(self._control.fault)
+        fault = int(self._fault)
         if fault == kernels.NO_FAULT:
             return
-        self._control.fault.fill_(int(kernels.NO_FAULT))
+        self._fault.fill_(int(kernels.NO_FAULT))
         world, kind = divmod(fault, kernels.KINDS)
         if kind == kernels.NOT_FINITE:
             raise ActionError(
                 f"actions[{world}] of an earlier step (world {world}): not finite; "
                 "allowed: finite numbers, clipped to [-1, 1]"
             )
-        if kind == kernels.WAITING:
-            was_reset = int(self.memory.episode[world]) >= 0
-            raise StepError("an earlier step: " + waiting_problem(world, was_reset=was_reset))
-        raise StepError("an earlier step: " + left_out_problem(world))
-
-    def _checked_actions(self, actions: Any) -> torch.Tensor:
-        """The actions in the engine's precision. Their values are the kernel's to judge."""
-        given = self._checked_tensor("actions", actions)
-        if given.shape != self._actions.shape:
-            raise ActionError(actions_shape_problem(tuple(given.shape), self.plan))
-        if given.dtype == torch.bool or given.is_complex():
-            raise ActionError(f"actions: dtype {given.dtype}; allowed: a real number type")
-        if given.dtype == self._actions.dtype and given.is_contiguous():
-            return given
-        if given.dtype.itemsize > self._actions.dtype.itemsize and given.is_floating_point():
-            given = torch.where(given.isfinite(), given.clamp(-1, 1), given)
-        return self._actions.copy_(given)
-
-    def _checked_mask(self, name: str, mask: Any) -> torch.Tensor:
-        given = self._checked_tensor(name, mask)
-        if given.shape != self._everyone.shape or given.dtype != torch.bool:
-            worlds = self.plan.num_worlds
-            raise ActionError(mask_problem(name, tuple(given.shape), given.dtype, worlds))
-        return given.contiguous()
-
-    def _checked_tensor(self, name: str, value: Any) -> torch.Tensor:
-        place = self._device.torch
-        if isinstance(value, torch.Tensor) and value.device == place:
-            return value.detach()
-        what = value.device if isinstance(value, torch.Tensor) else type(value).__name__
-        raise ActionError(f"{name}: {what}; allowed: a torch tensor on {place}")
-
-    @property
-    def counters(self) -> dict[str, torch.Tensor]:
-        """The seed and the number of the next draw, tensors (1,)."""
-        return {"seed": self._control.seed, "draw": self._control.draw}
-
-    def recount(self) -> None:
-        """Nothing: the kernels look at the tensors alone."""
-
-    # -- what happened -----------------------------------------------------------------------------
-
-    def infos(self) -> torch.Tensor:
-        """What is known of each robot as of the last step, (W, n, 12) float64."""
-        worlds, n, _ = self.plan.actions_shape
-        rows = self._empty((worlds, n, len(INFO_COLUMNS)), torch.float64)
-        arguments = (self._constants, *self._arrays, self._last, self._out, self._rows(rows))
-        self._run(kernels.plain_kernel(kernels.infos), *arguments)
-        return rows
-
-    def states(self, *, final: bool) -> torch.Tensor:
-        """The paper's vectors, (W, 4n + 1) real."""
-        worlds, n, _ = self.plan.actions_shape
-        rows = self._empty((worlds, 4 * n + 1), self._actions.dtype)
-        geometry, memory, now = self._arrays
-        episode = self._last if final else now
-        kernel = kernels.plain_kernel(kernels.states)
-        self._run(kernel, geometry, memory, episode, self._rows(rows))
-        return rows
-
-    def draw_actions(self) -> torch.Tensor:
-        """Uniform random actions, (W, n, 2) float32."""
-        rows = self._empty(self.plan.actions_shape, torch.float32)
-        self._run(kernels.plain_kernel(kernels.draw), self._controls, self._rows(rows))
-        self._control.draw.add_(1)
-        return rows
+        error = self._waiting if kind == kernels.WAITING else self._left_out
+        raise error(world, "an earlier step: ")
 
     def host(self, array: Any) -> NDArray[Any]:
         """A NumPy copy; waits for the device."""
         copy: NDArray[Any] = array.cpu().numpy().copy()
         return copy
 
-    # -- the kernels -------------------------------------------------------------------------------
+    def _given(self, name: str, value: Any) -> torch.Tensor:
+        place = self._device.torch
+        if isinstance(value, torch.Tensor) and value.device == place:
+            return value.detach().contiguous()
+        what = value.device if isinstance(value, torch.Tensor) else type(value).__name__
+        raise ActionError(f"{name}: {what}; allowed: a torch tensor on {place}")
 
-    def _tensor(self, table: NDArray[Any]) -> Any:
-        return torch.as_tensor(table, device=self._device.torch)
+    def _is_real(self, given: torch.Tensor) -> bool:
+        return given.dtype != torch.bool and not given.is_complex()
+
+    def _in_precision(self, given: torch.Tensor) -> torch.Tensor:
+        """The kernel finds what is not finite."""
+        if given.dtype == self._actions.dtype:
+            return given
+        if given.dtype.itemsize > self._actions.dtype.itemsize and given.is_floating_point():
+            given = torch.where(given.isfinite(), given.clamp(-1, 1), given)
+        return torch.Tensor.copy_(self._actions, given)
+
+    # -- the kernels -------------------------------------------------------------------------------
 
     def _empty(self, shape: tuple[int, ...], dtype: torch.dtype) -> torch.Tensor:
         return torch.empty(shape, dtype=dtype, device=self._device.torch)
+
+    def _write_infos(self, rows: torch.Tensor) -> None:
+        arguments = (self._constants, *self._arrays, self._final, self._output, self._rows(rows))
+        self._run(kernels.plain_kernel(kernels.infos), *arguments)
+
+    def _write_states(self, episode: Episode, rows: torch.Tensor) -> None:
+        geometry, _, now = self._arrays
+        arrays = self._final if episode is self.final else now
+        self._run(kernels.plain_kernel(kernels.states), geometry, arrays, self._rows(rows))
+
+    def _write_draw(self, rows: torch.Tensor) -> None:
+        self._run(kernels.plain_kernel(kernels.draw), self._arrays[1], self._rows(rows))
 
     def _rows(self, rows: torch.Tensor) -> tuple[Any]:
         return (self._device.array(rows),)
 
     def _call(self, actions: torch.Tensor, active: torch.Tensor) -> kernels.Call:
-        return kernels.Call(self._device.array(actions), self._device.array(active))
+        array = self._device.array
+        return kernels.Call(array(actions), array(active), self._faults)
 
     def _run(self, kernel: Any, *arguments: Any) -> None:
-        threads = kernels.threads_per_block(self.plan.obs_size)
-        blocks = -(-self.plan.num_worlds // threads)
+        threads = kernels.threads_per_block(self.spec.obs_size)
+        blocks = -(-self.spec.num_worlds // threads)
         self._device.launch(kernel, blocks, threads, *arguments)
-
-    # -- copies ------------------------------------------------------------------------------------
-
-    def __getstate__(self) -> dict[str, Any]:
-        """All but what :meth:`_connect` makes."""
-        made = ("_constants", "_arrays", "_last", "_out", "_controls", "_device")
-        return {name: vars(self)[name] for name in vars(self) if name not in made}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Make a copy that goes on exactly as the original would."""
-        vars(self).update(state)
-        self._device = Device()
-        self._connect()
 
     def _connect(self) -> None:
         """Make the kernels' views of the tensors, once: that takes longer than a launch."""
-        self.memory = share_bits(self.memory, self.now, torch)
+        super()._connect()
+        self._device = Device()
 
         def arrays(tensors: Any) -> Any:
             return type(tensors)(*map(self._device.array, tensors))
 
-        real = np.dtype(self.plan.config.dtype).type
-        values = self.plan.constants[0].item()
-        self._constants = Constants(*(v if isinstance(v, int) else real(v) for v in values))
         self._arrays = arrays(self._geometry), arrays(self.memory), arrays(self.now)
-        self._last, self._out = arrays(self.final), arrays(self.output)
-        self._controls = arrays(self._control)
+        self._final, self._output = arrays(self.final), arrays(self.output)
+        self._faults = self._device.array(self._fault)

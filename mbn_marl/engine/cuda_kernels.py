@@ -21,13 +21,23 @@ from numba import cuda
 from numba.core import config
 from numba.core.compiler_lock import global_compiler_lock
 
-from mbn_marl.engine.compiling import compiled
-from mbn_marl.engine.constants import AUTORESET_MODES, Constants
+from mbn_marl.engine.constants import AUTORESET_MODES
+from mbn_marl.engine.jit import compiled, generated
 from mbn_marl.engine.kernels import draw_world, put_infos
-from mbn_marl.engine.observation import column, describe, put_state
-from mbn_marl.engine.reset import clear_output, finish_world, reset_world
+from mbn_marl.engine.mdp.observations import describe, put_state
+from mbn_marl.engine.reset import (
+    ENDED,
+    MOTION,
+    RESTARTS,
+    begin_world,
+    clear_output,
+    copy_episode,
+    copy_motion,
+    reset_world,
+)
+from mbn_marl.engine.scalars import column
 from mbn_marl.engine.state import Episode, Geometry, Memory, Output
-from mbn_marl.engine.step import ENDED, RESTARTS, SAME_STEP, Scratch, act, assess, conclude
+from mbn_marl.engine.step import close_step, move_robots, score_step, scratch_of
 
 DISABLED = AUTORESET_MODES.index("disabled")
 NOT_FINITE, WAITING, LEFT_OUT = 1, 2, 3
@@ -41,17 +51,10 @@ TILE_BYTES = 48 * 1024
 
 
 class Call(NamedTuple):
-    """What is new in each launch of a step or a reset."""
+    """What a launch of a step or a reset receives besides the worlds."""
 
     actions: Any  # (W, n, 2) real
     active: Any  # (W,) bool: worlds to step, or to reset
-
-
-class Control(NamedTuple):
-    """What the host may change between two launches of a captured graph, and reads when asked."""
-
-    seed: Any  # (1,) int64
-    draw: Any  # (1,) int64: number of the draw of random actions
     fault: Any  # (1,) int64: the first world with a fault * KINDS + its kind, or NO_FAULT
 
 
@@ -64,15 +67,8 @@ def threads_per_block(obs_size: int) -> int:
 
 
 @compiled
-def with_seed(p, control):
-    """The constants with the seed that holds now."""
-    seed = (control.seed[0],)
-    return Constants(*(p[:-1] + seed))
-
-
-@compiled
 def is_waiting(p, mem, w):
-    """Whether world w cannot be stepped before a reset."""
+    """Return whether world w cannot be stepped before a reset."""
     return mem.pending[w] if p.autoreset == DISABLED else mem.episode[w] < 0
 
 
@@ -88,69 +84,31 @@ def fault_of(p, mem, call, w):
     return 0
 
 
-@compiled
-def memory_of(mem, x_bits, y_bits, w):
-    """The memory of world w as a batch of one."""
-    end = w + ONE
-    return Memory(
-        x_bits,
-        y_bits,
-        mem.trail[w:end],
-        mem.trail_bits[w:end],
-        mem.trail_key[w:end],
-        mem.trail_velocity[w:end],
-        mem.trail_code[w:end],
-        mem.words[w:end],
-        mem.filter[w:end],
-        mem.pending[w:end],
-        mem.episode[w:end],
-    )
+def _view_of(kind: Any, index: str, given: tuple[str, ...] = (), **places: str) -> Any:
+    """``view(source, w, end, ...)``: world w of the arrays of ``kind``, as a batch of one.
+
+    ``index`` is where a world lies in an array, ``places`` those where that differs; ``given`` are
+    the arrays that the caller has and passes.
+    """
+    index_of = {field: f"[{index}]" for field in kind._fields} | places
+    arrays = (field if field in given else f"source.{field}{index_of[field]}" for field in index_of)
+    head = f"def view({', '.join(('source', 'w', 'end', *given))}):"
+    return generated("view", f"{head}\n    return Kind({', '.join(arrays)})\n", Kind=kind)
 
 
-@compiled
-def geometry_of(g, w):
-    """The tables of world w, as those of a batch of one."""
-    f = column(g, w)
-    end = f + ONE
-    return Geometry(
-        g.edges[:, :, f:end],
-        g.rois[:, :, f:end],
-        g.starts[:, :, f:end],
-        g.roi_bits[:, f:end],
-        g.codes[f:end],
-        g.boxes[:, f:end],
-        g.masses,
-        g.rays,
-    )
-
-
-@compiled
-def load_episode(now, one, w):
-    """Fetch what a step reads over and over: ``one`` holds it for world w."""
-    for i in range(one.x.shape[0]):
-        one.x[i, 0] = now.x[i, w]
-        one.y[i, 0] = now.y[i, w]
-        one.vx[i, 0] = now.vx[i, w]
-        one.vy[i, 0] = now.vy[i, w]
-    one.visited[0] = now.visited[w]
-    one.steps[0] = now.steps[w]
-
-
-@compiled
-def save_episode(one, now, w):
-    """Put back what :func:`load_episode` fetched."""
-    for i in range(one.x.shape[0]):
-        now.x[i, w] = one.x[i, 0]
-        now.y[i, w] = one.y[i, 0]
-        now.vx[i, w] = one.vx[i, 0]
-        now.vy[i, w] = one.vy[i, 0]
-    now.visited[w] = one.visited[0]
-    now.steps[w] = one.steps[0]
+TABLE = "[:, :, w:end]"
+RESULTS = ("rewards", "team_rewards", "terminated", "truncated", "events", "outcomes")
+geometry_of = _view_of(
+    Geometry, ":, w:end", edges=TABLE, rois=TABLE, starts=TABLE, codes="[w:end]", masses="", rays=""
+)
+memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="")
+episode_of = _view_of(Episode, ":, w:end", MOTION, team_return="[w:end]")
+output_of = _view_of(Output, "w:end", RESULTS)
 
 
 @compiled
 def save_output(one, out, w):
-    """Hand out what the step of world w made, but for the observations."""
+    """Write what the step of world w made, but for the observations."""
     for i in range(one.events.shape[0]):
         out.rewards[w, i] = one.rewards[0, i]
         out.events[i, w] = one.events[i, 0]
@@ -161,7 +119,7 @@ def save_output(one, out, w):
 
 
 @cuda.jit(device=True)
-def hand_out(p, g, ep, w, is_world, tile, rows):
+def write_observations(p, g, ep, w, is_world, tile, rows):
     """Write the observations of the block's worlds to ``rows``; this thread's is ``w`` of ``ep``.
 
     A robot's observation is made in this thread's column of ``tile`` (size, threads + 1), in shared
@@ -191,10 +149,9 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
 
     These are constants of the code: the robots' loops unroll, and a world's arrays are registers.
     """
-    threads = threads_per_block(obs_size)
-    columns = threads + 1  # an odd number, so that neither way of reading meets a bank twice
+    columns = threads_per_block(obs_size) + 1  # odd: neither way of reading meets a bank twice
 
-    def step(p, g, mem, now, final, out, call, control):
+    def step(p, g, mem, now, final, out, call):
         w = np.uint64(cuda.grid(1))
         is_world = w < now.steps.shape[0]
         tile = cuda.shared.array((obs_size, columns), np.float32)
@@ -213,71 +170,37 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
         seen = cuda.local.array(1, np.int32)
         keys = cuda.local.array((2, n, 1), np.uint64)
         end = w + ONE
-        one = Episode(
-            x,
-            y,
-            vx,
-            vy,
-            now.impulse_x[:, w:end],
-            now.impulse_y[:, w:end],
-            now.path_length[:, w:end],
-            now.wall_hits[:, w:end],
-            now.returns[:, w:end],
-            now.team_return[w:end],
-            visited,
-            steps,
-        )
-        own = geometry_of(g, w)
-        memory = memory_of(mem, x.view(bits), y.view(bits), w)
-        given = Output(
-            out.observations[w:end],
-            rewards,
-            reals[6],
-            flags[2],
-            flags[3],
-            events,
-            outcomes,
-            out.final_observations[w:end],
-        )
-        to = Scratch(
-            reals[0],
-            reals[1],
-            reals[2],
-            reals[3],
-            reals[4],
-            reals[5],
-            seen,
-            flags[0],
-            flags[1],
-            keys[0],
-            keys[1],
-            mine,
-        )
+        one = episode_of(now, w, end, x, y, vx, vy, visited, steps)
+        f = column(g, w)
+        own = geometry_of(g, f, f + ONE)
+        memory = memory_of(mem, w, end, x.view(bits), y.view(bits))
+        given = output_of(out, w, end, rewards, reals[6], flags[2], flags[3], events, outcomes)
+        to = scratch_of(reals, seen, flags, keys, mine)
         if is_world:
-            load_episode(now, one, w)
+            copy_motion(now, w, one, ZERO, n)
             fault = fault_of(p, mem, call, w)
-            fate = 0
+            change = 0
             if fault != 0:
-                cuda.atomic.min(control.fault, 0, np.int64(w) * KINDS + fault)
+                cuda.atomic.min(call.fault, 0, np.int64(w) * KINDS + fault)
             if (fault != 0) | (not call.active[w]):
                 clear_output(p, given, ZERO)
             else:
-                act(p, own, memory, one, given, to, call.actions[w:end], ZERO, ONE)
-                assess(p, own, memory, one, given, to, ZERO, ONE)
-                fate = conclude(p, memory, given, ZERO)
-            if fate == ENDED | RESTARTS:
+                move_robots(p, own, memory, one, given, to, call.actions[w:end], ZERO, ONE)
+                score_step(p, own, memory, one, given, to, ZERO, ONE)
+                change = close_step(p, memory, given, ZERO)
+            if change == ENDED | RESTARTS:
                 for i in range(n):
                     describe(p, own, own.rays, one, ZERO, ONE, i, mine)
                     for entry in range(obs_size):
                         given.final_observations[0, i, entry] = mine[entry, 0]
-            save_episode(one, now, w)
+            copy_motion(one, ZERO, now, w, n)
             save_output(given, out, w)
-            if fate == ENDED | RESTARTS:
-                finish_world(now, final, w)
-            if fate & RESTARTS:
-                reset_world(with_seed(p, control), g, mem, now, w)
-                load_episode(now, one, w)
-        hand_out(p, own, one, ZERO, is_world, tile, out.observations)
+            if change == ENDED | RESTARTS:
+                copy_episode(now, w, final, w, n)
+            if change & RESTARTS:
+                reset_world(p, g, mem, now, w)
+                copy_motion(now, w, one, ZERO, n)
+        write_observations(p, own, one, ZERO, is_world, tile, out.observations)
 
     return step
 
@@ -286,15 +209,13 @@ def make_reset(obs_size: int) -> Callable[..., None]:
     """The reset of the worlds that ``call.active`` marks, and everyone's observations."""
     columns = threads_per_block(obs_size) + 1
 
-    def reset(p, g, mem, now, out, call, control):
+    def reset(p, g, mem, now, out, call):
         w = np.uint64(cuda.grid(1))
         is_world = w < now.steps.shape[0]
         tile = cuda.shared.array((obs_size, columns), np.float32)
         if is_world and call.active[w]:
-            mem.pending[w] = False
-            reset_world(with_seed(p, control), g, mem, now, w)
-            clear_output(p, out, w)
-        hand_out(p, g, now, w, is_world, tile, out.observations)
+            begin_world(p, g, mem, now, out, w)
+        write_observations(p, g, now, w, is_world, tile, out.observations)
 
     return reset
 
@@ -303,25 +224,21 @@ def infos(p, g, mem, now, final, out, rows):
     """As ``kernels.write_infos``, with ``rows`` in a tuple of one."""
     w = cuda.grid(1)
     if w < now.steps.shape[0]:
-        ended = out.terminated[w] | out.truncated[w]
-        if ended & (p.autoreset == SAME_STEP):
-            put_infos(p, g, final, out, w, rows[0])
-        else:
-            put_infos(p, g, now, out, w, rows[0])
+        put_infos(p, g, now, final, out, w, rows[0])
 
 
-def states(g, mem, episode, rows):
+def states(g, episode, rows):
     """As ``kernels.write_states``, of one of the episodes, with ``rows`` in a tuple of one."""
     w = np.uint64(cuda.grid(1))
     if w < episode.steps.shape[0]:
         put_state(g, episode, w, w + ONE, 0, rows[0][w : w + ONE].T)
 
 
-def draw(control, rows):
+def draw(mem, rows):
     """As ``kernels.draw_actions``, with the actions in a tuple of one."""
     w = cuda.grid(1)
     if w < rows[0].shape[0]:
-        draw_world(control.seed[0], control.draw[0], w, rows[0])
+        draw_world(mem, w, rows[0])
 
 
 @cache

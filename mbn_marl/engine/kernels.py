@@ -5,43 +5,26 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from mbn_marl.engine import rewards
-from mbn_marl.engine.compiling import compiled, entry_point, parallel_entry_point
 from mbn_marl.engine.constants import unpack
-from mbn_marl.engine.observation import observe, put_state, visit_code
-from mbn_marl.engine.reset import clear_output, reset_world
-from mbn_marl.engine.rng import FOR_ACTIONS, stream_key, uniform
+from mbn_marl.engine.jit import compiled, entry_point, parallel_entry_point
+from mbn_marl.engine.mdp.dynamics import objective
+from mbn_marl.engine.mdp.observations import observe, put_state
+from mbn_marl.engine.mdp.rewards import COLLISION, RESTED, REWARD_TERMS, SUCCESS, robot_terms
+from mbn_marl.engine.mdp.rng import FOR_ACTIONS, stream_key, uniform
+from mbn_marl.engine.mdp.visits import visit_code
+from mbn_marl.engine.reset import begin_world, clear_output
+from mbn_marl.engine.scalars import count_bits, is_set
 from mbn_marl.engine.step import SAME_STEP, step_worlds
-
-__all__ = [
-    "INFO_COLUMNS",
-    "all_finite",
-    "draw_actions",
-    "reset_worlds",
-    "rest_worlds",
-    "step_ranges",
-    "step_worlds",
-    "write_infos",
-    "write_states",
-]
-
 
 FIRST, NEXT = np.uint64(0), np.uint64(1)
 
-INFO_COLUMNS = (
-    "success",
-    "rois_visited",
-    "collision",
-    "wall_hits",
-    "path_length",
-    "impulse",
-    *(f"reward/{term}" for term in rewards.REWARD_TERMS),
-)
+MEASURES = ("success", "rois_visited", "collision", "wall_hits", "path_length", "impulse")
+INFO_COLUMNS = (*MEASURES, *(f"reward/{term}" for term in REWARD_TERMS))
 
 
 @entry_point
 def all_finite(actions):
-    """Whether every number is finite: x * 0 is 0 for exactly those, and the sum keeps any NaN."""
+    """Return whether all are finite: x * 0 is 0 for exactly those, and the sum keeps any NaN."""
     zero = actions.dtype.type(0)
     bad = False
     for value in actions.flat:
@@ -51,7 +34,7 @@ def all_finite(actions):
 
 @parallel_entry_point
 def step_ranges(store, actions, cuts):
-    """Step worlds ``cuts[k]`` to ``cuts[k + 1] - 1`` for every k, in parallel; how many ended."""
+    """Step worlds ``cuts[k]`` to ``cuts[k + 1] - 1`` for every k; return how many ended."""
     ended = 0
     for k in prange(cuts.size - 1):
         ended += step_worlds(store, actions, cuts[k], cuts[k + 1])
@@ -66,9 +49,7 @@ def reset_worlds(store, mask):
     tile = np.empty((out.observations.shape[2], 1), np.float32)
     for w in range(FIRST, np.uint64(mask.size)):
         if mask[w]:
-            mem.pending[w] = False
-            reset_world(p, g, mem, now, w)
-            clear_output(p, out, w)
+            begin_world(p, g, mem, now, out, w)
             observe(p, g, now, w, w + NEXT, tile, out.observations)
 
 
@@ -90,34 +71,39 @@ def rest_worlds(store, mask):
 
 
 @compiled
-def put_infos(p, g, ep, out, w, rows):
-    """Write what is known of each robot of world w, in the order of ``INFO_COLUMNS``."""
+def put_episode(p, g, ep, out, w, rows):
+    """Write the infos of world w, whose episode is in ``ep``."""
     outcome = out.outcomes[w]
-    rois_visited = rewards.count_bits(visit_code(g, ep.visited[w], w))
-    lost = rewards.is_set(outcome, rewards.COLLISION)
-    success = rewards.is_set(outcome, rewards.SUCCESS) and not lost
-    rested = rewards.is_set(outcome, rewards.RESTED)
+    rois_visited = count_bits(visit_code(g, ep.visited[w], w))
+    lost, rested = is_set(outcome, COLLISION), is_set(outcome, RESTED)
+    success = is_set(outcome, SUCCESS) and not lost
     for i in range(rows.shape[1]):
         rows[w, i, 0] = success
         rows[w, i, 1] = rois_visited
         rows[w, i, 2] = lost
         rows[w, i, 3] = ep.wall_hits[i, w]
         rows[w, i, 4] = ep.path_length[i, w]
-        rows[w, i, 5] = np.hypot(ep.impulse_x[i, w], ep.impulse_y[i, w])
-        terms = rewards.robot_terms(p, out.events[i, w], outcome)
+        rows[w, i, 5] = objective(ep.impulse_x[i, w], ep.impulse_y[i, w])
+        terms = robot_terms(p, out.events[i, w], outcome)
         for k in range(len(terms)):
-            rows[w, i, 6 + k] = 0.0 if rested else terms[k]
+            rows[w, i, len(MEASURES) + k] = 0.0 if rested else terms[k]
+
+
+@compiled
+def put_infos(p, g, now, final, out, w, rows):
+    """Write what is known of each robot of world w, in the order of ``INFO_COLUMNS``."""
+    if (out.terminated[w] | out.truncated[w]) & (p.autoreset == SAME_STEP):
+        put_episode(p, g, final, out, w, rows)
+    else:
+        put_episode(p, g, now, out, w, rows)
 
 
 @entry_point
 def write_infos(store, rows):
-    """Fill ``rows`` (W, n, 12) as of the last step, before any automatic reset."""
+    """Fill ``rows`` (W, n, columns) as of the last step, before any automatic reset."""
     p = unpack(store.constants)
-    out = store.output
     for w in range(FIRST, np.uint64(rows.shape[0])):
-        ended = out.terminated[w] | out.truncated[w]
-        episode = store.final if ended & (p.autoreset == SAME_STEP) else store.now
-        put_infos(p, store.geometry, episode, out, w, rows)
+        put_infos(p, store.geometry, store.now, store.final, store.output, w, rows)
 
 
 @entry_point
@@ -129,17 +115,17 @@ def write_states(store, final, states):
 
 
 @compiled
-def draw_world(seed, draw, w, actions):
-    """Fill world w of ``actions`` (W, n, 2) with draw number ``draw`` of its stream of actions."""
+def draw_world(mem, w, actions):
+    """Fill world w of ``actions`` (W, n, 2) with the next draw of its stream of actions."""
     two, one = np.float32(2.0), np.float32(1.0)
     _, robots, axes = actions.shape
-    key = stream_key(seed, w, draw, FOR_ACTIONS)
+    key = stream_key(mem.seed[0], w, mem.draw[0], FOR_ACTIONS)
     for k in range(robots * axes):
         actions[w, k // axes, k % axes] = two * uniform(key, k) - one
 
 
 @entry_point
-def draw_actions(store, draw, actions):
-    """Fill ``actions`` (W, n, 2) with draw number ``draw`` of each world's stream of actions."""
+def draw_actions(store, actions):
+    """Fill ``actions`` (W, n, 2) with the next draw of each world's stream of actions."""
     for w in range(actions.shape[0]):
-        draw_world(store.constants[0].seed, draw, w, actions)
+        draw_world(store.memory, w, actions)

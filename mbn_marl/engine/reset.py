@@ -1,44 +1,56 @@
-"""Starting and finishing one world's episode, and the joint-state memory of the formal rules."""
+"""Beginning, ending and copying the episode of one world."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
-from mbn_marl.engine import rules
-from mbn_marl.engine.compiling import compiled
-from mbn_marl.engine.memory import (
-    LEAST_WORDS,
-    ODD_LINES,
-    add_bits,
-    clear_filter,
-    filter_mask,
-    filter_word,
-)
-from mbn_marl.engine.observation import column, visit_code
-from mbn_marl.engine.rewards import FORMAL, RELEASED, RESTED
-from mbn_marl.engine.rng import FOR_STARTS, GOLDEN, mix, stream_key, uniform
+from mbn_marl.engine.jit import compiled, generated
+from mbn_marl.engine.mdp.collisions import too_close
+from mbn_marl.engine.mdp.containment import in_field
+from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES, clear_filter, joint_state_known
+from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
+from mbn_marl.engine.mdp.rng import FOR_STARTS, stream_key, uniform
+from mbn_marl.engine.mdp.visits import all_visited, visit_code
+from mbn_marl.engine.scalars import column
+from mbn_marl.engine.state import Episode
 
 DRAWS_PER_ROBOT = 1000
 """How many random starts are tried for a robot before the field's own starts are used instead."""
+ENDED, RESTARTS = 1, 2
+"""Bits of how the episode of a world changes after a step."""
+MOTION = ("x", "y", "vx", "vy", "visited", "steps")
+"""What a step reads over and over."""
 
 
-@compiled
-def in_field(g, w, x, y):
-    """Whether a point is in the closed field of world w."""
-    f = column(g, w)
-    seen = 0
-    for e in range(g.edges.shape[1]):
-        ax, ay = g.edges[0, e, f], g.edges[1, e, f]
-        bx, by = g.edges[2, e, f], g.edges[3, e, f]
-        seen = rules.cross_edge(seen, x, y, ax, ay, bx, by)
-    return seen != 0
+def _copy_of(name: str, fields: Sequence[str]) -> Any:
+    """``name(source, v, target, w, n)``: copy these fields of an episode of n robots.
+
+    From world v of the episodes ``source`` to world w of ``target``.
+    """
+    of_world = [field for field in fields if field in ("team_return", "visited", "steps")]
+    lines = [f"def {name}(source, v, target, w, n):", "    for i in range(n):"]
+    for field in fields:
+        if field not in (*of_world, "heading"):
+            lines.append(f"        target.{field}[i, w] = source.{field}[i, v]")
+    if "heading" in fields:
+        lines.append("    for i in range(source.heading.shape[0]):")
+        lines.append("        target.heading[i, w] = source.heading[i, v]")
+    lines += [f"    target.{field}[w] = source.{field}[v]" for field in of_world]
+    return generated(name, "\n".join(lines))
+
+
+copy_episode = _copy_of("copy_episode", Episode._fields)
+copy_motion = _copy_of("copy_motion", MOTION)
 
 
 @compiled
 def place_at_random(p, g, mem, now, w):
     """Put the robots at random points of the field, none closer than C; False if that failed."""
     f = column(g, w)
-    key = stream_key(p.seed, w, mem.episode[w], FOR_STARTS)
+    key = stream_key(mem.seed[0], w, mem.episode[w], FOR_STARTS)
     counter = 0
     for i in range(now.x.shape[0]):
         placed = False
@@ -49,7 +61,7 @@ def place_at_random(p, g, mem, now, w):
                 counter += 2
                 placed = in_field(g, w, x, y)
                 for j in range(i):
-                    near = rules.too_close(now.x[j, w] - x, now.y[j, w] - y, p.safety_squared)
+                    near = too_close(now.x[j, w] - x, now.y[j, w] - y, p.safety_squared)
                     placed = placed and not near
                 now.x[i, w] = x
                 now.y[i, w] = y
@@ -63,6 +75,7 @@ def reset_world(p, g, mem, now, w):
     """Begin the next episode of world w: robots at rest at the starts, nothing visited."""
     f = column(g, w)
     n = now.x.shape[0]
+    mem.pending[w] = False
     mem.episode[w] += 1
     at_random = False
     if p.random_starts:
@@ -80,8 +93,10 @@ def reset_world(p, g, mem, now, w):
         now.returns[i, w] = 0.0
         mem.trail[w, i, 0] = now.x[i, w]
         mem.trail[w, i, 1] = now.y[i, w]
+    for i in range(now.heading.shape[0]):
+        now.heading[i, w] = p.zero
     now.team_return[w] = 0.0
-    now.visited[w] = ((1 << g.rois.shape[1]) - 1) & ~g.codes[f]
+    now.visited[w] = all_visited(g.rois.shape[1]) & ~g.codes[f]
     now.steps[w] = 0
     mem.words[w] = np.uint64(
         LEAST_WORDS if p.rules == RELEASED else mem.filter.shape[1] - ODD_LINES
@@ -93,7 +108,7 @@ def reset_world(p, g, mem, now, w):
 
 @compiled
 def clear_output(p, out, w):
-    """A world that has just been reset on its own has earned nothing and has not ended."""
+    """Note that world w was reset, or left out: it has earned nothing and has not ended."""
     for i in range(out.rewards.shape[1]):
         out.rewards[w, i] = p.zero
         out.events[i, w] = 0
@@ -104,58 +119,7 @@ def clear_output(p, out, w):
 
 
 @compiled
-def finish_world(now, final, w):
-    """Keep how the episode of world w ended, before a reset wipes it."""
-    for i in range(now.x.shape[0]):
-        final.x[i, w] = now.x[i, w]
-        final.y[i, w] = now.y[i, w]
-        final.vx[i, w] = now.vx[i, w]
-        final.vy[i, w] = now.vy[i, w]
-        final.impulse_x[i, w] = now.impulse_x[i, w]
-        final.impulse_y[i, w] = now.impulse_y[i, w]
-        final.path_length[i, w] = now.path_length[i, w]
-        final.wall_hits[i, w] = now.wall_hits[i, w]
-        final.returns[i, w] = now.returns[i, w]
-    final.team_return[w] = now.team_return[w]
-    final.visited[w] = now.visited[w]
-    final.steps[w] = now.steps[w]
-
-
-@compiled
-def same_joint_state(mem, now, w, step, code):
-    """Whether the world was in its present joint state after step ``step`` of the episode."""
-    same = mem.trail_code[w, step] == code
-    n = now.x.shape[0]
-    for i in range(n):
-        k = step * n + i
-        same &= (mem.trail[w, k, 0] == now.x[i, w]) & (mem.trail[w, k, 1] == now.y[i, w])
-        same &= mem.trail_velocity[w, k, 0] == now.vx[i, w]
-        same &= mem.trail_velocity[w, k, 1] == now.vy[i, w]
-    return same
-
-
-@compiled
-def joint_state_known(mem, now, w, code):
-    """Formal rules: was this joint state met before in the episode? It is remembered either way.
-
-    The state at the start counts as met. The filter is keyed by positions and code, which differ in
-    nearly all distinct states; the trail decides.
-    """
-    n = now.x.shape[0]
-    step = min(now.steps[w], mem.trail_code.shape[1] - 1)
-    key = mix(np.uint64(code))
-    for i in range(n):
-        key = mix(key + np.uint64(mem.x_bits[i, w]) * GOLDEN)
-        key = mix(key + np.uint64(mem.y_bits[i, w]) * GOLDEN)
-    known = False
-    if add_bits(mem.filter, w, filter_word(key, mem.words[w]), filter_mask(key)):
-        for back in range(1, step + 1):
-            known = known or same_joint_state(mem, now, w, step - back, code)
-    for i in range(n):
-        k = step * n + i
-        mem.trail[w, k, 0] = now.x[i, w]
-        mem.trail[w, k, 1] = now.y[i, w]
-        mem.trail_velocity[w, k, 0] = now.vx[i, w]
-        mem.trail_velocity[w, k, 1] = now.vy[i, w]
-    mem.trail_code[w, step] = code
-    return known
+def begin_world(p, g, mem, now, out, w):
+    """Reset world w at the caller's request."""
+    reset_world(p, g, mem, now, w)
+    clear_output(p, out, w)

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.memory import ODD_LINES, filter_size
-from mbn_marl.engine.walls import RAYS
+from mbn_marl.engine.mdp.dynamics import WITH_HEADING
+from mbn_marl.engine.mdp.lidar import RAYS
+from mbn_marl.engine.mdp.revisits import ODD_LINES, filter_size
 from mbn_marl.field import Field
 
 Array = NDArray[Any]
@@ -46,10 +47,11 @@ class Episode(NamedTuple):
     impulse_y: Array
     path_length: Array  # (n, W) real, units
     wall_hits: Array  # (n, W) int32
-    returns: Array  # (n, W) float64: what each agent has been given
+    returns: Array  # (n, W) float64: each agent's rewards, summed
     team_return: Array  # (W,) float64
     visited: Array  # (W,) int32: the visit code, and padding ROIs set from the start
     steps: Array  # (W,) int32
+    heading: Array  # (n, W) real, radians; (0, W) if the dynamics has none
 
 
 class Memory(NamedTuple):
@@ -66,10 +68,12 @@ class Memory(NamedTuple):
     filter: Array  # (W, words) uint64: the Bloom filter in front of the trail
     pending: Array  # (W,) bool: waits for a reset
     episode: Array  # (W,) int64: number of the episode, counted from 0 at a seeded reset
+    seed: Array  # (1,) int64: key of all random numbers
+    draw: Array  # (1,) int64: number of the next draw of random actions
 
 
 class Output(NamedTuple):
-    """What a step hands out; overwritten by the next one."""
+    """What a step returns; overwritten by the next one."""
 
     observations: Array  # (W, n, size) float32
     rewards: Array  # (W, n) real
@@ -133,10 +137,11 @@ def _directed_edges(field: Field) -> Array:
     return np.where(np.repeat(wrong, sizes)[:, None], turned, field.edges).T
 
 
-def make_episode(worlds: int, n: int, real: np.dtype[Any], xp: ModuleType = np) -> Episode:
-    """Zeroed episode arrays; ``xp`` is numpy or torch, which put them on its default device."""
-    robots = (n, worlds)
-    reals = {name: xp.zeros(robots, dtype=getattr(xp, real.name)) for name in Episode._fields[:7]}
+def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType = np) -> Episode:
+    """Zeroed episode arrays; ``xp`` is numpy or torch, which puts them on its default device."""
+    robots, real = (n, worlds), getattr(xp, config.dtype)
+    reals = {name: xp.zeros(robots, dtype=real) for name in Episode._fields[:7]}
+    headings = n if config.dynamics in WITH_HEADING else 0
     return Episode(
         **reals,
         wall_hits=xp.zeros(robots, dtype=xp.int32),
@@ -144,15 +149,12 @@ def make_episode(worlds: int, n: int, real: np.dtype[Any], xp: ModuleType = np) 
         team_return=xp.zeros(worlds, dtype=xp.float64),
         visited=xp.zeros(worlds, dtype=xp.int32),
         steps=xp.zeros(worlds, dtype=xp.int32),
+        heading=xp.zeros((headings, worlds), dtype=real),
     )
 
 
 def make_memory(
-    worlds: int,
-    n: int,
-    config: NavigationConfig,
-    now: Episode,
-    xp: ModuleType = np,
+    worlds: int, n: int, config: NavigationConfig, now: Episode, xp: ModuleType = np
 ) -> Memory:
     """Zeroed memory; NumPy's trails only cost memory as far as episodes get."""
     real = getattr(xp, config.dtype)
@@ -171,14 +173,15 @@ def make_memory(
         words=xp.zeros(worlds, dtype=xp.uint64),
         filter=xp.zeros((worlds, words), dtype=xp.uint64),
         pending=xp.ones(worlds, dtype=xp.bool),
-        episode=xp.zeros(worlds, dtype=xp.int64),
+        episode=xp.full((worlds,), -1, dtype=xp.int64),
+        seed=xp.zeros(1, dtype=xp.int64),
+        draw=xp.zeros(1, dtype=xp.int64),
     )
-    memory.episode[:] = -1
     return share_bits(memory, now, xp)
 
 
 def share_bits(memory: Memory, now: Episode, xp: ModuleType = np) -> Memory:
-    """The memory with those of its arrays that are another array's memory made anew."""
+    """The memory, whose arrays that view another array do so again, as after a copy."""
     bits = xp.uint32 if now.x.dtype == xp.float32 else xp.uint64
     return memory._replace(
         x_bits=now.x.view(bits),
@@ -188,9 +191,11 @@ def share_bits(memory: Memory, now: Episode, xp: ModuleType = np) -> Memory:
     )
 
 
-def make_output(worlds: int, n: int, size: int, real: np.dtype[Any], xp: ModuleType = np) -> Output:
+def make_output(
+    worlds: int, n: int, size: int, config: NavigationConfig, xp: ModuleType = np
+) -> Output:
     """Zeroed output arrays."""
-    rows, own = (worlds, n, size), getattr(xp, real.name)
+    rows, own = (worlds, n, size), getattr(xp, config.dtype)
     return Output(
         observations=xp.zeros(rows, dtype=xp.float32),
         rewards=xp.zeros((worlds, n), dtype=own),

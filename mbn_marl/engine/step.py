@@ -15,49 +15,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbn_marl.engine import rules
-from mbn_marl.engine.compiling import compiled, entry_point
 from mbn_marl.engine.constants import unpack
-from mbn_marl.engine.memory import (
-    KEYS_PER_WORD,
-    add_bits,
-    filter_mask,
-    filter_word,
-    hash_position,
-    refill_filter,
-    stood_on,
-)
-from mbn_marl.engine.observation import column, observe, visit_code
-from mbn_marl.engine.prefetch import prefetch
-from mbn_marl.engine.reset import clear_output, finish_world, joint_state_known, reset_world
-from mbn_marl.engine.rewards import (
-    ANY_OUTSIDE,
-    COLLISION,
-    FORMAL,
-    KNOWN_STATE,
-    RELEASED,
-    REVISIT,
-    ROIS_SHIFT,
-    STILL,
-    SUCCESS,
-    WALL,
-    is_set,
-    own_terms,
-    robot_terms,
-    team_reward,
-    total,
-)
+from mbn_marl.engine.intrinsics import prefetch
+from mbn_marl.engine.jit import compiled, entry_point
+from mbn_marl.engine.mdp import revisits, rewards
+from mbn_marl.engine.mdp.collisions import too_close
+from mbn_marl.engine.mdp.containment import cross_edge
+from mbn_marl.engine.mdp.dynamics import propose_move
+from mbn_marl.engine.mdp.observations import observe
+from mbn_marl.engine.mdp.termination import is_terminated, is_truncated
+from mbn_marl.engine.mdp.visits import all_visited, visit_code, within
+from mbn_marl.engine.reset import ENDED, RESTARTS, clear_output, copy_episode, reset_world
+from mbn_marl.engine.scalars import clip, column, is_set, select
 
 BLOCK = 256
 """Worlds per block."""
 
 ZERO, ONE = np.uint64(0), np.uint64(1)
 SAME_STEP, NEXT_STEP = 1, 2
-ENDED, RESTARTS = 1, 2
 
 
 class Scratch(NamedTuple):
-    """What the passes over a block hand to each other, one entry per world of the block."""
+    """What the passes over a block pass to each other, one entry per world of the block."""
 
     x: Any  # real: where robot i would go, and with which velocity
     y: Any
@@ -65,7 +44,7 @@ class Scratch(NamedTuple):
     vy: Any
     own: Any  # real: the robots' own rewards, summed
     share: Any  # real: a robot's reward
-    seen: Any  # int32: see rules.cross_edge
+    seen: Any  # int32: see containment.cross_edge
     maybe: Any  # bool: the filter may know the position
     collided: Any  # bool
     place: Any  # (n, block) uint64: the positions' words and bits in the filter
@@ -74,47 +53,25 @@ class Scratch(NamedTuple):
 
 
 @compiled
+def scratch_of(reals, seen, flags, keys, tile):
+    """The scratch in these arrays."""
+    move, sums = (reals[0], reals[1], reals[2], reals[3]), (reals[4], reals[5])
+    return Scratch(*move, *sums, seen, flags[0], flags[1], keys[0], keys[1], tile)
+
+
+@compiled
 def make_scratch(size, n, entries, real):
     """Scratch for a block of at most ``size`` worlds whose observations have ``entries``."""
     reals = np.empty((6, size), real)
     flags = np.empty((2, size), np.bool_)
     keys = np.empty((2, n, size), np.uint64)
-    return Scratch(
-        reals[0],
-        reals[1],
-        reals[2],
-        reals[3],
-        reals[4],
-        reals[5],
-        np.empty(size, np.int32),
-        flags[0],
-        flags[1],
-        keys[0],
-        keys[1],
-        np.empty((entries, size), np.float32),
-    )
+    tile = np.empty((entries, size), np.float32)
+    return scratch_of(reals, np.empty(size, np.int32), flags, keys, tile)
 
 
 @compiled
-def accelerate(p, g, now, to, actions, i, lo, hi):
-    """Steps 1 and 2: the new velocity, and where it would take robot i."""
-    mass = g.masses[i]
-    for w in range(lo, hi):
-        fx = rules.force(actions[w, i, 0], p.f_max, p.one)
-        fy = rules.force(actions[w, i, 1], p.f_max, p.one)
-        vx = rules.next_velocity(now.vx[i, w], fx, mass, p.wind_x, p.v_clip)
-        vy = rules.next_velocity(now.vy[i, w], fy, mass, p.wind_y, p.v_clip)
-        to.vx[w - lo] = vx
-        to.vy[w - lo] = vy
-        to.x[w - lo] = rules.next_position(now.x[i, w], vx, p.tau)
-        to.y[w - lo] = rules.next_position(now.y[i, w], vy, p.tau)
-        now.impulse_x[i, w] += fx * p.tau
-        now.impulse_y[i, w] += fy * p.tau
-
-
-@compiled
-def contain(g, to, lo, hi):
-    """Whether the candidates are in the field: ``seen`` is not zero there."""
+def test_containment(g, to, lo, hi):
+    """Step 2: find which candidates are in the field: ``seen`` is not zero there."""
     edges = g.edges
     for k in range(hi - lo):
         to.seen[k] = 0
@@ -122,23 +79,23 @@ def contain(g, to, lo, hi):
         if edges.shape[2] == 1:
             ax, ay, bx, by = edges[0, e, 0], edges[1, e, 0], edges[2, e, 0], edges[3, e, 0]
             for k in range(hi - lo):
-                to.seen[k] = rules.cross_edge(to.seen[k], to.x[k], to.y[k], ax, ay, bx, by)
+                to.seen[k] = cross_edge(to.seen[k], to.x[k], to.y[k], ax, ay, bx, by)
         else:
             for k in range(hi - lo):
                 f = lo + k
                 ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
-                to.seen[k] = rules.cross_edge(to.seen[k], to.x[k], to.y[k], ax, ay, bx, by)
+                to.seen[k] = cross_edge(to.seen[k], to.x[k], to.y[k], ax, ay, bx, by)
 
 
 @compiled
-def move(p, now, out, to, i, lo, hi):
+def stop_at_walls(p, now, out, to, i, lo, hi):
     """Steps 2 and 3: go there, or stop at the wall; then the arena."""
     for w in range(lo, hi):
         k = w - lo
         x, y = now.x[i, w], now.y[i, w]
         inside = to.seen[k] != 0
-        new_x = rules.clip(rules.select(inside, to.x[k], x), p.zero, p.arena_x) + p.zero
-        new_y = rules.clip(rules.select(inside, to.y[k], y), p.zero, p.arena_y) + p.zero
+        new_x = clip(select(inside, to.x[k], x), p.zero, p.arena_x) + p.zero
+        new_y = clip(select(inside, to.y[k], y), p.zero, p.arena_y) + p.zero
         now.x[i, w] = new_x
         now.y[i, w] = new_y
         to.x[k] = new_x - x
@@ -146,33 +103,33 @@ def move(p, now, out, to, i, lo, hi):
     for w in range(lo, hi):
         k = w - lo
         inside = to.seen[k] != 0
-        now.vx[i, w] = rules.select(inside, to.vx[k], p.zero)
-        now.vy[i, w] = rules.select(inside, to.vy[k], p.zero)
+        now.vx[i, w] = select(inside, to.vx[k], p.zero)
+        now.vy[i, w] = select(inside, to.vy[k], p.zero)
         now.wall_hits[i, w] += 0 if inside else 1
-        out.events[i, w] = 0 if inside else WALL
+        out.events[i, w] = 0 if inside else rewards.WALL
     for w in range(lo, hi):
         k = w - lo
         now.path_length[i, w] += math.sqrt(to.x[k] * to.x[k] + to.y[k] * to.y[k])
         still = (to.x[k] == 0) & (to.y[k] == 0)
-        out.events[i, w] |= STILL if still else 0
+        out.events[i, w] |= rewards.STILL if still else 0
 
 
 @compiled
-def visit(p, g, now, out, i, lo, hi):
+def mark_visits(p, g, now, out, i, lo, hi):
     """Step 5: every unvisited ROI within reach becomes visited, to robot i's credit."""
     for j in range(g.rois.shape[1]):
         for w in range(lo, hi):
             f = column(g, w)
             bit = g.roi_bits[j, f]
             dx, dy = now.x[i, w] - g.rois[0, j, f], now.y[i, w] - g.rois[1, j, f]
-            near = rules.within(dx, dy, p.roi_squared)
+            near = within(dx, dy, p.roi_squared)
             new = near & ((now.visited[w] & bit) == 0)
             now.visited[w] |= bit if new else 0
-            out.events[i, w] += (1 << ROIS_SHIFT) if new else 0
+            out.events[i, w] += (1 << rewards.ROIS_SHIFT) if new else 0
 
 
 @compiled
-def record(mem, now, lo, hi):
+def record_positions(mem, now, lo, hi):
     """Append the robots' positions to the trails."""
     n = np.uint64(now.x.shape[0])
     last = np.uint64(mem.trail.shape[1]) - n
@@ -184,52 +141,52 @@ def record(mem, now, lo, hi):
 
 
 @compiled
-def recall(mem, now, out, to, i, lo, hi):
-    """Step 4, first half: which bits of the filter stand for robot i's position; fetch them.
+def hash_positions(mem, now, out, to, i, lo, hi):
+    """Step 4, first half: find the bits of the filter for robot i's position, and fetch them.
 
     A robot that did not move is known without looking.
     """
     events, place, mask = out.events, to.place, to.mask
     for w in range(lo, hi):
-        key = hash_position(mem.x_bits[i, w], mem.y_bits[i, w])
-        known = is_set(events[i, w], STILL) & (now.steps[w] > 0)
-        place[i, w - lo] = rules.select(known, ZERO, filter_word(key, mem.words[w]))
-        mask[i, w - lo] = rules.select(known, ZERO, filter_mask(key))
-        events[i, w] |= rules.select(known, REVISIT, 0)
+        key = revisits.hash_position(mem.x_bits[i, w], mem.y_bits[i, w])
+        known = is_set(events[i, w], rewards.STILL) & (now.steps[w] > 0)
+        place[i, w - lo] = select(known, ZERO, revisits.filter_word(key, mem.words[w]))
+        mask[i, w - lo] = select(known, ZERO, revisits.filter_mask(key))
+        events[i, w] |= select(known, rewards.REVISIT, 0)
     for w in range(lo, hi):
         prefetch(mem.filter, w, place[i, w - lo])
 
 
 @compiled
-def remember(mem, now, out, to, i, lo, hi):
-    """Step 4: was any robot here before in this episode? From now on one was."""
+def mark_revisits(mem, now, out, to, i, lo, hi):
+    """Step 4: was any robot where robot i is, before in this episode? From now on one was."""
     n = np.uint64(now.x.shape[0])
     place, mask, maybe = to.place, to.mask, to.maybe
     for w in range(lo, hi):
         k = w - lo
         bits = mask[i, k]
-        maybe[k] = add_bits(mem.filter, w, place[i, k], bits) & (bits != ZERO)
+        maybe[k] = revisits.add_bits(mem.filter, w, place[i, k], bits) & (bits != ZERO)
     for w in range(lo, hi):
         if maybe[w - lo]:
             entry = np.uint64(now.steps[w] + 1) * n + np.uint64(i)
-            if stood_on(mem.trail, mem.trail_key, w, n, entry):
-                out.events[i, w] |= REVISIT
+            if revisits.stood_on(mem.trail, mem.trail_key, w, n, entry):
+                out.events[i, w] |= rewards.REVISIT
 
 
 @compiled
-def grow(mem, now, lo, hi):
+def grow_filter(mem, now, lo, hi):
     """Give worlds whose filter has become too small for the next step a larger one."""
     n = now.x.shape[0]
     for w in range(lo, hi):
         keys = (now.steps[w] + 1) * n
-        if mem.words[w] * KEYS_PER_WORD < np.uint64(keys):
+        if mem.words[w] * revisits.KEYS_PER_WORD < np.uint64(keys):
             mem.words[w] *= np.uint64(2)
             end = (now.steps[w] + 1) * n
-            refill_filter(mem.filter, mem.trail_bits, w, n, end, mem.words[w])
+            revisits.refill_filter(mem.filter, mem.trail_bits, w, n, end, mem.words[w])
 
 
 @compiled
-def collide(p, now, to, lo, hi):
+def find_collisions(p, now, to, lo, hi):
     """Step 7: any two robots closer than the safety distance."""
     for k in range(hi - lo):
         to.collided[k] = False
@@ -237,33 +194,32 @@ def collide(p, now, to, lo, hi):
         for j in range(i):
             for w in range(lo, hi):
                 dx, dy = now.x[i, w] - now.x[j, w], now.y[i, w] - now.y[j, w]
-                to.collided[w - lo] |= rules.too_close(dx, dy, p.safety_squared)
+                to.collided[w - lo] |= too_close(dx, dy, p.safety_squared)
 
 
 @compiled
-def judge(p, g, mem, now, out, to, lo, hi):
+def check_termination(p, g, mem, now, out, to, lo, hi):
     """Steps 6 to 8: how the step ended, as outcome bits and flags."""
-    everything = (1 << g.rois.shape[1]) - 1
+    everything = all_visited(g.rois.shape[1])
     for w in range(lo, hi):
         success = now.visited[w] == everything
         lost = to.collided[w - lo]
-        outcome = (SUCCESS if success else 0) | (COLLISION if lost else 0)
         now.steps[w] += 1
-        ended = success | lost
+        ended = is_terminated(success, lost)
         out.terminated[w] = ended
-        out.truncated[w] = (now.steps[w] >= p.max_steps) & (not ended)
-        out.outcomes[w] = outcome
-    if p.rules == FORMAL:
+        out.truncated[w] = is_truncated(now.steps[w], p.max_steps, ended)
+        out.outcomes[w] = (rewards.SUCCESS if success else 0) | (rewards.COLLISION if lost else 0)
+    if p.rules == rewards.FORMAL:
         for w in range(lo, hi):
             for i in range(now.x.shape[0]):
-                if (out.events[i, w] & WALL) != 0:
-                    out.outcomes[w] |= ANY_OUTSIDE
-            if joint_state_known(mem, now, w, visit_code(g, now.visited[w], w)):
-                out.outcomes[w] |= KNOWN_STATE
+                if (out.events[i, w] & rewards.WALL) != 0:
+                    out.outcomes[w] |= rewards.ANY_OUTSIDE
+            if revisits.joint_state_known(mem, now, w, visit_code(g, now.visited[w], w)):
+                out.outcomes[w] |= rewards.KNOWN_STATE
 
 
 @compiled
-def reward(p, now, out, to, lo, hi):
+def give_rewards(p, now, out, to, lo, hi):
     """The team's reward and the agents' shares of it."""
     n = now.x.shape[0]
     own, share = to.own, to.share
@@ -271,14 +227,13 @@ def reward(p, now, out, to, lo, hi):
         own[k] = p.zero
     for i in range(n):
         for w in range(lo, hi):
-            terms = robot_terms(p, out.events[i, w], out.outcomes[w])
-            own[w - lo] += own_terms(p, terms)
-            share[w - lo] = total(terms)
+            own[w - lo] += rewards.total(rewards.own_terms(p, out.events[i, w], out.outcomes[w]))
+            share[w - lo] = rewards.total(rewards.robot_terms(p, out.events[i, w], out.outcomes[w]))
         for w in range(lo, hi):
             out.rewards[w, i] = share[w - lo]
             now.returns[i, w] += share[w - lo]
     for w in range(lo, hi):
-        value = team_reward(p, out.outcomes[w], own[w - lo])
+        value = rewards.team_reward(p, out.outcomes[w], own[w - lo])
         out.team_rewards[w] = value
         now.team_return[w] += value
     if p.team_sharing:
@@ -289,10 +244,9 @@ def reward(p, now, out, to, lo, hi):
 
 
 @compiled
-def conclude(p, mem, out, w):
-    """What becomes of world w after a step: any of the bits ``ENDED`` and ``RESTARTS``."""
+def close_step(p, mem, out, w):
+    """How the episode of world w changes after a step: any of the bits ``ENDED``, ``RESTARTS``."""
     if mem.pending[w] & (p.autoreset == NEXT_STEP):
-        mem.pending[w] = False
         clear_output(p, out, w)
         return RESTARTS
     if out.terminated[w] | out.truncated[w]:
@@ -304,56 +258,57 @@ def conclude(p, mem, out, w):
 
 
 @compiled
-def settle(p, g, mem, now, final, out, to, lo, hi):
-    """Observations, and the automatic reset of worlds whose episode has ended; how many have."""
+def autoreset(p, g, mem, now, final, out, to, lo, hi):
+    """Reset worlds whose episode has ended, if they restart; return how many have ended."""
     ended = 0
     pending, terminated, truncated = mem.pending, out.terminated, out.truncated
+    seen, last_seen = out.observations, out.final_observations
     for w in range(lo, hi):
         if not (pending[w] | terminated[w] | truncated[w]):
             continue
-        fate = conclude(p, mem, out, w)
-        ended += fate & ENDED
-        if fate == ENDED | RESTARTS:
-            for i in range(now.x.shape[0]):
-                for entry in range(out.observations.shape[2]):  # a slice takes long to compile
-                    out.final_observations[w, i, entry] = out.observations[w, i, entry]
-            finish_world(now, final, w)
-        if fate & RESTARTS:
+        change = close_step(p, mem, out, w)
+        ended += change & ENDED
+        if change == ENDED | RESTARTS:
+            for i in range(seen.shape[1]):
+                for entry in range(seen.shape[2]):  # a slice takes long to compile
+                    last_seen[w, i, entry] = seen[w, i, entry]
+            copy_episode(now, w, final, w, now.x.shape[0])
+        if change & RESTARTS:
             reset_world(p, g, mem, now, w)
-            observe(p, g, now, w, w + ONE, to.tile, out.observations)
+            observe(p, g, now, w, w + ONE, to.tile, seen)
     return ended
 
 
 @compiled
-def act(p, g, mem, now, out, to, actions, lo, hi):
-    """What every robot does: where it goes, what it visits; its memory is fetched ahead."""
+def move_robots(p, g, mem, now, out, to, actions, lo, hi):
+    """Steps 1 to 3 and 5: where every robot goes, what it visits; its memory is fetched ahead."""
     for i in range(now.x.shape[0]):
-        accelerate(p, g, now, to, actions, i, lo, hi)
-        contain(g, to, lo, hi)
-        move(p, now, out, to, i, lo, hi)
-        visit(p, g, now, out, i, lo, hi)
-    if p.rules == RELEASED:
-        record(mem, now, lo, hi)
+        propose_move(p, g, now, to, actions, i, lo, hi)
+        test_containment(g, to, lo, hi)
+        stop_at_walls(p, now, out, to, i, lo, hi)
+        mark_visits(p, g, now, out, i, lo, hi)
+    if p.rules == rewards.RELEASED:
+        record_positions(mem, now, lo, hi)
         for i in range(now.x.shape[0]):
-            recall(mem, now, out, to, i, lo, hi)
+            hash_positions(mem, now, out, to, i, lo, hi)
 
 
 @compiled
-def assess(p, g, mem, now, out, to, lo, hi):
-    """What it all means: revisits, collisions, how the step ended, rewards."""
-    if p.rules == RELEASED:
+def score_step(p, g, mem, now, out, to, lo, hi):
+    """Steps 4 and 6 to 8: revisits, collisions, how the step ended, rewards."""
+    if p.rules == rewards.RELEASED:
         for i in range(now.x.shape[0]):
-            remember(mem, now, out, to, i, lo, hi)
-    collide(p, now, to, lo, hi)
-    judge(p, g, mem, now, out, to, lo, hi)
-    reward(p, now, out, to, lo, hi)
-    if p.rules == RELEASED:
-        grow(mem, now, lo, hi)
+            mark_revisits(mem, now, out, to, i, lo, hi)
+    find_collisions(p, now, to, lo, hi)
+    check_termination(p, g, mem, now, out, to, lo, hi)
+    give_rewards(p, now, out, to, lo, hi)
+    if p.rules == rewards.RELEASED:
+        grow_filter(mem, now, lo, hi)
 
 
 @entry_point
 def step_worlds(store, actions, lo, hi):
-    """Step worlds ``lo`` to ``hi - 1`` with ``actions`` (W, n, 2); how many ended."""
+    """Step worlds ``lo`` to ``hi - 1`` with ``actions`` (W, n, 2); return how many ended."""
     p = unpack(store.constants)
     g, mem, now, final, out = store.geometry, store.memory, store.now, store.final, store.output
     block, entries = min(hi - lo, np.uint64(BLOCK)), out.observations.shape[2]
@@ -361,9 +316,9 @@ def step_worlds(store, actions, lo, hi):
     ended = 0
     while lo < hi:
         end = min(lo + np.uint64(BLOCK), hi)
-        act(p, g, mem, now, out, to, actions, lo, end)
+        move_robots(p, g, mem, now, out, to, actions, lo, end)
         observe(p, g, now, lo, end, to.tile, out.observations)
-        assess(p, g, mem, now, out, to, lo, end)
-        ended += settle(p, g, mem, now, final, out, to, lo, end)
+        score_step(p, g, mem, now, out, to, lo, end)
+        ended += autoreset(p, g, mem, now, final, out, to, lo, end)
         lo = end
     return ended

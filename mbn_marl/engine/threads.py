@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mbn_marl.engine import kernels
+from mbn_marl.engine import kernels, step
 from mbn_marl.engine.store import Store
 
 WORLDS_PER_THREAD = 256
@@ -19,8 +19,8 @@ class WorldThreads:
 
     No two worlds share memory that is written, so neither the number of threads nor where the
     ranges are cut changes any result. The threads are those of Numba's threading layer: OpenMP
-    where there is one, since it hands over work in microseconds. As always with OpenMP, a process
-    that has used it must not go on in a forked child; start such children by spawn.
+    where there is one, since it starts work in microseconds. As always with OpenMP, a process
+    that has used it must not continue in a forked child; start such children by spawn.
 
     Args:
         worlds: how many worlds there are.
@@ -36,9 +36,9 @@ class WorldThreads:
         self.cuts = np.array([worlds * k // threads for k in range(threads + 1)], np.uint64)
 
     def step(self, store: Store, actions: np.ndarray[Any, Any]) -> int:
-        """Step all worlds with ``actions`` (W, n, 2); how many episodes ended."""
+        """Step all worlds with ``actions`` (W, n, 2); return how many episodes ended."""
         if self.cuts.size == 2:
-            return int(kernels.step_worlds(store, actions, self.cuts[0], self.cuts[1]))
+            return int(step.step_worlds(store, actions, self.cuts[0], self.cuts[1]))
         return int(kernels.step_ranges(store, actions, self.cuts))
 
 

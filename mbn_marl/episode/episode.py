@@ -29,7 +29,7 @@ class Episode:
         actions: (T, n, 2), in [-1, 1], in the engine's dtype.
         positions: (T + 1, n, 2), units, from the reset on, in the engine's dtype.
         visits: (m,) int32, the step in which each ROI was visited, from 1 on; 0 for never.
-        terms: (T, n, 6) float64, each robot's own reward by term, ordered as ``REWARD_TERMS``.
+        terms: (T, n, terms) float64, each robot's own reward by term, ordered as ``REWARD_TERMS``.
         team_rewards: (T,) float64, the centralised reward of each step.
         outcome: how it ended.
         source: the name of what acted.

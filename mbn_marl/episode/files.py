@@ -124,7 +124,7 @@ def from_file(content: EpisodeFile) -> Episode:
     packed: dict[str, tuple[PackedArray | CodedArray, tuple[int, ...]]] = {
         "positions": (content.positions, (steps + 1, robots, 2)),
         "actions": (content.actions, (steps, robots, 2)),
-        "rewards.robots": (content.rewards.robots, (steps, robots, len(REWARD_TERMS))),
+        "rewards.robots": (content.rewards.robots, (steps, robots, len(content.rewards.terms))),
         "rewards.team": (content.rewards.team, (steps,)),
     }
     for name, (array, shape) in packed.items():
@@ -139,8 +139,10 @@ def from_file(content: EpisodeFile) -> Episode:
             arrays[name].dtype != config.dtype or not np.isfinite(arrays[name]).all()
         ):
             problems.append(f"{name}: allowed: finite numbers, {config.dtype} as in config")
-    if content.rewards.terms != list(REWARD_TERMS):
-        problems.append(f"rewards.terms: {content.rewards.terms}; allowed: {list(REWARD_TERMS)}")
+    named = content.rewards.terms
+    if len(set(named)) < len(named) or not set(named) <= set(REWARD_TERMS):
+        allowed = f"each at most once of {list(REWARD_TERMS)}"
+        problems.append(f"rewards.terms: {named}; allowed: {allowed}")
     if config.n_robots != robots:
         problems.append(f"config.n_robots: {config.n_robots}; allowed: {robots}, as in robots")
     if len(content.visits) != rois:
@@ -149,13 +151,15 @@ def from_file(content: EpisodeFile) -> Episode:
         problems.append(f"visits: allowed: null, or a step from 1 to {steps}")
     if problems:
         raise EpisodeError("episode", problems)
+    terms = np.zeros((steps, robots, len(REWARD_TERMS)))  # of those that the file does not know: 0
+    terms[..., [REWARD_TERMS.index(name) for name in named]] = arrays["rewards.robots"]
     episode = Episode(
         field=field,
         config=config,
         actions=arrays["actions"],
         positions=arrays["positions"],
         visits=np.array([step or 0 for step in content.visits], np.int32),
-        terms=arrays["rewards.robots"],
+        terms=terms,
         team_rewards=arrays["rewards.team"],
         outcome=content.outcome,
         source=content.source,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine import BatchEngine, MeasuredWorld
+from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.episode import Episode, Outcome
 from mbn_marl.field import Field
 from mbn_marl.sim3d.simulator import Floats, Mission, Simulator
@@ -111,7 +111,7 @@ def deploy(
     if simulator.has_wind:
         calm = {**settings, "wind": (0.0, 0.0)}
         engine = BatchEngine(field, 1, seed=seed, autoreset=False, threads=1, **calm)
-    world = MeasuredWorld(engine, simulator.speed_limit)
+    world = TrackedWorld(engine, simulator.speed_limit)
     observations = engine.reset()
     start = engine.snapshot()
     simulator.reset(Mission(field, start.positions, wind, config.tau, config.roi_radius))

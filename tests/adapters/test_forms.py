@@ -13,6 +13,7 @@ from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
 from mbn_marl import Field
+from mbn_marl.adapters.infos import GAP
 from tests.support.forms import BatchForm, CentralizedForm, Outcome, ParallelForm, TeamSharingForm
 from tests.support.oracle import TERMS, Oracle, Step
 from tests.support.worlds import Pilot, World, random_field, worlds
@@ -94,9 +95,10 @@ def check_team_info(outcome: Outcome, infos: list[dict[str, float]], rounding: f
     (team,) = outcome.infos
     assert team.keys() == infos[0].keys()
     for name, value in team.items():
-        shared = name in ("success", "collision", "rois_visited")
+        shared = name in ("success", "collision", "rois_visited", GAP)
         expected = infos[0][name] if shared else sum(info[name] for info in infos)
-        assert value == pytest.approx(expected, rel=rounding, abs=rounding * 1e5), name
+        close = pytest.approx(expected, rel=rounding, abs=rounding * 1e5, nan_ok=True)
+        assert value == close, name
     logged = sum(team[f"reward/{term}"] for term in TERMS)
     assert logged == pytest.approx(outcome.team_reward, rel=rounding, abs=rounding * 1e5)
 

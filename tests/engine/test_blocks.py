@@ -16,6 +16,7 @@ from mbn_marl.engine import kernels, step
 from mbn_marl.engine.threads import WorldThreads
 
 WORLDS, STEPS = 600, 120
+STEP_WORLDS = step.step_worlds
 CASES: dict[str, dict[str, Any]] = {
     "released": {"field": "field_01"},
     "formal": {"field": "field_07", "reward": "formal", "max_steps": 40},
@@ -35,14 +36,14 @@ def in_ranges_of(size: int) -> Callable[..., int]:
 
     def step_worlds(store: Any, actions: Any, lo: np.uint64, hi: np.uint64) -> int:
         cuts = [*np.arange(lo, hi, size, dtype=np.uint64), hi]
-        return sum(step.step_worlds(store, actions, a, b) for a, b in pairwise(cuts))
+        return sum(STEP_WORLDS(store, actions, a, b) for a, b in pairwise(cuts))
 
     return step_worlds
 
 
 def with_block(size: int) -> Any:
     """``step_worlds`` compiled afresh with another ``BLOCK``, a constant to the compiler."""
-    function = step.step_worlds.py_func
+    function = STEP_WORLDS.py_func
     own_globals = {**function.__globals__, "BLOCK": size}
     copy = FunctionType(function.__code__, own_globals, function.__name__)
     return numba.njit(nogil=True, error_model="numpy")(copy)
@@ -65,7 +66,7 @@ def trajectory(engine: BatchEngine) -> list[bytes]:
 def test_any_block_up_to_the_usual(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = trajectory(make_engine(case))
     for size in (1, 7, 64, step.BLOCK - 1):
-        monkeypatch.setattr(kernels, "step_worlds", in_ranges_of(size))
+        monkeypatch.setattr(step, "step_worlds", in_ranges_of(size))
         assert trajectory(make_engine(case)) == expected, size
 
 
@@ -73,7 +74,7 @@ def test_any_block_up_to_the_usual(case: str, monkeypatch: pytest.MonkeyPatch) -
 def test_other_blocks(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     assert size < WORLDS and WORLDS % size != 0
     expected = trajectory(make_engine("released"))
-    monkeypatch.setattr(kernels, "step_worlds", with_block(size))
+    monkeypatch.setattr(step, "step_worlds", with_block(size))
     assert trajectory(make_engine("released")) == expected
 
 
@@ -97,7 +98,7 @@ def test_ranges_of_threads_cover_every_world_once(
     def mark_ranges(store: Any, actions: Any, cuts: Any) -> int:
         return sum(mark(store, actions, lo, hi) for lo, hi in pairwise(cuts))
 
-    monkeypatch.setattr(kernels, "step_worlds", mark)
+    monkeypatch.setattr(step, "step_worlds", mark)
     monkeypatch.setattr(kernels, "step_ranges", mark_ranges)
     assert WorldThreads(worlds, threads).step(None, seen) == worlds  # type: ignore[arg-type]
     assert (seen == 1).all()

@@ -19,8 +19,8 @@ import pytest
 
 from mbn_marl import BatchEngine
 from mbn_marl.config import make_config
-from mbn_marl.engine.constants import Constants, make_record
-from mbn_marl.engine.observation import observation_table
+from mbn_marl.engine.constants import constants_of, make_record
+from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.engine.state import make_episode, make_geometry, make_memory, make_output
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field
@@ -66,25 +66,23 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     field = load_field("field_01")
     config = make_config({"dtype": dtype, "n_robots": 3, **settings})
     real = np.dtype(dtype)
-    record = make_record(config, 3, field.arena, "same_step", 0)
-    values = (v if isinstance(v, int) else real.type(v) for v in record[0].item())
+    p = constants_of(make_record(config, 3, field.arena, "same_step"))
     size = len(observation_table(config, 3, len(field.rois), field.arena))
     worlds = 2
-    p, g = Constants(*values), make_geometry([field], config, 3, worlds)
-    now = make_episode(worlds, 3, real)
-    mem, out = make_memory(worlds, 3, config, now), make_output(worlds, 3, size, real)
-    word = np.zeros(1, np.int64)
-    control = kernels.Control(word, word, word)
-    call = kernels.Call(np.zeros((worlds, 3, 2), real), np.zeros(worlds, np.bool_))
+    g = make_geometry([field], config, 3, worlds)
+    now = make_episode(worlds, 3, config)
+    mem, out = make_memory(worlds, 3, config, now), make_output(worlds, 3, size, config)
+    actions, active = np.zeros((worlds, 3, 2), real), np.zeros(worlds, np.bool_)
+    call = kernels.Call(actions, active, np.zeros(1, np.int64))
     rows = (np.zeros((worlds, 3, 12)),)
     bits = np.uint32 if dtype == "float32" else np.uint64
     step = kernels.make_step(3, size, real.type, bits)
     work: dict[str, tuple[Any, tuple[Any, ...]]] = {
-        "step": (step, (p, g, mem, now, now, out, call, control)),
-        "reset": (kernels.make_reset(size), (p, g, mem, now, out, call, control)),
+        "step": (step, (p, g, mem, now, now, out, call)),
+        "reset": (kernels.make_reset(size), (p, g, mem, now, out, call)),
         "infos": (kernels.infos, (p, g, mem, now, now, out, rows)),
-        "states": (kernels.states, (g, mem, now, (np.zeros((worlds, 13), real),))),
-        "draw": (kernels.draw, (control, (np.zeros((worlds, 3, 2), np.float32),))),
+        "states": (kernels.states, (g, now, (np.zeros((worlds, 13), real),))),
+        "draw": (kernels.draw, (mem, (np.zeros((worlds, 3, 2), np.float32),))),
     }
     made = {}
     for name, (function, arguments) in work.items():

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from mbn_marl import BatchEngine, Field, load_field
-from mbn_marl.engine.memory import ODD_LINES
+from mbn_marl.config import NavigationConfig, RewardProfile, make_config
+from mbn_marl.engine.mdp.revisits import ODD_LINES
 from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
 
 W, N = 4, 3
@@ -291,3 +292,23 @@ def test_the_filter_of_visited_ground_stays_in_its_memory(robots: int, limit: in
     assert truncated.all()
     memory = engine._backend.memory
     assert memory.words.max() <= memory.filter.shape[1] - ODD_LINES
+
+
+@pytest.mark.parametrize("model", [RewardProfile, NavigationConfig])
+def test_a_model_lists_all_its_problems(model: Any) -> None:
+    with pytest.raises(ConfigError) as caught:
+        model(name=3, medium=-1, tau=-1.0, colour="red")
+    places = {problem.partition(":")[0] for problem in caught.value.problems}
+    own = {"name", "medium"} if model is RewardProfile else {"tau"}
+    assert own < places and "colour" in places
+
+
+def test_a_problem_of_a_profile_is_named_within_the_configuration() -> None:
+    with pytest.raises(ConfigError) as caught:
+        BatchEngine(FIELD, reward={"name": "mine", "medium": -1.0}, tau=-1.0)
+    assert {problem.partition(":")[0] for problem in caught.value.problems} == {
+        "reward.medium",
+        "tau",
+    }
+    assert RewardProfile(name="mine", medium=3).medium == 3.0
+    assert make_config({"reward": {"name": "mine"}}).reward == RewardProfile(name="mine")

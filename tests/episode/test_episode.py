@@ -16,6 +16,7 @@ import pytest
 
 from mbn_marl import BatchEngine, centralized_env, env, load_field, parallel_env
 from mbn_marl.config import make_config
+from mbn_marl.engine import REWARD_TERMS
 from mbn_marl.episode import (
     Episode,
     EpisodeRecorder,
@@ -24,6 +25,7 @@ from mbn_marl.episode import (
     play,
     save_episode,
 )
+from mbn_marl.episode.schema import CodedArray
 from mbn_marl.errors import ConfigError, EpisodeError, MbnError
 
 SETTINGS: dict[str, Any] = {"wind": (0.2, 30.0), "max_steps": 40}
@@ -291,6 +293,10 @@ BAD: dict[str, tuple[Callable[[str], str], str]] = {
         _edited(lambda content: content.update(team_return=1.0)),
         "team_return: 1.0; allowed: 9550.0",
     ),
+    "terms": (
+        _edited(lambda content: content["rewards"]["terms"].__setitem__(0, "roi")),
+        "rewards.terms: ",
+    ),
     "field": (_edited(lambda content: content["field"].update(vertices=[])), "field: "),
     "config": (_edited(lambda content: content["config"].update(tau=-1)), "tau: "),
 }
@@ -306,6 +312,24 @@ def test_a_file_that_is_no_episode_is_named(
     with pytest.raises(EpisodeError) as caught:
         load_episode(path)
     assert str(path) in str(caught.value) and message in str(caught.value)
+
+
+def test_a_file_from_before_a_term_and_a_setting_is_read(
+    document: dict[str, Any], tmp_path: Path
+) -> None:
+    """It names the terms that it has, here in another order and without what was always 0."""
+    whole = load_episode(tmp_path / "whole.json")
+    rewards = document["rewards"]
+    rewards["terms"] = ["wall", "step", "revisit", "roi"]
+    order = [REWARD_TERMS.index(name) for name in rewards["terms"]]
+    rewards["robots"] = CodedArray.pack(whole.terms[..., order]).model_dump()
+    del document["config"]["dynamics"]
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(document))
+    old = load_episode(path)
+    assert np.array_equal(old.terms, whole.terms) and old.terms.any()
+    assert old.config == whole.config
+    check_episode(old)
 
 
 def test_the_layout_and_the_checksum_of_older_versions_do_not_count(tmp_path: Path) -> None:

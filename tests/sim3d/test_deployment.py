@@ -14,7 +14,7 @@ from baselines.evaluation.policy import load_policy
 from baselines.evaluation.rollout import record_episode
 from baselines.zoo.entries import open_run
 from mbn_marl.config import RewardProfile
-from mbn_marl.engine import BatchEngine, MeasuredWorld
+from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 from mbn_marl.field import load_field
 from mbn_marl.sim3d import PlaneSimulator, Scale, deploy
@@ -52,9 +52,9 @@ def test_the_plane_gives_the_environments_own_episode(
         assert (ours.terms[..., 2] < 0).any() == (theirs.terms[..., 2] < 0).any()
 
 
-def measured(**settings: Any) -> tuple[BatchEngine, MeasuredWorld]:
+def measured(**settings: Any) -> tuple[BatchEngine, TrackedWorld]:
     engine = BatchEngine(SMALL, 1, autoreset=False, threads=1, **settings)
-    return engine, MeasuredWorld(engine)
+    return engine, TrackedWorld(engine)
 
 
 def test_positions_are_judged_where_they_were_measured() -> None:
@@ -91,7 +91,7 @@ def test_a_command_out_of_the_field_is_to_stay() -> None:
 
 def test_a_vehicles_own_limit_bounds_its_commands() -> None:
     engine = BatchEngine(SMALL, 1, autoreset=False, threads=1)
-    world = MeasuredWorld(engine, speed_limit=2.0)
+    world = TrackedWorld(engine, speed_limit=2.0)
     engine.reset()
     world.command(np.zeros((2, 2)))
     world.measure(SMALL.starts + 5.0, [(1.9, 0.0), (0.0, 4.0)])
@@ -117,7 +117,7 @@ def test_what_cannot_be_measured_is_an_error() -> None:
     with pytest.raises(ActionError, match="finite"):
         world.measure(np.full((2, 2), np.nan), np.zeros((2, 2)))
     with pytest.raises(MbnError, match="one world"):
-        MeasuredWorld(BatchEngine(SMALL, 2, autoreset=False))
+        TrackedWorld(BatchEngine(SMALL, 2, autoreset=False))
 
 
 def test_a_scale_is_above_zero() -> None:

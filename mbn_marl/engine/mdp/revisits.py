@@ -1,27 +1,30 @@
-"""Revisit memory: has any robot of this world stood exactly here? (mdp.md, step 4).
+"""Revisit memory: was a robot, or the whole team, here before? (mdp.md, "One step", 4).
 
 The memory *is* the episode's trajectory, kept in full (``trail``), so answers are exact. A Bloom
 filter in front of it, five bits in one 64-bit word per key, settles nearly every question with a
 single memory access: a key with an unset bit is new for certain. Only where all bits are set (a
 true revisit, or by chance, under 1 %) is the trajectory searched. A robot at rest is known.
 
-A world's filter doubles as its episode gets longer, and is then filled anew from the trajectory:
+A world's filter doubles as its episode gets longer, and is then filled again from the trajectory:
 short episodes touch little memory, and that, not arithmetic, is what limits a large batch.
+
+Source: Choton, Woods, Hsu, section 3 (R_V, on joint states), and the authors' released code (on the
+positions of robots).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from mbn_marl.engine.compiling import compiled
-from mbn_marl.engine.rng import GOLDEN, mix
+from mbn_marl.engine.jit import compiled
+from mbn_marl.engine.mdp.rng import GOLDEN, mix
 
 BITS_PER_KEY = 16
 KEYS_PER_WORD = np.uint64(64 // BITS_PER_KEY)
 BITS_SET = 5
 LEAST_WORDS = 32
 ODD_LINES = 8
-"""Filters lie an odd number of cache lines apart, lest they all compete for the same few sets."""
+"""Filters lie an odd number of cache lines apart, so that they spread over all cache sets."""
 
 ONE = np.uint64(1)
 BIT = np.uint64(63)
@@ -46,7 +49,7 @@ def hash_position(x_bits, y_bits):
 
 @compiled
 def filter_mask(key):
-    """The five bits of the filter word that stand for ``key``."""
+    """The five bits of ``key`` in its filter word."""
     mask = ONE << (key & BIT)
     for k in range(1, BITS_SET):
         mask |= ONE << ((key >> np.uint64(6 * k)) & BIT)
@@ -55,13 +58,13 @@ def filter_mask(key):
 
 @compiled
 def filter_word(key, words):
-    """Which of the ``words`` filter words stands for ``key``: its upper bits."""
+    """The place, among ``words`` filter words, of that of ``key``: its upper bits."""
     return (key >> HALF_WORD) & (words - ONE)
 
 
 @compiled
 def add_bits(filters, world, place, mask):
-    """Set the bits of ``mask`` in word ``place`` of the world's filter; whether all were set."""
+    """Set the bits of ``mask`` in word ``place`` of the filter; return whether all were set."""
     word = filters[world, place]
     filters[world, place] = word | mask
     return (word & mask) == mask
@@ -85,7 +88,7 @@ def refill_filter(filters, trail_bits, world, first, end, words):
 
 @compiled
 def stood_on(trail, trail_key, world, first, entry):
-    """Whether the position in trail entry ``entry`` is also in one from ``first`` to before it.
+    """Return whether the position in trail entry ``entry`` is in one from ``first`` to before it.
 
     Searched backwards, since a robot that returns mostly returns to where it has just been, and in
     chunks without early exit, which vectorise. Keys that are equal are compared in full.
@@ -106,3 +109,43 @@ def stood_on(trail, trail_key, world, first, entry):
                     return True
         stop = start
     return False
+
+
+@compiled
+def same_joint_state(mem, now, w, step, code):
+    """Return whether the world was in its present joint state after ``step`` steps."""
+    same = mem.trail_code[w, step] == code
+    n = now.x.shape[0]
+    for i in range(n):
+        k = step * n + i
+        same &= (mem.trail[w, k, 0] == now.x[i, w]) & (mem.trail[w, k, 1] == now.y[i, w])
+        same &= mem.trail_velocity[w, k, 0] == now.vx[i, w]
+        same &= mem.trail_velocity[w, k, 1] == now.vy[i, w]
+    return same
+
+
+@compiled
+def joint_state_known(mem, now, w, code):
+    """R_V: was this joint state met before in the episode? It is noted either way.
+
+    The state at the start counts as met. The filter is keyed by positions and code, which differ in
+    nearly all distinct states; the trail decides.
+    """
+    n = now.x.shape[0]
+    step = min(now.steps[w], mem.trail_code.shape[1] - 1)
+    key = mix(np.uint64(code))
+    for i in range(n):
+        key = mix(key + np.uint64(mem.x_bits[i, w]) * GOLDEN)
+        key = mix(key + np.uint64(mem.y_bits[i, w]) * GOLDEN)
+    known = False
+    if add_bits(mem.filter, w, filter_word(key, mem.words[w]), filter_mask(key)):
+        for back in range(1, step + 1):
+            known = known or same_joint_state(mem, now, w, step - back, code)
+    for i in range(n):
+        k = step * n + i
+        mem.trail[w, k, 0] = now.x[i, w]
+        mem.trail[w, k, 1] = now.y[i, w]
+        mem.trail_velocity[w, k, 0] = now.vx[i, w]
+        mem.trail_velocity[w, k, 1] = now.vy[i, w]
+    mem.trail_code[w, step] = code
+    return known

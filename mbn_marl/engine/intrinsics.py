@@ -1,4 +1,4 @@
-"""Turning a square of numbers over in vector registers: each one by itself takes thrice as long."""
+"""Instructions that Numba has no words for: prefetching memory, and turning squares over."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
+from numba.core.cpu import CPUContext
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
+FOR_WRITING, KEEP, DATA = 1, 3, 1
 SIDE = 8
 HALVINGS = 3  # of SIDE, down to 1
 FLOATS = ir.VectorType(ir.FloatType(), SIDE)
@@ -16,6 +18,33 @@ INDICES = ir.VectorType(ir.IntType(32), SIDE)
 LOWER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) for k in range(SIDE)])
 UPPER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) + SIDE // 2 for k in range(SIDE)])
 """Which numbers of two vectors, one after the other, interleave their lower or upper halves."""
+
+
+def _prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:
+    """Begin to fetch ``array[row, column]``, which is going to be changed; on CUDA, do nothing."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        if not isinstance(context, CPUContext):
+            return context.get_dummy_value()
+        kind = signature.args[0]
+        view = arrayobj.make_array(kind)(context, builder, arguments[0])
+        element = cgutils.get_item_pointer(context, builder, kind, view, arguments[1:])
+        address = ir.IntType(8).as_pointer()
+        hint = ir.IntType(32)
+        instruction = cgutils.get_or_insert_function(
+            builder.module,
+            ir.FunctionType(ir.VoidType(), [address, hint, hint, hint]),
+            "llvm.prefetch.p0i8",
+        )
+        hints = [hint(FOR_WRITING), hint(KEEP), hint(DATA)]
+        builder.call(instruction, [builder.bitcast(element, address), *hints])
+        return context.get_dummy_value()
+
+    return types.void(array, row, column), generate
+
+
+prefetch: Any = intrinsic(_prefetch)
+"""``prefetch(array, row, column)``, for compiled functions; it changes nothing but the time."""
 
 
 def _transpose(typing: Any, tile: Any, k: Any, column: Any, rows: Any, w: Any, i: Any) -> Any:

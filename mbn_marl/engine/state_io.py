@@ -10,20 +10,21 @@ from numpy.typing import NDArray
 from mbn_marl.engine.backend import Backend
 from mbn_marl.errors import MbnError
 
-SHARED = ("x_bits", "y_bits", "trail_bits", "trail_key")
+VIEWS = ("x_bits", "y_bits", "trail_bits", "trail_key")
 """Arrays of ``Memory`` that are another array's memory."""
+COUNTERS = ("seed", "draw")
+"""Arrays of ``Memory`` that do not belong to a world."""
 
 
 def changing_arrays(backend: Backend) -> dict[str, Any]:
-    """Every array of the worlds that steps and resets write, the backend's own, by name."""
+    """Every array that steps and resets write, by name, but those without entries."""
     groups = {name: getattr(backend, name) for name in ("now", "final", "memory", "output")}
-    arrays = {
-        f"{group}.{name}": array
+    return {
+        name if name in COUNTERS else f"{group}.{name}": array
         for group, members in groups.items()
         for name, array in members._asdict().items()
-        if name not in SHARED
+        if name not in VIEWS and 0 not in array.shape
     }
-    return {**arrays, **backend.counters}
 
 
 def save_worlds(backend: Backend) -> dict[str, NDArray[Any]]:
@@ -38,8 +39,9 @@ def restore_worlds(backend: Backend, saved: Mapping[str, NDArray[Any]]) -> None:
         MbnError: a name, a shape or a type is not that of these worlds. Nothing has changed.
     """
     arrays = changing_arrays(backend)
-    if set(saved) != set(arrays):
-        differing = ", ".join(sorted(set(saved) ^ set(arrays)))
+    given = {name for name in saved if 0 not in saved[name].shape}
+    if given != set(arrays):
+        differing = ", ".join(sorted(given ^ set(arrays)))
         raise MbnError(f"worlds: these arrays are missing or unknown: {differing}")
     for name, array in arrays.items():
         host = backend.host(array)

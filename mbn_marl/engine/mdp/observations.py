@@ -1,28 +1,28 @@
-"""What a robot sees: one table of entries for each observation, and the function that writes them.
+"""What a robot sees: a table of entries for each observation, and the function that writes them.
 
 Entries are float32 and bounded. ``relative``, ``local`` and ``lidar`` are scaled to [-1, 1] by the
 arena, the speed limit and the sensing radius; ``state`` is the paper's vector in raw units with the
 own robot first. The visit bits of the ROIs are shared by the team in all of them.
+
+Source: Choton, Woods, Hsu, section 3 (``state``); the others are this package's (mdp.md, "What a
+robot sees").
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.compiling import compiled
-from mbn_marl.engine.rules import clip, cross_edge, within
-from mbn_marl.engine.transpose import SIDE, transpose
-from mbn_marl.engine.walls import RAYS, braking_path, cross, distance_squared, reading, slack
+from mbn_marl.engine.intrinsics import SIDE, transpose
+from mbn_marl.engine.jit import compiled
+from mbn_marl.engine.mdp import lidar
+from mbn_marl.engine.mdp.visits import visit_code, within
+from mbn_marl.engine.scalars import FIRST, clip, column
 
 RELATIVE, STATE, LOCAL, LIDAR = 0, 1, 2, 3
-FIRST = np.uint64(0)
-FAR = np.float32(np.inf)
 OBSERVATIONS = {"relative": RELATIVE, "state": STATE, "local": LOCAL, "lidar": LIDAR}
-
 
 Row = tuple[str, float, float, str]
 
@@ -52,45 +52,34 @@ def observation_table(
     rows: list[Row]
     if config.observation == "state":
         rows = _state_rows(n, m, arena, config.v_clip)
-    elif config.observation == "lidar":
-        rows = _lidar_rows(n, m)
     else:
-        rows = _relative_rows(n, m, flags=config.observation == "local")
+        rows = _scaled_rows(n, m, config.observation)
     if config.one_hot:
         rows += [(f"is_robot_{i}", 0.0, 1.0, "flag") for i in range(n)]
     return tuple(Entry(row[0], k, *row[1:]) for k, row in enumerate(rows))
 
 
-def _relative_rows(n: int, m: int, *, flags: bool) -> list[Row]:
-    position, velocity = "half arenas from its centre", "speed limits"
-    rows = [(f"own_{a}", -1.0, 1.0, position) for a in "xy"]
+def _scaled_rows(n: int, m: int, observation: str) -> list[Row]:
+    """The entries of ``relative``, and what ``local`` and ``lidar`` add to them."""
+    flags, lidar_only = observation == "local", observation == "lidar"
+    centre = "the field's centre" if lidar_only else "its centre"
+    velocity, radii = "speed limits", "sensing radii"
+    rows = [(f"own_{a}", -1.0, 1.0, f"half arenas from {centre}") for a in "xy"]
     rows += [(f"own_v{a}", -1.0, 1.0, velocity) for a in "xy"]
     for k in range(1, n):
         rows += [(f"other_{k}_present", 0.0, 1.0, "flag")] * flags
         rows += [(f"other_{k}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
-        rows += [(f"other_{k}_dv{a}", -1.0, 1.0, "2 speed limits") for a in "xy"]
+        rows += [(f"other_{k}_dv{a}", -1.0, 1.0, f"2 {velocity}") for a in "xy"]
+        rows += [(f"other_{k}_near", 0.0, 1.0, f"1 - {radii}")] * lidar_only
     for j in range(m):
         rows += [(f"roi_{j}_present", 0.0, 1.0, "flag")] * flags
         rows += [(f"roi_{j}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
+        rows += [(f"roi_{j}_u{a}", -1.0, 1.0, "soft unit vector") for a in "xy"] * lidar_only
         rows += [(f"roi_{j}_visited", 0.0, 1.0, "flag")]
-    return rows
-
-
-def _lidar_rows(n: int, m: int) -> list[Row]:
-    velocity, radii = "speed limits", "sensing radii"
-    rows = [(f"own_{a}", -1.0, 1.0, "half arenas from the field's centre") for a in "xy"]
-    rows += [(f"own_v{a}", -1.0, 1.0, velocity) for a in "xy"]
-    for k in range(1, n):
-        rows += [(f"other_{k}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
-        rows += [(f"other_{k}_dv{a}", -1.0, 1.0, f"2 {velocity}") for a in "xy"]
-        rows += [(f"other_{k}_near", 0.0, 1.0, f"1 - {radii}")]
-    for j in range(m):
-        rows += [(f"roi_{j}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
-        rows += [(f"roi_{j}_u{a}", -1.0, 1.0, "soft unit vector") for a in "xy"]
-        rows += [(f"roi_{j}_visited", 0.0, 1.0, "flag")]
-    rows += [(f"ray_{k}", 0.0, 1.0, radii) for k in range(RAYS.shape[1])]
-    rows += [("time_to_wall", 0.0, 1.0, f"{radii} at the speed limit")]
-    rows += [("brake_inside", 0.0, 1.0, "flag"), ("wall_distance", 0.0, 1.0, radii)]
+    if lidar_only:
+        rows += [(f"ray_{k}", 0.0, 1.0, radii) for k in range(lidar.RAYS.shape[1])]
+        rows += [("time_to_wall", 0.0, 1.0, f"{radii} at the speed limit")]
+        rows += [("brake_inside", 0.0, 1.0, "flag"), ("wall_distance", 0.0, 1.0, radii)]
     return rows
 
 
@@ -99,18 +88,6 @@ def _state_rows(n: int, m: int, arena: tuple[float, float], v_clip: float) -> li
     rows = [(f"{r}_{a}", 0.0, arena[k], "units") for r in who for k, a in enumerate("xy")]
     rows += [(f"{r}_v{a}", -v_clip, v_clip, "units/step") for r in who for a in "xy"]
     return [*rows, ("visit_code", 0.0, float(2**m - 1), "code")]
-
-
-@compiled
-def column(g, w):
-    """Where world w is in the tables of ``g``: they have one column for all worlds, or one each."""
-    return np.uint64(w) if g.codes.shape[0] > 1 else FIRST
-
-
-@compiled
-def visit_code(g, visited, w):
-    """World w's ``visited`` as the paper's visit code: without the bits of padding ROIs."""
-    return visited & g.codes[column(g, w)]
 
 
 @compiled
@@ -223,103 +200,6 @@ def put_centred(p, g, ep, lo, hi, i, tile):
 
 
 @compiled
-def put_near(p, rays, ep, lo, hi, i, j, tile, k):
-    """``lidar``: how near robot j is: 1 here, 0 from the sensing radius on."""
-    per_radius = p.one / rays[0, 0]
-    for w in range(lo, hi):
-        dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
-        distance = math.sqrt(dx * dx + dy * dy)
-        tile[k, w - lo] = max(p.one - distance * per_radius, p.zero)
-
-
-@compiled
-def put_direction(p, g, ep, lo, hi, i, j, tile, k):
-    """``lidar``: where ROI j lies, ``d / (|d| + 1 unit)``, and whether the team has visited it."""
-    for w in range(lo, hi):
-        f = column(g, w)
-        dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
-        length = math.sqrt(dx * dx + dy * dy) + p.one
-        tile[k + 2, w - lo] = tile[k, w - lo]
-        tile[k, w - lo] = dx / length
-        tile[k + 1, w - lo] = dy / length
-
-
-@compiled
-def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
-    """``lidar``: how far robot i can go in each of the directions, up to the sensing radius.
-
-    Each half of the directions is the other one turned back.
-    """
-    half, behind = rays.shape[1] // 2, slack(p, rays)
-    for ray in range(half):
-        row, back, dx, dy = k + ray, k + ray + half, rays[0, ray], rays[1, ray]
-        for w in range(lo, hi):
-            tile[row, w - lo] = p.one
-            tile[back, w - lo] = p.one
-        for e in range(g.edges.shape[1]):
-            for w in range(lo, hi):
-                f = column(g, w)
-                ax, ay = g.edges[0, e, f], g.edges[1, e, f]
-                bx, by = g.edges[2, e, f], g.edges[3, e, f]
-                x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
-                turn = cross(dx, dy, ex, ey)
-                a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
-                along = cross(ax - x, ay - y, ex, ey) * (p.one / turn)
-                there = reading(p, behind, a_side, b_side, turn, along)
-                opposite = reading(p, behind, -a_side, -b_side, -turn, -along)
-                tile[row, w - lo] = min(tile[row, w - lo], there)
-                tile[back, w - lo] = min(tile[back, w - lo], opposite)
-
-
-@compiled
-def put_margins(p, g, rays, ep, lo, hi, i, tile, k):
-    """``lidar``: when robot i would reach the wall, and how far the nearest wall is."""
-    per_radius, behind = p.one / rays[0, 0], slack(p, rays)
-    per_time = p.v_clip * per_radius
-    for w in range(lo, hi):
-        tile[k, w - lo] = p.one
-        tile[k + 2, w - lo] = FAR
-    for e in range(g.edges.shape[1]):
-        for w in range(lo, hi):
-            f = column(g, w)
-            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
-            bx, by = g.edges[2, e, f], g.edges[3, e, f]
-            x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
-            dx, dy = ep.vx[i, w], ep.vy[i, w]
-            turn = cross(dx, dy, ex, ey)
-            a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
-            along = cross(ax - x, ay - y, ex, ey) * (per_time / turn)
-            square = distance_squared(p, ax - x, ay - y, ex, ey)
-            seen = reading(p, behind, a_side, b_side, turn, along)
-            tile[k, w - lo] = min(tile[k, w - lo], seen)
-            tile[k + 2, w - lo] = min(tile[k + 2, w - lo], square)
-    for w in range(lo, hi):
-        distance = math.sqrt(tile[k + 2, w - lo]) * per_radius
-        tile[k + 2, w - lo] = min(distance, p.one)
-
-
-@compiled
-def put_brake(p, g, ep, lo, hi, i, tile, k):
-    """``lidar``: whether robot i would stop in the field if it braked from now on.
-
-    The entry holds the bits of ``cross_edge`` until all edges have been seen.
-    """
-    brake = p.f_max / g.masses[i]
-    for w in range(lo, hi):
-        tile[k, w - lo] = p.zero
-    for e in range(g.edges.shape[1]):
-        for w in range(lo, hi):
-            f = column(g, w)
-            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
-            bx, by = g.edges[2, e, f], g.edges[3, e, f]
-            x = ep.x[i, w] + braking_path(p, ep.vx[i, w], brake, p.wind_x, p.arena_x)
-            y = ep.y[i, w] + braking_path(p, ep.vy[i, w], brake, p.wind_y, p.arena_y)
-            tile[k, w - lo] = cross_edge(np.int32(tile[k, w - lo]), x, y, ax, ay, bx, by)
-    for w in range(lo, hi):
-        tile[k, w - lo] = min(tile[k, w - lo], p.one)
-
-
-@compiled
 def put_lidar(p, g, rays, ep, lo, hi, i, tile):
     """The entries of ``lidar`` for robot i; how many there are."""
     put_centred(p, g, ep, lo, hi, i, tile)
@@ -327,16 +207,16 @@ def put_lidar(p, g, rays, ep, lo, hi, i, tile):
     for j in range(ep.x.shape[0]):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k)
-            put_near(p, rays, ep, lo, hi, i, j, tile, k + 4)
+            lidar.put_near(p, rays, ep, lo, hi, i, j, tile, k + 4)
             k += 5
     for j in range(g.rois.shape[1]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k)
-        put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)
+        lidar.put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)
         k += 5
-    put_rays(p, g, rays, ep, lo, hi, i, tile, k)
+    lidar.put_rays(p, g, rays, ep, lo, hi, i, tile, k)
     k += rays.shape[1]
-    put_margins(p, g, rays, ep, lo, hi, i, tile, k)
-    put_brake(p, g, ep, lo, hi, i, tile, k + 1)
+    lidar.put_margins(p, g, rays, ep, lo, hi, i, tile, k)
+    lidar.put_brake(p, g, ep, lo, hi, i, tile, k + 1)
     return k + 3
 
 

@@ -15,26 +15,26 @@ COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Compiled code runs without the GIL, and divides as NumPy does."""
 
 
-def _digest_of_sources() -> str:
-    """A hash of all source files of the engine."""
+def digest_of_sources(folder: Path) -> str:
+    """A hash of all source files in ``folder`` and the folders in it, and of where they are."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.read_bytes())
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 
 
-SOURCES = _digest_of_sources()
+SOURCES = digest_of_sources(Path(__file__).parent)
 
 
 class Rule(CPUDispatcher):
     """A compiled function that is made to become part of the compiled functions that call it.
 
     It has no machine code and no wrappers of its own, which take Numba longer than all the rest.
-    A call from Python, by a test or a curious reader, compiles the function by itself.
+    A call from Python, by a test or a curious reader, compiles the function alone.
     """
 
     def __call__(self, *arguments: Any) -> Any:
-        """Call the function by itself."""
+        """Call the function alone."""
         return self.alone(*arguments)
 
     @cached_property
@@ -47,6 +47,12 @@ def compiled(function: Callable[..., Any]) -> Any:
     """Compile a rule or a pass, to become part of what calls it."""
     inlined = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return Rule(function, targetoptions={"nopython": True, **COMMON, **inlined})
+
+
+def generated(name: str, source: str, **names: Any) -> Any:
+    """Compile the function ``name`` of a source text that was put together from fields' names."""
+    exec(source, names)
+    return compiled(names[name])
 
 
 def entry_point(function: Callable[..., Any]) -> Any:
@@ -64,7 +70,7 @@ def _cached(function: Callable[..., Any], **options: Any) -> Any:
 
     Numba renews a cached function when its own file changes, but a rule is compiled into every
     function that calls it, wherever that is. So the cache is stamped with all of the engine's
-    sources instead. Where nothing can be written, the code is compiled anew in each process.
+    sources instead. Where nothing can be written, each process compiles for itself.
     """
     options = {**COMMON, **options}
     try:

@@ -2,7 +2,7 @@
 
 A step of the engine has two halves here, made of its own passes. The first turns actions into the
 velocities that the MDP would have next; something else then moves the robots. The second takes
-where they came to be, and does the rest of the step: ROIs, memory, collisions, rewards,
+their measured positions and does the rest of the step: ROIs, memory, collisions, rewards,
 observations.
 """
 
@@ -13,19 +13,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mbn_marl.engine import step
 from mbn_marl.engine.batch import BatchEngine
-from mbn_marl.engine.constants import make_record
+from mbn_marl.engine.constants import make_record, unpack
 from mbn_marl.engine.cpu import CpuBackend
-from mbn_marl.engine.measuring import choose_velocities, judge_positions
-from mbn_marl.engine.store import Store
+from mbn_marl.engine.jit import entry_point
+from mbn_marl.engine.mdp.dynamics import propose_move
+from mbn_marl.engine.mdp.observations import observe
+from mbn_marl.engine.mdp.rewards import RELEASED, WALL
+from mbn_marl.engine.scalars import clip, select
 from mbn_marl.errors import ActionError, MbnError, StepError
+
+LO, HI = np.uint64(0), np.uint64(1)
+INSIDE = 1
 
 
 class Command(NamedTuple):
     """What the MDP would have the robots do in a step.
 
     Attributes:
-        velocities: (n, 2), units/step, in the engine's dtype; 0 where a robot may not go on.
+        velocities: (n, 2), units/step, in the engine's dtype; 0 where a robot has to stop.
         allowed: (n,) bool, whether the robot would stay in the field. If not it pays r_l.
 
     Source:
@@ -36,7 +43,7 @@ class Command(NamedTuple):
     allowed: NDArray[np.bool_]
 
 
-class MeasuredWorld:
+class TrackedWorld:
     """One world of the MDP whose positions and velocities are measured, not computed.
 
     A step is :meth:`command` and then :meth:`measure`. A robot that is moved exactly as commanded,
@@ -63,17 +70,8 @@ class MeasuredWorld:
         self.engine, self._backend = engine, backend
         limit = min(engine.config.v_clip, speed_limit or np.inf)
         config = engine.config.model_copy(update={"v_clip": limit})
-        limited = make_record(
-            config, engine.n_robots, engine.field.arena, engine.autoreset, engine.seed
-        )
-        self._chooser = Store(
-            limited,
-            backend.plan.geometry,
-            backend.memory,
-            backend.now,
-            backend.final,
-            backend.output,
-        )
+        limited = make_record(config, engine.n_robots, engine.field.arena, engine.autoreset)
+        self._chooser = backend.store_with(limited)
         self._allowed = np.ones(engine.n_robots, np.bool_)
 
     def command(self, actions: ArrayLike) -> Command:
@@ -94,7 +92,7 @@ class MeasuredWorld:
         return Command(velocities[0], self._allowed.copy())
 
     def measure(self, positions: ArrayLike, velocities: ArrayLike) -> None:
-        """The second half: the robots came to ``positions``; what came of it is in the engine.
+        """The second half: the robots came to ``positions``; the outcome is in the engine.
 
         A robot that was measured outside the field pays r_l, as one does that would leave it.
         Positions are clipped to the arena, velocities to v_clip.
@@ -113,5 +111,48 @@ class MeasuredWorld:
                 allowed = f"allowed: finite numbers of shape {shape[1:]}"
                 raise ActionError(f"{name}: shape {array.shape[1:]}, or not finite; {allowed}")
             measured.append(np.ascontiguousarray(array))
-        judge_positions(self._backend.store, *measured, self._allowed)
+        take_positions(self._backend.store, *measured, self._allowed)
         self._backend.recount()
+
+
+@entry_point
+def choose_velocities(store, actions, velocities, allowed):
+    """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
+    p = unpack(store.constants)
+    g, now = store.geometry, store.now
+    n = now.x.shape[0]
+    to = step.make_scratch(HI, n, 1, now.x.dtype)
+    for i in range(n):
+        propose_move(p, g, now, to, actions, i, LO, HI)
+        step.test_containment(g, to, LO, HI)
+        inside = to.seen[0] != 0
+        allowed[i] = inside
+        velocities[0, i, 0] = select(inside, to.vx[0], p.zero)
+        velocities[0, i, 1] = select(inside, to.vy[0], p.zero)
+
+
+@entry_point
+def take_positions(store, positions, velocities, allowed):
+    """Steps 3 to 8 for robots that came to ``positions`` with ``velocities``, (1, n, 2)."""
+    p = unpack(store.constants)
+    g, mem, now, final, out = store.geometry, store.memory, store.now, store.final, store.output
+    n = now.x.shape[0]
+    to = step.make_scratch(HI, n, out.observations.shape[2], now.x.dtype)
+    for i in range(n):
+        to.x[0], to.y[0] = positions[0, i, 0], positions[0, i, 1]
+        to.vx[0] = clip(velocities[0, i, 0], -p.v_clip, p.v_clip)
+        to.vy[0] = clip(velocities[0, i, 1], -p.v_clip, p.v_clip)
+        step.test_containment(g, to, LO, HI)
+        stayed = allowed[i] & (to.seen[0] != 0)
+        to.seen[0] = INSIDE
+        step.stop_at_walls(p, now, out, to, i, LO, HI)
+        now.wall_hits[i, 0] += 0 if stayed else 1
+        out.events[i, 0] |= 0 if stayed else WALL
+        step.mark_visits(p, g, now, out, i, LO, HI)
+    if p.rules == RELEASED:
+        step.record_positions(mem, now, LO, HI)
+        for i in range(n):
+            step.hash_positions(mem, now, out, to, i, LO, HI)
+    observe(p, g, now, LO, HI, to.tile, out.observations)
+    step.score_step(p, g, mem, now, out, to, LO, HI)
+    return step.autoreset(p, g, mem, now, final, out, to, LO, HI)

@@ -1,0 +1,174 @@
+"""What ``lidar`` senses: the walls, and how near and in which direction the others are.
+
+An edge goes from a to b, and the field lies to its left; its ends are given as seen from the robot.
+Only operations that every processor rounds alike are used.
+
+Source: this package; the paper's robots sense no walls (mdp.md, "What a robot sees").
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mbn_marl.engine.jit import compiled
+from mbn_marl.engine.mdp.containment import cross_edge
+from mbn_marl.engine.scalars import clip, column, select
+
+FAR = np.float32(np.inf)
+HALF, MANY = np.float32(0.5), np.float32(1e6)
+ROUNDING = np.float32(1e-6)
+"""Of a position, in arenas: a little more than float32's."""
+S = math.sqrt(0.5)
+RAYS = np.array([[1, S, 0, -S, -1, -S, 0, S], [0, S, 1, S, 0, -S, -1, -S]])
+"""The directions of the rays, (2, 8): unit vectors, counter-clockwise from +x."""
+
+
+@compiled
+def cross(ax, ay, bx, by):
+    """The cross product of a and b: positive if b points to the left of a."""
+    return ax * by - ay * bx
+
+
+@compiled
+def slack(p, rays):
+    """By how much, in sensing radii, rounding may have put a robot beyond a wall."""
+    return max(p.arena_x, p.arena_y) * ROUNDING / rays[0, 0]
+
+
+@compiled
+def reading(p, behind, a_side, b_side, turn, along):
+    """Where a ray leaves the field by an edge, 0 at its start to 1 at its end; 1 elsewhere.
+
+    ``a_side``, ``b_side`` and ``turn`` are the ray's direction crossed with the edge's ends and
+    with the edge; ``along`` is where the ray meets the line of the edge. A ray through a corner
+    leaves by both of its edges, so none slips between them; one along an edge leaves by the next.
+    A robot that rounding has put beyond the edge, by less than ``behind``, is at it.
+    """
+    leaves = (a_side <= 0) & (b_side >= 0) & (turn > 0) & (along >= -behind)
+    return select(leaves, max(along, p.zero), p.one)
+
+
+@compiled
+def distance_squared(p, ax, ay, ex, ey):
+    """From the robot to the nearest point of the edge, squared; (ex, ey) is the edge b - a."""
+    square = ex * ex + ey * ey
+    per_square = select(square > 0, p.one / square, p.zero)
+    along = clip(-(ax * ex + ay * ey) * per_square, p.zero, p.one)
+    x, y = ax + along * ex, ay + along * ey
+    return x * x + y * y
+
+
+@compiled
+def braking_path(p, velocity, brake, wind, beyond):
+    """How far a robot goes until the force that brakes it by ``brake`` a step has stopped it.
+
+    One axis; ``beyond``, and on, if the wind is stronger. The speed falls by the same amount each
+    step, and in the last one to 0: the path is the mean of the first and the last speed that is
+    left, times their number.
+    """
+    speed = abs(velocity)
+    slower = brake - select(velocity > 0, wind, -wind)
+    ratio = speed / slower
+    count = np.float32(np.int32(select(ratio < MANY, ratio, MANY)))  # also where it is no number
+    path = count * ((speed - slower) + (speed - slower * count)) * HALF * p.tau
+    path = select(slower > 0, path, select(speed > 0, beyond, p.zero))
+    return select(velocity > 0, path, -path)
+
+
+@compiled
+def put_near(p, rays, ep, lo, hi, i, j, tile, k):
+    """``lidar``: how near robot j is: 1 here, 0 from the sensing radius on."""
+    per_radius = p.one / rays[0, 0]
+    for w in range(lo, hi):
+        dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
+        distance = math.sqrt(dx * dx + dy * dy)
+        tile[k, w - lo] = max(p.one - distance * per_radius, p.zero)
+
+
+@compiled
+def put_direction(p, g, ep, lo, hi, i, j, tile, k):
+    """``lidar``: where ROI j lies, ``d / (|d| + 1 unit)``, and whether the team has visited it."""
+    for w in range(lo, hi):
+        f = column(g, w)
+        dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
+        length = math.sqrt(dx * dx + dy * dy) + p.one
+        tile[k + 2, w - lo] = tile[k, w - lo]
+        tile[k, w - lo] = dx / length
+        tile[k + 1, w - lo] = dy / length
+
+
+@compiled
+def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
+    """``lidar``: how far robot i can go in each of the directions, up to the sensing radius.
+
+    Each half of the directions is the other one turned back.
+    """
+    half, behind = rays.shape[1] // 2, slack(p, rays)
+    for ray in range(half):
+        row, back, dx, dy = k + ray, k + ray + half, rays[0, ray], rays[1, ray]
+        for w in range(lo, hi):
+            tile[row, w - lo] = p.one
+            tile[back, w - lo] = p.one
+        for e in range(g.edges.shape[1]):
+            for w in range(lo, hi):
+                f = column(g, w)
+                ax, ay = g.edges[0, e, f], g.edges[1, e, f]
+                bx, by = g.edges[2, e, f], g.edges[3, e, f]
+                x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
+                turn = cross(dx, dy, ex, ey)
+                a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
+                along = cross(ax - x, ay - y, ex, ey) * (p.one / turn)
+                there = reading(p, behind, a_side, b_side, turn, along)
+                opposite = reading(p, behind, -a_side, -b_side, -turn, -along)
+                tile[row, w - lo] = min(tile[row, w - lo], there)
+                tile[back, w - lo] = min(tile[back, w - lo], opposite)
+
+
+@compiled
+def put_margins(p, g, rays, ep, lo, hi, i, tile, k):
+    """``lidar``: when robot i would reach the wall, and how far the nearest wall is."""
+    per_radius, behind = p.one / rays[0, 0], slack(p, rays)
+    per_time = p.v_clip * per_radius
+    for w in range(lo, hi):
+        tile[k, w - lo] = p.one
+        tile[k + 2, w - lo] = FAR
+    for e in range(g.edges.shape[1]):
+        for w in range(lo, hi):
+            f = column(g, w)
+            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
+            bx, by = g.edges[2, e, f], g.edges[3, e, f]
+            x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
+            dx, dy = ep.vx[i, w], ep.vy[i, w]
+            turn = cross(dx, dy, ex, ey)
+            a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
+            along = cross(ax - x, ay - y, ex, ey) * (per_time / turn)
+            square = distance_squared(p, ax - x, ay - y, ex, ey)
+            seen = reading(p, behind, a_side, b_side, turn, along)
+            tile[k, w - lo] = min(tile[k, w - lo], seen)
+            tile[k + 2, w - lo] = min(tile[k + 2, w - lo], square)
+    for w in range(lo, hi):
+        distance = math.sqrt(tile[k + 2, w - lo]) * per_radius
+        tile[k + 2, w - lo] = min(distance, p.one)
+
+
+@compiled
+def put_brake(p, g, ep, lo, hi, i, tile, k):
+    """``lidar``: whether robot i would stop in the field if it braked from now on.
+
+    The entry holds the bits of ``cross_edge`` until all edges have been seen.
+    """
+    brake = p.f_max / g.masses[i]
+    for w in range(lo, hi):
+        tile[k, w - lo] = p.zero
+    for e in range(g.edges.shape[1]):
+        for w in range(lo, hi):
+            f = column(g, w)
+            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
+            bx, by = g.edges[2, e, f], g.edges[3, e, f]
+            x = ep.x[i, w] + braking_path(p, ep.vx[i, w], brake, p.wind_x, p.arena_x)
+            y = ep.y[i, w] + braking_path(p, ep.vy[i, w], brake, p.wind_y, p.arena_y)
+            tile[k, w - lo] = cross_edge(np.int32(tile[k, w - lo]), x, y, ax, ay, bx, by)
+    for w in range(lo, hi):
+        tile[k, w - lo] = min(tile[k, w - lo], p.one)

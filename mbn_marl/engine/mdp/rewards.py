@@ -1,0 +1,101 @@
+"""The reward terms of both rule sets, each written once (mdp.md, "Reward profiles").
+
+The engine stores what *happened* in compact words (the bits below); rewards and logged terms are
+both computed from those. A robot's reward is the sum of what it earned itself, ``own_terms``, and
+its share of what the whole team gets, ``team_terms``; the team's reward is the sum of all robots'
+own terms and of the whole ``team_terms``.
+
+Source: Choton, Woods, Hsu, section 3 (``formal``) and the authors' released code (``released``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbn_marl.engine.jit import compiled
+from mbn_marl.engine.scalars import is_set
+
+RELEASED, FORMAL = 0, 1
+RULES = {"released": RELEASED, "formal": FORMAL}
+
+# A robot's event word: what it did in the step; the number of ROIs it visited sits above the flags.
+WALL = 1
+REVISIT = 2
+STILL = 4
+ROIS_SHIFT = 3
+# A world's outcome word.
+SUCCESS = 1
+COLLISION = 2
+ANY_OUTSIDE = 4
+KNOWN_STATE = 8
+RESTED = 16  # the world was reset, or left out: nothing happened, nothing was earned
+
+OWN_TERMS = ("step", "revisit", "wall", "roi")
+TEAM_TERMS = ("step", "revisit", "success", "collision")
+SHARED = 2
+"""``step`` and ``revisit`` are a robot's own when ``released``, the team's when ``formal``."""
+REWARD_TERMS = (*OWN_TERMS, *TEAM_TERMS[SHARED:])
+
+
+@compiled
+def own_terms(p, event, outcome):
+    """What a robot earns itself, as ``OWN_TERMS``: r_s or r_m for ground, r_l at walls and ROIs.
+
+    ``released``: a collision replaces everything else that the step earned (step 7).
+    ``formal``: success replaces the reward of ROIs, as in R_I; ground is the team's, as in R_V.
+    """
+    released = p.rules == RELEASED
+    replaced = released & is_set(outcome, COLLISION)
+    charged = released & (not replaced)
+    known = is_set(event, REVISIT)
+    rewarded = not (replaced | ((not released) & is_set(outcome, SUCCESS)))
+    return (
+        -p.whole.small if charged & (not known) else p.zero,
+        -p.whole.medium if charged & known else p.zero,
+        -p.whole.large if is_set(event, WALL) & (not replaced) else p.zero,
+        p.whole.large * p.one * np.float32(event >> ROIS_SHIFT) if rewarded else p.zero,
+    )
+
+
+@compiled
+def team_terms(p, weights, outcome):
+    """What the team earns, as ``TEAM_TERMS``, by whole ``weights`` or by a robot's share of them.
+
+    Success is R_I = r_inf, collision R_C = -r_inf. ``formal`` adds the -r_s of R_F if no robot is
+    outside, and R_V: -r_m in a known joint state, else +r_s, which cancels it on a clean step.
+    """
+    formal = p.rules == FORMAL
+    lost, done = is_set(outcome, COLLISION), is_set(outcome, SUCCESS)
+    known = is_set(outcome, KNOWN_STATE)
+    inside = -weights.small if formal & (not is_set(outcome, ANY_OUTSIDE)) else p.zero
+    return (
+        inside + (weights.small if formal & (not known) else p.zero),
+        -weights.medium if formal & known else p.zero,
+        weights.infinite if done & (formal | (not lost)) else p.zero,
+        -weights.infinite if lost else p.zero,
+    )
+
+
+@compiled
+def total(terms):
+    """The sum of terms, from the first to the last."""
+    value = terms[0]
+    for term in terms[1:]:
+        value += term
+    return value
+
+
+@compiled
+def team_reward(p, outcome, own):
+    """``R``, from the sum of the robots' own terms.
+
+    Computed as such and not as a sum of shares: n shares of a third would not be exact.
+    """
+    return own + total(team_terms(p, p.whole, outcome))
+
+
+@compiled
+def robot_terms(p, event, outcome):
+    """The terms of one robot's reward ``r_i``, as ``REWARD_TERMS``."""
+    own, team = own_terms(p, event, outcome), team_terms(p, p.share, outcome)
+    return (own[0] + team[0], own[1] + team[1], *own[SHARED:], *team[SHARED:])

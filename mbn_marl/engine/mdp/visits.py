@@ -1,0 +1,27 @@
+"""Which ROIs are visited, and the visit code b (mdp.md, "One step", 5, and "State, visit code").
+
+Source: Choton, Woods, Hsu, section 3 ("Problem Formulation").
+"""
+
+from __future__ import annotations
+
+from mbn_marl.engine.jit import compiled
+from mbn_marl.engine.scalars import column
+
+
+@compiled
+def within(dx, dy, radius_squared):
+    """``|p - w_j| <= rho``: a point at offset (dx, dy) is at most the radius away."""
+    return dx * dx + dy * dy <= radius_squared
+
+
+@compiled
+def all_visited(n_rois):
+    """The visit bits of a world whose ROIs are all visited, padding among them."""
+    return (1 << n_rois) - 1
+
+
+@compiled
+def visit_code(g, visited, w):
+    """``b``: the visit bits of world w without those of padding, the first ROI the highest."""
+    return visited & g.codes[column(g, w)]

@@ -1,0 +1,53 @@
+"""Compiled code is reused between processes, and never after a rule has changed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import mbn_marl
+from mbn_marl.engine.jit import SOURCES, digest_of_sources
+
+PROBE = """
+from mbn_marl.engine.mdp.dynamics import next_velocity
+
+print(next_velocity(1.0, 2.0, 1.0, 0.5, 5.0), sum(next_velocity.alone.stats.cache_hits.values()))
+"""
+
+
+def probe(folder: Path) -> list[str]:
+    environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "nb")}
+    command = [sys.executable, "-c", PROBE]
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout.split()
+
+
+def test_cache_is_used_and_renewed(tmp_path: Path) -> None:
+    package = Path(mbn_marl.__file__).parent
+    for name in ("mbn_marl", "envs_catalog"):
+        shutil.copytree(package.parent / name, tmp_path / name)
+    assert probe(tmp_path) == ["3.5", "0"]
+    assert probe(tmp_path) == ["3.5", "1"]
+    wind = tmp_path / "mbn_marl" / "engine" / "mdp" / "disturbances.py"  # of another rule
+    source = wind.read_text(encoding="utf-8")
+    assert "return velocity + wind" in source
+    wind.write_text(source.replace("velocity + wind", "velocity - wind"), encoding="utf-8")
+    assert probe(tmp_path) == ["2.5", "0"]
+
+
+def test_every_source_counts_wherever_it_is(tmp_path: Path) -> None:
+    engine = tmp_path / "engine"
+    shutil.copytree(Path(mbn_marl.__file__).parent / "engine", engine)
+    digests = [digest_of_sources(engine)]
+    assert digests == [SOURCES]
+    for path in (engine / "step.py", engine / "mdp" / "visits.py"):
+        path.write_text(path.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+        digests.append(digest_of_sources(engine))
+    (engine / "mdp" / "visits.py").rename(engine / "visits.py")
+    digests.append(digest_of_sources(engine))
+    assert len(set(digests)) == 4
