@@ -23,7 +23,7 @@ CUDA_NEEDS = (
 
 @dataclass(frozen=True, eq=False)
 class BackendSpec:
-    """What a backend is made from.
+    """The settings and tables that a backend is made from.
 
     Attributes:
         config: with the team size filled in.

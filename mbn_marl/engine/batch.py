@@ -153,7 +153,7 @@ class BatchEngine:
 
         Args:
             seed: key of the random numbers; the episode count restarts at 0. ``None`` keeps the
-                seed and goes on to the next episode.
+                seed and begins the next episode.
 
         Returns:
             Observations, (W, n, obs_size) float32; :attr:`observation_table` has their units.
@@ -218,12 +218,12 @@ class BatchEngine:
     def final_observations(self) -> Floats:
         """Last observations of the episodes that ended (autoreset same-step), (W, n, obs_size).
 
-        Rows of worlds whose episode goes on hold nothing of use.
+        Rows of worlds whose episode continues hold nothing of use.
         """
         return self._backend.output.final_observations
 
     def infos(self) -> NDArray[np.float64]:
-        """What is known of each agent as of the last step, before any automatic reset.
+        """Measures of each agent as of the last step, before any automatic reset.
 
         Returns:
             A fresh array (W, n, columns), whose last axis is ordered as ``INFO_COLUMNS``. These
@@ -327,7 +327,7 @@ class BatchEngine:
         return ~self._backend.host(self._backend.memory.pending)
 
     def snapshot(self, world: int = 0) -> Snapshot:
-        """What a picture of the world with index ``world`` needs, copied.
+        """A copy of everything that a picture of the world with index ``world`` needs.
 
         Raises:
             IndexError: no such world.

@@ -108,7 +108,7 @@ def make_record(
 
 
 def constants_of(record: NDArray[Any]) -> Constants:
-    """What ``unpack`` gives, on the host: NumPy's reals and Python's integers."""
+    """``unpack`` on the host: NumPy's reals and Python's integers."""
     values = zip(KINDS.values(), record[0], strict=True)
     make: dict[Any, Any] = {float: lambda real: real, int: int, Weights: lambda row: Weights(*row)}
     return Constants(*(make[kind](value) for kind, value in values))

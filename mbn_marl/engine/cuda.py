@@ -47,7 +47,7 @@ class Device:
 
 
 def _missing() -> str | None:
-    """What keeps this machine from running the kernels, if anything."""
+    """Return why this machine cannot run the kernels, if so."""
     if kernels.SIMULATED:
         return "NUMBA_ENABLE_CUDASIM is set, which leaves no GPU"
     if not torch.cuda.is_available():

@@ -23,7 +23,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from mbn_marl.engine.constants import AUTORESET_MODES
 from mbn_marl.engine.jit import compiled, generated
-from mbn_marl.engine.kernels import draw_world, put_infos
+from mbn_marl.engine.kernels import draw_world, is_final, put_infos
 from mbn_marl.engine.mdp.observations import describe, put_state
 from mbn_marl.engine.reset import (
     ENDED,
@@ -47,11 +47,11 @@ ZERO, ONE = np.uint64(0), np.uint64(1)
 SIMULATED = bool(config.ENABLE_CUDASIM)
 MOST_THREADS = 128
 TILE_BYTES = 48 * 1024
-"""What a block may take of shared memory without asking the driver for more."""
+"""The shared memory that a block has without asking the driver for more."""
 
 
 class Call(NamedTuple):
-    """What a launch of a step or a reset receives besides the worlds."""
+    """The arguments of a step or a reset besides the worlds."""
 
     actions: Any  # (W, n, 2) real
     active: Any  # (W,) bool: worlds to step, or to reset
@@ -74,7 +74,7 @@ def is_waiting(p, mem, w):
 
 @compiled
 def fault_of(p, mem, call, w):
-    """What is wrong with stepping world w, or 0."""
+    """Return why world w cannot be stepped, or 0."""
     for i in range(call.actions.shape[1]):
         for axis in range(2):
             if not math.isfinite(call.actions[w, i, axis]):
@@ -224,7 +224,10 @@ def infos(p, g, mem, now, final, out, rows):
     """As ``kernels.write_infos``, with ``rows`` in a tuple of one."""
     w = cuda.grid(1)
     if w < now.steps.shape[0]:
-        put_infos(p, g, now, final, out, w, rows[0])
+        if is_final(p, out, w):
+            put_infos(p, g, final, out, w, rows[0])
+        else:
+            put_infos(p, g, now, out, w, rows[0])
 
 
 def states(g, episode, rows):

@@ -7,9 +7,9 @@ from numba import prange
 
 from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.jit import compiled, entry_point, parallel_entry_point
+from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
 from mbn_marl.engine.mdp.observations import observe, put_state
-from mbn_marl.engine.mdp.rewards import COLLISION, RESTED, REWARD_TERMS, SUCCESS, robot_terms
 from mbn_marl.engine.mdp.rng import FOR_ACTIONS, stream_key, uniform
 from mbn_marl.engine.mdp.visits import visit_code
 from mbn_marl.engine.reset import begin_world, clear_output
@@ -19,7 +19,7 @@ from mbn_marl.engine.step import SAME_STEP, step_worlds
 FIRST, NEXT = np.uint64(0), np.uint64(1)
 
 MEASURES = ("success", "rois_visited", "collision", "wall_hits", "path_length", "impulse")
-INFO_COLUMNS = (*MEASURES, *(f"reward/{term}" for term in REWARD_TERMS))
+INFO_COLUMNS = (*MEASURES, *(f"reward/{term}" for term in rewards.REWARD_TERMS))
 
 
 @entry_point
@@ -71,12 +71,12 @@ def rest_worlds(store, mask):
 
 
 @compiled
-def put_episode(p, g, ep, out, w, rows):
-    """Write the infos of world w, whose episode is in ``ep``."""
+def put_infos(p, g, ep, out, w, rows):
+    """Write the measures of each robot of world w, in the order of ``INFO_COLUMNS``."""
     outcome = out.outcomes[w]
     rois_visited = count_bits(visit_code(g, ep.visited[w], w))
-    lost, rested = is_set(outcome, COLLISION), is_set(outcome, RESTED)
-    success = is_set(outcome, SUCCESS) and not lost
+    lost, rested = is_set(outcome, rewards.COLLISION), is_set(outcome, rewards.RESTED)
+    success = is_set(outcome, rewards.SUCCESS) and not lost
     for i in range(rows.shape[1]):
         rows[w, i, 0] = success
         rows[w, i, 1] = rois_visited
@@ -84,18 +84,15 @@ def put_episode(p, g, ep, out, w, rows):
         rows[w, i, 3] = ep.wall_hits[i, w]
         rows[w, i, 4] = ep.path_length[i, w]
         rows[w, i, 5] = objective(ep.impulse_x[i, w], ep.impulse_y[i, w])
-        terms = robot_terms(p, out.events[i, w], outcome)
+        terms = rewards.with_share(p, rewards.own_terms(p, out.events[i, w], outcome), outcome)
         for k in range(len(terms)):
             rows[w, i, len(MEASURES) + k] = 0.0 if rested else terms[k]
 
 
 @compiled
-def put_infos(p, g, now, final, out, w, rows):
-    """Write what is known of each robot of world w, in the order of ``INFO_COLUMNS``."""
-    if (out.terminated[w] | out.truncated[w]) & (p.autoreset == SAME_STEP):
-        put_episode(p, g, final, out, w, rows)
-    else:
-        put_episode(p, g, now, out, w, rows)
+def is_final(p, out, w):
+    """Return whether the last step of world w is that of an episode which has been replaced."""
+    return (out.terminated[w] | out.truncated[w]) & (p.autoreset == SAME_STEP)
 
 
 @entry_point
@@ -103,7 +100,8 @@ def write_infos(store, rows):
     """Fill ``rows`` (W, n, columns) as of the last step, before any automatic reset."""
     p = unpack(store.constants)
     for w in range(FIRST, np.uint64(rows.shape[0])):
-        put_infos(p, store.geometry, store.now, store.final, store.output, w, rows)
+        episode = store.final if is_final(p, store.output, w) else store.now
+        put_infos(p, store.geometry, episode, store.output, w, rows)
 
 
 @entry_point

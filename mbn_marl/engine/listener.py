@@ -1,4 +1,4 @@
-"""What an engine tells those who follow its worlds."""
+"""The calls that an engine makes to those who follow its worlds."""
 
 from __future__ import annotations
 

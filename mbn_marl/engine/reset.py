@@ -22,7 +22,7 @@ DRAWS_PER_ROBOT = 1000
 ENDED, RESTARTS = 1, 2
 """Bits of how the episode of a world changes after a step."""
 MOTION = ("x", "y", "vx", "vy", "visited", "steps")
-"""What a step reads over and over."""
+"""The parts of an episode that a step reads over and over."""
 
 
 def _copy_of(name: str, fields: Sequence[str]) -> Any:

@@ -1,4 +1,4 @@
-"""What there is to see of one world at one moment: the engine makes it, the renderers draw it."""
+"""The visible state of one world at one moment: the engine makes it, the renderers draw it."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Episode(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What outlives or supports an episode."""
+    """The data that outlives or supports an episode."""
 
     x_bits: Array  # (n, W) uint: the bits of Episode.x, the same memory
     y_bits: Array
@@ -73,7 +73,7 @@ class Memory(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What a step returns; overwritten by the next one."""
+    """The results of a step; overwritten by the next one."""
 
     observations: Array  # (W, n, size) float32
     rewards: Array  # (W, n) real

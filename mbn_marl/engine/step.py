@@ -36,7 +36,7 @@ SAME_STEP, NEXT_STEP = 1, 2
 
 
 class Scratch(NamedTuple):
-    """What the passes over a block pass to each other, one entry per world of the block."""
+    """Intermediate results of the passes over a block, one entry per world of the block."""
 
     x: Any  # real: where robot i would go, and with which velocity
     y: Any
@@ -227,8 +227,9 @@ def give_rewards(p, now, out, to, lo, hi):
         own[k] = p.zero
     for i in range(n):
         for w in range(lo, hi):
-            own[w - lo] += rewards.total(rewards.own_terms(p, out.events[i, w], out.outcomes[w]))
-            share[w - lo] = rewards.total(rewards.robot_terms(p, out.events[i, w], out.outcomes[w]))
+            terms = rewards.own_terms(p, out.events[i, w], out.outcomes[w])
+            own[w - lo] += rewards.total(terms)
+            share[w - lo] = rewards.total(rewards.with_share(p, terms, out.outcomes[w]))
         for w in range(lo, hi):
             out.rewards[w, i] = share[w - lo]
             now.returns[i, w] += share[w - lo]

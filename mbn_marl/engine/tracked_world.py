@@ -29,7 +29,7 @@ INSIDE = 1
 
 
 class Command(NamedTuple):
-    """What the MDP would have the robots do in a step.
+    """The velocities that the MDP would give the robots in a step.
 
     Attributes:
         velocities: (n, 2), units/step, in the engine's dtype; 0 where a robot has to stop.

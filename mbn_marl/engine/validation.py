@@ -1,4 +1,4 @@
-"""What is checked before an engine is built, beyond what each setting shows by itself."""
+"""Checks of how settings, fields and starts fit together, before an engine is built."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def check_setup(
 
 
 def seed_problems(seed: object) -> list[str]:
-    """What is wrong with a seed, if anything."""
+    """Return the problems of a seed."""
     if isinstance(seed, int | np.integer) and 0 <= int(seed) < 2**63:
         return []
     return [f"seed: {seed!r}; allowed: an integer from 0 to 2**63 - 1"]
@@ -80,7 +80,7 @@ def _positive(value: object) -> bool:
 
 
 def _given_starts_problems(starts: NDArray[Any], config: NavigationConfig, n: int) -> list[str]:
-    """What is wrong with starts that are to take the place of the fields' own."""
+    """Return the problems of starts that replace the fields' own."""
     if starts.shape != (n, 2) or starts.dtype.kind not in "fiu" or not np.isfinite(starts).all():
         wrong = f"shape {starts.shape} of {starts.dtype}"
         return [f"starts: {wrong}; allowed: finite numbers of shape ({n}, 2)"]
@@ -96,7 +96,7 @@ def _field_problems(
     arena: tuple[float, float],
     given_starts: NDArray[Any] | None,
 ) -> list[str]:
-    """What keeps this field from being played with this configuration."""
+    """Return why this field does not fit this configuration."""
     problems = []
     if n > len(field.starts):
         allowed = f"1 to {len(field.starts)}, the starts of {field.name}"

@@ -46,7 +46,7 @@ def check_refused(
     error: type[Exception],
     *words: str,
 ) -> None:
-    """``call`` raises ``error`` with all ``words``, and the engine goes on as if never asked."""
+    """``call`` raises ``error`` with all ``words``, and the engine continues as if never called."""
     twin = copy.deepcopy(engine)
     before = observable(engine)
     with pytest.raises(error) as caught:

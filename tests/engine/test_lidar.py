@@ -19,7 +19,7 @@ PRECISIONS = pytest.mark.parametrize("dtype", ["float32", "float64"])
 def seen(
     field: Field | list[Field], *forces: tuple[float, float], world: int = 0, **settings: Any
 ) -> dict[str, float]:
-    """What the first robot sees, by name, after steps with these forces."""
+    """The first robot's observation, by name, after steps with these forces."""
     engine = BatchEngine(field, 2, observation="lidar", threads=1, **settings)
     observations = engine.reset()
     for force in forces:

@@ -14,7 +14,7 @@ from mbn_marl.engine import REWARD_TERMS
 
 @dataclass
 class Outcome:
-    """What a step told about one world.
+    """The results of a step for one world.
 
     ``state`` (4n+1,), the last of the episode if it ended; ``team_reward``; ``infos``: one per
     robot, or a single one for the team; ``rewards`` (n,) and ``observations`` (n, size), empty
@@ -31,7 +31,7 @@ class Outcome:
 
     @property
     def ended(self) -> bool:
-        """Whether the episode is over."""
+        """Return whether the episode is over."""
         return self.terminated or self.truncated
 
 

@@ -24,7 +24,7 @@ REALS: Mapping[str, Any] = {"float64": float, "float32": np.float32}
 
 
 class FieldLike(Protocol):
-    """What the oracle needs of a field: coordinates in arena units."""
+    """The part of a field that the oracle needs: coordinates in arena units."""
 
     vertices: Any
     rois: Any
@@ -76,7 +76,7 @@ class Robot:
 
 @dataclass
 class Step:
-    """What happened in one step.
+    """The events of one step.
 
     Attributes:
         wall, revisit: one flag a robot. reached: ROIs that each robot visited first.
@@ -197,7 +197,7 @@ class Oracle:
     def observe(
         self, i: int, missing: int = 0, shift: tuple[float, float] = (0.0, 0.0)
     ) -> NDArray[np.float32]:
-        """What robot i sees, (size,), or would see if it stood elsewhere by ``shift``.
+        """The observation of robot i, (size,), or that from a place elsewhere by ``shift``.
 
         ``missing`` is by how many ROIs the field has fewer than another of a batch: they are seen
         as visited, and where the first one is.
@@ -243,7 +243,7 @@ class Oracle:
         return [np.array([near]), *(near * entry for entry in entries)]
 
     def _walls(self, me: Robot, mass: Any) -> list[float]:
-        """What ``lidar`` sees of the walls."""
+        """The entries of ``lidar`` about the walls."""
         axes = [(self.f_max / mass, wind) for wind in (self.wind_x, self.wind_y)]
         senses = WallSenses(self.polygon, float(self.v_clip), float(self.tau), self.sensing_radius)
         return senses.entries(me.position.astype(float), me.velocity.astype(float), axes)

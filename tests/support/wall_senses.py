@@ -1,4 +1,4 @@
-"""What the oracle's robots sense of the walls: by shapely, and by braking step by step."""
+"""The oracle's sense of the walls: by shapely, and by braking step by step."""
 
 from __future__ import annotations
 

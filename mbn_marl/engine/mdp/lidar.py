@@ -1,4 +1,4 @@
-"""What ``lidar`` senses: the walls, and how near and in which direction the others are.
+"""The senses of ``lidar``: the walls, and the nearness and direction of robots and ROIs.
 
 An edge goes from a to b, and the field lies to its left; its ends are given as seen from the robot.
 Only operations that every processor rounds alike are used.

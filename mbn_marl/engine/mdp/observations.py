@@ -1,4 +1,4 @@
-"""What a robot sees: a table of entries for each observation, and the function that writes them.
+"""A robot's observation: a table of entries for each kind, and the function that writes them.
 
 Entries are float32 and bounded. ``relative``, ``local`` and ``lidar`` are scaled to [-1, 1] by the
 arena, the speed limit and the sensing radius; ``state`` is the paper's vector in raw units with the
@@ -35,7 +35,7 @@ class Entry(NamedTuple):
         offset: its place in the observation, from 0.
         low: the least value, in ``unit``.
         high: the greatest value, in ``unit``.
-        unit: what 1 stands for, in words.
+        unit: the meaning of 1, in words.
     """
 
     name: str

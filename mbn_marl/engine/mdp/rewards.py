@@ -39,7 +39,7 @@ REWARD_TERMS = (*OWN_TERMS, *TEAM_TERMS[SHARED:])
 
 @compiled
 def own_terms(p, event, outcome):
-    """What a robot earns itself, as ``OWN_TERMS``: r_s or r_m for ground, r_l at walls and ROIs.
+    """The rewards of a robot alone, as ``OWN_TERMS``: r_s or r_m for ground, r_l at walls and ROIs.
 
     ``released``: a collision replaces everything else that the step earned (step 7).
     ``formal``: success replaces the reward of ROIs, as in R_I; ground is the team's, as in R_V.
@@ -59,7 +59,7 @@ def own_terms(p, event, outcome):
 
 @compiled
 def team_terms(p, weights, outcome):
-    """What the team earns, as ``TEAM_TERMS``, by whole ``weights`` or by a robot's share of them.
+    """The rewards of the team, as ``TEAM_TERMS``, by whole ``weights`` or a robot's share of them.
 
     Success is R_I = r_inf, collision R_C = -r_inf. ``formal`` adds the -r_s of R_F if no robot is
     outside, and R_V: -r_m in a known joint state, else +r_s, which cancels it on a clean step.
@@ -95,7 +95,7 @@ def team_reward(p, outcome, own):
 
 
 @compiled
-def robot_terms(p, event, outcome):
-    """The terms of one robot's reward ``r_i``, as ``REWARD_TERMS``."""
-    own, team = own_terms(p, event, outcome), team_terms(p, p.share, outcome)
+def with_share(p, own, outcome):
+    """The terms of one robot's reward ``r_i``, as ``REWARD_TERMS``, from its own terms."""
+    team = team_terms(p, p.share, outcome)
     return (own[0] + team[0], own[1] + team[1], *own[SHARED:], *team[SHARED:])
