@@ -48,7 +48,7 @@ def restart(p, g, mem, now, final, out, lo, hi):  # type: ignore[no-untyped-def]
     for w in range(lo, hi):
         if out.terminated[w] | out.truncated[w]:
             ended += 1
-            copy_episode(now, w, final, w, now.x.shape[0])
+            copy_episode(now, w, final, w, now.x.shape[0], p.headings)
             reset_world(p, g, mem, now, w)
     return ended
 

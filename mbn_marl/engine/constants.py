@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig, RewardProfile
 from mbn_marl.engine.jit import generated
-from mbn_marl.engine.mdp.dynamics import DYNAMICS
+from mbn_marl.engine.mdp.dynamics import DYNAMICS, count_headings
 from mbn_marl.engine.mdp.observations import OBSERVATIONS
 from mbn_marl.engine.mdp.rewards import RULES
 
@@ -48,6 +48,7 @@ class Constants(NamedTuple):
     per_speed_range: float
     max_steps: int
     dynamics: int
+    headings: int
     rules: int
     team_sharing: int
     observation: int
@@ -92,6 +93,7 @@ def make_record(
         "per_speed": _reciprocal(config.v_clip, real),
         "per_speed_range": _reciprocal(2 * config.v_clip, real),
         "dynamics": DYNAMICS[config.dynamics],
+        "headings": count_headings(config.dynamics, n),
         "rules": RULES[config.reward.rules],
         "team_sharing": config.reward_sharing == "team",
         "observation": OBSERVATIONS[config.observation],

@@ -177,7 +177,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
         given = output_of(out, w, end, rewards, reals[6], flags[2], flags[3], events, outcomes)
         to = scratch_of(reals, seen, flags, keys, mine)
         if is_world:
-            copy_motion(now, w, one, ZERO, n)
+            copy_motion(now, w, one, ZERO, n, 0)
             fault = fault_of(p, mem, call, w)
             change = 0
             if fault != 0:
@@ -193,13 +193,13 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
                     describe(p, own, own.rays, one, ZERO, ONE, i, mine)
                     for entry in range(obs_size):
                         given.final_observations[0, i, entry] = mine[entry, 0]
-            copy_motion(one, ZERO, now, w, n)
+            copy_motion(one, ZERO, now, w, n, 0)
             save_output(given, out, w)
             if change == ENDED | RESTARTS:
-                copy_episode(now, w, final, w, n)
+                copy_episode(now, w, final, w, n, p.headings)
             if change & RESTARTS:
                 reset_world(p, g, mem, now, w)
-                copy_motion(now, w, one, ZERO, n)
+                copy_motion(now, w, one, ZERO, n, 0)
         write_observations(p, own, one, ZERO, is_world, tile, out.observations)
 
     return step

@@ -26,18 +26,19 @@ MOTION = ("x", "y", "vx", "vy", "visited", "steps")
 
 
 def _copy_of(name: str, fields: Sequence[str]) -> Any:
-    """``name(source, v, target, w, n)``: copy these fields of an episode of n robots.
+    """``name(source, v, target, w, n, headings)``: copy these fields of an episode of n robots.
 
     From world v of the episodes ``source`` to world w of ``target``.
     """
     of_world = [field for field in fields if field in ("team_return", "visited", "steps")]
-    lines = [f"def {name}(source, v, target, w, n):", "    for i in range(n):"]
+    lines = [f"def {name}(source, v, target, w, n, headings):", "    for i in range(n):"]
     for field in fields:
         if field not in (*of_world, "heading"):
             lines.append(f"        target.{field}[i, w] = source.{field}[i, v]")
     if "heading" in fields:
-        lines.append("    for i in range(source.heading.shape[0]):")
-        lines.append("        target.heading[i, w] = source.heading[i, v]")
+        lines.append("    if headings > 0:  # only then are the arrays counted as referenced")
+        lines.append("        for i in range(headings):")
+        lines.append("            target.heading[i, w] = source.heading[i, v]")
     lines += [f"    target.{field}[w] = source.{field}[v]" for field in of_world]
     return generated(name, "\n".join(lines))
 
@@ -75,7 +76,6 @@ def reset_world(p, g, mem, now, w):
     """Begin the next episode of world w: robots at rest at the starts, nothing visited."""
     f = column(g, w)
     n = now.x.shape[0]
-    mem.pending[w] = False
     mem.episode[w] += 1
     at_random = False
     if p.random_starts:
@@ -93,8 +93,9 @@ def reset_world(p, g, mem, now, w):
         now.returns[i, w] = 0.0
         mem.trail[w, i, 0] = now.x[i, w]
         mem.trail[w, i, 1] = now.y[i, w]
-    for i in range(now.heading.shape[0]):
-        now.heading[i, w] = p.zero
+    if p.headings > 0:
+        for i in range(p.headings):
+            now.heading[i, w] = p.zero
     now.team_return[w] = 0.0
     now.visited[w] = all_visited(g.rois.shape[1]) & ~g.codes[f]
     now.steps[w] = 0
@@ -121,5 +122,6 @@ def clear_output(p, out, w):
 @compiled
 def begin_world(p, g, mem, now, out, w):
     """Reset world w at the caller's request."""
+    mem.pending[w] = False
     reset_world(p, g, mem, now, w)
     clear_output(p, out, w)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.mdp.dynamics import WITH_HEADING
+from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.lidar import RAYS
 from mbn_marl.engine.mdp.revisits import ODD_LINES, filter_size
 from mbn_marl.field import Field
@@ -141,7 +141,6 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
     """Zeroed episode arrays; ``xp`` is numpy or torch, which puts them on its default device."""
     robots, real = (n, worlds), getattr(xp, config.dtype)
     reals = {name: xp.zeros(robots, dtype=real) for name in Episode._fields[:7]}
-    headings = n if config.dynamics in WITH_HEADING else 0
     return Episode(
         **reals,
         wall_hits=xp.zeros(robots, dtype=xp.int32),
@@ -149,7 +148,7 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
         team_return=xp.zeros(worlds, dtype=xp.float64),
         visited=xp.zeros(worlds, dtype=xp.int32),
         steps=xp.zeros(worlds, dtype=xp.int32),
-        heading=xp.zeros((headings, worlds), dtype=real),
+        heading=xp.zeros((count_headings(config.dynamics, n), worlds), dtype=real),
     )
 
 

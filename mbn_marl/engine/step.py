@@ -204,11 +204,12 @@ def check_termination(p, g, mem, now, out, to, lo, hi):
     for w in range(lo, hi):
         success = now.visited[w] == everything
         lost = to.collided[w - lo]
+        outcome = (rewards.SUCCESS if success else 0) | (rewards.COLLISION if lost else 0)
         now.steps[w] += 1
         ended = is_terminated(success, lost)
         out.terminated[w] = ended
         out.truncated[w] = is_truncated(now.steps[w], p.max_steps, ended)
-        out.outcomes[w] = (rewards.SUCCESS if success else 0) | (rewards.COLLISION if lost else 0)
+        out.outcomes[w] = outcome
     if p.rules == rewards.FORMAL:
         for w in range(lo, hi):
             for i in range(now.x.shape[0]):
@@ -228,7 +229,7 @@ def give_rewards(p, now, out, to, lo, hi):
     for i in range(n):
         for w in range(lo, hi):
             terms = rewards.own_terms(p, out.events[i, w], out.outcomes[w])
-            own[w - lo] += rewards.total(terms)
+            own[w - lo] += rewards.total_own(terms)
             share[w - lo] = rewards.total(rewards.with_share(p, terms, out.outcomes[w]))
         for w in range(lo, hi):
             out.rewards[w, i] = share[w - lo]
@@ -248,6 +249,7 @@ def give_rewards(p, now, out, to, lo, hi):
 def close_step(p, mem, out, w):
     """How the episode of world w changes after a step: any of the bits ``ENDED``, ``RESTARTS``."""
     if mem.pending[w] & (p.autoreset == NEXT_STEP):
+        mem.pending[w] = False
         clear_output(p, out, w)
         return RESTARTS
     if out.terminated[w] | out.truncated[w]:
@@ -273,7 +275,7 @@ def autoreset(p, g, mem, now, final, out, to, lo, hi):
             for i in range(seen.shape[1]):
                 for entry in range(seen.shape[2]):  # a slice takes long to compile
                     last_seen[w, i, entry] = seen[w, i, entry]
-            copy_episode(now, w, final, w, now.x.shape[0])
+            copy_episode(now, w, final, w, now.x.shape[0], p.headings)
         if change & RESTARTS:
             reset_world(p, g, mem, now, w)
             observe(p, g, now, w, w + ONE, to.tile, seen)

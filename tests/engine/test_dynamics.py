@@ -33,7 +33,7 @@ def test_a_point_mass_has_no_heading() -> None:
 
 
 def test_a_dynamics_that_turns_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mbn_marl.engine.state.WITH_HEADING", frozenset({"point_mass"}))
+    monkeypatch.setattr(dynamics, "WITH_HEADING", frozenset({"point_mass"}))
     engine = BatchEngine("field_03", 2, dtype="float64", autoreset=True, max_steps=1)
     engine.reset()
     backend = engine._backend

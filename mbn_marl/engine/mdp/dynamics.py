@@ -21,6 +21,11 @@ WITH_HEADING: frozenset[str] = frozenset()
 """The dynamics whose robots have a heading."""
 
 
+def count_headings(name: str, n: int) -> int:
+    """The number of headings in a team of n robots with the dynamics ``name``: n or 0."""
+    return n if name in WITH_HEADING else 0
+
+
 @compiled
 def force(action, f_max, one):
     """``u = f_max clip(a, -1, 1)``, one axis. ``one`` carries the precision."""

@@ -10,9 +10,11 @@ Source: Choton, Woods, Hsu, section 3 (``formal``) and the authors' released cod
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from mbn_marl.engine.jit import compiled
+from mbn_marl.engine.jit import compiled, generated
 from mbn_marl.engine.scalars import is_set
 
 RELEASED, FORMAL = 0, 1
@@ -76,13 +78,13 @@ def team_terms(p, weights, outcome):
     )
 
 
-@compiled
-def total(terms):
-    """The sum of terms, from the first to the last."""
-    value = terms[0]
-    for term in terms[1:]:
-        value += term
-    return value
+def _total_of(names: tuple[str, ...]) -> Any:
+    """``total(terms)``: the sum of these terms, from the first to the last, without a loop."""
+    terms = " + ".join(f"terms[{k}]" for k in range(len(names)))
+    return generated("total", f"def total(terms):\n    return {terms}\n")
+
+
+total_own, total_team, total = map(_total_of, (OWN_TERMS, TEAM_TERMS, REWARD_TERMS))
 
 
 @compiled
@@ -91,7 +93,7 @@ def team_reward(p, outcome, own):
 
     Computed as such and not as a sum of shares: n shares of a third would not be exact.
     """
-    return own + total(team_terms(p, p.whole, outcome))
+    return own + total_team(team_terms(p, p.whole, outcome))
 
 
 @compiled
