@@ -191,7 +191,7 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
             mask = np.ones(self.num_envs, np.bool_)
         else:
             self._reset_some(mask, seed)
-        nothing = np.tile(list(NOTHING.values()), (self.num_envs, 1))
+        nothing = np.where(mask[:, None], list(NOTHING.values()), 0.0)
         return self.engine.state(), self._by_key(nothing, mask)
 
     def step(

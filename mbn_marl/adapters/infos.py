@@ -30,7 +30,7 @@ class Undefined(np.float64):
     """NaN that equals NaN: the checkers of PettingZoo and Gymnasium compare infos by ``==``."""
 
     def __eq__(self, other: object) -> bool:
-        return bool(other != other)
+        return bool(other != other) if isinstance(other, float) else NotImplemented
 
     __hash__ = np.float64.__hash__
 

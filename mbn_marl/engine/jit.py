@@ -51,8 +51,9 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 def generated(name: str, source: str, **names: Any) -> Any:
     """Compile the function ``name`` of a source text that was put together from fields' names."""
-    exec(source, names)
-    return compiled(names[name])
+    module = {"__name__": __name__, **names}
+    exec(source, module)
+    return compiled(module[name])
 
 
 def entry_point(function: Callable[..., Any]) -> Any:
