@@ -25,7 +25,11 @@ NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
 class Checked(BaseModel):
-    """A model whose constructor lists all problems of its arguments as one ``ConfigError``."""
+    """A model whose constructor lists all problems of its arguments as one error.
+
+    Raises:
+        ConfigError: naming every unknown or invalid argument and what is allowed.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from mbn_marl.config import NavigationConfig
 from mbn_marl.field import Field
 
+DEFAULT = NavigationConfig()
 VIEW = ("reward_sharing", "observation", "one_hot", "sensing_radius", "dtype")
 """Settings that change what a learner sees, but not the best return."""
 
@@ -30,13 +31,13 @@ def optimal_return(field: Field, config: NavigationConfig | None = None) -> floa
     Source:
         The formula is that of ``docs/mdp.md`` for a clean success, T* the planner's.
     """
-    config = config or NavigationConfig()
+    config = config or DEFAULT
     comparable = config.model_copy(
         update={name: NavigationConfig.model_fields[name].default for name in VIEW}
     )
     if field.optimal_makespan is None or comparable not in (
-        NavigationConfig(),
-        NavigationConfig(n_robots=len(field.starts)),
+        DEFAULT,
+        DEFAULT.model_copy(update={"n_robots": len(field.starts)}),
     ):
         return None
     reward = config.reward
