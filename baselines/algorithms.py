@@ -57,7 +57,8 @@ class Algorithm:
     @property
     def settings(self) -> tuple[Setting, ...]:
         """The settings it can be trained under."""
-        return tuple(SETTINGS) if self.form == "centralized" else ("N",)
+        paper = self.form == "centralized" and self.package == "sb3"
+        return tuple(SETTINGS) if paper else ("N",)
 
     def _module(self, name: str) -> ModuleType:
         return import_module(f"baselines.{self.package}.{name}")
@@ -121,6 +122,7 @@ ALGORITHMS: Mapping[str, Algorithm] = {
         Algorithm("tqc", "centralized", "sb3"),
         Algorithm("mappo", "decentralized", "torchrl"),
         Algorithm("ippo", "decentralized", "torchrl"),
+        Algorithm("ppo-joint", "centralized", "torchrl"),
         Algorithm("ppo-shared", "decentralized", "sb3"),
         Algorithm("ppo-supersuit", "decentralized", "sb3"),
     )

@@ -1,14 +1,14 @@
-"""The hyperparameters of MAPPO and IPPO."""
+"""The hyperparameters of MAPPO, IPPO and joint PPO."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field
 
-from baselines.torchrl.networks import Sharing
+from baselines.torchrl.networks import Actor, Critic, Sharing
 from baselines.training.hyperparameters import Hyperparameters, read_block, read_blocks, validate
 
 SOURCE = Path(__file__).with_name("hyperparameters.yaml")
@@ -23,45 +23,40 @@ class MultiAgentPPOConfig(Hyperparameters):
     """Everything about the learner. A pair ``(a, b)`` is interpolated linearly over training.
 
     Attributes:
-        critic: what the critic sees: ``"centralized"``, all robots' observations (MAPPO), or
-            ``"independent"``, the robot's own (IPPO).
+        actor: ``"decentralized"``, each robot acts on its own observation, or ``"centralized"``,
+            one network maps all observations to all forces (the paper's single MDP: one team
+            reward, one log-probability).
+        critic: ``"centralized"``, it sees all robots' observations, or ``"independent"``, each
+            robot's value comes from its own.
         num_worlds: worlds stepped side by side.
         rollout_steps: decisions of every world between two updates.
-        epochs: passes over a rollout.
-        minibatches: minibatches of a pass.
+        epochs, minibatches: passes over a rollout, and minibatches of a pass.
         hidden: widths of the hidden layers of actor and critic (tanh).
-        sharing: of the networks: ``"full"``, one for all robots; ``"full+id"``, one that is told
-            which robot it acts for (one-hot); ``"none"``, one for each. MAPPO's critic is one.
-        learning_rate: of Adam, from and to.
-        adam_epsilon: of Adam.
+        sharing: of the networks: ``"full"``, one for all robots; ``"full+id"``, one that also
+            gets the robot's number (one-hot); ``"none"``, one for each. A central critic is one.
+        learning_rate, adam_epsilon: of Adam; the rate from and to.
         max_grad_norm: the gradient of actor and critic together is clipped to this norm.
         clip: PPO's clip range of the probability ratio.
-        gamma: discount per step.
-        gae_lambda: lambda of generalised advantage estimation.
+        gamma, gae_lambda: discount per step, and lambda of generalised advantage estimation.
         entropy: weight of the entropy bonus.
         log_std_start: initial logarithm of the actions' standard deviation (state-independent,
             one per axis; actions outside [-1, 1] are clipped by the engine).
-        log_std_cap: upper limit of it: the first value until ``log_std_cap_from`` of training,
-            then falling linearly to the second.
-        log_std_cap_from: when the cap begins to fall, as a share of training.
+        log_std_cap: upper limit of it: the first value until ``log_std_cap_from`` (a share of
+            training), then falling linearly to the second.
         reward_scale: the learner sees the reward times this.
-        approach_bonus: reward units that the team is paid, while it learns, for each unit of
-            distance that it comes nearer to the unvisited ROIs (see ``shaping``); 0 for the true
-            reward only. Returns that are reported never contain it.
         action_repeat: env-steps that a decision lasts, from and to, falling linearly (rounded)
-            over ``action_repeat_until``. Evaluations always decide at every step.
-        action_repeat_until: the share of training after which it has its second value.
-        roi_radius: how many times as large ROIs are at first: a curriculum (see ``curriculum``),
-            1 for none. Training episodes in ``progress.csv`` are of the size at the time,
-            evaluations of the true one.
-        roi_stages: the stages from there to the true size; at each one the worlds begin anew.
+            over ``action_repeat_until`` of training. Evaluations always decide at every step.
+        roi_radius: how many times as large ROIs are at first (see ``curriculum``), 1 for none.
+            Training episodes in ``progress.csv`` are of that size, evaluations of the true one.
+        roi_stages: the stages from there to the true size; each begins with new episodes.
         roi_success: success rates of ``num_worlds`` training episodes or more: below the first
-            ROIs go back by a stage, from the second on they go on to the next.
-        episode_steps: training episodes are cut off after so many env-steps, if not before, so
-            that stuck worlds begin anew; that is a truncation. Evaluations go on to the end.
+            ROIs grow by a stage, from the second on they shrink by one.
+        episode_steps: training episodes are truncated after so many env-steps, if not before;
+            evaluations are not.
     """
 
-    critic: Literal["centralized", "independent"]
+    actor: Actor
+    critic: Critic
     num_worlds: Count
     rollout_steps: Count
     epochs: Count
@@ -79,7 +74,6 @@ class MultiAgentPPOConfig(Hyperparameters):
     log_std_cap: tuple[float, float]
     log_std_cap_from: Annotated[float, Field(ge=0.0, lt=1.0)]
     reward_scale: Positive
-    approach_bonus: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
     action_repeat: tuple[Count, Count]
     action_repeat_until: Until
     roi_radius: Annotated[float, Field(ge=1.0, allow_inf_nan=False)]
@@ -89,7 +83,7 @@ class MultiAgentPPOConfig(Hyperparameters):
 
     @property
     def decisions(self) -> int:
-        """Decisions of a rollout, each moving all robots of one world."""
+        """Decisions of a rollout, each for all robots of one world."""
         return self.num_worlds * self.rollout_steps
 
     def cap_at(self, progress: float) -> float:
@@ -107,7 +101,7 @@ class MultiAgentPPOConfig(Hyperparameters):
 
 
 def between(ends: tuple[float, float], share: float) -> float:
-    """The number that lies a ``share`` of the way from one end to the other; 0 to 1 counts."""
+    """Interpolate: the number a ``share``, cut to [0, 1], of the way from one end to the other."""
     start, end = ends
     return start + (end - start) * min(1.0, max(0.0, share))
 
@@ -120,7 +114,7 @@ def load(
     num_envs: int | None = None,
     file: Path | None = None,
 ) -> MultiAgentPPOConfig:
-    """The hyperparameters of ``"mappo"`` or ``"ippo"``, with ``overrides``.
+    """The hyperparameters of ``"mappo"``, ``"ippo"`` or ``"ppo-joint"``, with ``overrides``.
 
     Args:
         algorithm: its name.

@@ -40,7 +40,7 @@ class RoiCurriculum:
         self.succeeded += round(sum(successes))
 
     def move(self) -> bool:
-        """Go to the next stage or back, if the window is full; whether the size has changed."""
+        """Change the stage if the window is full; return whether the size has changed."""
         if self.ended < self.window:
             return False
         low, high = self.bounds

@@ -1,23 +1,33 @@
-"""Actor and critic of a team: one set of layers for all robots or one for each, normalised input.
+"""Actor and critic of a team, as TorchRL's losses and collectors want them.
 
-TorchRL's ``MultiAgentMLP`` computes the same, with ``vmap`` over stacked parameters; the layers
-here are batched products instead (see ``trainer`` for what that saves).
+The layers compute what TorchRL's ``MultiAgentMLP`` does, faster on a CPU. The modules derive from
+``TensorDictModuleBase``, since ``TensorDictModule`` looks for pandas at every output.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import nn
 from torchrl.modules import RunningValueNorm
 
 Sharing = Literal["full", "full+id", "none"]
+Actor = Literal["centralized", "decentralized"]
+Critic = Literal["centralized", "independent"]
+
+OBSERVATION, NORMALIZED = ("robots", "observation"), ("robots", "normalized")
+LOC, SCALE, ACTION = (("robots", name) for name in ("loc", "scale", "action"))
+LOG_PROB, VALUE = "log_prob", "state_value"
 
 CLIP = 10.0
 """Normalised observations are clipped to +-CLIP, as is usual (a bit that was rarely set)."""
+HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 
 @dataclass(frozen=True)
@@ -28,136 +38,176 @@ class TeamShape:
         obs_size: numbers of a robot's observation.
         n_robots: robots of a world.
         hidden: widths of the hidden layers (tanh).
-        sharing: ``"full"``, one network for all robots; ``"full+id"``, one whose observation says
-            which robot it is; ``"none"``, a network for each robot.
+        sharing: ``"full"``, one network for all robots; ``"full+id"``, one whose observation has
+            the robot's number (one-hot); ``"none"``, a network for each robot.
+        actor: ``"decentralized"``, each robot acts on its own observation, or ``"centralized"``,
+            one network maps all observations to all forces and ``sharing`` is of the critic alone.
     """
 
     obs_size: int
     n_robots: int
     hidden: tuple[int, ...]
     sharing: Sharing
+    actor: Actor = "decentralized"
 
     @property
     def networks(self) -> int:
-        """How many networks the robots have: 1 or ``n_robots``."""
+        """How many networks, and normalisations, the robots have: 1 or ``n_robots``."""
         return self.n_robots if self.sharing == "none" else 1
 
 
-class ObservationNorm(nn.Module):
-    """Running normalisation of observations: for each robot its own, or one for all.
-
-    Until the first update it passes observations on unchanged.
+class TeamMLP(nn.Module):
+    """A tanh network for all rows of a batch, or one for each of k groups of rows.
 
     Args:
-        shape: robots that share a network share the normalisation too.
+        networks: k, how many.
+        sizes: inputs, widths of the hidden layers, outputs; weights start orthogonal.
+        last_gain: gain of the last layer.
     """
+
+    def __init__(self, networks: int, sizes: tuple[int, ...], *, last_gain: float) -> None:
+        super().__init__()
+        gains = [nn.init.calculate_gain("tanh")] * (len(sizes) - 2) + [last_gain]
+        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        for (inputs, outputs), gain in zip(pairwise(sizes), gains, strict=True):
+            empty = torch.empty(networks, inputs, outputs)
+            weight = torch.stack([nn.init.orthogonal_(matrix, gain) for matrix in empty])
+            self.weights.append(nn.Parameter(weight))
+            self.biases.append(nn.Parameter(torch.zeros(networks, 1, outputs)))
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        """Outputs (..., n, outputs) of ``rows`` (..., n, inputs); n is k, or any if k is 1."""
+        networks = len(self.weights[0])
+        flow = rows.reshape(-1, networks, rows.shape[-1]).transpose(0, 1)
+        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            flow = torch.baddbmm(bias, flow.tanh_() if layer else flow, weight)
+        return flow.transpose(0, 1).reshape(*rows.shape[:-1], -1)
+
+
+def joined(rows: torch.Tensor) -> torch.Tensor:
+    """Return the rows of a team side by side, (..., n, size) as (..., 1, n size)."""
+    return rows.flatten(-2).unsqueeze(-2)
+
+
+class Normalize(TensorDictModuleBase):
+    """Running normalisation of observations, one for each network; none until the first update."""
 
     def __init__(self, shape: TeamShape) -> None:
         super().__init__()
+        self.in_keys, self.out_keys = [OBSERVATION], [NORMALIZED]
         robots = (shape.n_robots,) if shape.networks > 1 else ()
         self.statistics = RunningValueNorm(shape=(*robots, shape.obs_size))
 
-    def update(self, observations: torch.Tensor) -> None:
-        """Take ``observations`` (..., n, obs_size) into the mean and variance."""
-        self.statistics.update(observations)
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+    def normalize(self, observations: torch.Tensor) -> torch.Tensor:
         """Normalise ``observations`` (..., n, obs_size)."""
         if self.statistics.count == 0:
             return observations
         normalized: torch.Tensor = self.statistics.normalize(observations)
         return normalized.clamp_(-CLIP, CLIP)
 
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Add the normalised observations."""
+        return tensordict.set(NORMALIZED, self.normalize(tensordict.get(OBSERVATION)))
 
-class TeamMLP(nn.Module):
-    """A tanh network for all rows of a batch, or one for each of k groups of rows.
 
-    Orthogonal initial weights; biases start at zero.
+class TeamNormal(torch.distributions.Distribution):
+    """Normal actions (..., n, 2), independent for each robot: log-probabilities (..., n).
 
-    Args:
-        networks: k, how many.
-        sizes: inputs, widths of the hidden layers, outputs.
-        last_gain: gain of the last layer.
+    The standard deviation is the same in every row, so it is not written out for each.
     """
 
-    def __init__(self, networks: int, sizes: tuple[int, ...], *, last_gain: float) -> None:
-        super().__init__()
-        self.weights = nn.ParameterList()
-        self.biases = nn.ParameterList()
-        for layer, (inputs, outputs) in enumerate(pairwise(sizes)):
-            last = layer == len(sizes) - 2
-            gain = last_gain if last else nn.init.calculate_gain("tanh")
-            weight = torch.empty(networks, inputs, outputs)
-            for matrix in weight:
-                nn.init.orthogonal_(matrix, gain)
-            self.weights.append(nn.Parameter(weight))
-            self.biases.append(nn.Parameter(torch.zeros(networks, 1, outputs)))
+    arg_constraints: dict[str, torch.distributions.constraints.Constraint] = {}  # noqa: RUF012
+    has_rsample = True
 
-    def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        """Outputs (..., n, outputs) of ``rows`` (..., n, inputs); n is k, or any if k is 1."""
-        *batch, n, inputs = rows.shape
-        networks = len(self.weights[0])
-        together = rows.reshape(1, -1, inputs)
-        flow = together if networks == 1 else together.view(-1, n, inputs).transpose(0, 1)
-        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            flow = torch.baddbmm(bias, flow.tanh_() if layer else flow, weight)
-        if networks > 1:
-            flow = flow.transpose(0, 1)
-        return flow.reshape(*batch, n, -1)
+    def __init__(self, loc: torch.Tensor, scale: torch.Tensor) -> None:
+        self.loc, self.scale = loc, scale[(0,) * (scale.ndim - 2)]
+        super().__init__(self.over_axes(loc).shape, validate_args=False)
+        self.deterministic_sample = loc
+
+    def over_axes(self, terms: torch.Tensor) -> torch.Tensor:
+        """Sum (..., n, 2) over what makes one action."""
+        return terms.sum(-1)
+
+    def rsample(self, sample_shape: Any = ()) -> torch.Tensor:
+        """Draw actions (..., n, 2)."""
+        return torch.addcmul(self.loc, self.scale, torch.randn_like(self.loc))
+
+    def log_prob(self, value: torch.Tensor) -> torch.Tensor:
+        """Log-density of ``value`` (..., n, 2)."""
+        noise = (value - self.loc) / self.scale
+        return -self.over_axes(0.5 * noise.square() + (self.scale.log() + HALF_LOG_TWO_PI))
+
+    def entropy(self) -> torch.Tensor:
+        """Differential entropy, nats, of the shape of a log-probability."""
+        entropy = self.over_axes(self.scale.log() + (0.5 + HALF_LOG_TWO_PI))
+        return entropy.expand(self.batch_shape)
 
 
-class GaussianPolicy(nn.Module):
-    """Mean and standard deviation of the actions, each robot's from its own observation.
+class JointNormal(TeamNormal):
+    """The same actions as one of the whole team: log-probabilities (..., 1)."""
+
+    def over_axes(self, terms: torch.Tensor) -> torch.Tensor:
+        """Sum (..., n, 2) over robots and axes."""
+        return terms.sum((-2, -1)).unsqueeze(-1)
+
+
+DISTRIBUTIONS = {"decentralized": TeamNormal, "centralized": JointNormal}
+
+
+class GaussianPolicy(TensorDictModuleBase):
+    """Mean and (state-independent) standard deviation of the actions.
 
     Args:
         shape: of the team.
-        log_std: initial logarithm of the standard deviation (state-independent, one per axis).
+        log_std: initial logarithm of the standard deviation.
+
+    Attributes:
+        norm: the normalisation of its input, a step of its own, so that an update normalises once.
     """
 
     def __init__(self, shape: TeamShape, log_std: float = 0.0) -> None:
         super().__init__()
-        self.shape = shape
-        self.norm = ObservationNorm(shape)
-        self.mean = TeamMLP(shape.networks, (shape.obs_size, *shape.hidden, 2), last_gain=0.01)
-        self.log_std = nn.Parameter(torch.full((shape.networks, 2), log_std))
+        self.in_keys, self.out_keys = [NORMALIZED], [LOC, SCALE]
+        self.shape, self.norm = shape, Normalize(shape)
+        self._joint = shape.actor == "centralized"
+        n = shape.n_robots
+        ends = (n * shape.obs_size, n * 2) if self._joint else (shape.obs_size, 2)
+        networks = 1 if self._joint else shape.networks
+        self.mean = TeamMLP(networks, (ends[0], *shape.hidden, ends[1]), last_gain=0.01)
+        self.log_std = nn.Parameter(torch.full((n if self._joint else networks, 2), log_std))
 
-    def forward(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mean and standard deviation, (..., n, 2) each, from observations (..., n, obs_size)."""
-        mean = self.mean(self.norm(observations))
-        return mean, self.log_std.exp().expand_as(mean)
+    def means(self, normalized: torch.Tensor) -> torch.Tensor:
+        """Mean actions (..., n, 2) for normalised observations (..., n, obs_size)."""
+        if not self._joint:
+            mean: torch.Tensor = self.mean(normalized)
+            return mean
+        forces: torch.Tensor = self.mean(joined(normalized))
+        return forces.reshape(*forces.shape[:-2], -1, 2)
 
-    @torch.no_grad()
-    def cap_log_std(self, cap: float) -> None:
-        """Lower the log-std to ``cap`` where it is above."""
-        self.log_std.clamp_(max=cap)
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Add mean and standard deviation."""
+        mean = self.means(tensordict.get(NORMALIZED))
+        return tensordict.set(LOC, mean).set(SCALE, self.log_std.exp().expand_as(mean))
 
 
-class CentralizedCritic(nn.Module):
-    """A value for every robot, all from the observations of all robots (MAPPO)."""
+class ValueNetwork(TensorDictModuleBase):
+    """Values (..., n, 1): from all observations (MAPPO) or each from its own (IPPO).
 
-    def __init__(self, shape: TeamShape) -> None:
+    A centralised actor gets one value, (..., 1, 1), for the team.
+    """
+
+    def __init__(self, shape: TeamShape, sees: Critic) -> None:
         super().__init__()
-        sizes = (shape.n_robots * shape.obs_size, *shape.hidden, shape.n_robots)
-        self.values = TeamMLP(1, sizes, last_gain=1.0)
+        self.in_keys, self.out_keys = [NORMALIZED], [VALUE]
+        self._central = sees == "centralized"
+        n, joint = shape.n_robots, shape.actor == "centralized"
+        ends = (n * shape.obs_size, 1 if joint else n) if self._central else (shape.obs_size, 1)
+        networks = 1 if self._central else shape.networks
+        self.values = TeamMLP(networks, (ends[0], *shape.hidden, ends[1]), last_gain=1.0)
 
-    def forward(self, normalized: torch.Tensor) -> torch.Tensor:
-        """Values (..., n) of normalised observations (..., n, obs_size)."""
-        values: torch.Tensor = self.values(normalized.flatten(-2).unsqueeze(-2))
-        return values.squeeze(-2)
-
-
-class IndependentCritic(nn.Module):
-    """A value for every robot, each from its own observation (IPPO)."""
-
-    def __init__(self, shape: TeamShape) -> None:
-        super().__init__()
-        sizes = (shape.obs_size, *shape.hidden, 1)
-        self.values = TeamMLP(shape.networks, sizes, last_gain=1.0)
-
-    def forward(self, normalized: torch.Tensor) -> torch.Tensor:
-        """Values (..., n) of normalised observations (..., n, obs_size)."""
-        values: torch.Tensor = self.values(normalized)
-        return values.squeeze(-1)
-
-
-CRITICS = {"centralized": CentralizedCritic, "independent": IndependentCritic}
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Add the values."""
+        seen = tensordict.get(NORMALIZED)
+        if not self._central:
+            return tensordict.set(VALUE, self.values(seen))
+        return tensordict.set(VALUE, self.values(joined(seen)).transpose(-1, -2))

@@ -1,4 +1,4 @@
-"""A trained decentralised policy: saved without pickle, loaded to act."""
+"""A trained policy of a team: saved without pickle, loaded to act."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ WEIGHTS = "policy.safetensors"
 SHAPE = "policy.json"
 
 
-class DecentralizedPolicy:
-    """Each robot acts on its own observation.
+class TeamPolicy:
+    """Act with a team's network on the robots' observations.
 
     Args:
         network: the policy's network.
@@ -33,10 +33,10 @@ class DecentralizedPolicy:
     @torch.no_grad()
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         """Actions (worlds, n, 2) for observations (worlds, n, obs_size)."""
-        device = self.network.log_std.device
-        mean, std = self.network(torch.from_numpy(seen).to(device))
-        mean, std = mean.cpu(), std.cpu()  # the noise is the same, whatever the device
-        actions = mean if deterministic else torch.normal(mean, std)
+        network, device = self.network, self.network.log_std.device
+        mean = network.means(network.norm.normalize(torch.from_numpy(seen).to(device))).cpu()
+        std = network.log_std.exp().cpu()  # the noise is the same, whatever the device
+        actions = mean if deterministic else torch.normal(mean, std.expand_as(mean))
         return actions.numpy()
 
     def save(self, folder: Path) -> None:
@@ -45,8 +45,8 @@ class DecentralizedPolicy:
         write_tensors(folder / WEIGHTS, self.network.state_dict())
 
 
-def load_policy(folder: Path) -> DecentralizedPolicy:
-    """Load a policy that :meth:`DecentralizedPolicy.save` wrote.
+def load_policy(folder: Path) -> TeamPolicy:
+    """Load a policy that :meth:`TeamPolicy.save` wrote.
 
     Raises:
         RunError: a file is missing or does not fit.
@@ -58,9 +58,9 @@ def load_policy(folder: Path) -> DecentralizedPolicy:
         network.load_state_dict(read_tensors(folder / WEIGHTS))
     except RuntimeError as error:
         raise RunError(f"{folder / WEIGHTS} does not fit {SHAPE}: {error}") from None
-    return DecentralizedPolicy(network)
+    return TeamPolicy(network)
 
 
-def load(run: RunFolder) -> DecentralizedPolicy:
+def load(run: RunFolder) -> TeamPolicy:
     """Load the latest policy of a run."""
     return load_policy(run.policy)

@@ -33,8 +33,8 @@ class TrainConfig:
     """A training run: what is asked of it, and the options of `mbn train`.
 
     Attributes:
-        algorithm: a2c, ppo, trpo, ars, crossq, tqc (the centralised MDP); mappo, ippo, ppo-shared
-            and ppo-supersuit (decentralised).
+        algorithm: a2c, ppo, trpo, ars, crossq, tqc, ppo-joint (centralised); mappo, ippo,
+            ppo-shared and ppo-supersuit (decentralised).
         field: a name of `mbn fields`, or the path of a field file.
         setting: A: the paper's library defaults, raw observation and reward. B: its Optuna values.
             C: as A, from a policy trained on another field. N: normalised observation, scaled

@@ -131,11 +131,9 @@ def target_rows(results: Results, processes: int) -> list[Measurement]:
     runs = results.of_label(setting)
     cells = [results.cells[setting, field] for field in results.fields]
     lines = [FieldLine.of(cell) for cell in cells]
-    true = [not run.config["hyperparameters"].get("approach_bonus") for run in runs]
     passed = [passes(run) for run in runs]
     return [
         _count(f"{setting}: final policies that pass", passed, 1.0),
-        _count(f"{setting}: the same, learned from the true reward", map(min, passed, true), 0.8),
         Measurement(
             f"{setting}: until a run passes, worst run",
             max(Passing.of(result).env_steps for result in runs),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Unpack
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 import torch
@@ -14,13 +14,26 @@ from torchrl.envs import EnvBase
 
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, FieldLike
+from mbn_marl.errors import ConfigError
 
 GROUP = "robots"
 METRICS = ("success", "collision", "rois_visited", "steps", "episode_return")
-"""The metrics of an episode so far that every step reports under ``"metrics"``."""
+"""The metrics of an episode so far that a step can report under ``"metrics"``."""
+FLAGS = ("terminated", "truncated", "done")
 
 Rows = NDArray[Any] | torch.Tensor
 """An array of the engine, which is a tensor on CUDA."""
+
+
+class _Outcome(NamedTuple):
+    """What a step, or a reset, gives: the engine's observations and copies of the rest."""
+
+    observations: Rows  # (W, n, obs_size)
+    terminated: torch.Tensor  # (W,) bool
+    truncated: torch.Tensor  # (W,) bool
+    team_reward: torch.Tensor  # (W,)
+    metrics: torch.Tensor  # (count, W) float32
+    rewards: torch.Tensor  # (W, n); a reset has none
 
 
 class NavigationEnv(EnvBase):
@@ -49,6 +62,7 @@ class NavigationEnv(EnvBase):
       ``rollout`` do themselves; ``"_step"`` masks, as ``rollout(break_when_all_done=True)`` writes
       them, leave ended worlds where they are.
     - Every tensor is the caller's own: nothing is overwritten by a later step.
+    - ``state``, ``team_reward`` and ``metrics`` cost time; leave out those that nothing reads.
 
     Args:
         field: a catalogue name, a file, a ``Field``, or a list of them (world ``w`` gets number
@@ -58,16 +72,22 @@ class NavigationEnv(EnvBase):
         device: where the tensors live. On torch's current CUDA device the engine computes too (see
             ``BatchEngine``); for any other device it computes on the CPU.
         threads: of the engine on the CPU; ``None`` takes as many as there are cores.
+        state: give the entry ``"state"``.
+        team_reward: give the entry ``"team_reward"``.
+        metrics: the names of the metrics to give, of ``METRICS``; none leaves the entry out.
+        action_repeat: env-steps of a step (>= 1), all with the same action; rewards add up. A world
+            that ends rests until it is reset. May be changed between two steps.
         **settings: the fields of ``NavigationConfig``.
 
     Attributes:
         engine: the engine; look at it, but let only this object step and reset it.
         n_agents: robots in a world.
         group_map: the names of the robots in each group, as TorchRL's other environments give it.
+        action_repeat: as given.
 
     Raises:
         FieldError: the field is not valid.
-        ConfigError: a setting is not valid.
+        ConfigError: a setting, a metric's name or ``action_repeat`` is not valid.
 
     Source:
         Choton, Woods, Hsu, section 3: ``"state"`` and ``"team_reward"``.
@@ -81,8 +101,18 @@ class NavigationEnv(EnvBase):
         seed: int = 0,
         device: torch.device | str = "cpu",
         threads: int | None = None,
+        state: bool = True,
+        team_reward: bool = True,
+        metrics: Sequence[str] = METRICS,
+        action_repeat: int = 1,
         **settings: Unpack[Settings],
     ) -> None:
+        unknown = sorted(set(metrics) - set(METRICS))
+        problems = [f"metrics: {unknown}; allowed: {', '.join(METRICS)}"] if unknown else []
+        if action_repeat < 1:
+            problems.append(f"action_repeat: must be at least 1 (got {action_repeat})")
+        if problems:
+            raise ConfigError("NavigationEnv", problems)
         super().__init__(device=device, batch_size=[num_worlds])
         self.engine = BatchEngine(
             field,
@@ -94,10 +124,13 @@ class NavigationEnv(EnvBase):
             **settings,
         )
         self._give = _to_numpy if self.engine.device == "cpu" else _as_it_is
+        self._state, self._team_reward, self._metrics = state, team_reward, tuple(metrics)
+        self.action_repeat = action_repeat
+        self._no_rows = torch.zeros(0, num_worlds, device=self.device)
         self.n_agents = self.engine.n_robots
         self.group_map = {GROUP: [f"robot_{i}" for i in range(self.n_agents)]}
         self._next_seed: int | None = None
-        self._running = (torch.zeros(num_worlds, dtype=torch.bool, device=self.device),) * 2
+        self._loaded = False
         self._make_specs()
 
     def _make_specs(self) -> None:
@@ -121,23 +154,18 @@ class NavigationEnv(EnvBase):
             (*robots, engine.obs_size),
             torch.float32,
         )
-        state_size = engine.state_low.shape[0]
-        self.observation_spec = group("observation", observation).update(
-            {
-                "state": self._box(
-                    engine.state_low, engine.state_high, (*worlds, state_size), dtype
-                ),
-                "team_reward": scalar(worlds, dtype),
-                "metrics": Composite(
-                    {name: scalar(worlds, torch.float32) for name in METRICS},
-                    shape=worlds,
-                    device=self.device,
-                ),
-            }
-        )
+        self.observation_spec = group("observation", observation)
+        if self._state:
+            low, high = engine.state_low, engine.state_high
+            self.observation_spec["state"] = self._box(low, high, (*worlds, len(low)), dtype)
+        if self._team_reward:
+            self.observation_spec["team_reward"] = scalar(worlds, dtype)
+        if self._metrics:
+            columns = {name: scalar(worlds, torch.float32) for name in self._metrics}
+            self.observation_spec["metrics"] = Composite(columns, shape=worlds, device=self.device)
         flag = Categorical(2, shape=(*worlds, 1), dtype=torch.bool, device=self.device)
         self.done_spec = Composite(
-            {name: flag.clone() for name in ("done", "terminated", "truncated")},
+            {name: flag.clone() for name in FLAGS},
             shape=worlds,
             device=self.device,
         )
@@ -160,12 +188,36 @@ class NavigationEnv(EnvBase):
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         """Reset the worlds that ``"_reset"`` marks, or all of them."""
         mask = None if tensordict is None else tensordict.get("_reset", None)
-        if mask is None or mask.all():
-            observations = self.engine.reset(seed=self._next_seed)
-            self._next_seed = None
-        else:
+        if mask is not None and not mask.all():
             observations = self.engine.reset_worlds(self._give(mask.reshape(-1)))
-        return self._entries(observations, {}, *self._running)
+        elif self._loaded:
+            observations = self.engine.reset_worlds(np.zeros(self.engine.num_worlds, bool))
+        else:
+            observations = self.engine.reset(seed=self._next_seed)
+        self._next_seed, self._loaded = None, False
+        flags = torch.zeros(self.engine.num_worlds, dtype=torch.bool, device=self.device)
+        team = self._tensor(self.engine.team_rewards)
+        nothing = _Outcome(observations, flags, flags, team, self._rows(), self._no_rows)
+        return self._entries(nothing)
+
+    def save_state(self) -> dict[str, NDArray[Any]]:
+        """Copies of everything that changes, by name; see ``BatchEngine.save_state``."""
+        return self.engine.save_state()
+
+    def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
+        """Continue with the next full reset exactly where ``saved`` was taken.
+
+        That reset, such as the one of a new collector, then begins no new episodes.
+
+        Args:
+            saved: what :meth:`save_state` returned: arrays of its shapes, such as (n, W), and
+                units.
+
+        Raises:
+            MbnError: it does not fit this environment.
+        """
+        self.engine.load_state(saved)
+        self._loaded = True
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Reset the worlds that ``tensordict`` says are done, in place.
@@ -178,63 +230,97 @@ class NavigationEnv(EnvBase):
         """
         if self.any_done(tensordict):
             ended = tensordict.pop("_reset")
-            past = tensordict.select("team_reward", "metrics", *self.done_keys)
-            tensordict.update(past.apply(lambda entry: entry.masked_fill(ended, 0)))
             observations = self.engine.reset_worlds(self._give(ended.reshape(-1)))
             tensordict[GROUP, "observation"] = self._tensor(observations)
-            tensordict["state"] = self._tensor(self.engine.state())
+            if self._state:
+                tensordict["state"] = self._tensor(self.engine.state())
+            for name in FLAGS:
+                tensordict[name] = torch.zeros_like(ended)
+            past = [("metrics", name) for name in self._metrics]
+            for key in (*past, *(("team_reward",) if self._team_reward else ())):
+                tensordict[key] = tensordict[key].masked_fill(ended, 0)
         return tensordict
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        """Step all worlds, or those that ``"_step"`` marks."""
+        """Step all worlds, or those that ``"_step"`` marks, ``action_repeat`` times."""
         mask = tensordict.get("_step", None)
-        active = None if mask is None else self._give(mask.reshape(-1))
+        active = None if mask is None else mask.reshape(-1)
         actions = self._give(tensordict.get((GROUP, "action")))
-        observations, rewards, terminated, truncated = self.engine.step(actions, active)
-        robots = {"reward": self._tensor(rewards).unsqueeze(-1)}
-        return self._entries(observations, robots, terminated, truncated)
+        outcome = self._advance(actions, active)
+        for _ in range(self.action_repeat - 1):
+            running = ~(outcome.terminated | outcome.truncated)
+            if active is not None:
+                running &= active
+            more = self._advance(actions, running)
+            outcome = _Outcome(
+                more.observations,
+                outcome.terminated | more.terminated,
+                outcome.truncated | more.truncated,
+                outcome.team_reward + more.team_reward,
+                torch.where(running, more.metrics, outcome.metrics),
+                outcome.rewards + more.rewards,
+            )
+        made = self._entries(outcome)
+        made[GROUP, "reward"] = outcome.rewards.unsqueeze(-1)
+        return made
 
-    def _entries(
-        self,
-        observations: Rows,
-        robots: dict[str, torch.Tensor],
-        terminated: Rows,
-        truncated: Rows,
-    ) -> TensorDict:
-        """The tensordict of a step or a reset, with ``robots`` added to the group's entries."""
-        engine, worlds = self.engine, self.batch_size
-        metrics = engine.metrics()
-        robots["observation"] = self._tensor(observations)
-        entries = {
-            GROUP: TensorDict(robots, (*worlds, self.n_agents), device=self.device),
-            "state": self._tensor(engine.state()),
-            "team_reward": self._column(engine.team_rewards),
-            "metrics": TensorDict(
-                {name: self._column(metrics[name]).to(torch.float32) for name in METRICS},
-                worlds,
-                device=self.device,
-            ),
-            "terminated": self._column(terminated),
-            "truncated": self._column(truncated),
-            "done": self._column(terminated | truncated),
+    def _advance(self, actions: Rows, active: torch.Tensor | None) -> _Outcome:
+        """Take one env-step; copy what the next one would overwrite."""
+        engine = self.engine
+        mask = None if active is None else self._give(active)
+        observations, rewards, terminated, truncated = engine.step(actions, mask)
+        return _Outcome(
+            observations,
+            self._tensor(terminated),
+            self._tensor(truncated),
+            self._tensor(engine.team_rewards),
+            self._rows(),
+            self._tensor(rewards),
+        )
+
+    def _rows(self) -> torch.Tensor:
+        """Return the metrics to report, (count, W) float32."""
+        known = self.engine.metrics(self._metrics)
+        rows = [torch.as_tensor(known[name], device=self.device) for name in self._metrics]
+        return torch.stack([row.float() for row in rows]) if rows else self._no_rows
+
+    def _entries(self, outcome: _Outcome) -> TensorDict:
+        """Return the tensordict of a step or a reset; the specs' checks are for its readers."""
+        worlds = self.batch_size
+        robots = {"observation": self._tensor(outcome.observations)}
+        flags = (outcome.terminated, outcome.truncated, outcome.terminated | outcome.truncated)
+        entries: dict[str, Any] = {
+            name: flag.unsqueeze(-1) for name, flag in zip(FLAGS, flags, strict=True)
         }
-        return TensorDict(entries, worlds, device=self.device)
+        entries[GROUP] = self._unchecked(robots, torch.Size((*worlds, self.n_agents)))
+        if self._state:
+            entries["state"] = self._tensor(self.engine.state())
+        if self._team_reward:
+            entries["team_reward"] = outcome.team_reward.unsqueeze(-1)
+        if self._metrics:
+            columns = outcome.metrics.unsqueeze(-1).unbind(0)
+            metrics = dict(zip(self._metrics, columns, strict=True))
+            entries["metrics"] = self._unchecked(metrics, worlds)
+        return self._unchecked(entries, worlds)
+
+    def _unchecked(self, entries: dict[str, Any], size: torch.Size) -> TensorDict:
+        """Return a tensordict of entries that have its batch size and device by construction."""
+        made: TensorDict = TensorDict._new_unsafe(entries, size, device=self.device)
+        return made
 
     def _tensor(self, array: Rows) -> torch.Tensor:
-        """A copy of an engine's array, which the engine will overwrite, as a tensor."""
-        return torch.as_tensor(array).clone().to(self.device)
-
-    def _column(self, array: Rows) -> torch.Tensor:
-        """A copy of an array ``(W,)`` as a tensor ``(W, 1)``."""
-        return self._tensor(array).unsqueeze(-1)
+        """Return a copy of an engine's array, which the engine will overwrite."""
+        if isinstance(array, torch.Tensor):
+            return array.clone()
+        return torch.from_numpy(array.copy()).to(self.device)
 
 
 def _to_numpy(tensor: torch.Tensor) -> NDArray[Any]:
-    """The numbers of a tensor of any device, not to be written to."""
+    """Return the numbers of a tensor of any device, not to be written to."""
     array: NDArray[Any] = tensor.numpy(force=True)
     return array
 
 
 def _as_it_is(tensor: torch.Tensor) -> torch.Tensor:
-    """The tensor, which lies where the engine wants it."""
+    """Return the tensor, which lies where the engine wants it."""
     return tensor

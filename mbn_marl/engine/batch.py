@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, TypeGuard, Unpack
 
 import numpy as np
@@ -28,6 +28,12 @@ from mbn_marl.field import Field, load_field
 FieldLike = Field | str | os.PathLike[str]
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
+
+METRICS = (
+    *("success", "collision", "rois_visited", "steps", "episode_return"),
+    *("wall_hits", "path_length", "impulse", "return_"),
+)
+"""The names of the measures of an episode, in the order of ``BatchEngine.metrics``."""
 
 
 class BatchEngine:
@@ -258,31 +264,42 @@ class BatchEngine:
         """
         return self._backend.states(final=True)
 
-    def metrics(self) -> dict[str, Array]:
+    def metrics(self, names: Collection[str] = METRICS) -> dict[str, Array]:
         """Measures of each episode as of the last step, before any automatic reset.
 
+        Args:
+            names: those to return, of ``METRICS``. ``success``, ``collision``, ``steps``,
+                ``episode_return`` and ``return_`` cost next to nothing.
+
         Returns:
-            ``success``, ``collision`` (W,) bool; ``rois_visited``, ``steps`` (W,) int32;
-            ``episode_return`` (W,) float64: the team's; ``wall_hits`` (W, n) int32;
+            ``success``, ``collision`` (W,) bool; ``steps`` (W,) int32; ``episode_return`` (W,)
+            float64: the team's; ``rois_visited`` (W,) int32; ``wall_hits`` (W, n) int32;
             ``path_length`` (W, n) real, units; ``impulse`` (W, n) real: ``|sum over steps of u
             tau|``, mass x units/step; ``return_`` (W, n) float64: what each agent was given.
         """
         backend = self._backend
-        infos, now, final, xp = self.infos(), backend.now, backend.final, backend.xp
-        columns = {name: infos[..., k] for k, name in enumerate(MEASURES)}
+        now, final, xp = backend.now, backend.final, backend.xp
+        outcomes = backend.output.outcomes
+        collision = (outcomes & COLLISION) > 0
         ended = backend.output.terminated | backend.output.truncated
         ended &= self.autoreset == "same_step"
-        return {
-            "success": columns["success"][:, 0] > 0,
-            "collision": columns["collision"][:, 0] > 0,
-            "rois_visited": xp.asarray(columns["rois_visited"][:, 0], dtype=xp.int32),
-            "steps": xp.where(ended, final.steps, now.steps),
-            "episode_return": xp.where(ended, final.team_return, now.team_return),
-            "wall_hits": xp.asarray(columns["wall_hits"], dtype=xp.int32),
-            "path_length": columns["path_length"],
-            "impulse": columns["impulse"],
-            "return_": xp.where(ended, final.returns, now.returns).T,
+        measures: dict[str, Callable[[], Array]] = {
+            "success": lambda: ((outcomes & SUCCESS) > 0) & ~collision,
+            "collision": lambda: collision,
+            "steps": lambda: xp.where(ended, final.steps, now.steps),
+            "episode_return": lambda: xp.where(ended, final.team_return, now.team_return),
+            "return_": lambda: xp.where(ended, final.returns, now.returns).T,
         }
+        if not set(names) <= set(measures):
+            infos = self.infos()
+            columns = {name: infos[..., k] for k, name in enumerate(MEASURES)}
+            measures |= {
+                "rois_visited": lambda: xp.asarray(columns["rois_visited"][:, 0], dtype=xp.int32),
+                "wall_hits": lambda: xp.asarray(columns["wall_hits"], dtype=xp.int32),
+                "path_length": lambda: columns["path_length"],
+                "impulse": lambda: columns["impulse"],
+            }
+        return {name: measures[name]() for name in names}
 
     def sample_actions(self) -> Floats:
         """Uniform random actions, (W, n, 2) float32 in [-1, 1): the seed's next ones."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -14,19 +13,10 @@ from baselines.algorithms import ALGORITHMS, find_algorithm
 from baselines.evaluation import intervals as statistics
 from baselines.evaluation.evaluate import evaluate
 from baselines.evaluation.policy import RandomPolicy
-from baselines.runs.files import RunError
 from baselines.sb3 import config as centralized_config
 from baselines.sb3.policy import Normalization
-from baselines.torchrl import config as decentralized_config
-from baselines.torchrl.networks import (
-    CRITICS,
-    GaussianPolicy,
-    ObservationNorm,
-    Sharing,
-    TeamMLP,
-    TeamShape,
-)
-from baselines.torchrl.policy import DecentralizedPolicy, load_policy
+from baselines.torchrl.networks import GaussianPolicy, TeamShape
+from baselines.torchrl.policy import TeamPolicy
 from baselines.training.run_logger import EpisodeWindow
 from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError
@@ -113,10 +103,11 @@ def test_every_algorithm_has_hyperparameters_and_refuses_unknown_ones(name: str)
         algorithm.resolve({"momentum": 0.9})
 
 
-def test_centralized_hyperparameters_are_files_on_disk() -> None:
+def test_hyperparameters_of_stable_baselines3_are_files_on_disk() -> None:
+    registered = {name for name, entry in ALGORITHMS.items() if entry.package == "sb3"}
+    assert set(centralized_config.CLASSES) == registered
     names = {path.stem for path in centralized_config.FOLDER.glob("*.yaml")}
-    registered = {name for name, entry in ALGORITHMS.items() if entry.form == "centralized"}
-    assert names == set(centralized_config.CLASSES) == registered
+    assert names == {centralized_config.FILES.get(name, name) for name in registered}
 
 
 def test_centralized_model_arguments_are_those_of_the_library() -> None:
@@ -134,108 +125,7 @@ def test_centralized_schedules_fall_linearly() -> None:
     assert [rate(remaining) for remaining in (1.0, 0.5, 0.0)] == [3.0, 2.0, 1.0]
 
 
-def test_mappo_and_ippo_differ_by_the_critic_alone() -> None:
-    mappo, ippo = (
-        decentralized_config.load(name, "N", {}).model_dump() for name in ("mappo", "ippo")
-    )
-    assert (mappo.pop("critic"), ippo.pop("critic")) == ("centralized", "independent")
-    assert mappo == ippo
-
-
-def test_the_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
-    config = decentralized_config.load(
-        "mappo",
-        "N",
-        {"log_std_cap": [0.5, -1.5], "log_std_cap_from": 0.5, "learning_rate": [3.0, 1.0]},
-    )
-    assert [config.cap_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == [0.5, 0.5, -0.5, -1.5]
-    assert [config.learning_rate_at(progress) for progress in (0.0, 0.25, 1.0)] == [3.0, 2.5, 1.0]
-
-
-# Networks and policies
-
-
-def test_observation_norm_passes_on_until_it_has_seen_something() -> None:
-    norm = ObservationNorm(TeamShape(2, 1, (8,), "full"))
-    assert norm(torch.tensor([3.0, 5.0])).tolist() == [3.0, 5.0]
-    norm.update(torch.tensor([[[0.0, 1.0]], [[2.0, 5.0]]]))  # means 1 and 3, variances 1 and 4
-    assert norm(torch.tensor([2.0, 5.0])).tolist() == [1.0, 1.0]
-    assert norm(torch.tensor([100.0, 3.0])).tolist() == [10.0, 0.0]
-
-
-def test_robots_with_networks_of_their_own_are_normalised_apart() -> None:
-    norm = ObservationNorm(TeamShape(1, 2, (8,), "none"))
-    norm.update(torch.tensor([[[0.0], [10.0]], [[2.0], [30.0]]]))  # means 1, 20; deviations 1, 10
-    assert norm(torch.tensor([[2.0], [10.0]])).tolist() == [[1.0], [-1.0]]
-
-
-@pytest.mark.parametrize("sharing", ["full", "none"])
-def test_a_shared_network_treats_robots_alike(sharing: Sharing) -> None:
-    torch.manual_seed(0)
-    shape = TeamShape(4, 3, (8,), sharing)
-    outputs = TeamMLP(shape.networks, (4, 8, 2), last_gain=1.0)(torch.ones(5, 3, 4))
-    assert torch.equal(outputs[:, 0], outputs[:, 1]) == (sharing == "full")
-
-
-@pytest.mark.parametrize("networks", [1, 3])
-def test_team_networks_compute_what_separate_layers_do(networks: int) -> None:
-    torch.manual_seed(0)
-    network = TeamMLP(networks, (4, 8, 6, 2), last_gain=1.0)
-    rows = torch.randn(7, 5, 3, 4)
-    outputs = network(rows)
-    for robot in range(3):
-        flow = rows[:, :, robot]
-        for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
-            own = robot if networks > 1 else 0
-            flow = (flow.tanh() if layer else flow) @ weight[own] + bias[own]
-        assert torch.allclose(outputs[:, :, robot], flow, atol=1e-6)
-
-
-@pytest.mark.parametrize("sharing", ["full", "none"])
-@pytest.mark.parametrize("critic", CRITICS)
-def test_only_the_centralized_critic_sees_the_other_robots(critic: str, sharing: Sharing) -> None:
-    torch.manual_seed(0)
-    network = CRITICS[critic](TeamShape(4, 3, (8,), sharing))
-    before = torch.randn(5, 3, 4)
-    after = before.clone()
-    after[:, 2] += 1.0
-    changed = (network(after) - network(before)).abs().amax(dim=0) > 1e-6
-    assert changed.tolist() == ([True] * 3 if critic == "centralized" else [False, False, True])
-
-
-@pytest.mark.parametrize("networks", [1, 3])
-def test_networks_start_orthogonal(networks: int) -> None:
-    network = TeamMLP(networks, (8, 8, 2), last_gain=0.01)
-    gain = (5.0 / 3.0) ** 2  # of tanh, squared
-    assert len(network.weights[0]) == networks
-    for weight in network.weights[0]:
-        assert torch.allclose(weight @ weight.T, gain * torch.eye(8), atol=1e-5)
-    for weight in network.weights[1]:
-        assert torch.allclose(weight.T @ weight, 1e-4 * torch.eye(2), atol=1e-8)
-
-
-@pytest.mark.parametrize("sharing", ["full", "full+id", "none"])
-def test_a_saved_policy_acts_as_before(tmp_path: Path, sharing: Sharing) -> None:
-    torch.manual_seed(0)
-    network = GaussianPolicy(TeamShape(4, 3, (8, 8), sharing), log_std=-0.5)
-    network.norm.update(torch.randn(100, 3, 4) * 3.0)
-    policy = DecentralizedPolicy(network)
-    policy.save(tmp_path)
-    assert {path.suffix for path in tmp_path.iterdir()} == {".json", ".safetensors"}
-    observations = np.random.default_rng(0).normal(size=(6, 3, 4)).astype(np.float32)
-    loaded = load_policy(tmp_path)
-    for deterministic in (True, False):
-        torch.manual_seed(1)
-        expected = policy.act(observations, deterministic=deterministic)
-        torch.manual_seed(1)
-        assert np.array_equal(expected, loaded.act(observations, deterministic=deterministic))
-
-
-def test_a_damaged_policy_is_named(tmp_path: Path) -> None:
-    DecentralizedPolicy(GaussianPolicy(TeamShape(4, 3, (8,), "full"))).save(tmp_path)
-    (tmp_path / "policy.safetensors").write_bytes(b"nonsense")
-    with pytest.raises(RunError, match=r"policy\.safetensors cannot be read"):
-        load_policy(tmp_path)
+# Policies
 
 
 def test_normalization_is_that_of_vec_normalize() -> None:
@@ -275,7 +165,7 @@ def test_evaluations_are_reproducible_and_leave_torch_alone() -> None:
     network = GaussianPolicy(TeamShape(4 + 4 + 2 * 3, 2, (8,), "full"))
     torch.manual_seed(5)
     runs = [
-        evaluate(DecentralizedPolicy(network), SQUARE, {"max_steps": 20}, episodes=4).returns
+        evaluate(TeamPolicy(network), SQUARE, {"max_steps": 20}, episodes=4).returns
         for _ in range(2)
     ]
     assert runs[0] == runs[1]

@@ -1,0 +1,178 @@
+"""Networks, distributions and policies of a team."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from baselines.runs.files import RunError
+from baselines.torchrl.networks import (
+    LOC,
+    NORMALIZED,
+    OBSERVATION,
+    SCALE,
+    VALUE,
+    Actor,
+    Critic,
+    GaussianPolicy,
+    JointNormal,
+    Normalize,
+    Sharing,
+    TeamMLP,
+    TeamNormal,
+    TeamShape,
+    ValueNetwork,
+)
+from baselines.torchrl.policy import TeamPolicy, load_policy
+
+LOG_TWO_PI = math.log(2.0 * math.pi)
+
+
+def test_normalisation_begins_with_the_first_update() -> None:
+    norm = Normalize(TeamShape(2, 1, (8,), "full"))
+    assert norm.normalize(torch.tensor([3.0, 5.0])).tolist() == [3.0, 5.0]
+    norm.statistics.update(torch.tensor([[[0.0, 1.0]], [[2.0, 5.0]]]))  # means 1, 3; variances 1, 4
+    assert norm.normalize(torch.tensor([2.0, 5.0])).tolist() == [1.0, 1.0]
+    row = TensorDict({OBSERVATION: torch.tensor([[[100.0, 3.0]]])}, (1,))
+    assert norm(row)[NORMALIZED].tolist() == [[[10.0, 0.0]]]
+
+
+def test_robots_with_networks_of_their_own_are_normalised_apart() -> None:
+    norm = Normalize(TeamShape(1, 2, (8,), "none"))
+    norm.statistics.update(torch.tensor([[[0.0], [10.0]], [[2.0], [30.0]]]))
+    # Means 1 and 20, deviations 1 and 10.
+    assert norm.normalize(torch.tensor([[2.0], [10.0]])).tolist() == [[1.0], [-1.0]]
+
+
+@pytest.mark.parametrize("sharing", ["full", "none"])
+def test_a_shared_network_treats_robots_alike(sharing: Sharing) -> None:
+    torch.manual_seed(0)
+    shape = TeamShape(4, 3, (8,), sharing)
+    outputs = TeamMLP(shape.networks, (4, 8, 2), last_gain=1.0)(torch.ones(5, 3, 4))
+    assert torch.equal(outputs[:, 0], outputs[:, 1]) == (sharing == "full")
+
+
+@pytest.mark.parametrize("networks", [1, 3])
+def test_team_networks_compute_what_separate_layers_do(networks: int) -> None:
+    torch.manual_seed(0)
+    network = TeamMLP(networks, (4, 8, 6, 2), last_gain=1.0)
+    rows = torch.randn(7, 5, 3, 4)
+    outputs = network(rows)
+    for robot in range(3):
+        flow = rows[:, :, robot]
+        for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+            own = robot if networks > 1 else 0
+            flow = (flow.tanh() if layer else flow) @ weight[own] + bias[own]
+        assert torch.allclose(outputs[:, :, robot], flow, atol=1e-6)
+
+
+@pytest.mark.parametrize("networks", [1, 3])
+def test_networks_start_orthogonal(networks: int) -> None:
+    network = TeamMLP(networks, (8, 8, 2), last_gain=0.01)
+    gain = (5.0 / 3.0) ** 2  # of tanh, squared
+    assert len(network.weights[0]) == networks
+    for weight in network.weights[0]:
+        assert torch.allclose(weight @ weight.T, gain * torch.eye(8), atol=1e-5)
+    for weight in network.weights[1]:
+        assert torch.allclose(weight.T @ weight, 1e-4 * torch.eye(2), atol=1e-8)
+
+
+def _seen_by(network: GaussianPolicy | ValueNetwork, key: object) -> list[bool]:
+    """Return which robots' outputs change when robot 2 sees something else."""
+    before = torch.randn(5, 3, 4)
+    after = before.clone()
+    after[:, 2] += 1.0
+    outputs = [network(TensorDict({NORMALIZED: seen}, (5,)))[key] for seen in (before, after)]
+    changed: list[bool] = ((outputs[0] - outputs[1]).abs().amax((0, -1)) > 1e-6).tolist()
+    return changed
+
+
+@pytest.mark.parametrize("sharing", ["full", "none"])
+@pytest.mark.parametrize(
+    ("sees", "seen"), [("centralized", [True] * 3), ("independent", [False, False, True])]
+)
+def test_only_a_centralised_critic_sees_the_other_robots(
+    sees: Critic, seen: list[bool], sharing: Sharing
+) -> None:
+    torch.manual_seed(0)
+    assert _seen_by(ValueNetwork(TeamShape(4, 3, (8,), sharing), sees), VALUE) == seen
+
+
+@pytest.mark.parametrize(
+    ("actor", "seen"), [("centralized", [True] * 3), ("decentralized", [False, False, True])]
+)
+def test_only_a_centralised_actor_sees_the_other_robots(actor: Actor, seen: list[bool]) -> None:
+    torch.manual_seed(0)
+    assert _seen_by(GaussianPolicy(TeamShape(4, 3, (8,), "none", actor)), LOC) == seen
+
+
+def test_a_centralised_actor_has_one_value() -> None:
+    shape = TeamShape(4, 3, (8,), "none", "centralized")
+    values = ValueNetwork(shape, "centralized")(TensorDict({NORMALIZED: torch.ones(5, 3, 4)}, (5,)))
+    assert values[VALUE].shape == (5, 1, 1)
+
+
+def test_log_probabilities_are_those_of_torch() -> None:
+    torch.manual_seed(0)
+    loc, value = torch.randn(2, 7, 3, 2)
+    scale = torch.tensor([[0.5, 1.0], [2.0, 0.1], [1.0, 3.0]]).expand(7, 3, 2)
+    expected = torch.distributions.Normal(loc, scale)
+    for kind, of in ((TeamNormal, (7, 3)), (JointNormal, (7, 1))):
+        ours = kind(loc, scale)
+        whole = expected.log_prob(value).sum(-1)
+        joint = kind is JointNormal
+        whole = whole.sum(-1, keepdim=True) if joint else whole
+        entropy = expected.entropy().sum(-1)
+        entropy = entropy.sum(-1, keepdim=True) if joint else entropy
+        assert ours.log_prob(value).shape == ours.entropy().shape == of
+        assert torch.allclose(ours.log_prob(value), whole, atol=1e-4)
+        assert torch.allclose(ours.entropy(), entropy)
+        assert torch.equal(ours.deterministic_sample, loc)
+        torch.manual_seed(1)
+        noise = torch.randn(7, 3, 2)
+        torch.manual_seed(1)
+        assert torch.allclose(ours.rsample(), loc + scale * noise)
+
+
+def test_a_log_probability_by_hand() -> None:
+    loc, scale = torch.zeros(1, 2, 2), torch.ones(1, 2, 2)
+    value = torch.tensor([[[1.0, 0.0], [2.0, 0.0]]])
+    each = TeamNormal(loc, scale).log_prob(value)
+    assert torch.allclose(each, torch.tensor([[-0.5 - LOG_TWO_PI, -2.0 - LOG_TWO_PI]]))
+    assert torch.allclose(JointNormal(loc, scale).log_prob(value), each.sum(-1, keepdim=True))
+
+
+@pytest.mark.parametrize("actor", ["decentralized", "centralized"])
+@pytest.mark.parametrize("sharing", ["full", "full+id", "none"])
+def test_a_saved_policy_acts_as_before(tmp_path: Path, sharing: Sharing, actor: Actor) -> None:
+    torch.manual_seed(0)
+    network = GaussianPolicy(TeamShape(4, 3, (8, 8), sharing, actor), log_std=-0.5)
+    network.norm.statistics.update(torch.randn(100, 3, 4) * 3.0)
+    policy = TeamPolicy(network)
+    policy.save(tmp_path)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".json", ".safetensors"}
+    observations = np.random.default_rng(0).normal(size=(6, 3, 4)).astype(np.float32)
+    loaded = load_policy(tmp_path)
+    for deterministic in (True, False):
+        torch.manual_seed(1)
+        expected = policy.act(observations, deterministic=deterministic)
+        torch.manual_seed(1)
+        assert np.array_equal(expected, loaded.act(observations, deterministic=deterministic))
+    seen = TensorDict({OBSERVATION: torch.from_numpy(observations)}, (6,))
+    found = network(network.norm(seen))
+    assert np.array_equal(
+        found[LOC].numpy(force=True), policy.act(observations, deterministic=True)
+    )
+    assert found[SCALE].shape == (6, 3, 2) and (found[SCALE] == network.log_std.exp()).all()
+
+
+def test_a_damaged_policy_is_named(tmp_path: Path) -> None:
+    TeamPolicy(GaussianPolicy(TeamShape(4, 3, (8,), "full"))).save(tmp_path)
+    (tmp_path / "policy.safetensors").write_bytes(b"nonsense")
+    with pytest.raises(RunError, match=r"policy\.safetensors"):
+        load_policy(tmp_path)

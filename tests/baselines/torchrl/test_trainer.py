@@ -1,0 +1,206 @@
+"""The multi-agent trainer: hyperparameters, curriculum, TorchRL's parts, targets, early stop."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.collectors import Collector
+from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
+from torchrl.objectives.value import MultiAgentGAE
+
+from baselines.torchrl import trainer
+from baselines.torchrl.config import load
+from baselines.torchrl.curriculum import RoiCurriculum
+from baselines.torchrl.networks import NORMALIZED, VALUE
+from baselines.training.config import TrainConfig
+from baselines.training.train import train
+from mbn_marl.adapters.torchrl import NavigationEnv
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field, save_field
+
+# Hyperparameters
+
+
+def test_action_repeat_falls_to_its_second_value() -> None:
+    config = load("mappo", "N", {"action_repeat": [4, 1], "action_repeat_until": 0.5})
+    assert [config.repeat_at(share) for share in (0.0, 0.25, 0.4, 0.5, 1.0)] == [4, 2, 2, 1, 1]
+
+
+def test_the_algorithms_differ_by_what_actor_and_critic_see_alone() -> None:
+    blocks = [load(name, "N", {}).model_dump() for name in ("mappo", "ippo", "ppo-joint")]
+    seen = [(block.pop("actor"), block.pop("critic")) for block in blocks]
+    assert seen == [
+        ("decentralized", "centralized"),
+        ("decentralized", "independent"),
+        ("centralized", "centralized"),
+    ]
+    assert blocks[0] == blocks[1] == blocks[2]
+
+
+def test_the_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
+    changes = {"log_std_cap": [0.5, -1.5], "log_std_cap_from": 0.5, "learning_rate": [3.0, 1.0]}
+    config = load("mappo", "N", changes)
+    assert [config.cap_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == [0.5, 0.5, -0.5, -1.5]
+    assert [config.learning_rate_at(progress) for progress in (0.0, 0.25, 1.0)] == [3.0, 2.5, 1.0]
+
+
+@pytest.mark.parametrize(("sharing", "told"), [("full", False), ("full+id", True), ("none", False)])
+def test_full_id_tells_the_network_which_robot_it_is(sharing: str, told: bool) -> None:
+    assert load("mappo", "N", {"sharing": sharing}).environment["one_hot"] is told
+
+
+def test_an_unknown_sharing_is_refused() -> None:
+    with pytest.raises(ConfigError, match="sharing"):
+        load("ippo", "N", {"sharing": "some"})
+
+
+# The curriculum
+
+
+def test_rois_shrink_when_the_team_succeeds_and_grow_when_it_fails() -> None:
+    curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
+    sizes, moves = [], []
+    none, all_of_them, half = [0, 0, 0, 0, 0], [1, 1, 1, 1], [1, 1, 0, 0]
+    windows = ([1, 1, 1, 0], [1, 0], [1, 1], half, none, *[all_of_them] * 3)
+    for successes in windows:
+        curriculum.add(successes)
+        moves.append(curriculum.move())
+        sizes.append(curriculum.radius)
+    assert sizes == pytest.approx([4.0, 4.0, 2.0, 2.0, 4.0, 2.0, 1.0, 1.0])
+    assert moves == [True, False, True, False, True, True, True, False]
+
+
+def test_rois_never_grow_beyond_their_first_size() -> None:
+    curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
+    curriculum.add([0, 0, 0, 0])
+    assert not curriculum.move() and curriculum.radius == 8.0
+
+
+SMALL = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8], "action_repeat": [1, 1]}
+
+
+def test_training_has_its_own_rois_and_time_limit_and_evaluations_the_true_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+
+    class Watched(NavigationEnv):
+        def __init__(self, *args: Any, **settings: Any) -> None:
+            super().__init__(*args, **settings)
+            made.append((self.engine.config.roi_radius, self.engine.config.max_steps))
+
+    monkeypatch.setattr(trainer, "NavigationEnv", Watched)
+    # Whatever the team does is enough for the next stage.
+    stages = {"roi_radius": 16.0, "roi_stages": 2, "roi_success": [0.0, 0.0], "episode_steps": 32}
+    config = TrainConfig(
+        "mappo", "field_03", steps=384, episodes=2, hyperparameters={**SMALL, **stages}
+    )
+    run = train(config, tmp_path / "run")
+    assert made == [(160.0, 32), (40.0, 32), (10.0, 32)]
+    assert max(run.evaluation["deterministic"]["per_episode"]["steps"]) == 1000
+
+
+# The training itself
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "loss"),
+    [("mappo", "MAPPOLoss"), ("ippo", "IPPOLoss"), ("ppo-joint", "MAPPOLoss")],
+)
+def test_collector_estimator_and_loss_are_those_of_torchrl(
+    algorithm: str, loss: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: Counter[str] = Counter()
+
+    def count(owner: type, method: str) -> None:
+        original = getattr(owner, method)
+
+        def counted(self: Any, *args: Any, **kwargs: Any) -> Any:
+            calls[owner.__name__] += 1
+            return original(self, *args, **kwargs)
+
+        monkeypatch.setattr(owner, method, counted)
+
+    count(Collector, "rollout")
+    count(MultiAgentGAE, "forward")
+    count(IPPOLoss if loss == "IPPOLoss" else MAPPOLoss, "forward")
+    still = {**SMALL, "roi_radius": 1.0, "epochs": 3, "minibatches": 2}
+    train(
+        TrainConfig(algorithm, "field_03", steps=3 * 128, episodes=2, hyperparameters=still),
+        tmp_path / "run",
+    )
+    # Three rollouts, and for each of them three epochs of two minibatches.
+    assert calls == {"Collector": 3, "MultiAgentGAE": 3, loss: 18}
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "ppo-joint"])
+def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
+    algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = []
+    samples = trainer.Trainer._samples
+
+    @torch.no_grad()
+    def keep(self: Any, rollout: Any, repeat: int) -> Any:
+        made = samples(self, rollout, repeat)
+        seen = TensorDict({NORMALIZED: rollout["next", *NORMALIZED]}, rollout.batch_size)
+        kept.append((self.reward, rollout.clone(), repeat, self.critic(seen)[VALUE]))
+        return made
+
+    monkeypatch.setattr(trainer.Trainer, "_samples", keep)
+    short = {**SMALL, "roi_radius": 1.0, "episode_steps": 8, "gae_lambda": 0.0}
+    config = TrainConfig(
+        algorithm,
+        "field_03",
+        steps=128,
+        episodes=2,
+        environment={"safety_distance": 45.0, "random_starts": True},
+        hyperparameters={**short, "action_repeat": [2, 2]},
+    )
+    train(config, tmp_path / "run")
+    reward_key, rollout, repeat, last = kept[0]
+    ended = rollout["next", "terminated"]
+    assert ended.any() and (rollout["next", "truncated"] & ~ended).any() and repeat == 2
+    # With lambda 0 the target is one step's: reward, and what follows unless a success or collision
+    # ended it; a decision of two steps is discounted twice.
+    reward = rollout[reward_key]
+    reward = reward.unsqueeze(-2) if algorithm == "ppo-joint" else reward
+    expected = reward + 0.99**2 * last * ~ended.unsqueeze(-2)
+    assert torch.allclose(rollout["value_target"], expected, atol=1e-4)
+    assert expected.shape[-2] == (1 if algorithm == "ppo-joint" else 3)
+
+
+# Stopping early
+
+
+EASY = Field(
+    vertices=[(0, 0), (100, 0), (100, 100), (0, 100)],
+    rois=[(50, 50)],
+    starts=[(30, 50)],
+    name="easy",
+)
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "ppo", "ppo-joint"])
+def test_a_run_stops_when_an_evaluation_passes(algorithm: str, tmp_path: Path) -> None:
+    save_field(EASY, tmp_path / "easy.yaml")
+    config = TrainConfig(
+        algorithm,
+        str(tmp_path / "easy.yaml"),
+        steps=400_000,
+        evaluate_every=16_384,
+        episodes=20,
+        stop_at=100_000.0,
+        environment={"max_steps": 100},
+    )
+    run = train(config, tmp_path / "run")
+    *earlier, passed, final = run.evaluations
+    assert passed["env_steps"] <= final["env_steps"] < config.steps
+    assert passed["return_mean"] >= 100_000.0 and passed["success_rate"] >= 0.99
+    assert all(entry["return_mean"] < 100_000.0 for entry in earlier[:1])
+    assert run.finished and not (run.path / "checkpoints").exists()
