@@ -116,8 +116,8 @@ class TrainConfig:
     @property
     def name(self) -> str:
         """The run's name, unique in a comparison: label or algorithm and setting; field; seed."""
-        form = find_algorithm(self.algorithm).form
-        learner = f"{self.algorithm}-{self.setting}" if form == "centralized" else self.algorithm
+        several = len(find_algorithm(self.algorithm).settings) > 1
+        learner = f"{self.algorithm}-{self.setting}" if several else self.algorithm
         return f"{self.label or learner}-{Path(self.field).stem}-seed{self.seed}"
 
     @property

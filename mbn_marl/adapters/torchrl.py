@@ -201,7 +201,10 @@ class NavigationEnv(EnvBase):
         return self._entries(nothing)
 
     def save_state(self) -> dict[str, NDArray[Any]]:
-        """Copies of everything that changes, by name; see ``BatchEngine.save_state``."""
+        """Return copies of everything that changes, by name, to be kept in a file.
+
+        Each has the shape, such as (n, W), and the units that ``BatchEngine.save_state`` gives it.
+        """
         return self.engine.save_state()
 
     def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:

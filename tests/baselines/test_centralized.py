@@ -31,7 +31,7 @@ from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 
 CATALOGUE = Path(__file__).parents[2] / "envs_catalog"
-NAMES = [name for name, entry in ALGORITHMS.items() if entry.form == "centralized"]
+NAMES = [name for name, entry in ALGORITHMS.items() if "A" in entry.settings]
 PAPER: dict[str, dict[str, float]] = {
     "a2c": {"gamma": 0.974, "gae_lambda": 0.938, "learning_rate": 0.0007, "vf_coef": 0.632,
             "ent_coef": 0.0001, "max_grad_norm": 0.674},

@@ -46,5 +46,5 @@ def test_a_tiny_field_is_solved(algorithm: str, tmp_path: Path) -> None:
     assert 0.999 * OPTIMUM < mean["return_mean"] <= OPTIMUM
     half, all_steps = (entry["env_steps"] for entry in run.evaluations)
     assert 98_304 <= half < 196_608 <= all_steps
-    centralized = ALGORITHMS[algorithm].form == "centralized"
-    assert load_policy(run).observes == ("state" if centralized else "observations")
+    single_mdp = "A" in ALGORITHMS[algorithm].settings
+    assert load_policy(run).observes == ("state" if single_mdp else "observations")
