@@ -113,7 +113,7 @@ def test_with_force_nothing_is_moved_aside_before_all_is_checked(
     Path("folder").mkdir()
     still = play(load_field("field_03"), make_config({}), np.zeros((3, 3, 2)))
     saved = save_episode(still, Path("broken.json")).read_text()
-    Path("broken.json").write_text(saved.replace('"tau":1.0', '"tau":2.0'))
+    Path("broken.json").write_text(saved.replace('"tau":1.0', '"tau":-1.0'))
     assert main([*command.split(), "--force"]) == 2, capsys.readouterr().err
     assert {path.name for path in tmp_path.iterdir()} == {*names, "folder", "broken.json"}
     assert all(Path(name).read_text() == name for name in names)
