@@ -44,7 +44,7 @@ EXTRAS = {
     "mujoco": "sim3d",
     "coppeliasim_zmqremoteapi_client": "sim3d",
 }
-"""What brings packages that commands need, if not the extra ``baselines``."""
+"""The extras with packages that commands need, if not the extra ``baselines``."""
 
 OWN_PACKAGES = ("mbn_marl", "baselines")
 READER_LEFT = 1

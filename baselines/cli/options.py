@@ -40,7 +40,7 @@ SHORT = (
     (r"^Missing value for argument '(\S+)'. Expected (\d+) values", r"\1: needs \2 value(s)"),
     (r"^Unrecognized options", "unknown"),
 )
-"""What tyro says, and how we say it."""
+"""Tyro's messages, and ours for them."""
 ATTRIBUTE = re.compile(r"^ {4}(\w+): (.+(?:\n {8}.+)*)", re.MULTILINE)
 
 

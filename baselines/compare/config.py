@@ -1,4 +1,4 @@
-"""What a comparison compares: variants on fields with several seeds, at equal budgets."""
+"""The parts of a comparison: variants on fields with several seeds, at equal budgets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mbn_marl.errors import ConfigError, collecting
 
 @dataclass(frozen=True)
 class CompareConfig:
-    """What to compare, and the options of `mbn compare`.
+    """A comparison, and the options of `mbn compare`.
 
     Attributes:
         variants: algorithms of `mbn train`, centralised and decentralised together; crossq:A is

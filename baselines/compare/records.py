@@ -32,7 +32,7 @@ Kind = Literal["stochastic", "deterministic"]
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What a run recorded. Evaluations are read when they are first asked for.
+    """The records of a run. Evaluations are read when they are first asked for.
 
     Attributes:
         run: its folder.

@@ -17,7 +17,7 @@ from mbn_marl.optimum import VIEW
 
 BUDGET = ("steps", "evaluate_every", "episodes")
 LEARNER = ("algorithm", "setting", "environment", "hyperparameters")
-"""What must be the same in all runs, and in all runs of one label."""
+"""Settings that must be the same in all runs, and in all runs of one label."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ THRESHOLDS = np.concatenate([np.arange(90) / 100, np.arange(900, 1001) / 1000])
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What the runs of one label reached, on one field or on several.
+    """Results of the runs of one label, on one field or on several.
 
     Attributes:
         label: of an algorithm, or of a variant of one.

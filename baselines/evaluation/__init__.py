@@ -1,1 +1,1 @@
-"""What a policy does: evaluation, wind sweeps, recorded episodes, intervals."""
+"""Policies in action: evaluation, wind sweeps, recorded episodes, intervals."""

@@ -19,7 +19,7 @@ SUCCESS_THRESHOLD = 0.99
 def passes(
     sampled: Mapping[str, Any], mean_success_rate: float, threshold: float = RETURN_THRESHOLD
 ) -> bool:
-    """Whether a fresh evaluation says that a policy does its task.
+    """Return whether a fresh evaluation says that a policy does its task.
 
     Args:
         sampled: summary of the episodes with sampled actions: their ``return_mean`` has to be at

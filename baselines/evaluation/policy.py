@@ -1,4 +1,4 @@
-"""What acts in an environment: trained policies and the random one."""
+"""Policies: trained policies and the random one."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from mbn_marl.field import safe_yaml
 
 
 class Hyperparameters(BaseModel):
-    """What every algorithm's hyperparameters have.
+    """The entries that all hyperparameters have.
 
     Attributes:
         source: where the numbers come from.

@@ -1,4 +1,4 @@
-"""What every trainer reports to: progress rows, fresh evaluations, policies, the progress bar."""
+"""The log of a training: progress rows, fresh evaluations, policies, the progress bar."""
 
 from __future__ import annotations
 
@@ -265,7 +265,7 @@ class Recorder:
         )
 
     def _passes(self, sampled: Evaluation, mean: Evaluation) -> bool:
-        """Whether evaluations meet the run's ``stop_at``."""
+        """Return whether evaluations meet the run's ``stop_at``."""
         stop_at = self._task.config.stop_at
         return stop_at is not None and passes(
             sampled.summary(), mean.summary()["success_rate"], stop_at

@@ -1,4 +1,4 @@
-"""What the suite is compared with: the plain loop of the tests, and VMAS and MPE2 if installed.
+"""Peers of the suite: the plain loop of the tests, and VMAS and MPE2 if installed.
 
 VMAS and MPE2 do not reset during the timing, which is to their advantage.
 """

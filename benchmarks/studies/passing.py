@@ -38,7 +38,7 @@ class Passing:
 
 
 def passes(result: RunRecord) -> bool:
-    """Whether the final policy of a run passes."""
+    """Return whether the final policy of a run passes."""
     final = result.evaluation
     return statistics.passes(final["stochastic"], final["deterministic"]["success_rate"])
 

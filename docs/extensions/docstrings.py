@@ -197,7 +197,7 @@ def _return_problems(public: Public, document: Docstring) -> Iterator[str]:
 
 
 def _is(kind: re.Pattern[str], annotation: str, public: Public) -> bool:
-    """Whether the annotation, or an alias that it uses, is of a kind."""
+    """Return whether the annotation, or an alias that it uses, is of a kind."""
     names = re.findall(r"\w+", annotation)
     known = vars(inspect.getmodule(public.value))
     used = [known[name] for name in names if name in known]

@@ -18,7 +18,7 @@ Errors = set[type[MbnError]]
 
 
 def is_subclass(value: Any, kind: type) -> bool:
-    """Whether ``value`` is a class derived from ``kind``."""
+    """Return whether ``value`` is a class derived from ``kind``."""
     return inspect.isclass(value) and issubclass(value, kind)
 
 
@@ -39,7 +39,7 @@ def raised_by(
 
 
 def _has_source(function: Function) -> bool:
-    """Whether it is a function of this package that somebody wrote (a dataclass's are made)."""
+    """Return whether somebody wrote this function of the package; a dataclass's are made."""
     return inspect.isfunction(function) and Path(function.__code__.co_filename).is_file()
 
 

@@ -26,7 +26,7 @@ Rows = NDArray[Any] | torch.Tensor
 
 
 class _Outcome(NamedTuple):
-    """What a step, or a reset, gives: the engine's observations and copies of the rest."""
+    """The outcome of a step or a reset: the engine's observations and copies of the rest."""
 
     observations: Rows  # (W, n, obs_size)
     terminated: torch.Tensor  # (W,) bool

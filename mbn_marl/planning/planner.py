@@ -67,7 +67,7 @@ class Plan:
 
     @property
     def optimal(self) -> bool:
-        """Whether the plan is proved to be a shortest one."""
+        """Return whether the plan is proved to be a shortest one."""
         return self.makespan == self.makespan_lower_bound
 
     def to_json(self) -> dict[str, Any]:

@@ -80,7 +80,7 @@ class Problem:
 
     @cached_property
     def convex(self) -> bool:
-        """Whether the field is its own convex hull."""
+        """Return whether the field is its own convex hull."""
         hull = self.field.polygon.convex_hull
         return not self.field.holes and hull.area - self.field.polygon.area <= 1e-9 * hull.area
 
@@ -91,7 +91,7 @@ class Problem:
 
     @cached_property
     def can_wait(self) -> bool:
-        """Whether every robot can rest: its force balances the wind on both axes."""
+        """Return whether every robot can rest: its force balances the wind on both axes."""
         return bool(np.all(np.abs(self.wind) <= self.forces))
 
     def with_wind(self, velocities: FloatArray, actions: FloatArray) -> Problem:

@@ -42,7 +42,7 @@ class Route:
 
     @property
     def sure(self) -> bool:
-        """Whether no disc is inflated; otherwise only rounding may allow the route."""
+        """Return whether no disc is inflated; otherwise only rounding may allow the route."""
         return self.visits.inflation <= 0.0
 
 

@@ -24,7 +24,7 @@ class StepWindows:
 
     @property
     def fixed(self) -> bool:
-        """Whether every leg has only one possible length."""
+        """Return whether every leg has only one possible length."""
         return self.least == self.most
 
     def tightened(self) -> StepWindows | None:

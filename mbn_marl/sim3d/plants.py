@@ -1,4 +1,4 @@
-"""What grows in the field, as meshes: rows of young corn, and a weed."""
+"""Plants of the field, as meshes: rows of young corn, and a weed."""
 
 from __future__ import annotations
 
