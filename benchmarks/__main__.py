@@ -29,22 +29,15 @@ SUBJECTS = {
     "fuzz": ("reliability.fuzz", "Fuzz", "input that nobody meant"),
 }
 """For each subject its module, its class, and what it measures."""
-USAGE = "\n".join(
-    [
-        "usage: python -m benchmarks SUBJECT [options]    (SUBJECT --help lists the options)",
-        "",
-        *(f"  {name:<12}{about}" for name, (*_, about) in SUBJECTS.items()),
-    ]
-)
+USAGE = "usage: python -m benchmarks SUBJECT [options]    (SUBJECT --help lists the options)\n\n"
+USAGE += "\n".join(f"  {name:<12}{about}" for name, (*_, about) in SUBJECTS.items())
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a benchmark with ``arguments``, by default those of the process.
+    """Run a benchmark with ``arguments``, by default those of the process; return the exit code.
 
-    Returns:
-        The exit code: 0, 1 for a broken promise of reliability, 2 for wrong input, 130 after
-        Ctrl-C.
+    It is 0, 1 for a broken promise of reliability, 2 for wrong input, 130 after Ctrl-C.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     if not words or words[0] in ("-h", "--help"):

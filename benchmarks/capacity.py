@@ -6,7 +6,7 @@ It prints the table of docs/grid.md.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from baselines.compare.text_table import TextTable
@@ -15,6 +15,8 @@ from baselines.sweep.status import duration
 from baselines.sweep.worker import source_of
 from baselines.training.config import TrainConfig
 
+Job = tuple[str, str | None, float]
+"""A name, the name of the job to wait for if there is one, and seconds."""
 SPEEDS: Mapping[str, float] = {
     "a2c": 835.0,
     "ppo": 1039.0,
@@ -26,8 +28,7 @@ SPEEDS: Mapping[str, float] = {
 """Env-steps per second of training on one core of a machine of two (Intel Xeon): harmonic means
 over the runs of 1 M env-steps behind docs/results/paper.md; CrossQ and TQC, which were not run to
 their end, as that page has them."""
-CORES = 2
-"""Of a machine."""
+CORES = 2  # of a machine
 MACHINES = (1, 16, 256)
 SEEDS = (1, 10)
 CHEAP = ("a2c", "ppo", "trpo", "ars")
@@ -37,37 +38,26 @@ CAPTION = (
 )
 
 
-def makespan(runs: Sequence[TrainConfig], workers: int) -> float:
-    """Return the seconds that ``workers`` take for ``runs``, in the order of an engine."""
-    waiting, done = list(runs), set[str | None]([None])
+def makespan(jobs: Iterable[Job], workers: int) -> float:
+    """Return the seconds that ``workers`` side by side take for jobs, in this order."""
+    waiting, done = list(jobs), set[str | None]([None])
     running: list[tuple[float, str]] = []
     now = 0.0
     while waiting or running:
-        ready = (place for place, run in enumerate(waiting) if source_of(run) in done)
-        place = next(ready, None) if len(running) < workers else None
-        if place is None:
+        ready = (job for job in waiting if job[1] in done)
+        job = next(ready, None) if len(running) < workers else None
+        if job is None:
             now, name = heapq.heappop(running)
             done.add(name)
         else:
-            run = waiting.pop(place)
-            seconds = run.steps / SPEEDS[run.algorithm]
-            heapq.heappush(running, (now + seconds, run.name))
+            waiting.remove(job)
+            heapq.heappush(running, (now + job[2], job[0]))
     return now
 
 
-def capacity() -> TextTable:
-    """Return the table."""
-    lines = []
-    for algorithms, name in ((tuple(SPEEDS), "all six"), (CHEAP, "without CrossQ and TQC")):
-        for seeds in SEEDS:
-            values = {"store": "runs", "algorithms": algorithms, "settings": ["A", "B", "C"]}
-            runs = runs_of(GridSpec.model_validate({**values, "seeds": list(range(seeds))}))
-            hours = sum(run.steps / SPEEDS[run.algorithm] for run in runs) / 3600
-            times = (duration(makespan(runs, CORES * machines)) for machines in MACHINES)
-            label = f"{name}, {seeds} seed{'' if seeds == 1 else 's'}"
-            lines.append((label, str(len(runs)), f"{hours:,.0f}", *times))
-    headings = ("grid", "runs", "core hours", *(f"on {n}" for n in MACHINES))
-    return TextTable(CAPTION, headings, tuple(lines))
+def jobs_of(runs: Iterable[TrainConfig]) -> list[Job]:
+    """Return runs as jobs, with their seconds on one core."""
+    return [(run.name, source_of(run), run.steps / SPEEDS[run.algorithm]) for run in runs]
 
 
 @dataclass(frozen=True)
@@ -76,5 +66,16 @@ class Capacity:
 
     def run(self, command: str) -> bool:
         """Print the table as Markdown."""
-        print(capacity().markdown())
+        lines = []
+        for algorithms, name in ((tuple(SPEEDS), "all six"), (CHEAP, "without CrossQ and TQC")):
+            for seeds in SEEDS:
+                values = {"store": "runs", "algorithms": algorithms, "settings": ["A", "B", "C"]}
+                spec = GridSpec.model_validate({**values, "seeds": list(range(seeds))})
+                jobs = jobs_of(runs_of(spec))
+                hours = sum(seconds for _, _, seconds in jobs) / 3600
+                times = (duration(makespan(jobs, CORES * machines)) for machines in MACHINES)
+                label = f"{name}, {seeds} seed{'' if seeds == 1 else 's'}"
+                lines.append((label, str(len(jobs)), f"{hours:,.0f}", *times))
+        headings = ("grid", "runs", "core hours", *(f"on {n}" for n in MACHINES))
+        print(TextTable(CAPTION, headings, tuple(lines)).markdown())
         return True

@@ -1,27 +1,26 @@
-"""How fast ``BatchEngine(device="cuda")`` steps.
+"""How fast ``BatchEngine(device="cuda")`` steps, once it equals the CPU bit for bit.
 
-First the engine is checked against the CPU's, bit for bit. Then, at 2^12 to 2^20 worlds, random
-actions are stepped with every feature on (revisit memory, observations, infos' sums, automatic
-reset), once launch by launch and once as a CUDA graph, timed by device events. The table counts the
-bytes that a step cannot avoid to read or write, and compares their rate with that of a copy on the
-same device in the same run.
+Random actions are stepped with every feature on, launch by launch and as a CUDA graph, timed by
+device events. The rate of the bytes that a step cannot avoid to read or write is compared with that
+of a copy on the same device in the same run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 
-from benchmarks.report import Advance, Benchmark, Findings, Measurement, table
+from baselines.compare.text_table import TextTable
+from benchmarks.report import Advance, Benchmark, Findings, Measurement
 from mbn_marl import BatchEngine
 from mbn_marl.errors import MbnError
 
 COPY_BYTES = 2**30
-TARGET_RATE, TARGET_RATIO = 2e9, 0.5
+TARGET_RATE, TARGET_RATIO = 2000.0, 0.5
 GRAPH_STEPS = 16
 """Steps in the graph; each has random actions of its own."""
 
@@ -48,68 +47,40 @@ class Gpu(Benchmark):
         """Check, then measure every size that fits into the device's memory."""
         check_against_the_cpu(self)
         copy, facts = copy_rate(), kernel_facts(self)
-        rows: list[Size] = []
+        sizes: list[dict[str, float]] = []
         fits = f"all sizes up to {2**self.most} worlds fit into the device's memory"
         for power in range(self.least, self.most + 1):
             try:
-                rows.append(measure(self, 2**power, copy))
+                sizes.append(measure(self, 2**power, copy))
             except torch.cuda.OutOfMemoryError:
                 fits = f"{2**power} worlds do not fit into the device's memory"
                 break
             torch.cuda.empty_cache()
         advance()
-        best = max(row.graph_rate for row in rows)
-        ratio = max(row.ratio_to_copy for row in rows)
+        best = max(size["graph_rate"] for size in sizes)
+        ratio = max(size["ratio_to_copy"] for size in sizes)
         device = torch.cuda.get_device_name()
+        forms = ("{:.0f}", "{:,.0f}", "{:,.0f}", "{:.0f}", "{:.2f}")
+        lines = tuple(
+            tuple(form.format(value) for form, value in zip(forms, size.values(), strict=True))
+            for size in sizes
+        )
+        headings = ("worlds", "eager, env-steps/s", "graph, env-steps/s", "GB/s", "of a copy")
         return Findings(
             f"{device}, {self.field}, random actions",
             [
-                Measurement(
-                    "steps of a CUDA graph", best / 1e6, "M env-steps/s", TARGET_RATE / 1e6
-                ),
+                Measurement("steps of a CUDA graph", best / 1e6, "M env-steps/s", TARGET_RATE),
                 Measurement("necessary bytes, of a copy's rate", ratio, "", TARGET_RATIO),
                 Measurement("copy, read and written", copy / 1e9, "GB/s"),
             ],
-            tables=[sizes_table(rows)],
+            tables={"batch sizes": TextTable("", headings, lines)},
             remarks=[
                 f"equal to the CPU over {self.check_steps} steps of {2**self.least} worlds",
                 fits,
-                *(f"limited by, {line}" for line in limits(rows, facts)),
+                *(f"{name.replace('_', ' ')}: {value}" for name, value in facts.items()),
             ],
-            details={
-                "device": device,
-                "torch": torch.__version__,
-                "kernel": facts,
-                "sizes": [asdict(row) for row in rows],
-            },
+            details={"device": device, "kernel": facts, "sizes": sizes},
         )
-
-
-@dataclass(frozen=True)
-class Size:
-    """One batch size: rates in env-steps/s (an env-step moves all robots of a world once)."""
-
-    worlds: int
-    eager_rate: float
-    graph_rate: float
-    gigabytes_per_second: float
-    ratio_to_copy: float
-
-
-def sizes_table(rows: list[Size]) -> Any:
-    """Return the sizes as a table."""
-    headings = ("worlds", "eager, M/s", "graph, M/s", "GB/s", "of a copy")
-    lines = [
-        (
-            str(row.worlds),
-            f"{row.eager_rate / 1e6:.1f}",
-            f"{row.graph_rate / 1e6:.1f}",
-            f"{row.gigabytes_per_second:.0f}",
-            f"{row.ratio_to_copy:.2f}",
-        )
-        for row in rows
-    ]
-    return table("batch sizes", headings, lines)
 
 
 def seconds(work: Callable[[], object], times: int) -> float:
@@ -136,18 +107,18 @@ def copy_rate() -> float:
 
 
 def necessary_bytes(engine: BatchEngine) -> int:
-    """Return the bytes that a step has to read and write for one world, by the size of its entries.
+    """Return the bytes that a step has to read and write for one world.
 
-    The state is read and written; the filter's words, one for each robot, too. Actions are read;
-    observations, rewards, flags, events and the trail's new entries are written.
+    State and filter words (one per robot) are read and written, actions are read, and observations,
+    rewards, flags, events and the trail's new entries are written.
     """
     backend, worlds, n = engine._backend, engine.num_worlds, engine.n_robots
     out = backend.output
     changed = sum(array.nbytes for array in backend.now)
-    handed_out = sum(array.nbytes for array in out) - out.final_observations.nbytes
+    written = sum(array.nbytes for array in out) - out.final_observations.nbytes
     real = engine.dtype.itemsize
     actions, trail, filters, words, pending = 2 * n * real, 2 * n * real, 2 * 8 * n, 8, 1
-    return int((2 * changed + handed_out) / worlds) + actions + trail + filters + words + pending
+    return int((2 * changed + written) / worlds) + actions + trail + filters + words + pending
 
 
 def check_against_the_cpu(options: Gpu) -> None:
@@ -169,8 +140,8 @@ def check_against_the_cpu(options: Gpu) -> None:
         pairs = []
 
 
-def measure(options: Gpu, worlds: int, copy: float) -> Size:
-    """Step one batch size, launch by launch and as a graph."""
+def measure(options: Gpu, worlds: int, copy: float) -> dict[str, float]:
+    """Step one batch size, launch by launch and as a graph; rates are in env-steps/s."""
     engine = BatchEngine(options.field, worlds, device="cuda")
     engine.reset()
     actions = [engine.sample_actions() for _ in range(GRAPH_STEPS)]
@@ -190,7 +161,13 @@ def measure(options: Gpu, worlds: int, copy: float) -> Size:
     steps = worlds * rounds * GRAPH_STEPS
     rate = steps / replayed
     moved = rate * necessary_bytes(engine)
-    return Size(worlds, steps / eager, rate, moved / 1e9, moved / copy)
+    return {
+        "worlds": worlds,
+        "eager_rate": steps / eager,
+        "graph_rate": rate,
+        "gigabytes_per_second": moved / 1e9,
+        "ratio_to_copy": moved / copy,
+    }
 
 
 def kernel_facts(options: Gpu) -> dict[str, int]:
@@ -200,37 +177,10 @@ def kernel_facts(options: Gpu) -> dict[str, int]:
     engine = BatchEngine(options.field, 2, device="cuda")
     dispatcher = kernels.step_kernel(engine.n_robots, engine.obs_size, engine.config.dtype)
     kernel = next(iter(dispatcher.overloads.values()))
-    threads = kernels.threads_per_block(engine.obs_size)
-    device: Any = torch.cuda.get_device_properties(0)  # its types lack the registers
-    by_registers = device.regs_per_multiprocessor // (kernel.regs_per_thread * threads)
-    by_shared = device.shared_memory_per_multiprocessor // (kernel.shared_mem_per_block + 1024)
-    resident = threads * min(by_registers, by_shared)
     return {
         "registers_per_thread": kernel.regs_per_thread,
         "local_bytes_per_thread": kernel.local_mem_per_thread,
         "shared_bytes_per_block": kernel.shared_mem_per_block,
-        "threads_per_block": threads,
-        "resident_threads": min(resident, device.max_threads_per_multi_processor),
-        "most_resident_threads": device.max_threads_per_multi_processor,
+        "threads_per_block": kernels.threads_per_block(engine.obs_size),
         "bytes_per_env_step": necessary_bytes(engine),
     }
-
-
-def limits(rows: list[Size], facts: dict[str, int]) -> list[str]:
-    """Return what limits the step, by the figures."""
-    first, last = rows[0], rows[-1]
-    lines = []
-    if first.graph_rate > 1.5 * first.eager_rate:
-        times = first.graph_rate / first.eager_rate
-        lines.append(
-            f"{first.worlds} worlds: the host's launches (a graph is {times:.1f} x as fast)"
-        )
-    resident = facts["resident_threads"] / facts["most_resident_threads"]
-    if last.ratio_to_copy >= TARGET_RATIO:
-        lines.append(f"{last.worlds} worlds: memory, near a copy's rate")
-    else:
-        lines.append(
-            f"{last.worlds} worlds: not the counted bytes alone, but 32-byte sectors fetched for"
-            f" single words, and latency that {resident:.0%} resident threads do not hide"
-        )
-    return lines

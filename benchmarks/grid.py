@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 from baselines.sweep.processes import LocalEngine
 from baselines.sweep.ray_cluster import RayEngine
@@ -20,12 +20,7 @@ from baselines.sweep.store import open_store
 from baselines.sweep.worker import TrainJob, Watch
 from benchmarks.report import Advance, Benchmark, Findings, Measurement
 
-EMPTY = 1000
-"""Cells that train nothing."""
-STEPS = 20_000
-"""Env-steps of each of the cells that train."""
-CELLS = 4
-"""Cells that train."""
+EMPTY, CELLS = 1000, 4  # cells that train nothing, and that train
 WORKERS = 2
 NODE: dict[str, Any] = {
     "num_cpus": WORKERS,
@@ -41,47 +36,40 @@ class GridCosts(Benchmark):
     name: ClassVar[str] = "grid"
     stages: ClassVar[int] = 5
 
-    steps: int = STEPS
+    steps: int = 20_000
     """Env-steps of each of the runs that train."""
 
     def measure(self, advance: Advance) -> Findings:
         """Measure both engines."""
-        return Findings("the engines of mbn grid", measure_grid(self.steps, advance))
+        rows = []
+        for workers in (1, WORKERS):
+            seconds = _empty(LocalEngine(workers, retries=1), workers)
+            rows.append(_overhead("local", workers, seconds))
+            advance()
+        rows.append(_on_ray())
+        advance()
+        (wall, processor), (wall_of_many, processor_of_many) = (
+            _train(self.steps, workers, advance) for workers in (1, WORKERS)
+        )
+        cells = f"{CELLS} runs of A2C, {self.steps:,} env-steps each, start of processes included"
+        many = f"{WORKERS} workers"
+        time = 100.0 * wall / (WORKERS * wall_of_many)
+        time_note = f"time with one over {WORKERS} times that with {WORKERS}; 100 with one"
+        work = 100.0 * processor / processor_of_many
+        work_note = "what the cells cost beside each other; other processes hardly bend it"
+        rows += [
+            Measurement("local: all cells, 1 worker", wall, "s", note=cells),
+            Measurement(f"local: all cells, {many}", wall_of_many, "s", note=cells),
+            Measurement(f"local: efficiency, {many}", time, "%", note=time_note),
+            Measurement(f"local: the same by processor time, {many}", work, "%", note=work_note),
+        ]
+        return Findings("the engines of mbn grid", rows)
 
 
-def measure_grid(steps: int, progress: Advance) -> list[Measurement]:
-    """Measure both engines, with ``steps`` env-steps in each of the cells that train."""
-    rows = []
-    for workers in (1, WORKERS):
-        seconds = _empty(LocalEngine(workers, retries=1), workers)
-        rows.append(_overhead("local", f"{workers} at a time", seconds))
-        progress()
-    rows.append(_on_ray())
-    progress()
-    one, many = (_train(steps, workers, progress) for workers in (1, WORKERS))
-    of_cells = f"{CELLS} runs of A2C, {steps:,} env-steps each, start of the processes included"
-    rows += [
-        Measurement("local: all cells, 1 worker", one.wall, "s", note=of_cells),
-        Measurement(f"local: all cells, {WORKERS} workers", many.wall, "s", note=of_cells),
-        Measurement(
-            f"local: efficiency, {WORKERS} workers",
-            100.0 * one.wall / (WORKERS * many.wall),
-            "%",
-            note=f"time with one over {WORKERS} times that with {WORKERS}; 100 with one",
-        ),
-        Measurement(
-            f"local: the same by processor time, {WORKERS} workers",
-            100.0 * one.processor / many.processor,
-            "%",
-            note="what the cells cost beside each other; other processes hardly bend it",
-        ),
-    ]
-    return rows
-
-
-def _overhead(engine: str, how: str, seconds: float) -> Measurement:
+def _overhead(engine: str, workers: int, seconds: float) -> Measurement:
     what = f"{EMPTY:,} cells that train nothing; what they note in the store included"
-    return Measurement(f"{engine}: per cell, {how}", 1000.0 * seconds / EMPTY, "ms", note=what)
+    name = f"{engine}: per cell, {workers} at a time"
+    return Measurement(name, 1000.0 * seconds / EMPTY, "ms", note=what)
 
 
 def claim_and_leave(job: TrainJob, report: Callable[[Any], None]) -> None:
@@ -98,18 +86,13 @@ def _spec(store: Path, seeds: Sequence[int], steps: int) -> GridSpec:
 
 
 def _empty(engine: Engine, workers: int) -> float:
-    """Return the seconds for all empty runs, once the processes are there."""
+    """Return the seconds for all empty runs, at the rate since every worker has ended one."""
     with tempfile.TemporaryDirectory() as folder:
         runs = runs_of(_spec(Path(folder), seeds=range(EMPTY), steps=1))
         jobs = [TrainJob(run, folder, noted=True) for run in runs]
         ends: list[float] = []
         engine.run(claim_and_leave, jobs, print, lambda job, end: ends.append(perf_counter()))
-        return _after_start(ends, workers)
-
-
-def _after_start(ends: Sequence[float], workers: int) -> float:
-    """Seconds for all jobs, from when every worker has ended one."""
-    return (ends[-1] - ends[workers - 1]) * len(ends) / (len(ends) - workers)
+        return (ends[-1] - ends[workers - 1]) * len(ends) / (len(ends) - workers)
 
 
 def _on_ray() -> Measurement:
@@ -119,29 +102,18 @@ def _on_ray() -> Measurement:
 
     ray.init(**NODE, log_to_driver=False, logging_level=logging.ERROR)
     try:
-        return _overhead("ray", f"{WORKERS} at a time", _empty(RayEngine(), WORKERS))
+        return _overhead("ray", WORKERS, _empty(RayEngine(), WORKERS))
     finally:
         ray.shutdown()
 
 
-class Seconds(NamedTuple):
-    """The time of something by the clock, and of the processors."""
-
-    wall: float
-    processor: float
-
-
-def _train(steps: int, workers: int, progress: Advance) -> Seconds:
-    """Train the cells of a grid."""
+def _train(steps: int, workers: int, advance: Advance) -> tuple[float, float]:
+    """Train the cells of a grid; return seconds by the clock, and of the processors."""
     with tempfile.TemporaryDirectory() as folder:
         sweep = Sweep.of(_spec(Path(folder), seeds=range(CELLS), steps=steps))
-        wall, processor = perf_counter(), _of_children()
+        wall, before = perf_counter(), os.times()
         sweep.train(LocalEngine(workers, retries=1))
-        taken = Seconds(perf_counter() - wall, _of_children() - processor)
-    progress()
-    return taken
-
-
-def _of_children() -> float:
-    """Seconds that processors have worked for processes of this one that have ended."""
-    return sum(os.times()[2:4])
+        after = os.times()
+        wall = perf_counter() - wall
+    advance()
+    return wall, sum(after[2:4]) - sum(before[2:4])  # of child processes that have ended

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import ClassVar
 
@@ -14,12 +14,9 @@ from benchmarks.report import Advance, Benchmark, Findings, Measurement
 from mbn_marl.field import Field, catalogue_names, load_field
 from mbn_marl.planning import plan
 
-CONVEX, WINDING = 100, 50
-"""How many random instances."""
-CONVEX_LIMIT, WINDING_LIMIT = 10.0, 30.0
-"""Seconds of processor time for each."""
-GRACE = 2.0
-"""Plans may take so many times as long by the clock; what counts is processor time."""
+CONVEX, WINDING = 100, 50  # random instances
+CONVEX_LIMIT, WINDING_LIMIT = 10.0, 30.0  # seconds of processor time for each
+GRACE = 2.0  # plans may take so many times as long by the clock
 
 
 @dataclass(frozen=True)
@@ -40,20 +37,19 @@ class Attempt:
         return 1.0 if self.makespan is None else 1.0 - self.bound / self.makespan
 
 
-def attempts(fields: Sequence[Field], limit: float) -> Iterator[Attempt]:
-    """Plan for every field."""
-    for field in fields:
-        began = time.process_time()
-        found = plan(field, time_limit=GRACE * limit)
-        yield Attempt(
-            name=field.name,
-            rois=len(field.rois),
-            robots=len(field.starts),
-            makespan=found.makespan,
-            bound=found.makespan_lower_bound,
-            known=field.optimal_makespan,
-            seconds=time.process_time() - began,
-        )
+def attempt(field: Field, limit: float) -> Attempt:
+    """Plan for a field, within ``limit`` seconds of processor time."""
+    began = time.process_time()
+    found = plan(field, time_limit=GRACE * limit)
+    return Attempt(
+        name=field.name,
+        rois=len(field.rois),
+        robots=len(field.starts),
+        makespan=found.makespan,
+        bound=found.makespan_lower_bound,
+        known=field.optimal_makespan,
+        seconds=time.process_time() - began,
+    )
 
 
 @dataclass(frozen=True)
@@ -78,8 +74,8 @@ def study_planning(advance: Advance, convex: int = CONVEX, winding: int = WINDIN
     }
     done: dict[str, list[Attempt]] = {name: [] for name in sets}
     for name, (fields, limit) in sets.items():
-        for attempt in attempts(fields, limit):
-            done[name].append(attempt)
+        for field in fields:
+            done[name].append(attempt(field, limit))
             advance()
     return Findings(
         "the planner; seconds of processor time on one core",
@@ -92,31 +88,28 @@ def target_rows(
     catalogue: Sequence[Attempt], convex: Sequence[Attempt], winding: Sequence[Attempt]
 ) -> list[Measurement]:
     """Return the targets, with what was reached."""
-    everything = [*catalogue, *convex, *winding]
     proved = sum(one.makespan == one.bound == one.known for one in catalogue)
-    optimal = [one.makespan == one.bound and one.seconds <= CONVEX_LIMIT for one in convex]
-    planned = [one.makespan is not None and one.seconds <= WINDING_LIMIT for one in winding]
-    wrong = [one.makespan is not None and one.makespan < one.bound for one in everything]
-    wrong += [one.known is not None and one.known < one.bound for one in everything]
-    size, many = len(convex), len(winding)
-    median_gap = 100.0 * float(np.median([one.gap for one in winding]))
-    names = ("the ten fields", "random convex fields", "winding fields")
+    optimal = sum(one.makespan == one.bound and one.seconds <= CONVEX_LIMIT for one in convex)
+    planned = sum(one.makespan is not None and one.seconds <= WINDING_LIMIT for one in winding)
+    wrong = sum(
+        length is not None and length < one.bound
+        for one in (*catalogue, *convex, *winding)
+        for length in (one.makespan, one.known)
+    )
+    c, w = len(convex), len(winding)
+    slowest = [max(one.seconds for one in each) for each in (catalogue, convex, winding)]
+    median = float(np.median([one.seconds for one in convex]))
+    gap = 100.0 * float(np.median([one.gap for one in winding]))
+    ten, some, bent = "the ten fields", "random convex fields", "winding fields"
     return [
-        Measurement(f"{names[0]}: proved, equal to the catalogue", proved, "", len(catalogue)),
-        Measurement(f"{names[0]}: slowest", slowest(catalogue), "s", 1.0, at_least=False),
-        Measurement(f"{names[1]}: proved within 10 s", sum(optimal), f"of {size}", 0.95 * size),
-        Measurement(f"{names[1]}: median", float(np.median([one.seconds for one in convex])), "s"),
-        Measurement(f"{names[1]}: slowest", slowest(convex), "s"),
-        Measurement(
-            f"{names[2]}: a verified plan within 30 s", sum(planned), f"of {many}", 0.96 * many
-        ),
-        Measurement(f"{names[2]}: median gap", median_gap, "%", 10.0, at_least=False),
-        Measurement(f"{names[2]}: proved optimal", sum(one.gap == 0.0 for one in winding), ""),
-        Measurement(f"{names[2]}: slowest", slowest(winding), "s"),
-        Measurement("plans or optima below their bound", sum(wrong), "", 0.0, at_least=False),
+        Measurement(f"{ten}: proved, equal to the catalogue", proved, "", len(catalogue)),
+        Measurement(f"{ten}: slowest", slowest[0], "s", 1.0, at_least=False),
+        Measurement(f"{some}: proved within 10 s", optimal, f"of {c}", 0.95 * c),
+        Measurement(f"{some}: median", median, "s"),
+        Measurement(f"{some}: slowest", slowest[1], "s"),
+        Measurement(f"{bent}: a verified plan within 30 s", planned, f"of {w}", 0.96 * w),
+        Measurement(f"{bent}: median gap", gap, "%", 10.0, at_least=False),
+        Measurement(f"{bent}: proved optimal", sum(one.gap == 0.0 for one in winding), ""),
+        Measurement(f"{bent}: slowest", slowest[2], "s"),
+        Measurement("plans or optima below their bound", wrong, "", 0.0, at_least=False),
     ]
-
-
-def slowest(attempts: Sequence[Attempt]) -> float:
-    """Return the seconds of the slowest attempt."""
-    return max(one.seconds for one in attempts)

@@ -32,10 +32,10 @@ def write_provenance(path: Path, command: str) -> None:
     write_json(path / "versions.json", versions())
 
 
-def versions() -> dict[str, Any]:
-    """Python, packages, machine and git revision (``None`` outside a clone)."""
+def versions(*more: str) -> dict[str, Any]:
+    """Return Python, packages and ``more``, machine, git revision (``None`` outside a clone)."""
     packages: dict[str, str | None] = {}
-    for name in PACKAGES:
+    for name in (*PACKAGES, *more):
         try:
             packages[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:

@@ -1,11 +1,11 @@
 """A billion env-steps of the engine, with resets.
 
-All fields of the catalogue are in one batch. The memory of the process is compared before and
-after, and worlds drawn at random are looked at on the way.
+All fields are in one batch; memory is compared before and after, and random worlds are checked.
 """
 
 from __future__ import annotations
 
+import resource
 import sys
 import time
 from collections.abc import Iterator
@@ -15,36 +15,23 @@ from pathlib import Path
 import numpy as np
 from shapely import Polygon, contains_xy
 
-from baselines.console import console
-from benchmarks.report import table
+from baselines.compare.text_table import TextTable
 from benchmarks.speed.timing import SETS
 from mbn_marl import BatchEngine
 from mbn_marl.field import catalogue_names
 
-LOOKS = 1000
-"""How often worlds are looked at."""
-WORLDS = 5
-"""How many of them each time."""
-ROUNDING = 0.01
-"""Units; positions are float32."""
-WARM_UP = 0.02
-"""The share of the steps before memory is measured for the first time."""
+LOOKS, WORLDS = 1000, 5  # how often worlds are looked at, and how many each time
+ROUNDING = 0.01  # units; positions are float32
+WARM_UP = 0.02  # share of the steps before memory is measured for the first time
 
 
 def resident() -> int:
     """Return the resident memory of this process, in bytes."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    (line,) = (line for line in lines if line.startswith("VmRSS"))
-    return int(line.split()[1]) * 1024
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def problems(engine: BatchEngine, worlds: list[int]) -> list[str]:
-    """Return what is wrong, of numbers in all worlds, and of all else in some.
-
-    Args:
-        engine: after a step.
-        worlds: which ones to look at closely.
-    """
+    """Return what is wrong after a step: numbers in all worlds, all else in ``worlds``."""
     output = {"team rewards": engine.team_rewards, "state": engine.state(), **engine.metrics()}
     found = [name for name, values in output.items() if not np.isfinite(values).all()]
     for world in worlds:
@@ -110,14 +97,14 @@ class Endurance:
                 print(f"{call * self.worlds:,}: {memory}", file=sys.stderr, flush=True)
         seconds, after = time.perf_counter() - started, resident()
         growth, steps = after / before - 1.0, calls * self.worlds
-        lines = [
+        lines = (
             ("env-steps", f"{steps:,}"),
             ("episodes that ended", f"{episodes:,}"),
             ("seconds", f"{seconds:,.0f} ({steps / seconds / 1e6:.1f} M env-steps/s)"),
             ("memory", f"{before / 2**20:.1f} MiB, then {after / 2**20:.1f} ({growth:+.2%})"),
             ("looks", f"{looks:,} at all worlds, {looks * WORLDS:,} at one"),
             ("broken", ", ".join(dict.fromkeys(broken)) or "nothing"),
-        ]
-        title = "the engine on ten fields, random actions"
-        console().print(table(title, ("what", "how much"), lines, wrapping=("how much",)))
+        )
+        table = TextTable("", ("what", "how much"), lines, words=2)
+        table.print("the engine on ten fields, random actions")
         return not broken and growth <= 0.01

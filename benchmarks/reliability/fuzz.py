@@ -1,8 +1,7 @@
 """Readers of input get input that nobody meant.
 
 Hypothesis edits valid files and makes up settings and command lines. Each input has to be
-accepted, or refused with the suite's own error (``MbnError``; of fields ``FieldError``, of episodes
-``EpisodeError``, of settings ``ConfigError``) within a second of computing, and no file may be
+accepted, or refused with the suite's own error within a second of computing, and no file may be
 written outside the folder that the process is in.
 """
 
@@ -11,16 +10,17 @@ from __future__ import annotations
 import contextlib
 import gc
 import io
+import itertools
 import json
 import os
 import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from unittest.mock import patch
 
 import numpy as np
@@ -30,12 +30,11 @@ from hypothesis import strategies as st
 
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main as mbn
-from baselines.console import console
+from baselines.compare.text_table import TextTable
 from baselines.training.config import TrainConfig
 from baselines.training.hyperparameters import read_block
 from baselines.training.overrides import parse
 from baselines.training.train import prepare
-from benchmarks.report import table
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.episode import check_episode, load_episode, play, save_episode
 from mbn_marl.errors import ConfigError, EpisodeError, FieldError, MbnError
@@ -44,6 +43,7 @@ from mbn_marl.field.catalogue import catalogue_file
 
 LONGEST = 1.0
 """Seconds of computing that an input may take."""
+WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 MEMORY = 16 * 2**30
 """Bytes of address space: who asks for more gets an error, not the machine."""
 
@@ -51,47 +51,31 @@ WORDS = (
     *("", "0", "1", "-1", "3", "1e999", "nan", ".inf", "-0.0", "1_0", "0x1f", "1:30", "9" * 30),
     *("null", "true", "~", "text", "'", '"', "[", "]", "{", "}", ",", ":", "- ", "\n", "\t", "  "),
     *("&a", "*a", "<<: *a", "!!bool x", "!!python/object/apply:os.mkdir ['x']", "!!set {a}", "---"),
-    *(
-        "..",
-        "../x",
-        "/tmp/x",
-        "~/x",
-        "a/../../x",
-        "\x00",
-        "\ud800",
-        "\u202e",
-        "%s",
-        "{0}",
-        "#",
-        "?",
-    ),
+    *("..", "../x", "/tmp/x", "~/x", "a/../../x", "\x00", "\ud800", "\u202e", "%s", "{0}"),
+    *("#", "?"),
     *("vertices", "rois", "starts", "holes", "arena", "name", "format", "grid_size", "field"),
 )
 JUNK = st.one_of(st.sampled_from(WORDS), st.text(max_size=8), st.integers().map(str))
-LEAVES = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(),
-    st.integers(-2, 70),
-    st.floats(),
-    st.sampled_from((*WORDS, "float32", "team", "formal", "lidar")),
-)
+NAMED = st.sampled_from((*WORDS, "float32", "team", "formal", "lidar"))
+LEAVES = st.one_of(st.none(), st.booleans(), st.integers(), st.integers(-2, 70), st.floats(), NAMED)
 VALUES = st.recursive(
     LEAVES,
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(JUNK, inner, max_size=3),
     max_leaves=5,
 )
-EDITS = st.lists(
-    st.tuples(st.integers(0, 1 << 20), st.integers(0, 9), JUNK), min_size=1, max_size=4
-)
+EDIT = st.tuples(st.integers(0, 1 << 20), st.integers(0, 9), JUNK)
 
 
-def edited(data: bytes, edits: list[tuple[int, int, str]]) -> bytes:
-    """``data`` with pieces taken out and words put in."""
-    for place, length, word in edits:
-        start = place % (len(data) + 1)
-        data = data[:start] + word.encode("utf-8", "surrogatepass") + data[start + length :]
-    return data
+def edits_of(*files: bytes) -> st.SearchStrategy[bytes]:
+    """Return one of the files with pieces taken out and words put in."""
+
+    def edited(data: bytes, edits: list[tuple[int, int, str]]) -> bytes:
+        for place, length, word in edits:
+            start = place % (len(data) + 1)
+            data = data[:start] + word.encode("utf-8", "surrogatepass") + data[start + length :]
+        return data
+
+    return st.builds(edited, st.sampled_from(files), st.lists(EDIT, min_size=1, max_size=4))
 
 
 @dataclass
@@ -104,110 +88,78 @@ class Count:
     longest: float = 0.0
     broken: list[str] = field(default_factory=list)
 
-    def words(self) -> tuple[str, ...]:
-        """Return the cells of the table."""
-        numbers = (f"{n:,}" for n in (self.inputs, self.taken, self.refused))
-        return *numbers, f"{self.longest:.2f} s", str(len(self.broken))
-
 
 @dataclass(frozen=True)
 class Target:
-    """Something that reads input.
+    """Something that reads input."""
 
-    Attributes:
-        call: takes a drawn value, and raises what it raises.
-        strategy: what is drawn.
-        allowed: the error that it may raise.
-        share: of all inputs.
-    """
-
-    call: Callable[[Any], None]
+    call: Callable[[Any], None]  # takes a drawn value, and raises what it raises
     strategy: st.SearchStrategy[Any]
-    allowed: type[MbnError]
-    share: float
+    allowed: type[MbnError]  # the error that it may raise
+    share: float  # of all inputs
 
 
 class Guard:
-    """Notes writes outside a folder, for as long as it watches."""
+    """Notes in ``outside`` what is written outside some folders, while it is ``watching``."""
 
-    CHANGES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.symlink")
+    PATHS: ClassVar = {
+        **dict.fromkeys(("open", "os.mkdir", "os.remove", "os.rmdir"), 1),
+        **dict.fromkeys(("os.rename", "os.link", "os.symlink"), 2),
+    }
+    """Audited events, and how many of their arguments are paths."""
 
     def __init__(self, *folders: Path) -> None:
         self._folders = tuple(str(folder.resolve()) for folder in folders)
-        self._watching = False
+        self.watching = False
         self.outside: list[str] = []
         sys.addaudithook(self._hear)
 
     def _hear(self, event: str, arguments: tuple[Any, ...]) -> None:
-        if not self._watching or (event != "open" and event not in self.CHANGES):
+        reads = event == "open" and not (arguments[2] or 0) & WRITES
+        if not self.watching or event not in self.PATHS or reads:
             return
-        if event == "open" and not (arguments[2] or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
-            return
-        paths = arguments[:2] if event in ("os.rename", "os.link", "os.symlink") else arguments[:1]
-        for path in paths:
+        for path in arguments[: self.PATHS[event]]:
             if isinstance(path, str | bytes | os.PathLike):
                 place = os.path.realpath(os.fsdecode(path))
                 if place != os.devnull and not place.startswith(self._folders):
                     self.outside.append(f"{event} {place}")
 
-    @contextlib.contextmanager
-    def watching(self) -> Iterator[None]:
-        """Note what the block writes."""
-        self._watching = True
-        try:
-            yield
-        finally:
-            self._watching = False
-
 
 def read_field(data: bytes) -> None:
-    """The field reader."""
+    """Read a field."""
     Path("field.yaml").write_bytes(data)
     load_field("field.yaml")
 
 
-def read_episode(data: bytes) -> None:
-    """The episode reader, and the check in the engine."""
+def read_an_episode(data: bytes) -> None:
+    """Read an episode, and check it in the engine."""
     Path("episode.json").write_bytes(data)
     check_episode(load_episode("episode.json"))
 
 
 def read_settings(drawn: tuple[str, dict[str, Any], list[str], bytes]) -> None:
-    """The settings of environment and training, and files of hyperparameters."""
+    """Read settings of environment and training, and a file of hyperparameters."""
     algorithm, values, words, block = drawn
+    Path("block.yaml").write_bytes(block)
+
+    def training() -> None:
+        given = parse(words)
+        environment = {**values, **given.pop("environment", {})}
+        prepare(TrainConfig(algorithm, "field_03", environment=environment, hyperparameters=given))
+
     problems = []
-    for attempt in (
-        lambda: make_config(values),
-        lambda: prepare(_training(algorithm, values, words)),
-        lambda: read_block(_written("block.yaml", block), "N"),
-    ):
+    reads = (lambda: make_config(values), training, lambda: read_block(Path("block.yaml"), "N"))
+    for read in reads:
         try:
-            attempt()
+            read()
         except ConfigError as error:
             problems.append(error)
     if problems:
         raise problems[0]
 
 
-def _training(algorithm: str, values: dict[str, Any], words: list[str]) -> TrainConfig:
-    hyperparameters = parse(words)
-    environment = hyperparameters.pop("environment", {})
-    return TrainConfig(
-        algorithm,
-        "field_03",
-        environment={**values, **environment},
-        hyperparameters=hyperparameters,
-    )
-
-
-def _written(name: str, data: bytes) -> Path:
-    path = Path(name)
-    path.write_bytes(data)
-    return path
-
-
 def command_line(words: list[str]) -> None:
-    """The command line, up to where the hours of work would begin."""
+    """Run ``mbn``, up to where the hours of work would begin."""
     heard = io.StringIO()
     with contextlib.redirect_stdout(heard), contextlib.redirect_stderr(heard):
         try:
@@ -222,14 +174,6 @@ def command_line(words: list[str]) -> None:
         raise MbnError(heard.getvalue())
 
 
-class WorkError(MbnError):
-    """Here the work would begin."""
-
-
-def _work(*arguments: Any, **options: Any) -> None:
-    raise WorkError("here the work would begin")
-
-
 WORK = (
     "baselines.training.train.train",
     "baselines.compare.run.train_all_runs",
@@ -241,7 +185,7 @@ WORK = (
     "baselines.demo.interactive.play",
     "mbn_marl.planning.plan",
 )
-"""What takes long once its input is checked."""
+"""What takes long once its input is checked: it raises an error instead."""
 
 NAMES = [*NavigationConfig.model_fields, "unknown"]
 SETTINGS = st.dictionaries(st.sampled_from(NAMES), VALUES, max_size=4)
@@ -250,69 +194,56 @@ OVERRIDES = st.lists(
     st.builds("{}={}".format, st.sampled_from((*KNOWN, "environment.tau", "a.b", "")), JUNK),
     max_size=3,
 )
-COMMANDS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "fields": (("field_03",), ("--figure", "--force")),
-    "train": (
-        ("ppo", "field_03"),
-        ("--setting", "--seed", "--steps", "--set", "--label", "--out", "--from", "--hyperparams"),
-    ),
-    "transfer": (("ppo",), ("--fields", "--source", "--steps", "--processes", "--out")),
-    "evaluate": (("zoo:field_03",), ("--episodes", "--field", "--json", "--record", "--seed")),
-    "compare": ((), ("--algos", "--fields", "--seeds", "--variants", "--out", "--steps")),
-    "tune": (("a2c",), ("--field", "--trials", "--steps", "--out", "--processes")),
-    "report": (("runs",), ("-o", "--paper", "--comparison", "--study", "--notes")),
-    "plan": (("field_03",), ("--time-limit", "--noise", "--episodes", "--export", "--out")),
-    "render": (("zoo:field_03",), ("-o", "--steps", "--seed", "--sampled", "--force")),
-    "replay": (("episode.json",), ("-o", "--title", "--force")),
-    "watch": (("field_03",), ("--policy", "--wind", "--speed", "--episodes", "--save")),
-    "zoo": ((), ("--add", "--out")),
-    "nonsense": ((), ("--help",)),
-}
-ENDINGS = st.sampled_from(
-    ("a.json", "a.gif", "a.html", "a.md", "out", "field.yaml", "episode.json")
+COMMANDS = (
+    "fields field_03 --figure --force",
+    "train ppo field_03 --setting --seed --steps --set --label --out --from --hyperparams",
+    "transfer ppo --fields --source --steps --processes --out",
+    "evaluate zoo:field_03 --episodes --field --json --record --seed",
+    "compare --algos --fields --seeds --variants --out --steps",
+    "tune a2c --field --trials --steps --out --processes",
+    "report runs -o --paper --comparison --study --notes",
+    "plan field_03 --time-limit --noise --episodes --export --out",
+    "render zoo:field_03 -o --steps --seed --sampled --force",
+    "replay episode.json -o --title --force",
+    "watch field_03 --policy --wind --speed --episodes --save",
+    "zoo --add --out",
+    "nonsense --help",
 )
+ENDINGS = ("a.json", "a.gif", "a.html", "a.md", "out", "field.yaml", "episode.json")
+RIGHT = ("field_04", "mappo", "zoo:field_03", "2", "N")
+ARGUMENT = JUNK | st.sampled_from(ENDINGS) | st.sampled_from(RIGHT)
 
 
 @st.composite
 def command_lines(draw: st.DrawFn) -> list[str]:
-    """A command with its arguments, some of them wrong."""
-    command = draw(st.sampled_from(sorted(COMMANDS)))
-    needed, options = COMMANDS[command]
-    argument = JUNK | ENDINGS | st.sampled_from(("field_04", "mappo", "zoo:field_03", "2", "N"))
-    words = [draw(argument) if draw(st.integers(0, 3)) == 0 else word for word in needed]
+    """Return a command with its arguments, some of them wrong."""
+    command, *words = draw(st.sampled_from(COMMANDS)).split()
+    needed = list(itertools.takewhile(lambda word: not word.startswith("-"), words))
+    options = words[len(needed) :]
+    words = [draw(ARGUMENT) if draw(st.integers(0, 3)) == 0 else word for word in needed]
     for option in draw(st.lists(st.sampled_from(options), max_size=3)):
-        words += [option, *draw(st.lists(argument, max_size=2))]
+        words += [option, *draw(st.lists(ARGUMENT, max_size=2))]
     return [command, *(word.replace("\x00", "") for word in words)]
 
 
 def targets() -> dict[str, Target]:
     """Return the targets by name."""
     fields = [catalogue_file(name) for name in catalogue_names()]
-    fields.append(
-        json.dumps({"format": "mbn-field/1", **load_field("field_03").to_dict()}).encode()
-    )
+    own = {"format": "mbn-field/1", **load_field("field_03").to_dict()}
     theirs = b"field: [[0, 0], [50, 0], [50, 50]]\ninit_positions: [[5, 2]]\n"
     theirs += b"infected_locations: [[30, 10], [40, 20]]\ngrid_size: 60\n"
     several = b"a:\n  " + theirs.replace(b"\n", b"\n  ").rstrip() + b"\nb: {field: []}\n"
-    authors = [
-        theirs,
-        several,
-        theirs.replace(b"[[5, 2]]", b"!!python/tuple [!!python/tuple [5, 2]]"),
-    ]
+    tagged = theirs.replace(b"[[5, 2]]", b"!!python/tuple [!!python/tuple [5, 2]]")
     actions = np.random.default_rng(0).uniform(-1, 1, (3, 3, 2)).astype(np.float32)
     episode = play(load_field("field_03"), make_config({}), actions, source="fuzz", seed=0)
     whole = save_episode(episode, "whole.json").read_bytes()
-    episodes = [whole]
-    blocks = [b"N:\n  num_envs: 2\n  model: {gamma: 0.9}\n"]
-
-    def edits_of(files: list[bytes]) -> st.SearchStrategy[bytes]:
-        return st.builds(edited, st.sampled_from(files), EDITS)
-
-    drawn = st.tuples(st.sampled_from([*ALGORITHMS]), SETTINGS, OVERRIDES, edits_of(blocks))
+    block = b"N:\n  num_envs: 2\n  model: {gamma: 0.9}\n"
+    drawn = st.tuples(st.sampled_from([*ALGORITHMS]), SETTINGS, OVERRIDES, edits_of(block))
+    edited = edits_of(*fields, json.dumps(own).encode())
     return {
-        "field reader": Target(read_field, edits_of(fields), FieldError, 0.4),
-        "authors' format": Target(read_field, edits_of(authors), FieldError, 0.2),
-        "episode reader": Target(read_episode, edits_of(episodes), EpisodeError, 0.2),
+        "field reader": Target(read_field, edited, FieldError, 0.4),
+        "authors' format": Target(read_field, edits_of(theirs, several, tagged), FieldError, 0.2),
+        "episode reader": Target(read_an_episode, edits_of(whole), EpisodeError, 0.2),
         "settings": Target(read_settings, drawn, ConfigError, 0.19),
         "command line": Target(command_line, command_lines(), MbnError, 0.01),
     }
@@ -334,15 +265,15 @@ def fuzz(target: Target, inputs: int, guard: Guard, seed: int) -> Count:
     def one(drawn: Any) -> None:
         count.inputs += 1
         gc.disable()  # Hypothesis keeps so much that a collection takes longer than any call
-        started = time.thread_time()
+        started, guard.watching = time.thread_time(), True
         try:
-            with guard.watching():
-                target.call(drawn)
+            target.call(drawn)
             count.taken += 1
         except target.allowed as error:
             assert str(error), "the error says nothing"
             count.refused += 1
         finally:
+            guard.watching = False
             seconds = time.thread_time() - started
             gc.enable()
         count.longest = max(count.longest, seconds)
@@ -372,22 +303,22 @@ class Fuzz:
     def run(self, command: str) -> bool:
         """Return whether every input was read or refused as promised."""
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
-        counts = {}
+        lines, broken = [], False
         with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
             stack.enter_context(contextlib.chdir(folder))
             for name in WORK:
-                stack.enter_context(patch(name, _work))
+                stack.enter_context(patch(name, side_effect=MbnError("here the work would begin")))
             for algorithm in ALGORITHMS:
                 prepare(TrainConfig(algorithm, "field_03"))  # loads the libraries
             guard = Guard(Path(folder), Path(os.environ.get("NUMBA_CACHE_DIR", folder)))
             for name, target in targets().items():
                 if not self.only or name in self.only:
-                    inputs = round(self.inputs * target.share)
-                    counts[name] = fuzz(target, inputs, guard, self.seed)
-        for name, count in counts.items():
-            for text in count.broken:
-                print(f"{name}: {text}", file=sys.stderr)
-        lines = [(name, *count.words()) for name, count in counts.items()]
+                    count = fuzz(target, round(self.inputs * target.share), guard, self.seed)
+                    print(*(f"{name}: {text}\n" for text in count.broken), file=sys.stderr, end="")
+                    broken |= bool(count.broken)
+                    numbers = count.inputs, count.taken, count.refused
+                    seconds, found = f"{count.longest:.2f} s", str(len(count.broken))
+                    lines.append((name, *(f"{n:,}" for n in numbers), seconds, found))
         headings = ("target", "inputs", "taken", "refused", "longest", "broken")
-        console().print(table("inputs that nobody meant", headings, lines))
-        return not any(count.broken for count in counts.values())
+        TextTable("", headings, tuple(lines)).print("inputs that nobody meant")
+        return not broken

@@ -7,24 +7,25 @@ the time that a whole run takes, resumed to its end, and compared with one that 
 from __future__ import annotations
 
 import csv
+import io
 import os
 import random
 import signal
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.console import console
+from baselines.compare.text_table import TextTable
 from baselines.evaluation.policy import load_policy
 from baselines.runs.files import read_text
 from baselines.runs.folder import RunFolder
 from baselines.training.config import TrainConfig
 from baselines.training.train import train
-from benchmarks.report import table
 
 SMALL = {"policy_kwargs": {"net_arch": [8]}}
 ON_POLICY = {**SMALL, "n_steps": 32, "batch_size": 32}
@@ -38,26 +39,11 @@ FAMILIES: Mapping[str, tuple[str, dict[str, Any], int]] = {
     "shared": ("ppo-shared", {"num_envs": 2, "model": ON_POLICY}, 1_500),
 }
 """Of each trainer an algorithm, its hyperparameters, and a budget of a second or two."""
-
-
-@dataclass
-class Count:
-    """The killed runs of a family."""
-
-    kills: int = 0  # runs that were killed before their end
-    early: int = 0  # of these, killed before the first checkpoint
-    lost: int = 0  # runs that could not be brought to their end
-    missteps: int = 0  # runs whose steps do not add up
-    unequal: int = 0  # runs that ended otherwise than one left alone
-
-    @property
-    def good(self) -> bool:
-        """Return whether nothing was lost, and everything is equal."""
-        return not (self.lost or self.missteps or self.unequal)
+COUNTED = ("kills", "before a checkpoint", "lost", "steps wrong", "not equal")
 
 
 def config_of(family: str) -> TrainConfig:
-    """A run of a family, with six fresh evaluations and as many checkpoints on the way."""
+    """Return a run of a family, with six fresh evaluations and as many checkpoints on the way."""
     name, hyperparameters, steps = FAMILIES[family]
     return TrainConfig(
         name,
@@ -95,48 +81,47 @@ def begin_or_resume(config: TrainConfig, out: Path) -> RunFolder:
 
 def outcome(run: RunFolder) -> dict[str, Any]:
     """Return all that a run recorded but the seconds, and its policy's parameters."""
-
-    def timeless(entry: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: value for name, value in entry.items() if "seconds" not in name}
-
     policy: Any = load_policy(run)
-    lines = read_text(run.progress).splitlines()
-    rows = [timeless(row) for row in csv.DictReader(lines)]
     normalization = getattr(policy, "normalization", None)
     return {
-        "rows": rows,
-        "evaluations": [timeless(entry) for entry in run.evaluations],
+        "rows": [*map(timeless, csv.DictReader(io.StringIO(read_text(run.progress))))],
+        "evaluations": [*map(timeless, run.evaluations)],
         "evaluation": timeless(run.evaluation),
         "parameters": {name: value.tolist() for name, value in policy.network.state_dict().items()},
         "normalization": None if normalization is None else normalization.to_json(),
     }
 
 
-def kill_family(family: str, kills: int, folder: Path, seed: int) -> Count:
+def timeless(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a record without its seconds."""
+    return {name: value for name, value in entry.items() if "seconds" not in name}
+
+
+def kill_family(family: str, kills: int, folder: Path, seed: int) -> Counter[str]:
     """Kill and resume runs of a family until so many were killed."""
     config, random_ = config_of(family), random.Random(f"{family} {seed}")
     expected = outcome(train(config, folder / "warm"))  # this one compiles, too
     started = time.perf_counter()
     train(config, folder / "whole")
     seconds = time.perf_counter() - started
-    count = Count()
-    while count.kills < kills:
-        out = folder / f"run{count.kills}"
+    count = Counter(dict.fromkeys(COUNTED, 0))
+    while count["kills"] < kills:
+        out = folder / f"run{count['kills']}"
         if not killed_after(random_.uniform(0.0, seconds), config, out):
             out.rename(folder / f"ended{random_.random()}")
             continue
-        count.kills += 1
-        count.early += not list(out.glob("checkpoints/[0-9]*")) and not list(out.glob("policy"))
+        count["kills"] += 1
+        count["before a checkpoint"] += not [*out.glob("checkpoints/[0-9]*"), *out.glob("policy")]
         try:
             found = outcome(begin_or_resume(config, out))
         except Exception as error:  # whatever it is, the run is lost, and the table says so
             print(f"{out}: {type(error).__name__}: {error}", file=sys.stderr)
-            count.lost += 1
+            count["lost"] += 1
             continue
         steps = [int(row["env_steps"]) for row in found["rows"]]
         once = steps == sorted(set(steps)) and steps[-1] == found["evaluation"]["env_steps"]
-        count.missteps += not once
-        count.unequal += str(found) != str(expected)  # NaN included
+        count["steps wrong"] += not once
+        count["not equal"] += str(found) != str(expected)  # NaN included
     return count
 
 
@@ -153,14 +138,14 @@ class Kills:
 
     def run(self, command: str) -> bool:
         """Return whether nothing was lost, and everything is equal."""
-        counts = {}
+        lines, total = [], Counter[str]()
         with tempfile.TemporaryDirectory() as folder:
             for family in self.families:
                 place = Path(folder) / FAMILIES[family][0]
-                name = f"{family} ({place.name})"
-                counts[name] = kill_family(family, self.kills, place, self.seed)
-                print(f"{family}: {counts[name]}", flush=True)
-        headings = ("family", "kills", "before a checkpoint", "lost", "steps wrong", "not equal")
-        lines = [(name, *map(str, vars(count).values())) for name, count in counts.items()]
-        console().print(table("kill -9 at random moments, then --resume", headings, lines))
-        return all(count.good for count in counts.values())
+                count = kill_family(family, self.kills, place, self.seed)
+                print(f"{family}: {dict(count)}", flush=True)
+                lines.append((f"{family} ({place.name})", *map(str, count.values())))
+                total += count
+        table = TextTable("", ("family", *COUNTED), tuple(lines))
+        table.print("kill -9 at random moments, then --resume")
+        return not (total["lost"] or total["steps wrong"] or total["not equal"])

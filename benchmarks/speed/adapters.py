@@ -2,88 +2,80 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-from itertools import cycle
 from typing import Any
 
 import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
 
 from benchmarks.report import Measurement
-from benchmarks.speed.engine import FIELD
 from benchmarks.speed.peers import mpe2_cases
-from benchmarks.speed.timing import SETS, Budget, Case, RandomSteps, engine_case, interleaved
+from benchmarks.speed.timing import (
+    SETS,
+    Budget,
+    Case,
+    cycling_case,
+    engine_case,
+    interleaved,
+    random_case,
+)
 from mbn_marl import BatchEngine, parallel_env
+from mbn_marl.adapters.sb3 import CentralizedVecEnv
+from mbn_marl.adapters.torchrl import NavigationEnv
 
+FIELD = "field_01"
 STEPS_PER_COLLECTION = 16
 ROWS = 256
 
 
 def measure_pettingzoo(budget: Budget) -> list[Measurement]:
     """Measure one world stepped with dicts, against MPE2 ``simple_spread`` if it is installed."""
-    mpe2 = mpe2_cases()
-    timings = interleaved([_pettingzoo_case(), *mpe2], budget)
-    own = timings["PettingZoo"]
-    time = Measurement(
-        "PettingZoo step, one world", own.median * 1e6, "us", 15.0, False, "with the resets between"
-    )
-    name = "PettingZoo step against MPE2 simple_spread"
-    if not mpe2:
-        return [
-            time,
-            Measurement(name, None, "x", 10.0, note="needs mpe2: pip install 'mbn-marl[bench]'"),
-        ]
-    other = timings[mpe2[0].name]
-    note = f"MPE2: {other.median * 1e6:.0f} us"
-    return [time, Measurement(name, own.times_faster_than(other), "x", 10.0, note=note)]
-
-
-def _pettingzoo_case() -> Case:
-    env = parallel_env(FIELD)
-    rng = np.random.default_rng(0)
+    env, rng = parallel_env(FIELD), np.random.default_rng(0)
     sets = [
         {agent: rng.uniform(-1, 1, 2).astype(np.float32) for agent in env.possible_agents}
         for _ in range(SETS)
     ]
-    actions = cycle(sets)
     env.reset(seed=0)
 
-    def run(calls: int) -> None:
-        for _ in range(calls):
-            env.step(next(actions))
-            if not env.agents:
-                env.reset()
+    def step(actions: Any) -> None:
+        env.step(actions)
+        if not env.agents:
+            env.reset()
 
-    return Case("PettingZoo", run)
+    mpe2 = mpe2_cases()
+    timings = interleaved([cycling_case("own", sets, step), *mpe2], budget)
+    own, times, note = timings["own"], None, "needs mpe2: pip install 'mbn-marl[bench]'"
+    if mpe2:
+        other = timings[mpe2[0].name]
+        times, note = own.times_faster_than(other), f"MPE2: {other.median * 1e6:.0f} us"
+    resets = "with the resets between"
+    against = "PettingZoo step against MPE2 simple_spread"
+    return [
+        Measurement("PettingZoo step, one world", own.median * 1e6, "us", 15.0, False, resets),
+        Measurement(against, times, "x", 10.0, note=note),
+    ]
 
 
 def measure_sb3(budget: Budget) -> list[Measurement]:
     """Measure how much longer ``CentralizedVecEnv`` takes than the engine in it."""
-    name = f"SB3 CentralizedVecEnv over the engine, {ROWS} worlds"
-    if not find_spec("stable_baselines3"):
-        return [Measurement(name, None, "us", 1.0, False, "needs pip install 'mbn-marl[sb3]'")]
-    from mbn_marl.adapters.sb3 import CentralizedVecEnv
-
     env = CentralizedVecEnv(FIELD, ROWS)
     env.reset()
-    steps = RandomSteps((ROWS, env.engine.n_robots, 2), env.step)
     cases = [
         engine_case("engine", BatchEngine(FIELD, ROWS), budget.warm_up),
-        steps.case("SB3", ROWS, budget.warm_up),
+        random_case("SB3", (ROWS, env.engine.n_robots, 2), env.step, ROWS, budget.warm_up),
     ]
     timings = interleaved(cases, budget)
     over = timings["SB3"].longer_than(timings["engine"]) * 1e6
     note = f"per world-step; the engine takes {timings['engine'].median * 1e6:.2f} us"
+    name = f"SB3 CentralizedVecEnv over the engine, {ROWS} worlds"
     return [Measurement(name, over, "us", 1.0, False, note)]
 
 
 def measure_torchrl(budget: Budget) -> list[Measurement]:
     """Measure ``NavigationEnv`` against an empty environment, under a random policy."""
     title = f"TorchRL NavigationEnv collected, {budget.worlds:,} worlds, of an empty env's rate"
-    if not find_spec("torchrl"):
-        return [Measurement(title, None, "%", 70.0, note="needs pip install 'mbn-marl[torchrl]'")]
-    from benchmarks.speed.empty_env import EmptyEnv
-    from mbn_marl.adapters.torchrl import NavigationEnv
-
     env = NavigationEnv(FIELD, budget.worlds)
     empty = {
         "never ending": EmptyEnv(env, ending=False),
@@ -104,13 +96,42 @@ def measure_torchrl(budget: Budget) -> list[Measurement]:
 
 def _collector_case(name: str, env: Any) -> Case:
     """Rollouts of random actions by TorchRL's collector, in seconds per env-step."""
-    from torchrl.collectors import Collector
-
     frames = env.batch_size[0] * STEPS_PER_COLLECTION
     rollouts = iter(Collector(env, None, frames_per_batch=frames, total_frames=-1))
+    return Case(name, lambda calls: [next(rollouts) for _ in range(calls)], frames)
 
-    def run(calls: int) -> None:
-        for _ in range(calls):
-            next(rollouts)
 
-    return Case(name, run, frames)
+class EmptyEnv(EnvBase):  # type: ignore[misc]
+    """Does nothing but return tensors of zeros: what TorchRL itself costs.
+
+    Args:
+        like: an environment with the same specs, with batch size (W,).
+        ending: whether one world, each in its turn, ends at every step, so that TorchRL has to
+            reset it; otherwise none ever does.
+    """
+
+    def __init__(self, like: EnvBase, *, ending: bool) -> None:
+        super().__init__(device=like.device, batch_size=like.batch_size)
+        self.action_spec = like.full_action_spec.clone()
+        self.reward_spec = like.full_reward_spec.clone()
+        self.observation_spec = like.observation_spec.clone()
+        self.done_spec = like.full_done_spec.clone()
+        self._first = self.observation_spec.zero().update(self.full_done_spec.zero())
+        self._next = self._first.clone().update(self.full_reward_spec.zero())
+        self._ending = ending
+        self._steps = 0
+
+    def _set_seed(self, seed: int | None) -> None:
+        """There is nothing random."""
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
+        return self._first.clone()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        after = self._next.clone()
+        if self._ending:
+            world = self._steps % self.batch_size[0]
+            self._steps += 1
+            for name in ("done", "terminated"):
+                after[name][world] = torch.ones(1, dtype=torch.bool)
+        return after

@@ -5,12 +5,13 @@ The same compiled passes as in :mod:`mbn_marl.engine.step`, in the same order, b
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numba
 import numpy as np
 
-from benchmarks.speed.timing import Case, RandomSteps, cpu_backend
+from benchmarks.speed.timing import Case, cpu_backend, random_case
 from mbn_marl import BatchEngine
 from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.mdp.dynamics import propose_move
@@ -100,22 +101,14 @@ def step_parts_of_ranges(store, actions, last, cuts):  # type: ignore[no-untyped
     return ended
 
 
-class PartialSteps:
-    """Steps an engine's worlds up to a part.
+def partial_step(engine: BatchEngine, last: int) -> Callable[[Any], None]:
+    """Reset an engine with released rules; return a step of its worlds up to a part.
 
-    Args:
-        engine: with released rules and same-step automatic reset; it is reset.
-        last: index of the last part of ``PARTS`` to do.
+    The step takes actions (W, n, 2), unchecked; ``last`` is an index of ``PARTS``.
     """
-
-    def __init__(self, engine: BatchEngine, last: int) -> None:
-        engine.reset()
-        self._backend, self._last = cpu_backend(engine), last
-
-    def step(self, actions: Any) -> None:
-        """Step every world with ``actions`` (W, n, 2), unchecked."""
-        backend = self._backend
-        step_parts_of_ranges(backend.store, actions, self._last, backend.threads.cuts)
+    engine.reset()
+    backend = cpu_backend(engine)
+    return lambda actions: step_parts_of_ranges(backend.store, actions, last, backend.threads.cuts)
 
 
 def part_cases(worlds: int, warm_up: int) -> list[Case]:
@@ -123,6 +116,6 @@ def part_cases(worlds: int, warm_up: int) -> list[Case]:
     cases = []
     for last, name in enumerate(PARTS):
         engine = BatchEngine("field_01", worlds)
-        steps = RandomSteps((worlds, engine.n_robots, 2), PartialSteps(engine, last).step)
-        cases.append(steps.case(f"up to {name}", worlds, warm_up))
+        shape, step = (worlds, engine.n_robots, 2), partial_step(engine, last)
+        cases.append(random_case(f"up to {name}", shape, step, worlds, warm_up))
     return cases

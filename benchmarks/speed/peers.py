@@ -8,13 +8,12 @@ from __future__ import annotations
 import importlib.util
 import sys
 from importlib.util import find_spec
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.speed.timing import Case, RandomSteps
+from benchmarks.speed.timing import SETS, Case, cycling_case, random_case
 from mbn_marl import load_field
 
 ROOT = Path(__file__).parents[2]
@@ -23,41 +22,28 @@ VMAS_WORLDS = (1024, 4096, 16_384, 65_536)
 NEVER = 10**9
 
 
-class PlainLoop:
-    """One world of the tests' oracle, restarted whenever its episode ends.
-
-    It does what the engine does in a step: revisit memory, rewards and their terms, metrics, and
-    an observation for each robot.
-
-    Attributes:
-        observations: (n,) arrays, the robots' current ones.
-        metrics: of the last episode that ended.
-    """
-
-    def __init__(self, oracle: Any) -> None:
-        self._oracle = oracle
-        self.observations: list[Any] = []
-        self.metrics: dict[str, Any] = {}
-
-    def step(self, actions: Any) -> None:
-        """Step with ``actions`` (n, 2)."""
-        outcome = self._oracle.step(actions.tolist())
-        if outcome.terminated or outcome.truncated:
-            self.metrics = self._oracle.metrics()
-            self._oracle.reset()
-        self.observations = [self._oracle.observe(robot) for robot in range(self._oracle.n)]
-
-
 def plain_case() -> Case:
-    """The plain loop on field_01, in seconds per env-step."""
+    """The plain loop on field_01, in seconds per env-step.
+
+    One world of the tests' oracle does what the engine does in a step: revisit memory, rewards and
+    their terms, an observation for each robot, and metrics and a reset when an episode ends.
+    """
     oracle = oracle_module().Oracle(load_field("field_01"))
-    return RandomSteps((oracle.n, 2), PlainLoop(oracle).step).case("plain loop", 1.0)
+
+    def step(actions: Any) -> None:
+        outcome = oracle.step(actions.tolist())
+        if outcome.terminated or outcome.truncated:
+            oracle.metrics()
+            oracle.reset()
+        for robot in range(oracle.n):
+            oracle.observe(robot)
+
+    return random_case("plain loop", (oracle.n, 2), step, 1.0)
 
 
 def oracle_module() -> Any:
     """Import the oracle by the place of its file, whatever else is called ``tests``."""
-    names = ("wall_senses", "oracle")  # the second imports the first
-    for name in names:
+    for name in ("wall_senses", "oracle"):  # the second imports the first
         full = f"tests.support.{name}"
         if full not in sys.modules:
             spec = importlib.util.spec_from_file_location(full, ROOT / f"tests/support/{name}.py")
@@ -76,27 +62,15 @@ def _vmas_case(worlds: int) -> Case:
     import torch
     import vmas
 
-    env = vmas.make_env(
-        "simple_spread",
-        num_envs=worlds,
-        device="cpu",
-        continuous_actions=True,
-        seed=0,
-        n_agents=ROBOTS,
-    )
+    options = {"device": "cpu", "continuous_actions": True, "seed": 0, "n_agents": ROBOTS}
+    env = vmas.make_env("simple_spread", num_envs=worlds, **options)
     env.reset()
     generator = torch.Generator().manual_seed(0)
     sets = [
         [torch.rand((worlds, 2), generator=generator) * 2 - 1 for _ in range(ROBOTS)]
         for _ in range(4)
     ]
-    actions = cycle(sets)
-
-    def run(calls: int) -> None:
-        for _ in range(calls):
-            env.step(next(actions))
-
-    return Case(f"VMAS simple_spread, {worlds:,} worlds", run, worlds)
+    return cycling_case(f"VMAS simple_spread, {worlds:,} worlds", sets, env.step, worlds)
 
 
 def mpe2_cases() -> list[Case]:
@@ -111,12 +85,6 @@ def mpe2_cases() -> list[Case]:
     rng = np.random.default_rng(0)
     sets: list[dict[str, Any]] = [
         {agent: rng.uniform(space.low, space.high).astype(np.float32) for agent in env.agents}
-        for _ in range(64)
+        for _ in range(SETS)
     ]
-    actions = cycle(sets)
-
-    def run(calls: int) -> None:
-        for _ in range(calls):
-            env.step(next(actions))
-
-    return [Case("MPE2 simple_spread", run)]
+    return [cycling_case("MPE2 simple_spread", sets, env.step)]

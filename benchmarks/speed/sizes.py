@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 
-from benchmarks.report import Advance, table
+from baselines.compare.text_table import TextTable
+from benchmarks.report import Advance
 from benchmarks.speed.timing import Budget, engine_case, interleaved
 from mbn_marl import BatchEngine, Field
 
@@ -27,19 +28,12 @@ APART = 25.0
 
 @dataclass(frozen=True)
 class Curve:
-    """Cost of a step against one size, the others fixed.
+    """Cost of a step against one size, the others fixed."""
 
-    Attributes:
-        quantity: ``"robots"``, ``"ROIs"`` or ``"edges"``.
-        sizes: the sizes measured, ascending.
-        nanoseconds: elapsed time of a world-step at each of them, all threads working.
-        growth: the fitted law, as a sentence.
-    """
-
-    quantity: str
-    sizes: tuple[int, ...]
-    nanoseconds: tuple[float, ...]
-    growth: str
+    quantity: str  # "robots", "ROIs" or "edges"
+    sizes: tuple[int, ...]  # ascending
+    nanoseconds: tuple[float, ...]  # elapsed per world-step, all threads working
+    growth: str  # the fitted law
 
 
 def measure_sizes(
@@ -91,19 +85,12 @@ def _growth(quantity: str, counts: tuple[int, ...], costs: tuple[float, ...]) ->
     return f"about {' + '.join(terms)} ns"
 
 
-def curves_table(curves: Sequence[Curve]) -> Table:
+def curves_table(curves: Sequence[Curve]) -> TextTable:
     """Return the curves side by side."""
-    lines = [
-        [
-            cell
-            for curve in curves
-            for cell in (
-                (str(curve.sizes[k]), f"{curve.nanoseconds[k]:,.0f}")
-                if k < len(curve.sizes)
-                else ("", "")
-            )
-        ]
-        for k in range(max(len(curve.sizes) for curve in curves))
+    columns = [
+        column
+        for curve in curves
+        for column in (map(str, curve.sizes), (f"{cost:,.0f}" for cost in curve.nanoseconds))
     ]
     headings = [word for curve in curves for word in (curve.quantity, "ns")]
-    return table("cost against sizes: ns per world-step, all threads working", headings, lines)
+    return TextTable("", tuple(headings), tuple(zip_longest(*columns, fillvalue="")), words=0)

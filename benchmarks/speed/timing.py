@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from time import perf_counter
 from typing import Any
 
@@ -21,8 +22,8 @@ SETS = 64
 class Budget:
     """How much is measured."""
 
-    rounds: int = 15  # how often every case has its turn
-    seconds: float = 0.06  # how long a turn takes, about; at least one call
+    rounds: int = 15  # turns of every case
+    seconds: float = 0.06  # of a turn, about; at least one call
     warm_up: int = 1000  # steps before; as many as an episode has at most: episodes of all ages
     worlds: int = 4096
     many_worlds: int = 16_384  # of a large batch
@@ -66,18 +67,14 @@ class Timing:
 
 
 def interleaved(cases: Sequence[Case], budget: Budget) -> dict[str, Timing]:
-    """Time all cases, round by round.
-
-    Returns:
-        A timing for the name of each case.
-    """
-    calls = {case.name: _calls_per_turn(case, budget.seconds) for case in cases}
-    seconds: dict[str, list[float]] = {case.name: [] for case in cases}
-    for _ in range(budget.rounds):
-        for case in cases:
-            count = calls[case.name]
-            seconds[case.name].append(_time(case, count) / (count * case.units))
-    return {name: Timing(np.array(samples)) for name, samples in seconds.items()}
+    """Time all cases, round by round; return a timing for the name of each case."""
+    turns = [(case, _calls_per_turn(case, budget.seconds)) for case in cases]
+    seconds = [
+        [_time(case, calls) / (calls * case.units) for case, calls in turns]
+        for _ in range(budget.rounds)
+    ]
+    columns = zip(cases, np.transpose(seconds), strict=True)
+    return {case.name: Timing(samples) for case, samples in columns}
 
 
 def _time(case: Case, calls: int) -> float:
@@ -97,39 +94,42 @@ def _calls_per_turn(case: Case, seconds: float) -> int:
     return max(1, round(calls * seconds / max(taken, 1e-9)))
 
 
-class RandomSteps:
-    """Uniform random actions in [-1, 1), float32, of a batch, for one step after the other.
+def random_case(
+    name: str,
+    shape: tuple[int, ...],
+    step: Callable[[Any], object],
+    units: float,
+    warm_up: int = 0,
+) -> Case:
+    """Steps with uniform random actions of that shape in [-1, 1), float32, after ``warm_up``."""
+    rng = np.random.default_rng(0)
+    drawn = np.empty((SETS, *shape), np.float32)
 
-    Args:
-        shape: of the actions of one step.
-        step: what takes them.
-    """
+    def draw(calls: int) -> None:
+        actions = rng.random(out=drawn[:calls], dtype=np.float32)
+        np.subtract(2 * actions, 1, out=actions)
 
-    def __init__(self, shape: tuple[int, ...], step: Callable[[Any], object]) -> None:
-        self._rng = np.random.default_rng(0)
-        self._actions = np.empty((SETS, *shape), np.float32)
-        self._step = step
-
-    def draw(self, calls: int) -> None:
-        """Draw the actions of ``calls`` steps."""
-        actions = self._actions[:calls]
-        self._rng.random(out=actions, dtype=np.float32)
-        actions *= 2
-        actions -= 1
-
-    def run(self, calls: int) -> None:
-        """Step ``calls`` times."""
-        step, actions = self._step, self._actions
+    def run(calls: int) -> None:
         for k in range(calls):
-            step(actions[k % SETS])
+            step(drawn[k % SETS])
 
-    def case(self, name: str, units: float, warm_up: int = 0) -> Case:
-        """These steps as a case, after ``warm_up`` of them."""
-        for done in range(0, warm_up, SETS):
-            calls = min(SETS, warm_up - done)
-            self.draw(calls)
-            self.run(calls)
-        return Case(name, self.run, units, self.draw)
+    for done in range(0, warm_up, SETS):
+        draw(SETS)
+        run(min(SETS, warm_up - done))
+    return Case(name, run, units, draw)
+
+
+def cycling_case(
+    name: str, sets: Iterable[Any], step: Callable[[Any], object], units: float = 1.0
+) -> Case:
+    """Steps with each of the sets of actions in turn, again and again."""
+    actions = cycle(sets)
+
+    def run(calls: int) -> None:
+        for _ in range(calls):
+            step(next(actions))
+
+    return Case(name, run, units)
 
 
 def cpu_backend(engine: BatchEngine) -> CpuBackend:
@@ -143,4 +143,4 @@ def engine_case(name: str, engine: BatchEngine, warm_up: int) -> Case:
     """``BatchEngine.step`` as a case, in seconds per env-step; resets the engine."""
     engine.reset()
     shape = (engine.num_worlds, engine.n_robots, 2)
-    return RandomSteps(shape, engine.step).case(name, engine.num_worlds, warm_up)
+    return random_case(name, shape, engine.step, engine.num_worlds, warm_up)

@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-import heapq
+import itertools
+import json
 import math
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import pandas as pd
 
 from baselines.cli.compare import train_and_compare
 from baselines.compare.config import CompareConfig
+from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
 from baselines.compare.text_table import TextTable
 from baselines.compare.variants import read_variants
-from baselines.console import console
+from baselines.evaluation import intervals as statistics
+from baselines.paper import published
 from baselines.runs.files import write_json, write_text
-from benchmarks.report import HEADINGS, Benchmark, Measurement
-from benchmarks.studies.passing import FieldLine, Passing, passes
+from benchmarks.capacity import makespan
+from benchmarks.report import Benchmark, Measurement, measurement_table
 from mbn_marl.field import catalogue_names
 
-STEPS = 1_441_792
-"""Env-steps of a run."""
-NEAR = 0.005
-"""How far below the optimum a return may be to count as near it."""
-BUDGET = 1_500_000
-"""Env-steps within which a run has to pass."""
+STEPS = 1_441_792  # env-steps of a run
+NEAR = 0.005  # how far below the optimum a return may be to count as near it
+BUDGET = 1_500_000  # env-steps within which a run has to pass
 CAPTION = (
     "A run passes when the mean return of fresh sampled episodes is 100 000 or more, 99 % of them "
     "succeed, and so does the policy with mean actions. Wall times have the evaluations in them, "
@@ -36,6 +38,26 @@ CAPTION = (
     "final policies, the best of any fresh evaluation. Targets are scaled to the runs made: for "
     "ten fields 180 s until all pass, 30 minutes in all."
 )
+FIELD_CAPTION = (
+    "pass: runs whose final policy does. env-steps, s: to the first evaluation that passes, "
+    "median over seeds, wall time; worst: the most env-steps. mean actions: the median return "
+    "of final policies; below: how far it is below the proved optimum; best: of any evaluation."
+)
+WHOLE = "{:,.0f}"
+COLUMNS = {
+    "field": ("field", "{}"),
+    "pass": ("pass", "{}"),
+    "env-steps": ("env_steps", WHOLE),
+    "worst": ("worst_env_steps", WHOLE),
+    "s": ("seconds", "{:.1f}"),
+    "sampled return": ("return_mean", WHOLE),
+    "success": ("success_rate", "{:.1%}"),
+    "mean actions": ("deterministic_median", WHOLE),
+    "below": ("below", "{:.2%}"),
+    "best": ("deterministic_best", WHOLE),
+    "optimum": ("optimum", WHOLE),
+    "paper's best": ("paper_best", WHOLE),
+}
 
 
 @dataclass(frozen=True)
@@ -64,11 +86,6 @@ class Study(Benchmark):
 
     def run(self, command: str) -> bool:
         """Train what is missing, print and write the comparison."""
-        self.compare(command)
-        return True
-
-    def compare(self, command: str) -> Results:
-        """Train what is missing, print and write the comparison, and return its results."""
         results = train_and_compare(
             self.config(),
             self.folder,
@@ -78,7 +95,11 @@ class Study(Benchmark):
             resume=self.resume,
         )
         print(f"written to {self.folder}: comparison.md, comparison.json, figures, runs")
-        return results
+        self.conclude(results)
+        return True
+
+    def conclude(self, results: Results) -> None:
+        """Add what a study has besides the comparison."""
 
 
 @dataclass(frozen=True)
@@ -87,15 +108,11 @@ class Learning(Study):
 
     name: ClassVar[str] = "learning"
 
-    def run(self, command: str) -> bool:
-        """Compare, and add the targets."""
-        results = self.compare(command)
+    def conclude(self, results: Results) -> None:
+        """Add the targets."""
         rows = target_rows(results, self.processes)
-        terminal = console()
-        terminal.print(measurement_grid(rows).rich("targets"))
-        terminal.print(CAPTION, "\n")
+        measurement_table(rows, CAPTION).print("targets")
         write_targets(results, rows, self.folder)
-        return True
 
 
 @dataclass(frozen=True)
@@ -117,137 +134,180 @@ class Ablations(Study):
     """One run for each variant, field and seed."""
 
 
-def makespan(seconds: Sequence[float], processes: int) -> float:
-    """Return how long ``processes`` workers take for jobs in this order."""
-    free = [0.0] * processes
-    for job in seconds:
-        heapq.heapreplace(free, free[0] + job)
-    return max(free)
-
-
 def target_rows(results: Results, processes: int) -> list[Measurement]:
     """Return the targets of the first label, for ``processes`` runs at a time."""
     setting = results.labels[0]
-    runs = results.of_label(setting)
-    cells = [results.cells[setting, field] for field in results.fields]
-    lines = [FieldLine.of(cell) for cell in cells]
-    passed = [passes(run) for run in runs]
+    records = results.of_label(setting)
+    runs = run_table(records)
+    lines = field_table(runs)
+    near = lines.deterministic_median >= (1 - NEAR) * lines.optimum
+    number = runs.groupby("field").cumcount()  # of a run in its cell
+    by_seed = [
+        makespan([(str(place), None, time) for place, time in seconds.items()], processes)
+        for _, seconds in runs.seconds.groupby(number)
+    ]
+    at_a_time = f"{processes} at a time"
     return [
-        _count(f"{setting}: final policies that pass", passed, 1.0),
+        count_row(f"{setting}: final policies that pass", runs.passed, 1.0),
         Measurement(
             f"{setting}: until a run passes, worst run",
-            max(Passing.of(result).env_steps for result in runs),
+            float(runs.env_steps.max()),
             "env-steps",
             BUDGET,
             at_least=False,
         ),
         Measurement(
             f"{setting}: until {len(lines)} fields pass, one seed each, wall time",
-            median(
-                makespan([Passing.of(cell[seed]).seconds for cell in cells], processes)
-                for seed in range(results.seeds)
-            ),
+            float(median(by_seed)),
             "s",
             18.0 * len(lines),
             False,
-            f"{processes} at a time, median over seeds",
+            f"{at_a_time}, median over seeds",
         ),
-        _count(
-            f"{setting}: fields, median return within 0.5 % of the optimum",
-            (
-                line.optimum is not None and line.deterministic_median >= (1 - NEAR) * line.optimum
-                for line in lines
-            ),
-            1.0,
-        ),
+        count_row(f"{setting}: fields, median return within 0.5 % of the optimum", near, 1.0),
         *best_rows(setting, lines),
         Measurement(
             f"{setting}: wall time of all runs",
-            sum(result.final("wall_seconds") for result in runs) / processes,
+            sum(record.final("wall_seconds") for record in records) / processes,
             "s",
             180.0 * len(lines),
             False,
-            f"{processes} at a time",
-        ),
-    ]
-
-
-def best_rows(label: str, lines: Sequence[FieldLine]) -> list[Measurement]:
-    """Compare the best return of each field with the paper's and with the optimum."""
-    return [
-        _count(
-            f"{label}: fields, best return at or above the paper's",
-            (
-                line.paper_best is not None and line.deterministic_best >= line.paper_best
-                for line in lines
-            ),
-            0.8,
-        ),
-        _count(
-            f"{label}: fields, best return is the proved optimum",
-            (line.deterministic_best == line.optimum for line in lines),
-            0.5,
+            at_a_time,
         ),
     ]
 
 
 def write_targets(results: Results, rows: Sequence[Measurement], out: Path) -> None:
     """Write ``learning.md`` and ``learning.json`` into the folder ``out``."""
-    lines = [FieldLine.of(cell) for cell in results.cells.values()]
-    write_json(
-        out / "learning.json",
-        {"targets": [row.to_json() for row in rows], "fields": [asdict(line) for line in lines]},
-    )
-    parts = [measurement_grid(rows).markdown("Targets")]
-    parts += [
-        field_grid([line for line in lines if line.label == label]).markdown(label)
+    lines = field_table(run_table(itertools.chain.from_iterable(results.cells.values())))
+    below = 1.0 - lines.deterministic_median / lines.optimum
+    passed = lines.passed.astype(str) + "/" + lines.runs.astype(str)
+    shown = lines.assign(below=below, **{"pass": passed})
+    tables = {
+        label: shown_table(shown[shown.label == label], COLUMNS, FIELD_CAPTION)
         for label in results.labels
+    }
+    write_study(out, "learning", rows, lines, tables)
+
+
+def first_pass(record: RunRecord) -> tuple[float, float]:
+    """Return env-steps and wall seconds to the first fresh evaluation that passes, or infinity.
+
+    Wall time is from the start of training, evaluations included.
+    """
+    for entry in record.evaluations:
+        if statistics.passes(entry, entry["deterministic_success_rate"]):
+            return entry["env_steps"], entry["wall_seconds"]
+    return math.inf, math.inf
+
+
+def best_return(record: RunRecord) -> float:
+    """Return the best return with mean actions of a run's evaluations, on the way or at the end."""
+    on_the_way = [float(entry["deterministic_return_mean"]) for entry in record.evaluations]
+    return max(record.final("deterministic", "return_mean"), *on_the_way)
+
+
+def paper_best(field: str) -> float | None:
+    """Return the largest number that the paper has for a field, a mean of 100 episodes."""
+    cells = [cell for (name, _), cell in published.by_field().items() if name == field]
+    return max((cell["max"] for cell in cells), default=None)
+
+
+def run_table(records: Iterable[RunRecord]) -> pd.DataFrame:
+    """Return a row for each run: when it first passed, its final evaluation, its best return.
+
+    ``optimum`` is the proved best return of its field, ``paper_best`` the best over the paper's
+    algorithms and settings; NaN where unknown.
+    """
+    rows = []
+    for record in records:
+        env_steps, seconds = first_pass(record)
+        sampled = record.evaluation["stochastic"]
+        mean_success = record.final("deterministic", "success_rate")
+        rows.append(
+            {
+                "label": record.label,
+                "field": record.field.name,
+                "run": record.run.path.name,
+                "passed": statistics.passes(sampled, mean_success),
+                "env_steps": float(env_steps),
+                "seconds": float(seconds),
+                "return_mean": sampled["return_mean"],
+                "success_rate": sampled["success_rate"],
+                "deterministic": record.final("deterministic", "return_mean"),
+                "best": best_return(record),
+                "optimum": record.optimum,
+                "paper_best": paper_best(record.field.name),
+            }
+        )
+    return pd.DataFrame(rows).astype({"optimum": float, "paper_best": float})
+
+
+def field_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each label and field: sums, medians and bests over seeds."""
+    lines = runs.groupby(["label", "field"], sort=False).agg(
+        runs=("passed", "size"),
+        passed=("passed", "sum"),  # final policies
+        env_steps=("env_steps", "median"),
+        worst_env_steps=("env_steps", "max"),
+        seconds=("seconds", "median"),
+        return_mean=("return_mean", "mean"),
+        success_rate=("success_rate", "mean"),
+        deterministic_median=("deterministic", "median"),
+        deterministic_best=("best", "max"),
+        optimum=("optimum", "first"),
+        paper_best=("paper_best", "first"),
+    )
+    return lines.reset_index()
+
+
+def best_rows(label: str, lines: pd.DataFrame) -> list[Measurement]:
+    """Compare the best return of each field with the paper's and with the optimum."""
+    best = lines.deterministic_best
+    return [
+        count_row(
+            f"{label}: fields, best return at or above the paper's", best >= lines.paper_best, 0.8
+        ),
+        count_row(
+            f"{label}: fields, best return is the proved optimum", best == lines.optimum, 0.5
+        ),
     ]
-    write_text(out / "learning.md", "\n\n".join(["# Learning", *parts]) + "\n")
 
 
-def field_grid(lines: Sequence[FieldLine]) -> TextTable:
-    """Return the lines of one label as a table."""
-    caption = (
-        "pass: runs whose final policy does. env-steps, s: to the first evaluation that passes, "
-        "median over seeds, wall time; worst: the most env-steps. mean actions: the median return "
-        "of final policies; below: how far it is below the proved optimum; best: of any evaluation."
-    )
-    headings = "field|pass|env-steps|worst|s|sampled return|success|mean actions|below|best"
-    headings += "|optimum|paper's best"
-    return TextTable(caption, tuple(headings.split("|")), tuple(map(_field_words, lines)))
-
-
-def _field_words(line: FieldLine) -> tuple[str, ...]:
-    below = None if line.optimum is None else 1.0 - line.deterministic_median / line.optimum
-    return (
-        line.field,
-        f"{line.passed}/{line.runs}",
-        shown(line.env_steps),
-        shown(line.worst_env_steps),
-        shown(line.seconds, "{:.1f}"),
-        shown(line.return_mean),
-        f"{line.success_rate:.1%}",
-        shown(line.deterministic_median),
-        shown(below, "{:.2%}"),
-        shown(line.deterministic_best),
-        shown(line.optimum),
-        shown(line.paper_best),
-    )
-
-
-def measurement_grid(rows: Sequence[Measurement], caption: str = CAPTION) -> TextTable:
-    """Return the targets as a table."""
-    return TextTable(caption, HEADINGS, tuple(row.words() for row in rows))
-
-
-def _count(name: str, met: Iterable[bool], share: float) -> Measurement:
+def count_row(name: str, met: Sequence[bool], share: float) -> Measurement:
     """Count how many are met, with the share that is aimed at."""
-    outcomes = [bool(one) for one in met]
-    least = math.ceil(share * len(outcomes) - 1e-9)
-    return Measurement(name, sum(outcomes), f"of {len(outcomes)}", least)
+    least = math.ceil(share * len(met) - 1e-9)
+    return Measurement(name, int(sum(met)), f"of {len(met)}", least)
 
 
-def shown(value: float | None, form: str = "{:,.0f}") -> str:
-    """Return a number as a table has it."""
-    return "-" if value is None else form.format(value)
+def shown_table(
+    lines: pd.DataFrame, columns: Mapping[str, tuple[str, str]], caption: str, words: int = 1
+) -> TextTable:
+    """Return a table with columns by heading: the name in ``lines``, and how a value is shown."""
+
+    def shown(value: Any, form: str) -> str:
+        unknown = isinstance(value, float) and not math.isfinite(value)
+        return "-" if unknown else form.format(value)
+
+    rows = (
+        tuple(shown(line[name], form) for name, form in columns.values())
+        for line in lines.to_dict("records")
+    )
+    return TextTable(caption, tuple(columns), tuple(rows), words)
+
+
+def write_study(
+    folder: Path,
+    name: str,
+    rows: Sequence[Measurement],
+    lines: pd.DataFrame,
+    tables: Mapping[str, TextTable],
+) -> None:
+    """Write the targets and what the fields reached: NAME.json, and tables in NAME.md."""
+    fields = json.loads(lines.to_json(orient="records", double_precision=15))  # never is null
+    write_json(
+        folder / f"{name}.json", {"targets": [row.to_json() for row in rows], "fields": fields}
+    )
+    parts = {"Targets": measurement_table(rows, CAPTION), **tables}
+    pages = [f"# {name.capitalize()}", *(part.markdown(title) for title, part in parts.items())]
+    write_text(folder / f"{name}.md", "\n\n".join(pages) + "\n")

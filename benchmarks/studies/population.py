@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
 from typing import ClassVar
 
 from baselines.compare.records import RunRecord
 from baselines.compare.text_table import TextTable
-from baselines.console import console
-from baselines.runs.files import RunError, alone, claim_folder, write_json, write_text
+from baselines.runs.files import RunError, alone, claim_folder, write_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.provenance import write_provenance
 from baselines.sweep.processes import LocalEngine
@@ -20,10 +18,19 @@ from baselines.sweep.run import train_runs
 from baselines.sweep.worker import Outcome
 from baselines.training.config import TrainConfig
 from baselines.training.progress_bar import Listener, print_finished
-from benchmarks.report import Benchmark, Measurement
-from benchmarks.studies.learning import STEPS, Learning, best_rows, measurement_grid, shown
-from benchmarks.studies.passing import FieldLine, best_return
-from mbn_marl.errors import ConfigError
+from benchmarks.report import Benchmark, Measurement, measurement_table
+from benchmarks.studies.learning import (
+    STEPS,
+    WHOLE,
+    Learning,
+    best_return,
+    best_rows,
+    field_table,
+    run_table,
+    shown_table,
+    write_study,
+)
+from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import catalogue_names
 
 CAPTION = (
@@ -31,6 +38,18 @@ CAPTION = (
     "best of any fresh evaluation, on the way or at the end. Each field in turn got another seed, "
     "until a run reached the proved optimum, or the time left was too short for another run."
 )
+
+
+COLUMNS = {
+    "field": ("field", "{}"),
+    "best run": ("run", "{}"),
+    "runs": ("runs", WHOLE),
+    "median": ("deterministic_median", WHOLE),
+    "best": ("deterministic_best", WHOLE),
+    "below": ("below", "{:.2%}"),
+    "optimum": ("optimum", WHOLE),
+    "paper's best": ("paper_best", WHOLE),
+}
 
 
 @dataclass(frozen=True)
@@ -48,22 +67,6 @@ class Population(Benchmark):
     processes: int = os.cpu_count() or 1
     """Runs at a time, each on one core."""
 
-    def check(self) -> None:
-        """Check everything before the first run starts.
-
-        Raises:
-            ConfigError: a number is out of range, or a field is given twice.
-            MbnError: a field is not valid.
-        """
-        problems = []
-        if not self.minutes > 0.0:
-            problems.append(f"minutes: must be above 0 (got {self.minutes})")
-        if self.processes < 1:
-            problems.append(f"processes: at least 1, not {self.processes}")
-        if problems:
-            raise ConfigError("population", problems)
-        Learning(fields=self.fields, seeds=(0,), steps=self.steps).config()
-
     def training(self, field: str, seed: int) -> TrainConfig:
         """Return a run in the recorded setting."""
         (run,) = Learning(fields=(field,), seeds=(seed,), steps=self.steps).config().runs()
@@ -71,12 +74,10 @@ class Population(Benchmark):
 
     def run(self, command: str) -> bool:
         """Train, then print and write the best of each field."""
-        rows, grid = train_population(self, command, print_finished)
-        terminal = console()
-        terminal.print(grid.rich("fields"))
-        terminal.print(measurement_grid(rows).rich("targets"))
-        terminal.print(grid.caption, "\n")
-        terminal.print(f"written to {self.folder}: population.md, population.json, runs")
+        rows, table = train_population(self, command, print_finished)
+        measurement_table(rows).print("targets")
+        table.print("fields")
+        print(f"written to {self.folder}: population.md, population.json, runs")
         return True
 
 
@@ -86,40 +87,35 @@ class Board:
 
     Attributes:
         begun: runs begun on each field; the next one's seed.
-        solved: whether a run reached the proved optimum, for each field.
+        solved: fields on which a run reached the proved optimum.
         slowest: seconds that the longest run took.
     """
 
-    begun: list[int]
-    solved: list[bool]
+    begun: dict[str, int]
+    solved: set[str] = field(default_factory=set)
     slowest: float = 0.0
 
-    @classmethod
-    def of(cls, fields: int) -> Board:
-        """Begin with nothing."""
-        return cls([0] * fields, [False] * fields)
-
-    def take(self, deadline: float) -> tuple[int, int] | None:
-        """Return the next field's number and seed: of those not solved, the one with fewest runs.
+    def take(self, deadline: float) -> tuple[str, int] | None:
+        """Return the next field and seed: of the fields not solved, the one with fewest runs.
 
         ``None`` if all are solved, or what is left until ``deadline`` (as ``time.time``) is less
         than the longest run took; every field gets one run in any case.
         """
-        unsolved = [number for number, solved in enumerate(self.solved) if not solved]
+        unsolved = [name for name in self.begun if name not in self.solved]
         if not unsolved:
             return None
-        number = min(unsolved, key=self.begun.__getitem__)
-        seed = self.begun[number]
+        name = min(unsolved, key=self.begun.__getitem__)
+        seed = self.begun[name]
         if seed > 0 and time.time() + self.slowest > deadline:
             return None
-        self.begun[number] += 1
-        return number, seed
+        self.begun[name] += 1
+        return name, seed
 
-    def enter(self, number: int, result: RunRecord, seconds: float) -> None:
+    def enter(self, name: str, result: RunRecord, seconds: float) -> None:
         """Enter a finished run on a field."""
         self.slowest = max(self.slowest, seconds)
         if best_return(result) == result.optimum:
-            self.solved[number] = True
+            self.solved.add(name)
 
 
 def train_population(
@@ -138,95 +134,56 @@ def train_population(
         The targets, with what was reached, and a table of the fields.
 
     Raises:
+        ConfigError: a number is out of range, a field is given twice or is not valid.
         RunError: the folder holds something already, or a field has no run that finished.
         MbnError: a run failed.
     """
-    config.check()
+    problems = []
+    if not config.minutes > 0.0:
+        problems.append(f"minutes: must be above 0 (got {config.minutes})")
+    with collecting(problems):
+        engine = LocalEngine(config.processes)
+    with collecting(problems):
+        Learning(fields=config.fields, seeds=(0,), steps=config.steps).config()
+    if problems:
+        raise ConfigError("population", problems)
     out = claim_folder(config.folder, force=config.force)
-    with alone(out, command):
-        write_json(out / "config.json", {**asdict(config), "out": str(out)})
-        write_provenance(out, command)
-        started = time.time()
-        deadline = started + 60.0 * config.minutes
-        board = Board.of(len(config.fields))
-        _train_until(deadline, board, config, out, listener)
-        seconds = time.time() - started
-    cells = {
-        field: _finished(config, out, field, runs)
-        for field, runs in zip(config.fields, board.begun, strict=True)
-    }
-    rows, grid = _rows(config, cells, seconds), _grid(cells)
-    best = {name: asdict(FieldLine.of(cell)) for name, cell in cells.items()}
-    write_json(
-        out / "population.json", {"targets": [row.to_json() for row in rows], "fields": best}
-    )
-    parts = [measurement_grid(rows, CAPTION).markdown("Targets"), grid.markdown("Fields")]
-    write_text(out / "population.md", "\n\n".join(["# Population", *parts]) + "\n")
-    return rows, grid
-
-
-def _train_until(
-    deadline: float, board: Board, config: Population, out: Path, listener: Listener
-) -> None:
-    """Train one run after the other, until there is none to begin."""
-    begun: dict[str, tuple[int, float]] = {}
+    board = Board(dict.fromkeys(config.fields, 0))
+    places: dict[str, tuple[str, float]] = {}  # of each run its field, and when it began
+    started = time.time()
 
     def runs() -> Iterator[TrainConfig]:
-        while (taken := board.take(deadline)) is not None:
-            number, seed = taken
-            run = config.training(config.fields[number], seed)
-            begun[run.name] = number, time.time()
+        while (taken := board.take(started + 60.0 * config.minutes)) is not None:
+            run = config.training(*taken)
+            places[run.name] = taken[0], time.time()
             yield run
 
     def enter(outcome: Outcome) -> None:
-        number, began = begun[outcome.name]
         if outcome.state == "done":
+            name, began = places[outcome.name]
             result = RunRecord.read(RunFolder.open(out / outcome.name))
-            board.enter(number, result, time.time() - began)
+            board.enter(name, result, time.time() - began)
         elif outcome.state != "diverged":
             raise RunError(str(outcome.error))
 
-    engine = LocalEngine(config.processes)
-    train_runs(runs(), str(out), engine, listener=listener, ended=enter)
-
-
-def _finished(config: Population, out: Path, field: str, runs: int) -> list[RunRecord]:
-    """The results of a field, by seed."""
-    folders = [RunFolder.open(out / config.training(field, seed).name) for seed in range(runs)]
-    cell = [RunRecord.read(folder) for folder in folders if folder.finished]
-    if not cell:
-        raise RunError(f"{out}: no run on {field} finished: all {runs} diverged")
-    return cell
-
-
-def _rows(
-    config: Population, cells: Mapping[str, Sequence[RunRecord]], seconds: float
-) -> list[Measurement]:
-    """The targets."""
-    lines = [FieldLine.of(cell) for cell in cells.values()]
-    note = f"{config.processes} at a time"
-    wall = Measurement(
-        "population: wall time of all runs", seconds, "s", 60.0 * config.minutes, False, note
-    )
-    return [*best_rows("population", lines), wall]
-
-
-def _grid(cells: Mapping[str, Sequence[RunRecord]]) -> TextTable:
-    """The fields as a table."""
-    headings = ("field", "best run", "runs", "median", "best", "below", "optimum", "paper's best")
-    return TextTable(CAPTION, headings, tuple(map(_words, cells.values())), words=2)
-
-
-def _words(cell: Sequence[RunRecord]) -> tuple[str, ...]:
-    line = FieldLine.of(cell)
-    below = None if line.optimum is None else 1.0 - line.deterministic_best / line.optimum
-    return (
-        line.field,
-        max(cell, key=best_return).run.path.name,
-        shown(line.runs),
-        shown(line.deterministic_median),
-        shown(line.deterministic_best),
-        shown(below, "{:.2%}"),
-        shown(line.optimum),
-        shown(line.paper_best),
-    )
+    with alone(out, command):
+        write_json(out / "config.json", {**asdict(config), "out": str(out)})
+        write_provenance(out, command)
+        train_runs(runs(), str(out), engine, listener=listener, ended=enter)
+    seconds = time.time() - started
+    records = []
+    for name, count in board.begun.items():
+        folders = [RunFolder.open(out / config.training(name, seed).name) for seed in range(count)]
+        finished = [RunRecord.read(folder) for folder in folders if folder.finished]
+        if not finished:
+            raise RunError(f"{out}: no run on {name} finished: all {count} diverged")
+        records += finished
+    trained = run_table(records)
+    lines = field_table(trained)
+    lines["run"] = trained.run[trained.groupby("field", sort=False).best.idxmax()].to_numpy()
+    lines["below"] = 1.0 - lines.deterministic_best / lines.optimum
+    limit, note = 60.0 * config.minutes, f"{config.processes} at a time"
+    wall = Measurement("population: wall time of all runs", seconds, "s", limit, False, note)
+    rows, table = [*best_rows("population", lines), wall], shown_table(lines, COLUMNS, CAPTION, 2)
+    write_study(out, "population", rows, lines, {"Fields": table})
+    return rows, table

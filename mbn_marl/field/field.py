@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ Points = Sequence[Sequence[float]] | npt.NDArray[Any]
 DEFAULT_ARENA: Point = (1000.0, 1000.0)
 
 
+@dataclass(frozen=True, slots=True, init=False, eq=False, repr=False)
 class Field:
     """A polygon with holes, its ROIs and the robots' starts, in arena units.
 
@@ -56,19 +58,6 @@ class Field:
         FieldError: listing every problem with its place, e.g. ``starts[1]``.
     """
 
-    __slots__ = (
-        "_key",
-        "arena",
-        "edges",
-        "holes",
-        "name",
-        "optimal_makespan",
-        "polygon",
-        "rois",
-        "starts",
-        "vertices",
-    )
-
     vertices: npt.NDArray[np.float64]
     rois: npt.NDArray[np.float64]
     starts: npt.NDArray[np.float64]
@@ -93,12 +82,8 @@ class Field:
     ) -> None:
         reader = PointReader()
         points = reader.read(vertices, rois, starts, holes, arena)
-        problems = [
-            *_label_problems(name, optimal_makespan),
-            *reader.problems,
-            *find_problems(points),
-        ]
-        if problems:
+        labels = _label_problems(name, optimal_makespan)
+        if problems := [*labels, *reader.problems, *find_problems(points)]:
             raise FieldError("field", problems)
         rings = [points.outline.points, *(hole.points for hole in points.holes)]
         values: dict[str, object] = {
@@ -134,12 +119,6 @@ class Field:
             "rois": self.rois.tolist(),
             "starts": self.starts.tolist(),
         }
-
-    def __setattr__(self, name: str, value: object) -> NoReturn:
-        raise AttributeError(f"a Field is immutable; cannot set {name!r}")
-
-    def __delattr__(self, name: str) -> NoReturn:
-        raise AttributeError(f"a Field is immutable; cannot delete {name!r}")
 
     def __eq__(self, other: object) -> bool:
         return self._key == other._key if isinstance(other, Field) else NotImplemented

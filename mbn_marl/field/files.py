@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 from collections.abc import Mapping
@@ -16,13 +17,11 @@ from mbn_marl.config import describe
 from mbn_marl.errors import FieldError, unknown
 from mbn_marl.field import authors
 from mbn_marl.field.catalogue import catalogue_file, catalogue_names
-from mbn_marl.field.field import DEFAULT_ARENA, Field
+from mbn_marl.field.field import Field
 from mbn_marl.field.limits import MAX_NAME
 from mbn_marl.field.safe_yaml import MAX_BYTES, parse_yaml
 from mbn_marl.field.schema import FORMAT, FieldFile
 from mbn_marl.files import replacing
-
-_SUFFIXES = (".yaml", ".yml", ".json")
 
 
 def load_field(source: str | os.PathLike[str] | Field) -> Field:
@@ -75,7 +74,7 @@ def _field_of_file(location: str) -> Field:
         if not Path(path).exists() and "#" in path:
             path, wanted = path.rsplit("#", 1)
         data = _read(Path(path))
-    except FieldError:
+    except FieldError:  # a ValueError, too
         raise
     except (OSError, ValueError) as error:
         raise FieldError(location, [f"file: cannot be read: {error}"]) from None
@@ -90,18 +89,15 @@ def _field_of_file(location: str) -> Field:
 
 def _read(path: Path) -> bytes:
     """Read a regular file, at most one byte more than a field file may have."""
+    text = str(path)
     if not path.exists():
-        raise _not_found(str(path))
+        is_path = os.sep in text or text.endswith((".yaml", ".yml", ".json"))
+        name = f"{unknown('field', text, catalogue_names())}, or a file's path"
+        raise FieldError(text, ["file: does not exist" if is_path else name])
     if not path.is_file():
-        raise FieldError(str(path), ["file: not a regular file"])
+        raise FieldError(text, ["file: not a regular file"])
     with path.open("rb") as stream:
         return stream.read(MAX_BYTES + 1)
-
-
-def _not_found(text: str) -> FieldError:
-    if os.sep in text or text.endswith(_SUFFIXES):
-        return FieldError(text, ["file: does not exist"])
-    return FieldError(text, [f"{unknown('field', text, catalogue_names())}, or a file's path"])
 
 
 def _chosen(
@@ -129,16 +125,9 @@ def _field_of_document(document: object, source: str, name: str) -> Field:
         FieldFile.model_validate(content)
     except ValidationError as error:
         problems += describe(error, FieldFile)
+    known = inspect.signature(Field).parameters
     try:
-        field = Field(
-            content["vertices"],
-            content["rois"],
-            content["starts"],
-            content.get("holes", ()),
-            arena=content.get("arena", DEFAULT_ARENA),
-            name=content.get("name", name),
-            optimal_makespan=content.get("optimal_makespan"),
-        )
+        field = Field(**{"name": name, **{key: content[key] for key in content if key in known}})
     except FieldError as error:
         problems += error.problems
     if problems:

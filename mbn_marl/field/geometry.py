@@ -17,19 +17,12 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class PointList:
-    """The readable points of one list.
+    """The readable points of one list."""
 
-    Attributes:
-        label: the name of the list in problems, e.g. ``"starts"`` or ``"holes[0]"``.
-        points: the readable points, finite, in units.
-        indices: the index of each of ``points`` in the input.
-        complete: whether every entry of the input was readable.
-    """
-
-    label: str
-    points: list[Point] = field(default_factory=list)
-    indices: list[int] = field(default_factory=list)
-    complete: bool = True
+    label: str  # the name of the list in problems, such as "starts" or "holes[0]"
+    points: list[Point] = field(default_factory=list)  # finite, in units
+    indices: list[int] = field(default_factory=list)  # of the points in the input
+    complete: bool = True  # whether every entry of the input was readable
 
     def place(self, k: int) -> str:
         """Return the place of ``points[k]`` in the input, e.g. ``"starts[2]"``."""
@@ -38,10 +31,9 @@ class PointList:
     def distinct(self) -> PointList:
         """Return the list without repeated points."""
         first: dict[Point, int] = {}
-        for k, point in enumerate(self.points):
-            first.setdefault(point, k)
-        kept = list(first.values())
-        return PointList(self.label, list(first), [self.indices[k] for k in kept], self.complete)
+        for index, point in zip(self.indices, self.points, strict=True):
+            first.setdefault(point, index)
+        return PointList(self.label, list(first), list(first.values()), self.complete)
 
 
 @dataclass(frozen=True)
@@ -56,11 +48,7 @@ class FieldPoints:
 
 
 class PointReader:
-    """Turns unchecked input into :class:`FieldPoints`, and notes every problem.
-
-    Attributes:
-        problems: one line per problem found so far, ``"place: what is wrong"``.
-    """
+    """Turns unchecked input into :class:`FieldPoints`, and lists all ``problems`` by place."""
 
     def __init__(self) -> None:
         self.problems: list[str] = []
@@ -90,13 +78,9 @@ class PointReader:
         entries = self._entries(value, label, at_least, at_most)
         if entries is None:
             return PointList(label, complete=False)
-        points, indices = [], []
-        for k, entry in enumerate(entries[:at_most]):
-            point = self._point(entry, f"{label}[{k}]")
-            if point is not None:
-                points.append(point)
-                indices.append(k)
-        return PointList(label, points, indices, complete=len(points) == len(entries))
+        read = [self._point(entry, f"{label}[{k}]") for k, entry in enumerate(entries[:at_most])]
+        found = {k: point for k, point in enumerate(read) if point is not None}
+        return PointList(label, [*found.values()], [*found], complete=len(found) == len(entries))
 
     def _entries(
         self, value: object, label: str, at_least: int, at_most: int
@@ -117,11 +101,7 @@ class PointReader:
             got = type(value).__name__ if entries is None else f"{len(entries)} entries"
             self.problems.append(f"{place}: expected two numbers (x, y), got {got}")
             return None
-        coordinates = [
-            self._coordinate(entry, f"{place}.{axis}")
-            for entry, axis in zip(entries, "xy", strict=True)
-        ]
-        x, y = coordinates
+        x, y = (self._coordinate(entries[k], f"{place}.{axis}") for k, axis in enumerate("xy"))
         return None if x is None or y is None else (x, y)
 
     def _coordinate(self, value: object, place: str) -> float | None:

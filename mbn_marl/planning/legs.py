@@ -23,25 +23,16 @@ NEVER = 1 << 40
 
 @dataclass(frozen=True, eq=False)
 class Legs:
-    """Least steps of single legs.
+    """Least steps of single legs; at least 1 from a start, since ROIs are visited after steps."""
 
-    Attributes:
-        first: (n, m), from each robot's start, at rest, to each ROI's disc; at least 1, because
-            ROIs are visited after steps, not at the start.
-        between: (m, m), from disc to disc, with any velocities at both.
-    """
-
-    first: Ints
-    between: Ints
+    first: Ints  # (n, m), from each robot's start, at rest, to each ROI's disc
+    between: Ints  # (m, m), from disc to disc, with any velocities at both
 
 
 def proved_legs(problem: Problem, slack: float, most: int) -> Legs:
     """Return least steps that hold in the engine, from the dynamics and the field's shape.
 
-    Args:
-        problem: the instance.
-        slack: allowance for rounding, in units.
-        most: entries above this are :data:`NEVER`.
+    ``slack`` is the allowance for rounding, in units; entries above ``most`` are :data:`NEVER`.
     """
     free = _free_legs(problem, slack, most)
     if problem.convex:
@@ -88,11 +79,8 @@ def _first(offset: Floats, drive: Drive, radius: float, most: int) -> int:
 def roadmap_legs(problem: Problem, roadmap: Roadmap, radius: float, most: int) -> Legs:
     """Return least steps if no path between two places is shorter than the roadmap's.
 
-    Args:
-        problem: the instance.
-        roadmap: of the starts, then the ROIs, measured by larger coordinates.
-        radius: of the discs.
-        most: entries above this are :data:`NEVER`.
+    The roadmap is of the starts, then the ROIs, measured by larger coordinates; ``radius`` is that
+    of the discs. Entries above ``most`` are :data:`NEVER`.
     """
     n, m, config = problem.n, problem.m, problem.config
     first = np.empty((n, m), np.int64)
@@ -124,13 +112,10 @@ def _least(meets: Callable[[int], bool], most: int) -> int:
 
 
 def set_bounds(legs: Legs) -> tuple[Ints, Ints]:
-    """Return lower bounds of the steps in which the ROIs of a set are visited.
+    """Return lower bounds of the steps in which the ROIs of a set are visited (Held and Karp).
 
-    This is Held and Karp's recursion.
-
-    Returns:
-        The bounds (n, 2^m) from each robot's start, and (2^m, m) from each ROI, where entries
-        whose set contains the ROI itself are meaningless.
+    They are (n, 2^m) from each robot's start, and (2^m, m) from each ROI, where entries whose set
+    contains the ROI itself are meaningless.
     """
     n, m = legs.first.shape
     steps = np.concatenate([legs.between, legs.first])

@@ -29,9 +29,7 @@ DRIFT = 0.03
 
 Sparse = Any
 """A sparse matrix of rows."""
-
 Parts = Sequence[ArrayLike]
-
 HalfPlanes = tuple[Floats, Floats]
 """``normals @ p <= offsets``: (k, 2) and (k,)."""
 
@@ -48,15 +46,10 @@ class Separation:
 
 @dataclass(frozen=True)
 class TeamMotion:
-    """A solution.
+    """A solution."""
 
-    Attributes:
-        paths: (n, T, 2), positions after each step, units.
-        actions: (T, n, 2) float32 in [-1, 1].
-    """
-
-    paths: Floats
-    actions: NDArray[np.float32]
+    paths: Floats  # (n, T, 2), positions after each step, units
+    actions: NDArray[np.float32]  # (T, n, 2) in [-1, 1]
 
 
 def solve_motion(
@@ -66,14 +59,10 @@ def solve_motion(
     places: Sequence[Sequence[HalfPlanes]],
     separations: Sequence[Separation],
 ) -> TeamMotion | None:
-    """Return the motions of least effort, or ``None`` if the solver failed.
+    """Return the motions of least effort in ``steps`` steps, or ``None`` if the solver failed.
 
-    Args:
-        problem: the instance.
-        steps: T, at least 1.
-        visits: for each robot, pairs of a step (1 to T) and the ROI to visit then.
-        places: for each robot and step, the convex set to be in; a single set is for all steps.
-        separations: linearised distances.
+    ``visits`` has for each robot pairs of a step (1 to T) and the ROI to visit then; ``places`` has
+    for each robot and step the convex set to be in; a single set is for all steps.
     """
     program = _ConicProgram(problem, steps, len(separations))
     for i in range(problem.n):
@@ -166,15 +155,8 @@ class _ConicProgram:
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_threads = 1
-        square, linear = self._cost()
-        solver = clarabel.DefaultSolver(
-            square,
-            linear,
-            sp.vstack(self.linear + self.cones, format="csc"),
-            limits,
-            kinds,
-            settings,
-        )
+        rows = sp.vstack(self.linear + self.cones, format="csc")
+        solver = clarabel.DefaultSolver(*self._cost(), rows, limits, kinds, settings)
         solution = solver.solve()
         solved = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
         if str(solution.status) not in solved:

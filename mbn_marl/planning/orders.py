@@ -10,15 +10,7 @@ import highspy
 import numpy as np
 
 from mbn_marl.planning.problem import Drive, Floats
-from mbn_marl.planning.relaxation import (
-    TIME,
-    VX,
-    Disc,
-    Region,
-    Relaxation,
-    Solved,
-    velocities,
-)
+from mbn_marl.planning.relaxation import TIME, VX, Disc, Region, Relaxation, Solved, velocities
 from mbn_marl.planning.windows import StepWindows, fixed_windows
 
 ROOM = 0.02
@@ -36,38 +28,23 @@ class OutOfTimeError(Exception):
 
 @dataclass(frozen=True)
 class Visits:
-    """Steps at which a robot can visit discs.
+    """Steps at which a robot can visit discs."""
 
-    Attributes:
-        steps: one for each disc, in order.
-        inflation: the least inflation of the discs at these steps, units; negative is room.
-        path: (steps[-1], 2), the positions after each step, inside the hull, units.
-    """
-
-    steps: tuple[int, ...]
-    inflation: float
-    path: Floats
+    steps: tuple[int, ...]  # one for each disc, in order
+    inflation: float  # the least of the discs at these steps, units; negative is room
+    path: Floats  # (steps[-1], 2), the positions after each step, inside the hull, units
 
 
 @dataclass
 class Search:
-    """Searches steps at which one robot can visit discs in order, within windows.
+    """Searches steps at which one robot can visit discs in order, within windows."""
 
-    Attributes:
-        start: where it rests at step 0.
-        drive: its limits per step.
-        region: the convex set that it must not leave.
-        slack: allowance of the discs for rounding, in units.
-        highs: the solver.
-        deadline: the end of the search, on the clock ``time.monotonic``.
-    """
-
-    start: tuple[float, float]
+    start: tuple[float, float]  # where it rests at step 0
     drive: Drive
-    region: Region
-    slack: float
+    region: Region  # must not be left
+    slack: float  # allowance of the discs for rounding, in units
     highs: highspy.Highs
-    deadline: float
+    deadline: float  # on the clock time.monotonic
 
     def possible(self, discs: tuple[Disc, ...], windows: StepWindows) -> bool:
         """Return whether the relaxation allows the windows; ``False`` is a proof that they fail."""

@@ -14,19 +14,16 @@ def least_makespan(bounds: Ints) -> int:
     Args:
         bounds: (n, 2^m), steps for each robot and ROI set (a bit mask).
     """
-    return int(_bottleneck(bounds)[-1])
+    return int(_best(bounds, sums=False)[0][-1, -1])
 
 
 def cheapest_partition(costs: Ints) -> list[int] | None:
-    """Return the partition of all ROIs with the least sum of costs.
+    """Return the partition of all ROIs with the least sum of costs, or ``None`` if there is none.
 
     Args:
         costs: (n, 2^m), of each robot and ROI set; :data:`NEVER` excludes a set.
-
-    Returns:
-        A mask for each robot, or ``None`` if there is no partition.
     """
-    total, choice = _cheapest(costs)
+    total, choice = _best(costs, sums=True)
     n, sets = costs.shape
     rest = sets - 1
     if total[n - 1, rest] >= NEVER:
@@ -39,41 +36,27 @@ def cheapest_partition(costs: Ints) -> list[int] | None:
 
 
 @numba.njit(cache=True)
-def _bottleneck(bounds: Ints) -> Ints:
-    """Return (2^m,): the least bottleneck with which the robots together visit each set."""
-    best: Ints = bounds[0].copy()
-    for i in range(1, len(bounds)):
-        now = np.empty_like(best)
-        for whole in range(len(best)):
-            part, least = whole, NEVER
-            while True:
-                least = min(least, max(bounds[i, part], best[whole & ~part]))
-                if part == 0:
-                    break
-                part = (part - 1) & whole
-            now[whole] = least
-        best = now
-    return best
+def _best(costs: Ints, sums: bool) -> tuple[Ints, Ints]:
+    """Return the least sum or largest of the costs of robots 0 to i for a set, and robot i's part.
 
-
-@numba.njit(cache=True)
-def _cheapest(costs: Ints) -> tuple[Ints, Ints]:
-    """Return the least costs of robots 0 to i together visiting a set, and robot i's part."""
-    total = np.empty_like(costs)
+    Both are (n, 2^m).
+    """
+    best = np.empty_like(costs)
     choice = np.zeros_like(costs)
-    total[0] = costs[0]
+    best[0] = costs[0]
     for whole in range(costs.shape[1]):
         choice[0, whole] = whole
     for i in range(1, len(costs)):
         for whole in range(costs.shape[1]):
             part, least, chosen = whole, NEVER, 0
             while True:
-                cost = costs[i, part] + total[i - 1, whole & ~part]
+                own, others = costs[i, part], best[i - 1, whole & ~part]
+                cost = own + others if sums else max(own, others)
                 if cost < least:
                     least, chosen = cost, part
                 if part == 0:
                     break
                 part = (part - 1) & whole
-            total[i, whole] = least
+            best[i, whole] = least
             choice[i, whole] = chosen
-    return total, choice
+    return best, choice

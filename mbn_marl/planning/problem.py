@@ -26,19 +26,12 @@ FLOAT32 = 2.0**-24
 
 @dataclass(frozen=True)
 class Drive:
-    """The changes of velocity that force and wind allow a robot in a step, per axis (x, y).
+    """The changes of velocity that force and wind allow a robot in a step, per axis (x, y)."""
 
-    Attributes:
-        rise: the largest increase, units/step.
-        fall: the largest decrease, units/step; 0 if the wind is stronger than the force.
-        top: the speed limit v_clip.
-        tau: time of a step.
-    """
-
-    rise: tuple[float, float]
-    fall: tuple[float, float]
-    top: float
-    tau: float
+    rise: tuple[float, float]  # the largest increase, units/step
+    fall: tuple[float, float]  # the largest decrease; 0 if the wind is stronger than the force
+    top: float  # the speed limit v_clip
+    tau: float  # time of a step
 
     def rates(self, axis: int, sign: float) -> tuple[float, float]:
         """Return the largest increase and decrease of the velocity along ``sign`` of an axis."""
@@ -48,25 +41,15 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """An instance: n robots, m ROIs.
-
-    Attributes:
-        field: the field.
-        config: the dynamics and rules, ``n_robots`` filled in.
-        starts: (n, 2), units.
-        rois: (m, 2), units.
-        drives: the limits of each robot.
-        forces: (n, 2), the velocity that a full force adds in a step, units/step.
-        wind: (2,), the velocity that the wind adds in a step, units/step.
-    """
+    """An instance: n robots, m ROIs."""
 
     field: Field
-    config: NavigationConfig
-    starts: Floats
-    rois: Floats
-    drives: tuple[Drive, ...]
-    forces: Floats
-    wind: Floats
+    config: NavigationConfig  # n_robots filled in
+    starts: Floats  # (n, 2), units
+    rois: Floats  # (m, 2), units
+    drives: tuple[Drive, ...]  # of each robot
+    forces: Floats  # (n, 2), the velocity that a full force adds in a step, units/step
+    wind: Floats  # (2,), the velocity that the wind adds in a step, units/step
 
     @property
     def n(self) -> int:
@@ -95,11 +78,9 @@ class Problem:
         return bool(np.all(np.abs(self.wind) <= self.forces))
 
     def with_wind(self, velocities: FloatArray, actions: FloatArray) -> Problem:
-        """Return the same instance in the wind that the first step reveals.
+        """Return the same instance in the wind that the first step from rest reveals.
 
-        Args:
-            velocities: (n, 2), units/step, after one step from rest.
-            actions: (n, 2), the actions of that step.
+        Its actions and the velocities after it, in units/step, are (n, 2).
         """
         wind = (velocities - actions * self.forces).mean(axis=0)
         if np.abs(wind - self.wind).max() < CALM:

@@ -36,17 +36,10 @@ MOST_ROUNDS = 60
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A bounded convex set of the plane, ``normals @ p <= offsets``.
+    """A bounded convex set of the plane, ``normals @ p <= offsets``, and bounds of coordinates."""
 
-    Attributes:
-        normals: (k, 2) unit vectors.
-        offsets: (k,), units.
-        low: (2,), a lower bound of the coordinates.
-        high: (2,), an upper bound.
-    """
-
-    normals: Floats
-    offsets: Floats
+    normals: Floats  # (k, 2) unit vectors
+    offsets: Floats  # (k,), units
     low: tuple[float, float]
     high: tuple[float, float]
 
@@ -61,36 +54,22 @@ class Disc:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """The optimum of a relaxation.
+    """The optimum of a relaxation."""
 
-    Attributes:
-        bound: a proved lower bound of the least inflation of the discs, units.
-        inflation: the least inflation found.
-        points: (k, 5): x, y, vx, vy and time at the stops.
-        cuts: the binding ones.
-    """
-
-    bound: float
-    inflation: float
-    points: Floats
-    cuts: list[Cut]
+    bound: float  # a proved lower bound of the least inflation of the discs, units
+    inflation: float  # the least found
+    points: Floats  # (k, 5): x, y, vx, vy and time at the stops
+    cuts: list[Cut]  # the binding ones
 
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """One robot's linear program.
+    """One robot's linear program."""
 
-    Attributes:
-        start: where the robot rests at step 0.
-        drive: its limits per step.
-        region: the convex set that contains every stop.
-        discs: the stops, in order.
-    """
-
-    start: tuple[float, float]
+    start: tuple[float, float]  # where the robot rests at step 0
     drive: Drive
-    region: Region
-    discs: tuple[Disc, ...]
+    region: Region  # contains every stop
+    discs: tuple[Disc, ...]  # the stops, in order
 
     def with_via(self, place: int) -> Relaxation:
         """Return it with one more stop, anywhere in the region, before the stop ``place``."""
@@ -112,11 +91,7 @@ class Relaxation:
     ) -> Solved:
         """Return the least inflation of the discs, or a proof that it is more than ``enough``.
 
-        Args:
-            highs: the solver.
-            windows: of the stops.
-            cuts: first cuts: tangents, or the binding ones of wider windows.
-            enough: stop as soon as the bound exceeds this.
+        The first ``cuts`` are tangents, or the binding ones of wider windows.
         """
         rows = self._rows(windows)
         fixed = len(rows)

@@ -16,23 +16,14 @@ from mbn_marl.planning.problem import Floats, Problem
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """One episode of a team in the engine.
+    """One episode of a team in the engine."""
 
-    Attributes:
-        actions: (T, n, 2) float32 in [-1, 1].
-        clean: whether every ROI was visited, without a collision or a push against a wall.
-        return_: the team's return, reward units.
-        trail: (T + 1, n, 2), the positions from the starts on, units.
-        assignment: the ROIs that each robot visited, in order.
-        visit_steps: the steps at which ROIs were visited, rising.
-    """
-
-    actions: NDArray[np.float32]
-    clean: bool
-    return_: float
-    trail: Floats
-    assignment: tuple[tuple[int, ...], ...]
-    visit_steps: tuple[int, ...]
+    actions: NDArray[np.float32]  # (T, n, 2) in [-1, 1]
+    clean: bool  # every ROI was visited, without a collision or a push against a wall
+    return_: float  # of the team, reward units
+    trail: Floats  # (T + 1, n, 2), the positions from the starts on, units
+    assignment: tuple[tuple[int, ...], ...]  # the ROIs that each robot visited, in order
+    visit_steps: tuple[int, ...]  # rising
 
 
 ChooseActions = Callable[[FloatArray, FloatArray, NDArray[np.bool_]], NDArray[np.float32] | None]

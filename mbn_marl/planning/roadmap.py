@@ -17,21 +17,13 @@ TOUCH = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Roadmap:
-    """Shortest paths between places of an area.
+    """Shortest paths between places of an area."""
 
-    Attributes:
-        area: the area that contains the paths.
-        places: (k, 2), the places, moved into the area if they lay outside.
-        corners: (c, 2), the corners that paths can bend around.
-        lengths: (k + c, k + c), lengths of the shortest paths, places first; infinite for none.
-        before: (k + c, k + c), the last point before b on the path from a to b; -9999 for none.
-    """
-
-    area: shapely.Geometry
-    places: Floats
-    corners: Floats
-    lengths: Floats
-    before: NDArray[np.int32]
+    area: shapely.Geometry  # contains the paths
+    places: Floats  # (k, 2), moved into the area if they lay outside
+    corners: Floats  # (c, 2), that paths can bend around
+    lengths: Floats  # (k + c, k + c), of the shortest paths, places first; infinite for none
+    before: NDArray[np.int32]  # (k + c, k + c), the last point before b from a to b; -9999 for none
 
     def path(self, a: int, b: int) -> Floats:
         """Return (r, 2): the shortest path from place a to place b; empty if there is none."""
@@ -57,12 +49,9 @@ class Roadmap:
 
 
 def make_roadmap(area: shapely.Geometry, places: Floats, *, largest: bool = False) -> Roadmap:
-    """Return the roadmap of an area.
+    """Return the roadmap that connects ``places`` (k, 2) in an area, a polygon or several.
 
-    Args:
-        area: a polygon, or several.
-        places: (k, 2), the points to connect.
-        largest: measure a path's pieces by their larger coordinate instead of their length.
+    With ``largest``, a path's pieces are measured by their larger coordinate, not by their length.
     """
     points = shapely.points(places)
     inside = shapely.covers(area, points)

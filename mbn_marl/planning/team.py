@@ -30,14 +30,9 @@ USED = 100
 
 @dataclass(frozen=True)
 class Route:
-    """The visits of one robot.
+    """The visits of one robot."""
 
-    Attributes:
-        order: the ROIs, in order.
-        visits: their steps and the path.
-    """
-
-    order: tuple[int, ...]
+    order: tuple[int, ...]  # the ROIs
     visits: Visits
 
     @property
@@ -46,31 +41,21 @@ class Route:
         return self.visits.inflation <= 0.0
 
 
-NO_GATES: Mapping[tuple[int, int], tuple[Disc, ...]] = {}
-
-
 @dataclass
 class Team:
     """Searches the least makespan at which every robot's share of the ROIs is possible.
 
-    Attributes:
-        problem: the instance.
-        legs: least steps of single legs.
-        slack: allowance of discs and hull for rounding, in units.
-        horizon: the largest makespan of interest, steps.
-        deadline: the end of the search, on the clock ``time.monotonic``.
-        gates: discs to pass between two places; places are the starts, then the ROIs. They guide
-            the search round corners, and make the bound a guess.
-        bound: a lower bound of the makespan, which rises, steps.
+    ``gates`` are discs to pass between two places: starts, then ROIs. They guide the search round
+    corners, and make the bound a guess.
     """
 
     problem: Problem
     legs: Legs
-    slack: float
-    horizon: int
-    deadline: float
-    gates: Mapping[tuple[int, int], tuple[Disc, ...]] = field(default_factory=lambda: NO_GATES)
-    bound: int = 0
+    slack: float  # allowance of discs and hull for rounding, in units
+    horizon: int  # the largest makespan of interest, steps
+    deadline: float  # on the clock time.monotonic
+    gates: Mapping[tuple[int, int], tuple[Disc, ...]] = field(default_factory=dict)
+    bound: int = 0  # a lower bound of the makespan, which rises, steps
     highs: highspy.Highs = field(default_factory=make_solver)
     _routes: dict[tuple[int, int], tuple[int, Route]] = field(default_factory=dict)
     _earliest: dict[tuple[int, tuple[int, ...]], int] = field(default_factory=dict)
@@ -140,14 +125,13 @@ class Team:
 
     def route(self, i: int, mask: int, makespan: int) -> Route | None:
         """Return a route of robot i through the set by ``makespan``; ``None`` raises its bound."""
-        known = self._routes.get((i, mask))
-        if known is not None and known[0] <= makespan:
-            later = makespan - known[0]
-            if not later or known[1].sure:
-                return self._later(i, known[1], later)
+        nowhere = Route((), Visits((), 0.0, np.zeros((0, 2))))
+        step, known = self._routes.get((i, mask), (makespan + 1, nowhere))
+        if step == makespan or (step < makespan and known.sure):
+            return self._later(i, known, makespan - step)
         if self.bounds[i, mask] > min(makespan, self.horizon):
             return None
-        found = self._extend(i, (), mask, makespan) if mask else Route((), _nothing())
+        found = self._extend(i, (), mask, makespan) if mask else nowhere
         if found is None:
             supersets = (self.masks & mask) == mask
             self.bounds[i, supersets] = np.maximum(self.bounds[i, supersets], makespan + 1)
@@ -162,7 +146,7 @@ class Team:
         visits = route.visits
         path = np.concatenate([np.tile(self.problem.starts[i], (steps, 1)), visits.path])
         shifted = tuple(step + steps for step in visits.steps)
-        return Route(route.order, Visits(shifted, visits.inflation, path))
+        return Route(route.order, replace(visits, steps=shifted, path=path))
 
     def _extend(self, i: int, order: tuple[int, ...], rest: int, makespan: int) -> Route | None:
         """Search depth first the orders that begin with ``order`` and continue with ``rest``."""
@@ -177,19 +161,15 @@ class Team:
             if total > makespan:
                 break
             longer, left = (*order, j), rest & ~(1 << j)
-            stops = self._stops(i, longer, makespan - tail, ends=left == 0)
-            search = Search(
-                (float(self.problem.starts[i, 0]), float(self.problem.starts[i, 1])),
-                self.problem.drives[i],
-                self.region,
-                self.slack,
-                self.highs,
-                self.deadline,
-            )
+            discs, windows, rois = self._stops(i, longer, makespan - tail, ends=left == 0)
+            x, y = self.problem.starts[i].tolist()
+            drive = self.problem.drives[i]
+            search = Search((x, y), drive, self.region, self.slack, self.highs, self.deadline)
             if left == 0:
-                if (visits := search.visits(stops.discs, stops.windows)) is not None:
-                    return Route(longer, stops.of_rois(visits))
-            elif len(longer) == 1 or search.possible(stops.discs, stops.windows):
+                if (visits := search.visits(discs, windows)) is not None:
+                    steps = tuple(visits.steps[k] for k in rois)
+                    return Route(longer, replace(visits, steps=steps))
+            elif len(longer) == 1 or search.possible(discs, windows):
                 if (route := self._extend(i, longer, left, makespan)) is not None:
                     return route
                 continue
@@ -204,16 +184,19 @@ class Team:
             least = self._reached(i, order[:-1]) + int(self.legs.between[order[-2], order[-1]])
         return max(least, self._earliest.get((i, order), 0))
 
-    def _stops(self, i: int, order: tuple[int, ...], last: int, ends: bool) -> _Stops:
-        """Return the stops of an order that is complete by step ``last``, with their windows.
+    def _stops(
+        self, i: int, order: tuple[int, ...], last: int, ends: bool
+    ) -> tuple[tuple[Disc, ...], StepWindows, list[int]]:
+        """Return the stops of an order that is complete by step ``last``: discs and windows.
 
-        If the route ``ends`` there and robots can wait, it ends at exactly that step.
+        The indices of the ROIs among them come third. If the route ``ends`` there and robots can
+        wait, it ends at exactly that step.
         """
         n, radius = self.problem.n, self.problem.config.roi_radius
         discs: list[Disc] = []
         first: list[int] = []
         least: list[int] = []
-        rois = []
+        rois: list[int] = []
         reached, place = 0, i
         for k, j in enumerate(order):
             gates = self.gates.get((place, n + j), ())
@@ -231,21 +214,4 @@ class Team:
             first[-1] = last
         count = len(discs)
         windows = StepWindows(tuple(first), (last,) * count, tuple(least), (last,) * count)
-        return _Stops(tuple(discs), windows, tuple(rois))
-
-
-@dataclass(frozen=True)
-class _Stops:
-    """Stops of a route; ``rois`` are the indices of the ROIs among them."""
-
-    discs: tuple[Disc, ...]
-    windows: StepWindows
-    rois: tuple[int, ...]
-
-    def of_rois(self, visits: Visits) -> Visits:
-        """Return the visits of only the ROIs."""
-        return replace(visits, steps=tuple(visits.steps[k] for k in self.rois))
-
-
-def _nothing() -> Visits:
-    return Visits((), 0.0, np.zeros((0, 2)))
+        return tuple(discs), windows, rois

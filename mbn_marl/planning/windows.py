@@ -8,18 +8,11 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class StepWindows:
-    """The steps that stops and legs may take; leg k ends at stop k, leg 0 begins at step 0.
+    """The steps that stops and legs may take; leg k ends at stop k, leg 0 begins at step 0."""
 
-    Attributes:
-        first: the earliest step of each stop.
-        last: the latest.
-        least: the fewest steps of each leg.
-        most: the most.
-    """
-
-    first: tuple[int, ...]
+    first: tuple[int, ...]  # the earliest step of each stop
     last: tuple[int, ...]
-    least: tuple[int, ...]
+    least: tuple[int, ...]  # the fewest steps of each leg
     most: tuple[int, ...]
 
     @property

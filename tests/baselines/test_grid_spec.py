@@ -157,7 +157,7 @@ def test_a_field_that_a_policy_does_not_fit_is_named(tmp_path: Path) -> None:
 def test_capacity_counts_what_has_to_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capacity, "SPEEDS", {"a2c": 2.0})
     budget = {"steps": 20}
-    chain = runs_of(spec_of("runs", settings=["C"], budget=budget))
+    chain = capacity.jobs_of(runs_of(spec_of("runs", settings=["C"], budget=budget)))
     assert [capacity.makespan(chain, workers) for workers in (1, 5)] == [20.0, 20.0]
-    three = runs_of(spec_of("runs", seeds=[0, 1, 2], budget=budget))
+    three = capacity.jobs_of(runs_of(spec_of("runs", seeds=[0, 1, 2], budget=budget)))
     assert [capacity.makespan(three, workers) for workers in (1, 2, 3)] == [30.0, 20.0, 10.0]

@@ -24,7 +24,7 @@ from benchmarks.report import (
     print_findings,
 )
 from benchmarks.speed.measure import Speed, measure_speed
-from benchmarks.speed.parts import OBSERVATIONS, PARTS, REWARDS, PartialSteps
+from benchmarks.speed.parts import OBSERVATIONS, PARTS, REWARDS, partial_step
 from benchmarks.speed.sizes import SIZES, USUAL, make_field, measure_sizes
 from benchmarks.speed.timing import Budget, Case, Timing, interleaved
 from mbn_marl import BatchEngine, load_field
@@ -113,11 +113,11 @@ def test_the_last_part_is_the_whole_step() -> None:
     settings: dict[str, Any] = {"max_steps": 60, "random_starts": True, "seed": 1}
     whole, parts = (BatchEngine("field_01", 300, **settings) for _ in range(2))
     whole.reset()
-    steps = PartialSteps(parts, OBSERVATIONS)
+    step = partial_step(parts, OBSERVATIONS)
     for _ in range(150):
         actions = whole.sample_actions()
         expected = (*whole.step(actions), whole.team_rewards, whole.state())
-        steps.step(actions)
+        step(actions)
         output = parts._backend.output
         arrays = (output.observations, output.rewards, output.terminated, output.truncated)
         for got, wanted in zip((*arrays, parts.team_rewards, parts.state()), expected, strict=True):
@@ -128,13 +128,13 @@ def test_rewards_without_memory_differ_in_revisits_only() -> None:
     settings: dict[str, Any] = {"max_steps": 60, "random_starts": True, "seed": 1}
     whole, parts = (BatchEngine("field_01", 300, **settings) for _ in range(2))
     whole.reset()
-    steps = PartialSteps(parts, REWARDS)
+    step = partial_step(parts, REWARDS)
     small, medium = parts.config.reward.small, parts.config.reward.medium
     revisits = 0
     for _ in range(100):
         actions = whole.sample_actions()
         _, rewards, *_ = whole.step(actions)
-        steps.step(actions)
+        step(actions)
         assert parts.state().tobytes() == whole.state().tobytes()
         difference = parts._backend.output.rewards - rewards
         revisits += np.count_nonzero(difference)

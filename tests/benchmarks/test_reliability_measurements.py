@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tempfile
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -36,11 +37,11 @@ def test_damaged_copies_are_counted(tmp_path: Path) -> None:
     files = tuple(Path(f"{number}.json") for number in range(3))
     subject = corruption.Subject("sealed", folder, files, partial(_read_all, files))
     count = corruption.try_copies(subject, 20, scratch, Random(0))
-    assert count == corruption.Count(damaged=20, refused=20)
+    assert count == Counter(copies=20, refused=20)
     unchecked = replace(subject, read=lambda copy: [(copy / file).read_bytes() for file in files])
-    assert corruption.try_copies(unchecked, 5, scratch, Random(0)).wrong == 5
+    assert corruption.try_copies(unchecked, 5, scratch, Random(0))["read wrongly"] == 5
     careless = replace(subject, read=lambda copy: [_careless(copy / file) for file in files])
-    assert corruption.try_copies(careless, 20, scratch, Random(0)).crashed > 0
+    assert corruption.try_copies(careless, 20, scratch, Random(0))["crashed"] > 0
 
 
 def _read_all(files: tuple[Path, ...], folder: Path) -> list[object]:

@@ -5,24 +5,29 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
 from baselines.training.train import prepare, resolve
 from benchmarks.__main__ import main
+from benchmarks.capacity import makespan
 from benchmarks.studies.learning import (
     Ablations,
     Learning,
     Sharing,
     Study,
-    makespan,
+    best_return,
+    field_table,
+    paper_best,
+    run_table,
     target_rows,
     write_targets,
 )
-from benchmarks.studies.passing import FieldLine, Passing, best_return, paper_best, passes
 from benchmarks.studies.population import Board
 from tests.support.records import CONFIG, make_run
 
@@ -84,39 +89,45 @@ def results(folder: Path) -> Results:
     )
 
 
+def line_of(cell: Sequence[RunRecord]) -> Any:
+    """The runs of one label on one field, summarised."""
+    return field_table(run_table(cell)).iloc[0]
+
+
 def test_a_run_passes_at_the_first_evaluation_that_meets_everything(tmp_path: Path) -> None:
     found = results(tmp_path)
-    first, second = found.cells["mappo", "field_01"]
-    assert Passing.of(first) == Passing(200_000, 20.0)
-    assert Passing.of(second) == Passing(300_000, 30.0)
-    assert (passes(first), passes(second)) == (True, False)
-    assert Passing.of(found.cells["true", "field_01"][0]).env_steps == float("inf")
+    runs = run_table(found.cells["mappo", "field_01"])
+    assert runs.env_steps.tolist() == [200_000, 300_000]
+    assert runs.seconds.tolist() == [20.0, 30.0]
+    assert runs.passed.tolist() == [True, False]
+    assert run_table(found.cells["true", "field_01"]).env_steps[0] == math.inf
 
 
 def test_a_field_is_summarised_by_medians(tmp_path: Path) -> None:
     found = results(tmp_path)
-    line = FieldLine.of(found.cells["mappo", "field_01"])
+    line = line_of(found.cells["mappo", "field_01"])
     assert (line.passed, line.runs) == (1, 2)
     assert (line.env_steps, line.worst_env_steps) == (250_000, 300_000)
     assert (line.seconds, line.success_rate) == (25.0, 0.985)
     assert (line.deterministic_median, line.deterministic_best) == (158_400.0, 158_800.0)
     assert (line.optimum, line.paper_best) == (158_800.0, 158_800.0)
-    stuck = FieldLine.of(found.cells["true", "field_01"])
-    assert (stuck.env_steps, stuck.worst_env_steps) == (None, None)
+    stuck = line_of(found.cells["true", "field_01"])
+    assert (stuck.env_steps, stuck.worst_env_steps) == (math.inf, math.inf)
 
 
 def test_the_best_return_may_be_one_on_the_way(tmp_path: Path) -> None:
     better = {**GOOD, "deterministic_return_mean": 158_800.0}
     history = evaluations(GOOD, better, GOOD)
     run = make_run(tmp_path, field="field_01", recorded=(history, final(GOOD, 158_000.0)))
-    line = FieldLine.of([run])
+    line = line_of([run])
     assert (line.deterministic_median, line.deterministic_best) == (158_000.0, 158_800.0)
     assert best_return(run) == line.deterministic_best
 
 
-def test_workers_take_jobs_up_in_order() -> None:
-    assert makespan([3.0, 1.0, 1.0, 4.0], 1) == 9.0
-    assert makespan([3.0, 1.0, 1.0, 4.0], 2) == 6.0  # 3 then nothing; 1, 1, then 4
+def test_workers_take_jobs_in_order() -> None:
+    jobs = [(str(place), None, seconds) for place, seconds in enumerate((3.0, 1.0, 1.0, 4.0))]
+    assert makespan(jobs, 1) == 9.0
+    assert makespan(jobs, 2) == 6.0  # 3 then nothing; 1, 1, then 4
 
 
 def test_targets_are_scaled_to_the_runs(tmp_path: Path) -> None:
@@ -194,17 +205,17 @@ def test_every_variant_of_the_ablations_differs_from_the_recorded_setting() -> N
     assert all(part not in parts[:index] for index, part in enumerate(parts))
 
 
-def test_a_population_takes_up_the_unsolved_field_with_the_fewest_runs(tmp_path: Path) -> None:
-    board, later = Board.of(2), time.time() + 1e6
+def test_a_population_takes_the_unsolved_field_with_the_fewest_runs(tmp_path: Path) -> None:
+    board, later = Board({"a": 0, "b": 0}), time.time() + 1e6
     taken = [board.take(later) for _ in range(3)]
-    assert taken == [(0, 0), (1, 0), (0, 1)]
+    assert taken == [("a", 0), ("b", 0), ("a", 1)]
     recorded = evaluations(GOOD), final(GOOD, 159_490.0)
     optimum = make_run(tmp_path, field="field_03", recorded=recorded)
-    board.enter(0, make_run(tmp_path, field="field_01", recorded=recorded), seconds=100.0)
-    board.enter(1, optimum, seconds=50.0)
-    assert board.take(later) == (0, 2)  # field 1 is solved
+    board.enter("a", make_run(tmp_path, field="field_01", recorded=recorded), seconds=100.0)
+    board.enter("b", optimum, seconds=50.0)
+    assert board.take(later) == ("a", 2)  # b is solved
     assert board.take(time.time() + 99.0) is None  # the slowest run took longer
-    board.enter(0, optimum, seconds=1.0)
+    board.enter("a", optimum, seconds=1.0)
     assert board.take(later) is None  # all are solved
 
 
@@ -220,7 +231,10 @@ def test_a_population_is_trained_and_written(
     stored = json.loads((out / "population.json").read_text())
     assert [row["value"] for row in stored["targets"][:2]] == [0, 0]
     assert [row["met"] for row in stored["targets"]] == [False] * 3
-    assert stored["fields"]["field_03"]["runs"] == 1
+    assert [(line["field"], line["runs"]) for line in stored["fields"]] == [
+        ("field_03", 1),
+        ("field_05", 1),
+    ]
     assert "| field_05 | mappo-field_05-seed0 | 1 |" in (out / "population.md").read_text()
     command[command.index("0.001")] = "0"
     assert main(command) == 2
