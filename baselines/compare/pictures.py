@@ -25,7 +25,7 @@ AGGREGATES = {
 
 def draw_statistics(comparison: Comparison) -> dict[str, Figure]:
     """Figures of what is over all fields, by title."""
-    from mbn_marl.render import figures
+    from mbn_marl.render import estimates
 
     drawn, aggregates = {}, comparison.aggregates
     if aggregates:
@@ -35,13 +35,13 @@ def draw_statistics(comparison: Comparison) -> dict[str, Figure]:
         }
         profiles = {entry.label: entry.profile for entry in aggregates}
         score = "return as a share of the proved optimum"
-        drawn["Aggregates"] = figures.intervals_figure(panels)
-        drawn["Performance profiles"] = figures.profiles_figure(
+        drawn["Aggregates"] = estimates.intervals_figure(panels)
+        drawn["Performance profiles"] = estimates.profiles_figure(
             profiles, THRESHOLDS, score, comparison.looks
         )
     if pairs := list(itertools.combinations(comparison.looks, 2)):
         chances = {f"{x} > {y}": comparison.improvement[x][y] for x, y in pairs}
-        drawn["Probability of improvement"] = figures.chances_figure(
+        drawn["Probability of improvement"] = estimates.chances_figure(
             chances, "probability of improvement"
         )
     return drawn
@@ -51,9 +51,9 @@ def draw_learning_curves(
     groups: Mapping[str, Sequence[RunRecord]], looks: Mapping[str, int]
 ) -> Figure:
     """The learning curves of one field's runs, by label."""
-    from mbn_marl.render import figures
+    from mbn_marl.render import curves
 
-    return figures.learning_curves(
+    return curves.learning_curves(
         {label: [_curve(record) for record in group] for label, group in groups.items()},
         threshold=RETURN_THRESHOLD,
         optimum=next(iter(groups.values()))[0].optimum,

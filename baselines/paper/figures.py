@@ -12,7 +12,7 @@ from baselines.paper.trainings import Trainings
 from mbn_marl.field import load_field
 from mbn_marl.optimum import optimal_return
 from mbn_marl.render import figures
-from mbn_marl.render.figures import Pair, Panel
+from mbn_marl.render.curves import Pair, Panel, learning_curve_panels, pairs
 
 
 def overview() -> Figure:
@@ -32,7 +32,7 @@ def learning_curves(trainings: Trainings, setting: str) -> Figure | None:
     }
     looks = ordered({name: name for name in trainings.algorithms})
     shown = {published.display_name(name): look for name, look in looks.items()}
-    return figures.learning_curve_panels(panels, shown, RETURN_THRESHOLD)
+    return learning_curve_panels(panels, shown, RETURN_THRESHOLD)
 
 
 def against(trainings: Trainings, first: str, second: str) -> Figure | None:
@@ -64,7 +64,7 @@ def against(trainings: Trainings, first: str, second: str) -> Figure | None:
             panels[published.display_name(algorithm)] = lines
     if not panels:
         return None
-    return figures.pairs(panels, (f"setting {first}", f"setting {second}"), RETURN_THRESHOLD)
+    return pairs(panels, (f"setting {first}", f"setting {second}"), RETURN_THRESHOLD)
 
 
 def _pair(rows: DataFrame, first: str, second: str) -> Pair:

@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from baselines.runs.files import RunError, read_json
-from mbn_marl.render.figures import StudyTrial, study_figure
+from mbn_marl.render.curves import StudyTrial, study_figure
 
 
 def draw_study(folder: Path) -> Figure:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
 
-from mbn_marl.config import NavigationConfig, describe, make_config
+from mbn_marl.config import describe, make_config
 from mbn_marl.engine import REWARD_TERMS
 from mbn_marl.episode.episode import Episode
 from mbn_marl.episode.schema import (
@@ -26,14 +26,12 @@ from mbn_marl.field import Field
 from mbn_marl.files import replacing
 from mbn_marl.version import __version__
 
+T = TypeVar("T")
 EXPECTED = f"an episode in the format {FORMAT}, as `mbn render -o episode.json` writes it"
 
 
 def save_episode(episode: Episode, path: str | Path) -> Path:
-    """Write ``episode`` to ``path`` as JSON, atomically.
-
-    Returns:
-        The path.
+    """Write ``episode`` to ``path`` as JSON, atomically, and return ``path``.
 
     Raises:
         MbnError: the name does not end in ``.json``.
@@ -69,11 +67,15 @@ def load_episode(path: str | Path) -> Episode:
         raise EpisodeError(str(path), [problem])
     try:
         document.pop("checksum", None)  # of older versions
-        return from_file(EpisodeFile.model_validate(document))
+        content = EpisodeFile.model_validate(document)
     except ValidationError as error:
         raise EpisodeError(str(path), describe(error, EpisodeFile)) from None
-    except EpisodeError as error:
-        raise EpisodeError(str(path), error.problems) from None
+    episode = _from_file(content, str(path))
+    stored, total = content.team_return, episode.team_return
+    if stored != total:
+        problem = f"team_return: {stored}; allowed: {total}, the sum of rewards.team"
+        raise EpisodeError(str(path), [problem])
+    return episode
 
 
 def is_episode_file(path: str | Path) -> bool:
@@ -86,12 +88,7 @@ def is_episode_file(path: str | Path) -> bool:
 
 def to_file(episode: Episode) -> EpisodeFile:
     """Return the content of the file of ``episode``."""
-    config = episode.config.model_dump(mode="json", exclude={"wind"})
-    rewards = Rewards(
-        terms=list(REWARD_TERMS),
-        robots=CodedArray.pack(episode.terms),
-        team=CodedArray.pack(episode.team_rewards),
-    )
+    robots, team = CodedArray.pack(episode.terms), CodedArray.pack(episode.team_rewards)
     return EpisodeFile(
         format=FORMAT,
         version=__version__,
@@ -103,86 +100,68 @@ def to_file(episode: Episode) -> EpisodeFile:
         team_return=episode.team_return,
         wind=episode.config.wind,
         field=episode.field.to_dict(),
-        config=config,
+        config=episode.config.model_dump(mode="json", exclude={"wind"}),
         visits=[int(step) or None for step in episode.visits],
         positions=PackedArray.pack(episode.positions),
         actions=PackedArray.pack(episode.actions),
-        rewards=rewards,
+        rewards=Rewards(terms=list(REWARD_TERMS), robots=robots, team=team),
     )
 
 
-def from_file(content: EpisodeFile) -> Episode:
-    """Return the episode in a file.
-
-    Raises:
-        EpisodeError: naming every part that does not fit.
-    """
-    field, config = _place(content)
+def _from_file(content: EpisodeFile, name: str) -> Episode:
+    """Return the episode in the file ``name``; raise ``EpisodeError`` with what does not fit."""
+    field = _made("field", lambda: Field(**content.field), name)
+    config = _made("config", lambda: make_config({**content.config, "wind": content.wind}), name)
     steps, robots, rois = content.steps, content.robots, len(field.rois)
+    terms, known = content.rewards.terms, list(REWARD_TERMS)
     arrays: dict[str, Any] = {}
     problems = []
     packed: dict[str, tuple[PackedArray | CodedArray, tuple[int, ...]]] = {
         "positions": (content.positions, (steps + 1, robots, 2)),
         "actions": (content.actions, (steps, robots, 2)),
-        "rewards.robots": (content.rewards.robots, (steps, robots, len(content.rewards.terms))),
+        "rewards.robots": (content.rewards.robots, (steps, robots, len(terms))),
         "rewards.team": (content.rewards.team, (steps,)),
     }
-    for name, (array, shape) in packed.items():
+    for part, (array, shape) in packed.items():
         try:
-            arrays[name] = array.unpack()
+            found = arrays[part] = array.unpack()
         except ValueError as error:
-            problems.append(f"{name}: {error}")
+            problems.append(f"{part}: {error}")
             continue
-        if arrays[name].shape != shape:
-            problems.append(f"{name}: shape {arrays[name].shape}; allowed: {shape}")
-        if name in ("positions", "actions") and (
-            arrays[name].dtype != config.dtype or not np.isfinite(arrays[name]).all()
-        ):
-            problems.append(f"{name}: allowed: finite numbers, {config.dtype} as in config")
-    named = content.rewards.terms
-    if len(set(named)) < len(named) or not set(named) <= set(REWARD_TERMS):
-        allowed = f"each at most once of {list(REWARD_TERMS)}"
-        problems.append(f"rewards.terms: {named}; allowed: {allowed}")
+        if found.shape != shape:
+            problems.append(f"{part}: shape {found.shape}; allowed: {shape}")
+        exact = found.dtype == config.dtype and np.isfinite(found).all()
+        if not (exact or part.startswith("rewards")):
+            problems.append(f"{part}: allowed: finite numbers, {config.dtype} as in config")
+    if len(set(terms)) < len(terms) or not set(terms) <= set(known):
+        problems.append(f"rewards.terms: {terms}; allowed: each at most once of {known}")
     if config.n_robots != robots:
         problems.append(f"config.n_robots: {config.n_robots}; allowed: {robots}, as in robots")
     if len(content.visits) != rois:
         problems.append(f"visits: {len(content.visits)}; allowed: {rois}, one for each ROI")
-    if any(step is not None and not 1 <= step <= steps for step in content.visits):
+    if not set(content.visits) <= {None, *range(1, steps + 1)}:
         problems.append(f"visits: allowed: null, or a step from 1 to {steps}")
     if problems:
-        raise EpisodeError("episode", problems)
-    terms = np.zeros((steps, robots, len(REWARD_TERMS)))  # of those that the file does not know: 0
-    terms[..., [REWARD_TERMS.index(name) for name in named]] = arrays["rewards.robots"]
-    episode = Episode(
+        raise EpisodeError(name, problems)
+    own_terms = np.zeros((steps, robots, len(known)))  # of those that the file does not know: 0
+    own_terms[..., list(map(known.index, terms))] = arrays["rewards.robots"]
+    return Episode(
         field=field,
         config=config,
         actions=arrays["actions"],
         positions=arrays["positions"],
         visits=np.array([step or 0 for step in content.visits], np.int32),
-        terms=terms,
+        terms=own_terms,
         team_rewards=arrays["rewards.team"],
         outcome=content.outcome,
         source=content.source,
         seed=content.seed,
     )
-    _check_return(content.team_return, episode.team_return)
-    return episode
 
 
-def _check_return(stored: float, total: float) -> None:
-    """Check that the return in a file is the sum of its rewards."""
-    if stored != total:
-        problem = f"team_return: {stored}; allowed: {total}, the sum of rewards.team"
-        raise EpisodeError("episode", [problem])
-
-
-def _place(content: EpisodeFile) -> tuple[Field, NavigationConfig]:
-    """Return the field and the configuration."""
+def _made(part: str, make: Callable[[], T], name: str) -> T:
+    """Return what a part of the file ``name`` describes."""
     try:
-        field = Field(**content.field)
+        return make()
     except (TypeError, MbnError) as error:
-        raise EpisodeError("episode", [f"field: {error}"]) from None
-    try:
-        return field, make_config({**content.config, "wind": content.wind})
-    except MbnError as error:
-        raise EpisodeError("episode", [f"config: {error}"]) from None
+        raise EpisodeError(name, [f"{part}: {error}"]) from None

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import REWARD_TERMS, BatchEngine
@@ -13,8 +11,54 @@ from mbn_marl.episode.episode import Array, Episode, Outcome
 from mbn_marl.errors import EpisodeError, MbnError, ProblemsError
 from mbn_marl.field import Field
 
-COMPARED = ("positions", "terms", "team_rewards")
-"""The arrays that must be equal bit for bit, step by step."""
+
+class EpisodeLog:
+    """Logs the episode of an engine with one world, from its reset on."""
+
+    def __init__(self, engine: BatchEngine) -> None:
+        self._engine = engine
+        self._visits = np.zeros(engine.n_rois, np.int32)
+        self._positions = [self._state()[0]]
+        self._actions: list[Array] = []
+        self._terms: list[Array] = []
+        self._rewards: list[float] = []
+
+    def add(self, actions: Array) -> list[int]:
+        """Log the engine's last step, with ``actions`` (n, 2); return the ROIs visited in it."""
+        positions, visited = self._state()
+        self._positions.append(positions)
+        self._actions.append(np.clip(actions, -1, 1).astype(self._engine.dtype))
+        self._terms.append(self._engine.reward_terms()[0].astype(np.float64))
+        self._rewards.append(float(self._engine.team_rewards[0]))
+        fresh = np.flatnonzero(visited & (self._visits == 0))
+        self._visits[fresh] = len(self._actions)
+        return fresh.tolist()
+
+    def episode(self, config: NavigationConfig, source: str, seed: int | None) -> Episode:
+        """Return the episode so far."""
+        engine, steps, last = self._engine, len(self._actions), self._engine.snapshot()
+        ended: Outcome = "unfinished" if engine.running[0] else "truncated"
+        shape = (steps, engine.n_robots)
+        return Episode(
+            field=engine.field,
+            config=config.model_copy(update={"n_robots": engine.n_robots}),
+            actions=np.array(self._actions, engine.dtype).reshape(*shape, 2),
+            positions=np.array(self._positions),
+            visits=self._visits,
+            terms=np.array(self._terms, np.float64).reshape(*shape, len(REWARD_TERMS)),
+            team_rewards=np.array(self._rewards),
+            outcome="collision" if last.collision else "success" if last.success else ended,
+            source=source,
+            seed=seed,
+        )
+
+    def _state(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Return positions (n, 2), units, and which ROIs are visited, (m,) bool."""
+        state, n = self._engine.state()[0], self._engine.n_robots
+        bits = reversed(range(self._engine.n_rois))  # the first ROI is the most significant
+        return state[: 2 * n].reshape(n, 2), np.array(
+            [int(state[-1]) >> bit & 1 for bit in bits], bool
+        )
 
 
 def play(
@@ -29,7 +73,7 @@ def play(
     """Play ``actions`` in a world of the engine.
 
     Args:
-        field: the field.
+        field: where.
         config: the configuration; ``random_starts`` is ignored.
         actions: (T, n, 2), clipped to [-1, 1].
         starts: the robots' starts, (n, 2), units; ``None`` for the field's own.
@@ -48,42 +92,18 @@ def play(
         shape = f"shape {given.shape} of {given.dtype}"
         raise EpisodeError("episode", [f"actions: {shape}; allowed: numbers (steps, {robots}, 2)"])
     moves = np.clip(given, -1, 1).astype(engine.dtype)
-    steps = len(moves)
-    positions = np.empty((steps + 1, robots, 2), engine.dtype)
-    visits = np.zeros(len(field.rois), np.int32)
-    terms = np.empty((steps, robots, len(REWARD_TERMS)))
-    team_rewards = np.empty(steps)
-    outcome: Outcome = "unfinished"
     engine.reset()
-    positions[0] = _positions(engine)
-    for step, move in enumerate(moves, start=1):
-        if outcome != "unfinished":
-            problem = f"actions: there are {steps}; the episode ends after {step - 1} steps"
+    log = EpisodeLog(engine)
+    for step, move in enumerate(moves):
+        if not engine.running[0]:
+            problem = f"actions: there are {len(moves)}; the episode ends after {step} steps"
             raise EpisodeError("episode", [problem])
         try:
-            _, _, terminated, truncated = engine.step(move[None])
+            engine.step(move[None])
         except MbnError as error:
-            raise EpisodeError("episode", [f"step {step}: {error}"]) from None
-        positions[step] = _positions(engine)
-        terms[step - 1] = engine.reward_terms()[0]
-        team_rewards[step - 1] = engine.team_rewards[0]
-        visits[(visits == 0) & _visited(engine)] = step
-        if terminated[0]:
-            outcome = "collision" if engine.metrics()["collision"][0] else "success"
-        elif truncated[0]:
-            outcome = "truncated"
-    return Episode(
-        field=field,
-        config=config.model_copy(update={"n_robots": robots}),
-        actions=moves,
-        positions=positions,
-        visits=visits,
-        terms=terms,
-        team_rewards=team_rewards,
-        outcome=outcome,
-        source=source,
-        seed=seed,
-    )
+            raise EpisodeError("episode", [f"step {step + 1}: {error}"]) from None
+        log.add(move)
+    return log.episode(config, source, seed)
 
 
 def check_episode(episode: Episode, name: str = "episode") -> None:
@@ -101,7 +121,7 @@ def check_episode(episode: Episode, name: str = "episode") -> None:
         again = play(episode.field, episode.config, episode.actions, starts=episode.positions[0])
     except ProblemsError as error:
         raise EpisodeError(name, error.problems) from None
-    for what in COMPARED:
+    for what in ("positions", "terms", "team_rewards"):
         ours, theirs = getattr(episode, what), getattr(again, what)
         if not np.array_equal(ours, theirs):
             late = len(theirs) - episode.steps
@@ -112,15 +132,3 @@ def check_episode(episode: Episode, name: str = "episode") -> None:
         ours, theirs = getattr(episode, what), getattr(again, what)
         if not np.array_equal(ours, theirs):
             raise EpisodeError(name, [f"{what}: {ours}; replayed in the engine: {theirs}"])
-
-
-def _positions(engine: BatchEngine) -> Array:
-    state = engine.state()[0]
-    positions: Array = state[: 2 * engine.n_robots].reshape(-1, 2)
-    return positions
-
-
-def _visited(engine: BatchEngine) -> Any:
-    """Decode which ROIs are visited, (m,) bool; the first is the code's most significant bit."""
-    code = int(engine.state()[0, -1])
-    return np.array([code >> bit & 1 for bit in reversed(range(engine.n_rois))], np.bool_)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -13,8 +12,8 @@ from mbn_marl.episode.episode import Array, Episode
 from mbn_marl.episode.play import play
 from mbn_marl.errors import EpisodeError, MbnError
 
-_INNER = ("unwrapped", "env", "aec_env", "par_env", "venv", "base_env")
-"""The attributes in which wrappers keep the wrapped environment."""
+_INNER = ("engine", "unwrapped", "env", "aec_env", "par_env", "venv", "base_env")
+"""The attributes in which environments keep their engine, and wrappers their environment."""
 
 
 @dataclass
@@ -37,8 +36,8 @@ class EpisodeRecorder:
             ...
         save_episode(recorder.episodes[-1], "episode.json")
 
-    It notes starts and actions; an :class:`Episode` is made by playing them again in an engine of
-    one world, and checked by its rewards.
+    An :class:`Episode` is made by playing starts and actions again in an engine of one world, and
+    checked by its rewards.
 
     Args:
         environment: a PettingZoo, Gymnasium, Stable-Baselines3 or TorchRL environment of this
@@ -64,12 +63,7 @@ class EpisodeRecorder:
         self._begin()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop; keep what was recorded."""
         self._engine.listeners.remove(self)
         self._recording = False
@@ -95,8 +89,9 @@ class EpisodeRecorder:
             if engine.autoreset == "next_step":
                 self._begin()
             return
-        tape = self._tapes[-1]
-        tape.actions.append(np.clip(_host(actions[world]), -1, 1).astype(engine.dtype))
+        tape, acted = self._tapes[-1], actions[world]
+        acted = np.asarray(acted.cpu() if hasattr(acted, "cpu") else acted)
+        tape.actions.append(np.clip(acted, -1, 1).astype(engine.dtype))
         tape.rewards.append(float(engine.team_rewards[world]))
         if ended[world]:
             self._recording = False
@@ -111,15 +106,10 @@ class EpisodeRecorder:
             self._tapes.append(_Tape(moment.positions, self._engine.seed))
 
     def _episode(self, tape: _Tape) -> Episode:
-        engine = self._engine
-        episode = play(
-            engine.fields[self._world % len(engine.fields)],
-            engine.config,
-            np.stack(tape.actions),
-            starts=tape.starts,
-            source=self._source,
-            seed=tape.seed,
-        )
+        engine, actions = self._engine, np.stack(tape.actions)
+        field = engine.fields[self._world % len(engine.fields)]
+        how: dict[str, Any] = {"starts": tape.starts, "source": self._source, "seed": tape.seed}
+        episode = play(field, engine.config, actions, **how)
         if not np.array_equal(tape.rewards, episode.team_rewards):
             raise EpisodeError("recording", ["rewards: the engine gave others when it replayed"])
         return episode
@@ -138,13 +128,7 @@ def find_engine(environment: Any) -> BatchEngine:
             return inner
         if id(inner) not in seen:
             seen.add(id(inner))
-            names = ("engine", *_INNER)
-            found = [getattr(inner, name, None) for name in names]
+            found = [getattr(inner, name, None) for name in _INNER]
             waiting += [one for one in found if one is not None]
     kind = type(environment).__name__
     raise MbnError(f"{kind}: not an environment of mbn_marl, nor a wrapper of one")
-
-
-def _host(array: Any) -> Array:
-    """Return a NumPy array of an array or a torch tensor of any device."""
-    return np.asarray(array.cpu() if hasattr(array, "cpu") else array)

@@ -22,13 +22,13 @@ FORMAT: Final = "mbn-episode/1"
 MAX_SOURCE = 200
 _LITTLE = {"float32": "<f4", "float64": "<f8", "uint8": "<u1", "uint16": "<u2"}
 
-_STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class PackedArray(BaseModel):
+class PackedArray(_Strict):
     """An array as base64 of its numbers, little-endian, in C order."""
-
-    model_config = _STRICT
 
     dtype: Literal["float32", "float64", "uint8", "uint16"]
     shape: Annotated[list[Annotated[int, Field(ge=0)]], Len(1, 3)]
@@ -37,19 +37,12 @@ class PackedArray(BaseModel):
     @classmethod
     def pack(cls, array: NDArray[Any]) -> Self:
         """Pack an array of one of these dtypes."""
-        raw = array.astype(_LITTLE[array.dtype.name]).tobytes()
-        return cls(
-            dtype=array.dtype.name,  # type: ignore[arg-type]
-            shape=list(array.shape),
-            data=base64.b64encode(raw).decode("ascii"),
-        )
+        name: Any = array.dtype.name
+        data = base64.b64encode(array.astype(_LITTLE[name]).tobytes()).decode("ascii")
+        return cls(dtype=name, shape=list(array.shape), data=data)
 
     def unpack(self) -> NDArray[Any]:
-        """Return the array.
-
-        Raises:
-            ValueError: the data is not base64, or of another size.
-        """
+        """Return the array; raise ``ValueError`` if the data is not base64, or of another size."""
         try:
             raw = base64.b64decode(self.data, validate=True)
         except binascii.Error as error:
@@ -61,10 +54,8 @@ class PackedArray(BaseModel):
         return np.frombuffer(raw, dtype).reshape(self.shape).astype(self.dtype)
 
 
-class CodedArray(BaseModel):
+class CodedArray(_Strict):
     """An array with few different numbers: the numbers, and the index of each entry's number."""
-
-    model_config = _STRICT
 
     values: list[float]
     indices: PackedArray
@@ -77,33 +68,24 @@ class CodedArray(BaseModel):
         packed = PackedArray.pack(indices.reshape(array.shape).astype(smallest))
         return cls(values=values.tolist(), indices=packed)
 
-    def unpack(self) -> NDArray[np.float64]:
-        """Return the array.
-
-        Raises:
-            ValueError: the indices cannot be read, or are out of range.
-        """
+    def unpack(self) -> Any:
+        """Return the array; raise ``ValueError`` if the indices are broken or out of range."""
         indices = self.indices.unpack()
         if indices.dtype.kind != "u" or (indices.size and indices.max() >= len(self.values)):
             raise ValueError(f"indices: allowed: whole numbers below {len(self.values)}")
-        array: NDArray[np.float64] = np.asarray(self.values, np.float64)[indices]
-        return array
+        return np.asarray(self.values, np.float64)[indices]
 
 
-class Rewards(BaseModel):
+class Rewards(_Strict):
     """The rewards of each step."""
-
-    model_config = _STRICT
 
     terms: list[str] = Field(description="The names of the terms.")
     robots: CodedArray = Field(description="(T, n, terms), the robots' own rewards by term.")
     team: CodedArray = Field(description="(T,), the centralised rewards.")
 
 
-class EpisodeFile(BaseModel):
+class EpisodeFile(_Strict):
     """An episode of mbn_marl in the format mbn-episode/1. n robots, m ROIs, T steps."""
-
-    model_config = _STRICT
 
     format: Literal["mbn-episode/1"] = Field(description="Name and version of the format.")
     version: str = Field(description="The version of mbn_marl that wrote it.")

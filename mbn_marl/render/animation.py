@@ -17,17 +17,12 @@ from mbn_marl.files import replacing
 
 GIF_RATES, MP4_RATES = (0.01, 50.0), (0.01, 120.0)
 """Allowed frames per second; a GIF counts hundredths of a second, and viewers slow down a one."""
-_COLOURS = 256
 _SAMPLED = 8
 """Frames that a GIF's one palette is made from; with one palette only what moves is stored."""
-_FAST = 1
-"""How hard zlib tries: flat colours shrink to a fiftieth all the same."""
 _QUALITY = 8
 """Of an MP4, out of 10; below it, thin lines fray."""
 _EVEN = 2
 """Sides of an MP4 have to be a multiple of this: colour is stored for every second pixel."""
-
-Frame = NDArray[np.uint8]
 
 
 class Mp4Writer(AbstractContextManager["Mp4Writer"]):
@@ -38,6 +33,9 @@ class Mp4Writer(AbstractContextManager["Mp4Writer"]):
             one is complete.
         fps: frames per second, 0.01 to 120.
 
+    Attributes:
+        count: how many frames there are so far.
+
     Raises:
         MbnError: naming the path, or the number that is wrong.
         ImportError: if imageio-ffmpeg is not installed.
@@ -46,7 +44,8 @@ class Mp4Writer(AbstractContextManager["Mp4Writer"]):
     def __init__(self, path: str | Path, fps: float = 20.0) -> None:
         self.path = _checked(path, ".mp4", fps, MP4_RATES)
         self._ffmpeg = _load("imageio_ffmpeg")
-        self._fps, self._count = fps, 0
+        self._fps, self.count = fps, 0
+        self._shape: tuple[int, ...] | None = None
         self._open = ExitStack()
 
     def add(self, frame: NDArray[Any]) -> None:
@@ -59,22 +58,16 @@ class Mp4Writer(AbstractContextManager["Mp4Writer"]):
             MbnError: it is something else.
             OSError: naming the path, if it cannot be written.
         """
-        if self._count == 0:
-            self._begin(_checked_frame(frame, 0, None, self.path).shape)
-        height, width = self._size
-        shown = _checked_frame(frame, self._count, self._shape, self.path)[:height, :width]
-        self._writer.send(np.ascontiguousarray(shown))
-        self._count += 1
-
-    def _begin(self, shape: tuple[int, ...]) -> None:
-        self._shape = shape
-        height, width = self._size = tuple(side // _EVEN * _EVEN for side in shape[:2])
-        temporary = self._open.enter_context(replacing(self.path))
-        self._writer = self._ffmpeg.write_frames(
-            temporary, (width, height), fps=self._fps, quality=_QUALITY, macro_block_size=_EVEN
-        )
-        self._open.callback(self._writer.close)
-        self._writer.send(None)
+        self._shape = _checked_shape(frame, self.count, self._shape, self.path)
+        height, width = (side // _EVEN * _EVEN for side in self._shape[:2])
+        if not self.count:
+            temporary = self._open.enter_context(replacing(self.path))
+            how = {"fps": self._fps, "quality": _QUALITY, "macro_block_size": _EVEN}
+            self._writer = self._ffmpeg.write_frames(temporary, (width, height), **how)
+            self._open.callback(self._writer.close)
+            self._writer.send(None)
+        self._writer.send(np.ascontiguousarray(frame[:height, :width]))
+        self.count += 1
 
     def close(self) -> None:
         """Complete the file, if there was a frame; closing twice does no harm."""
@@ -87,31 +80,25 @@ class Mp4Writer(AbstractContextManager["Mp4Writer"]):
 def write_mp4(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.0) -> Path:
     """Write ``frames`` to ``path``, and return that; arguments and errors as :class:`Mp4Writer`.
 
-    ``frames`` holds at least one, as :meth:`Mp4Writer.add` takes them.
-
     Raises:
         MbnError: there is no frame.
     """
     with Mp4Writer(path, fps) as writer:
-        frame = None
         for frame in frames:
             writer.add(np.asarray(frame))
-        if frame is None:
+        if not writer.count:
             raise MbnError(f"{writer.path}: there are no frames to write")
     return writer.path
 
 
 def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.0) -> Path:
-    """Write ``frames`` to ``path``, played in an endless loop.
+    """Write ``frames`` to ``path``, played in an endless loop, and return that.
 
     Args:
         frames: uint8 arrays, all of one shape (height, width, 3).
         path: a ``.gif`` file; missing folders are made, and a file is replaced only once the new
             one is complete.
         fps: frames per second, 0.01 to 50; the delay is rounded to 0.01 s.
-
-    Returns:
-        The path.
 
     Raises:
         MbnError: naming the path, the frame or the number that is wrong.
@@ -123,20 +110,20 @@ def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.
     packed: list[bytes] = []
     shape: tuple[int, ...] | None = None
     for index, frame in enumerate(map(np.asarray, frames)):
-        shape = _checked_frame(frame, index, shape, path).shape
-        packed.append(zlib.compress(frame.tobytes(), _FAST))
+        shape = _checked_shape(frame, index, shape, path)
+        packed.append(zlib.compress(frame.tobytes(), level=1))
     if shape is None:
         raise MbnError(f"{path}: there are no frames to write")
 
-    def picture(index: int) -> Frame:
-        return np.frombuffer(zlib.decompress(packed[index]), np.uint8).reshape(shape)
+    def picture(data: bytes) -> NDArray[np.uint8]:
+        return np.frombuffer(zlib.decompress(data), np.uint8).reshape(shape)
 
     chosen = np.linspace(0, len(packed) - 1, _SAMPLED).astype(int)
-    sample = image.fromarray(np.concatenate([picture(index) for index in chosen]))
-    palette = sample.quantize(_COLOURS, image.Quantize.FASTOCTREE)
+    sample = image.fromarray(np.concatenate([picture(packed[index]) for index in chosen]))
+    palette = sample.quantize(256, image.Quantize.FASTOCTREE)
     drawn = (
-        image.fromarray(picture(index)).quantize(palette=palette, dither=image.Dither.NONE)
-        for index in range(len(packed))
+        image.fromarray(picture(data)).quantize(palette=palette, dither=image.Dither.NONE)
+        for data in packed
     )
     delay = 10 * round(100.0 / fps)
     with replacing(path) as temporary:
@@ -165,13 +152,13 @@ def _load(name: str) -> Any:
         ) from error
 
 
-def _checked_frame(
+def _checked_shape(
     frame: NDArray[Any], index: int, shape: tuple[int, ...] | None, path: Path
-) -> Frame:
-    """Check frame ``index`` of ``path``, whose first frame has ``shape``; return it."""
+) -> tuple[int, ...]:
+    """Check frame ``index`` of ``path``, whose first frame has ``shape``; return its shape."""
     if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
         wrong = f"{frame.dtype} {frame.shape}"
         raise MbnError(f"{path}: frame {index} is {wrong}, not uint8 (height, width, 3)")
     if shape not in (None, frame.shape):
         raise MbnError(f"{path}: frame {index} has shape {frame.shape}, the first has {shape}")
-    return frame
+    return frame.shape

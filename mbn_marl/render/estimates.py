@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import matplotlib
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
@@ -27,8 +26,9 @@ Band = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 """Values and the ends of their band, (k,) each."""
 
 
+@matplotlib.rc_context(style.MATPLOTLIB)
 def intervals_figure(panels: Mapping[str, Mapping[str, Interval]]) -> Figure:
-    """Shares with their intervals, a panel for each quantity, one below the other.
+    """Draw shares with their intervals, a panel for each quantity, one below the other.
 
     Args:
         panels: for each title, for each line its share and interval.
@@ -39,53 +39,40 @@ def intervals_figure(panels: Mapping[str, Mapping[str, Interval]]) -> Figure:
     if not panels or not all(panels.values()):
         raise MbnError("intervals: there is nothing to draw")
     tall = sum(0.8 + 0.25 * len(lines) for lines in panels.values())
-    with matplotlib.rc_context(style.MATPLOTLIB):
-        figure = Figure(figsize=(_WIDTH, tall), layout="constrained")
-        heights = [len(lines) + 1.0 for lines in panels.values()]
-        grid = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights).ravel()
-        for axes, (title, lines) in zip(grid, panels.items(), strict=True):
-            _draw_intervals(axes, lines)
-            axes.set_title(title, loc="left", fontsize=9.0)
-            axes.xaxis.set_major_locator(MaxNLocator(4))
+    figure = Figure(figsize=(_WIDTH, tall), layout="constrained")
+    heights = [len(lines) + 1.0 for lines in panels.values()]
+    grid = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights).ravel()
+    for axes, (title, lines) in zip(grid, panels.items(), strict=True):
+        for place, (value, low, high) in enumerate(lines.values()):
+            if low is not None and high is not None:
+                axes.hlines(place, low, high, color=style.BLUE, lw=6.0, alpha=0.35, clip_on=False)
+            axes.plot([value], [place], c=style.BLUE, marker="|", ms=11.0, mew=2.0, clip_on=False)
+        axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.grid(True, axis="x")
+        axes.set_yticks(range(len(lines)), list(lines))
+        axes.set_ylim(len(lines) - 0.5, -0.5)
+        axes.set_title(title, loc="left", fontsize=9.0)
     return figure
 
 
 def chances_figure(lines: Mapping[str, Interval], title: str) -> Figure:
-    """Probabilities with their intervals on an axis from 0 to 100 %, with a line at 50 %.
+    """Draw probabilities with their intervals on an axis from 0 to 100 %, with a line at 50 %.
 
-    Args:
-        lines: each line's probability and interval.
-        title: above the figure.
-
-    Raises:
-        MbnError: there is nothing to draw.
+    Arguments and errors as :func:`intervals_figure`, for the panel of that title.
     """
     figure = intervals_figure({title: lines})
     (axes,) = figure.axes
     axes.axvline(0.5, color=style.FAINT_INK, ls=":", lw=1.2, zorder=1)
-    axes.set_xlim(0.0, 1.0)
-    axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0])
+    axes.set(xlim=(0.0, 1.0), xticks=[0.0, 0.25, 0.5, 0.75, 1.0])
     return figure
 
 
-def _draw_intervals(axes: Axes, lines: Mapping[str, Interval]) -> None:
-    for place, (value, low, high) in enumerate(lines.values()):
-        if low is not None and high is not None:
-            axes.hlines(place, low, high, color=style.BLUE, lw=6.0, alpha=0.35, clip_on=False)
-        axes.plot([value], [place], color=style.BLUE, marker="|", ms=11.0, mew=2.0, clip_on=False)
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.grid(True, axis="x")
-    axes.set_yticks(range(len(lines)), list(lines))
-    axes.set_ylim(len(lines) - 0.5, -0.5)
-
-
+@matplotlib.rc_context(style.MATPLOTLIB)
 def profiles_figure(
-    profiles: Mapping[str, Band],
-    thresholds: NDArray[Any],
-    score: str,
-    looks: Mapping[str, int],
+    profiles: Mapping[str, Band], thresholds: NDArray[Any], score: str, looks: Mapping[str, int]
 ) -> Figure:
-    """Performance profiles: the share of runs above each threshold, whole and its end.
+    """Draw performance profiles: the share of runs above each threshold, whole and its end.
 
     Args:
         profiles: for each line its shares and the ends of their band, (k,) each.
@@ -98,23 +85,19 @@ def profiles_figure(
     """
     if not profiles:
         raise MbnError("profiles: there is nothing to draw")
-    with matplotlib.rc_context(style.MATPLOTLIB):
-        figure = Figure(figsize=(_WIDTH, 5.2), layout="constrained")
-        grid = figure.subplots(2, 1)
-        for axes, first in zip(grid, (thresholds[0], END), strict=True):
-            for name, (share, low, high) in profiles.items():
-                look = style.series(looks[name])
-                axes.step(thresholds, share, where="post", c=look.colour, ls=look.dash, label=name)
-                axes.fill_between(
-                    thresholds, low, high, step="post", color=look.colour, alpha=0.18, lw=0
-                )
-            axes.set_xlim(first, thresholds[-1])
-            axes.set_ylim(-0.02, 1.02)
-            axes.set_ylabel("share of runs above it")
-            axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-            axes.grid(True)
-        grid[1].set_xlabel(score)
-        handles, labels = grid[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(profiles), 3))
+    figure = Figure(figsize=(_WIDTH, 5.2), layout="constrained")
+    grid = figure.subplots(2, 1)
+    for axes, first in zip(grid, (thresholds[0], END), strict=True):
+        for name, (share, low, high) in profiles.items():
+            look = style.series(looks[name])
+            axes.step(thresholds, share, where="post", c=look.colour, ls=look.dash, label=name)
+            tint = {"step": "post", "color": look.colour, "alpha": 0.18, "lw": 0}
+            axes.fill_between(thresholds, low, high, **tint)
+        axes.set(xlim=(first, thresholds[-1]), ylim=(-0.02, 1.02), ylabel="share of runs above it")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(PercentFormatter(1.0))
+        axes.grid(True)
+    grid[1].set_xlabel(score)
+    handles, labels = grid[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(profiles), 3))
     return figure

@@ -1,4 +1,4 @@
-"""Draws a snapshot on a pygame surface. Needs no display; the module for it is `viewer`."""
+"""Draw a snapshot on a pygame surface, without a display."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pygame
+from numpy.typing import NDArray
 
-from mbn_marl.field import Field
 from mbn_marl.render import sprites, style
-from mbn_marl.render.viewport import Viewport
 
 if TYPE_CHECKING:
     from mbn_marl.engine.snapshot import Snapshot
@@ -22,21 +21,16 @@ _NOMINAL = 400.0
 """The picture's smaller side, in pixels, at which the sizes below hold; they grow with it."""
 _SMALLEST_SCALE = 0.7
 """What they shrink to at most: smaller text cannot be read."""
-_MARGIN = 16.0
-_HEADER = 46.0
-_ROBOT = 8.0
-_ROI = 6.0
-_TRAIL = 2.0
-_COMPASS = 19.0
+_MARGIN, _HEADER, _FOOTER = 16.0, 46.0, 20.0
+_ROBOT, _ROI, _TRAIL, _COMPASS = 8.0, 6.0, 2.0, 19.0
 _FONT, _SMALL_FONT = 18.0, 13.0
-_FOOTER = 20.0
 
 
 class Scene:
     """Draws snapshots of any field at one size, keeping what does not change between frames.
 
-    Robots and ROIs are markers of a size that can be read; where there is room, the circles of
-    the safety distance and of the ROI radius stand round them to scale.
+    Robots and ROIs are markers of a size that can be read, with the circles of the safety
+    distance and of the ROI radius round them to scale where there is room.
 
     Args:
         size: width and height of the picture, pixels.
@@ -50,8 +44,12 @@ class Scene:
         self._ui = max(min(size) / _NOMINAL, _SMALLEST_SCALE)
         self._font = pygame.font.Font(None, round(_FONT * self._ui))
         self._frame = sprites.blank(size)
-        self._field: Field | None = None
         self._look: tuple[object, ...] = ()
+
+    def pixels(self, snapshot: Snapshot) -> NDArray[np.uint8]:
+        """Draw ``snapshot`` as a new array (height, width, 3)."""
+        picture = pygame.surfarray.array3d(self.draw(snapshot))
+        return np.ascontiguousarray(picture.swapaxes(0, 1))
 
     def draw(self, snapshot: Snapshot) -> pygame.Surface:
         """Draw ``snapshot``; the surface is drawn over by the next call."""
@@ -69,14 +67,15 @@ class Scene:
     def _prepare(self, snapshot: Snapshot) -> None:
         """Redraw what stays from frame to frame, if any of it differs from the last frame's."""
         field, robots = snapshot.field, len(snapshot.positions)
-        look = (snapshot.roi_radius, snapshot.safety_distance, robots, snapshot.wind)
-        if field == self._field and look == self._look:
+        look = (field, snapshot.roi_radius, snapshot.safety_distance, robots, snapshot.wind)
+        if look == self._look:
             return
+        self._look = look
         width, height = self.size
         margin, header = _MARGIN * self._ui, _HEADER * self._ui
         footer = _FOOTER * self._ui if self._keys else margin
         area = (margin, header, width - 2 * margin, height - header - footer)
-        self._view = Viewport.fit(field.vertices, area)
+        self._view = sprites.Viewport.fit(field.vertices, area)
         self._background = sprites.terrain(field, self._view, self.size, 2.0 * self._ui)
         if math.hypot(*snapshot.wind) > style.CALM:
             self._draw_wind(snapshot.wind)
@@ -85,7 +84,7 @@ class Scene:
             keys = font.render(self._keys, True, style.rgb(style.INK))
             self._background.blit(keys, keys.get_rect(midbottom=(width / 2, height - self._ui * 4)))
         self._canvas = self._background.copy()
-        self._drawn = np.empty((0, len(snapshot.positions), 2))
+        self._drawn = np.empty((0, robots, 2))
         self._roi_pixels = self._view.to_pixels(field.rois)
         reach = snapshot.roi_radius * self._view.scale
         self._rois = [sprites.roi(visited, _ROI * self._ui, reach) for visited in (False, True)]
@@ -94,7 +93,6 @@ class Scene:
             sprites.robot(index, _ROBOT * self._ui, safety, own=index == self._own)
             for index in range(robots)
         ]
-        self._field, self._look = field, look
 
     def _draw_wind(self, wind: tuple[float, float]) -> None:
         """Draw an arrow the way the wind blows, in a ring at the top right, and its speed."""

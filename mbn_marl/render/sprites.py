@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pygame
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.field import Field
 from mbn_marl.render import style
-from mbn_marl.render.viewport import Viewport
 
 _FINE = 4
 """How many times larger than shown a piece is drawn."""
@@ -31,6 +32,38 @@ _OWN = 1.65
 
 Painter = Callable[[pygame.Surface, float, float], None]
 """Paints a square surface, given its centre coordinate and the size of a shown pixel."""
+
+
+@dataclass(frozen=True)
+class Viewport:
+    """The map from field units to pixels, ``origin + scale * (x, -y)``.
+
+    Attributes:
+        scale: pixels per unit, the same along both axes.
+        origin: where the point (0, 0) falls, in pixels from the top left corner.
+    """
+
+    scale: float
+    origin: tuple[float, float]
+
+    @classmethod
+    def fit(cls, points: NDArray[Any], area: tuple[float, float, float, float]) -> Viewport:
+        """Centre the bounding box of ``points`` in ``area``, as large as it goes.
+
+        Args:
+            points: (k, 2), units; not all on one point.
+            area: left, top, width and height, in pixels.
+        """
+        left, top, width, height = area
+        low, high = points.min(axis=0), points.max(axis=0)
+        extent = np.maximum(high - low, 1e-9)
+        scale = float(min(width / extent[0], height / extent[1]))
+        x, y = (scale * (low + high) / 2.0).tolist()
+        return cls(scale, (left + width / 2.0 - x, top + height / 2.0 + y))
+
+    def to_pixels(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Return points (..., 2) in units as pixels (..., 2), from the top left corner."""
+        return np.asarray(self.origin) + np.asarray(points, np.float64) * (self.scale, -self.scale)
 
 
 def blank(size: tuple[int, int]) -> pygame.Surface:
@@ -51,21 +84,15 @@ def terrain(
     """
     fine = blank((size[0] * _FINE, size[1] * _FINE))
     fine.fill(style.rgb(style.OBSTACLE))
-    width = max(round(line_width * _FINE), 1)
-    for ring, fill in [(field.vertices, style.GROUND)] + [
-        (hole, style.OBSTACLE) for hole in field.holes
-    ]:
-        _ring(fine, view.to_pixels(ring) * _FINE, fill, width)
+    width, outline = max(round(line_width * _FINE), 1), style.rgb(style.OUTLINE)
+    for index, ring in enumerate((field.vertices, *field.holes)):
+        points = (view.to_pixels(ring) * _FINE).tolist()
+        fill = style.OBSTACLE if index else style.GROUND
+        pygame.draw.polygon(fine, style.rgb(fill), points)
+        for start, end in zip(points, points[1:] + points[:1], strict=True):
+            pygame.draw.line(fine, outline, start, end, width)
+            pygame.draw.circle(fine, outline, start, width / 2)
     return pygame.transform.smoothscale(fine, size)
-
-
-def _ring(surface: pygame.Surface, corners: NDArray[np.float64], fill: str, width: int) -> None:
-    points = [(float(x), float(y)) for x, y in corners]
-    pygame.draw.polygon(surface, style.rgb(fill), points)
-    outline = style.rgb(style.OUTLINE)
-    for start, end in zip(points, points[1:] + points[:1], strict=True):
-        pygame.draw.line(surface, outline, start, end, width)
-        pygame.draw.circle(surface, outline, start, width / 2)
 
 
 def roi(visited: bool, marker: float, reach: float) -> pygame.Surface:
@@ -74,8 +101,7 @@ def roi(visited: bool, marker: float, reach: float) -> pygame.Surface:
     Args:
         visited: whether a robot has been there.
         marker: radius of the marker, pixels.
-        reach: distance within which a robot visits it, pixels; its circle is left out where the
-            marker would all but cover it.
+        reach: distance within which a robot visits it, pixels; without room it has no circle.
     """
     colour = style.rgb(style.ROI_VISITED if visited else style.ROI_OPEN)
     white = style.rgb(style.WHITE)
@@ -90,10 +116,8 @@ def roi(visited: bool, marker: float, reach: float) -> pygame.Surface:
         if not visited:
             pygame.draw.circle(surface, colour, middle, size, round(1.6 * pixel))
             return
-        tick = [
-            (centre + size * x, centre + size * y)
-            for x, y in ((-0.45, 0.02), (-0.12, 0.36), (0.48, -0.34))
-        ]
+        shape = ((-0.45, 0.02), (-0.12, 0.36), (0.48, -0.34))
+        tick = [(centre + size * x, centre + size * y) for x, y in shape]
         width = max(round(0.22 * size), 1)
         pygame.draw.lines(surface, white, False, tick, width)
         for point in tick:
@@ -108,8 +132,7 @@ def robot(index: int, radius: float, safety: float, *, own: bool = False) -> pyg
     Args:
         index: 0, 1, ...; names the robot and chooses its colour.
         radius: of the disc, pixels.
-        safety: half of the safety distance, pixels; its circle is left out where the disc would
-            all but cover it.
+        safety: half of the safety distance, pixels; without room it has no circle.
         own: mark it as the user's, by a thick dark ring.
     """
     colour = style.robot_colour(index)
@@ -159,7 +182,7 @@ def wind_arrow(wind: tuple[float, float], radius: float) -> pygame.Surface:
 
 
 def _sprite(radius: float, paint: Painter) -> pygame.Surface:
-    """A smooth, premultiplied square surface that holds a disc of ``radius`` pixels."""
+    """Return a smooth, premultiplied square surface that holds a disc of ``radius`` pixels."""
     side = 2 * math.ceil(radius + 1)
     fine = pygame.Surface((side * _FINE, side * _FINE), pygame.SRCALPHA, 32)
     paint(fine, side * _FINE / 2, float(_FINE))

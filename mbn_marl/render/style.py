@@ -1,9 +1,7 @@
 """The one look of everything drawn, on screen and on paper; every colour is named here only.
 
 The hues are the colour-blind safe set of Okabe and Ito, "Color Universal Design" (2008), and four
-more that stay apart from them and from each other for every kind of colour blindness. Colour never
-carries a meaning alone: robots and curves also have numbers, dashes or markers, and a visited ROI
-is filled and ticked where an unvisited one is hollow.
+more that stay apart for every kind of colour blindness. Colour never carries a meaning alone.
 """
 
 from __future__ import annotations
@@ -47,7 +45,6 @@ _DASHES: Final = ("-", "--", "-.", ":")
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 MATPLOTLIB: Final[dict[Any, Any]] = {
-    "font.family": "sans-serif",
     "font.size": 9.0,
     "axes.labelsize": 9.0,
     "axes.titlesize": 10.0,
@@ -76,64 +73,27 @@ MATPLOTLIB: Final[dict[Any, Any]] = {
 """Matplotlib settings of every figure, for ``matplotlib.rc_context``, which types its own keys."""
 
 
-class PagePalette(NamedTuple):
-    """The colours of a page in a browser; robots have theirs in the order of their numbers."""
-
-    page: str
-    ground: str
-    obstacle: str
-    outline: str
-    line: str
-    ink: str
-    faint_ink: str
-    accent: str
-    visited: str
-    success: str
-    collision: str
-    wind: str
-    robots: tuple[str, ...]
-
-
-LIGHT_PAGE: Final = PagePalette(
-    page="#F7F9FB",
-    ground=GROUND,
-    obstacle=OBSTACLE,
-    outline=OUTLINE,
-    line="#C3CBD3",
-    ink=INK,
-    faint_ink="#55606B",
-    accent=BLUE,
-    visited=ROI_VISITED,
-    success="#00704F",
-    collision="#A84600",
-    wind=WIND,
-    robots=ROBOTS,
-)
-DARK_PAGE: Final = PagePalette(
-    page="#12171C",
-    ground="#0B0F13",
-    obstacle="#232B33",
-    outline="#9AA5B0",
-    line="#3A454F",
-    ink="#E8EDF2",
-    faint_ink="#A3AEB9",
-    accent=SKY_BLUE,
-    visited=BLUISH_GREEN,
-    success="#3CC79C",
-    collision="#F08A4B",
-    wind=SKY_BLUE,
-    robots=tuple(WHITE if colour == BLACK else colour for colour in ROBOTS),
-)
-"""On dark ground the hues stay; black turns white, and text is lighter."""
-
+PAGE: Final[dict[str, tuple[str, str]]] = {
+    "page": ("#F7F9FB", "#12171C"),
+    "ground": (GROUND, "#0B0F13"),
+    "obstacle": (OBSTACLE, "#232B33"),
+    "outline": (OUTLINE, "#9AA5B0"),
+    "line": ("#C3CBD3", "#3A454F"),
+    "ink": (INK, "#E8EDF2"),
+    "faint-ink": ("#55606B", "#A3AEB9"),
+    "accent": (BLUE, SKY_BLUE),
+    "visited": (ROI_VISITED, BLUISH_GREEN),
+    "success": ("#00704F", "#3CC79C"),
+    "collision": ("#A84600", "#F08A4B"),
+    "wind": (WIND, SKY_BLUE),
+    **{f"robot-{k}": (c, WHITE if c == BLACK else c) for k, c in enumerate(ROBOTS)},
+}
+"""The colours of a page in a browser, light and dark: hues stay, text is lighter on dark."""
 
 THEMED: Final = {
     BLACK: (BLACK, WHITE),
-    **{
-        getattr(LIGHT_PAGE, name): (getattr(LIGHT_PAGE, name), getattr(DARK_PAGE, name))
-        for name in ("ground", "obstacle", "outline", "ink")
-    },
-    FAINT_INK: (LIGHT_PAGE.faint_ink, DARK_PAGE.faint_ink),
+    **{PAGE[name][0]: PAGE[name] for name in ("ground", "obstacle", "outline", "ink")},
+    FAINT_INK: PAGE["faint-ink"],
     BROWN: (BROWN, "#A68A73"),
     PLUM: (PLUM, "#D45AAE"),
     INDIGO: (INDIGO, "#6A4DFF"),
@@ -151,11 +111,8 @@ class SeriesStyle(NamedTuple):
 
 def series(index: int) -> SeriesStyle:
     """Return the style of curve ``index``; any three in a row differ in all three ways."""
-    return SeriesStyle(
-        ROBOTS[index % len(ROBOTS)],
-        _DASHES[index % len(_DASHES)],
-        _MARKERS[index % len(_MARKERS)],
-    )
+    colour, dash, marker = (kind[index % len(kind)] for kind in (ROBOTS, _DASHES, _MARKERS))
+    return SeriesStyle(colour, dash, marker)
 
 
 def robot_colour(index: int) -> str:
@@ -165,14 +122,14 @@ def robot_colour(index: int) -> str:
 
 def rgb(colour: str) -> tuple[int, int, int]:
     """Return ``"#RRGGBB"`` as three numbers, 0 to 255."""
-    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
 
 
 def ink_on(colour: str) -> str:
     """Return black or white, whichever contrasts more with ``colour``.
 
-    Black wins above a relative luminance of 0.179 (WCAG 2.1, "contrast ratio"), where both
-    contrasts are equal.
+    Both are equal at a relative luminance of 0.179 (WCAG 2.1, "contrast ratio").
     """
     linear = [
         c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4

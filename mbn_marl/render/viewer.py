@@ -1,4 +1,4 @@
-"""Shows snapshots as pygame pictures: in a window, or as arrays with no display at all."""
+"""Show snapshots as pygame pictures: in a window, or as arrays with no display at all."""
 
 from __future__ import annotations
 
@@ -62,10 +62,8 @@ class Viewer:
             problems.append(f"frame_rate: above 0, not {frame_rate}")
         if problems:
             raise ConfigError("viewer", problems)
-        self.render_mode = render_mode
-        self.size = size
-        self.frame_rate = frame_rate
-        self.caption = caption
+        self.render_mode, self.size = render_mode, size
+        self.frame_rate, self.caption = frame_rate, caption
         self.own, self.keys = own, keys
         self.closed = False
         self.pressed: list[str] = []
@@ -87,7 +85,7 @@ class Viewer:
         if self._scene is None:
             self._scene = self._load_scene()
         if self.render_mode == "rgb_array":
-            return _to_array(self._scene.draw(snapshot))
+            return self._scene.pixels(snapshot)
         if not self.closed:
             self._show(self._scene.draw(snapshot))
         return None
@@ -130,7 +128,7 @@ class Viewer:
                 return
             if event.type == pygame.KEYDOWN:
                 self.pressed.append(pygame.key.name(event.key))
-                self.held.add(pygame.key.name(event.key))
+                self.held.add(self.pressed[-1])
             elif event.type == pygame.KEYUP:
                 self.held.discard(pygame.key.name(event.key))
         self._clock.tick(self.frame_rate)
@@ -162,11 +160,3 @@ def _open_window(size: tuple[int, int], caption: str) -> pygame.Surface:
         ) from error
     pygame.display.set_caption(caption)
     return window
-
-
-def _to_array(frame: pygame.Surface) -> NDArray[np.uint8]:
-    import pygame
-
-    width, height = frame.get_size()
-    pixels = np.frombuffer(pygame.image.tobytes(frame, "RGB"), np.uint8)
-    return pixels.reshape(height, width, 3).copy()

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import monotonic
+from types import ModuleType
 from typing import Any
 
 from mbn_marl.errors import ConfigError, SimulatorError
@@ -25,9 +26,9 @@ class CoppeliaLink:
         timeout: seconds, above 0, that any call may take.
 
     Attributes:
-        lost: whether a call got no usable answer; the link is then good for nothing more.
-        interrupted: whether a call was broken off on this side, by Ctrl-C for one; the link has to
-            :meth:`connect` again before it can be used.
+        lost: whether a call got no usable answer; the link is then closed.
+        interrupted: whether a call was cut short on this side, by Ctrl-C for one; the link has to
+            :meth:`connect` before it can be used.
 
     Raises:
         ConfigError: a number is out of its range.
@@ -49,14 +50,7 @@ class CoppeliaLink:
         self.connect()
 
     def call(self, name: str, *arguments: object) -> Any:
-        """Call ``sim.<name>``.
-
-        Args:
-            name: of a function of CoppeliaSim's ``sim`` module.
-            *arguments: numbers, strings, lists and dictionaries of them.
-
-        Returns:
-            What it returns: ``None``, a value, or a tuple of several.
+        """Return ``sim.<name>(*arguments)``: ``None``, a value, or a tuple of several.
 
         Raises:
             SimulatorError: CoppeliaSim refuses the call, does not answer in time, or answers what
@@ -66,21 +60,13 @@ class CoppeliaLink:
             return self._client.call(f"sim.{name}", arguments)
 
     def constant(self, name: str) -> Any:
-        """Return ``sim.<name>``.
-
-        Raises:
-            SimulatorError: this CoppeliaSim does not know it.
-        """
+        """Return ``sim.<name>``; raise :class:`SimulatorError` if this CoppeliaSim has none."""
         if not hasattr(self._sim, name):
             raise SimulatorError(f"{self._address}: it does not know sim.{name}")
         return getattr(self._sim, name)
 
     def connect(self) -> None:
-        """Connect again, as a client that CoppeliaSim has not seen before.
-
-        Raises:
-            SimulatorError: nothing answers there, or what answers is not CoppeliaSim.
-        """
+        """Connect again, as a client that CoppeliaSim has not seen; errors as of the class."""
         self._socket, self._client = _client(*self._place)
         self.lost = self.interrupted = False
         with self._exchange("sim", opening=True):
@@ -101,27 +87,25 @@ class CoppeliaLink:
         if self.lost or self.interrupted:
             raise SimulatorError(f"{self._address}: the connection is closed")
         self._socket.deadline = monotonic() + self.timeout
-        refusal = None
         try:
             yield
         except TimeoutError:
             self.close()
             raise SimulatorError(self._silence(what, opening)) from None
         except Exception as error:
-            if type(error) is not Exception:  # the client raises no subclass for a refused call
+            refused = type(error) is Exception  # the client raises no subclass for a refused call
+            if opening or not refused:
                 self.close()
-                raise SimulatorError(
-                    f"{self._address}: the answer to {what} is none of its remote API "
-                    f"({type(error).__name__}: {error}); {_HINT}"
-                ) from error
-            refusal = str(error).replace("_=NL=_", "\n").replace("_=TB=_", "\t")
+            if refused:
+                reason = str(error).replace("_=NL=_", "\n").replace("_=TB=_", "\t")
+                raise SimulatorError(f"{self._address} refuses {what}: {reason}") from None
+            raise SimulatorError(
+                f"{self._address}: the answer to {what} is none of its remote API "
+                f"({type(error).__name__}: {error}); {_HINT}"
+            ) from error
         except BaseException:
             self.interrupted = True
             raise
-        if refusal is not None:
-            if opening:
-                self.close()
-            raise SimulatorError(f"{self._address} refuses {what}: {refusal}")
 
     def _silence(self, what: str, opening: bool) -> str:
         waited = f"{self._address}: no answer to {what} within {self.timeout:g} s"
@@ -135,33 +119,21 @@ class CoppeliaLink:
 
 
 class _PatientSocket:
-    """The client's socket, with a deadline.
+    """The client's socket; sending and receiving raise ``TimeoutError`` at a ``deadline``."""
 
-    Attributes:
-        deadline: on the clock of :func:`time.monotonic`, when sending and receiving give up.
-    """
-
-    def __init__(self, zmq_socket: Any) -> None:
-        self._socket = zmq_socket
+    def __init__(self, zmq_socket: Any, zmq: ModuleType) -> None:
+        self._socket, self._zmq = zmq_socket, zmq
         self.deadline = 0.0
 
     def send(self, message: bytes) -> None:
-        """Send, or raise :class:`TimeoutError`."""
-        import zmq
+        self._wait(self._zmq.POLLOUT)
+        self._socket.send(message, self._zmq.NOBLOCK)
 
-        self._wait(zmq.POLLOUT)
-        self._socket.send(message, zmq.NOBLOCK)
-
-    def recv(self) -> bytes:
-        """Receive, or raise :class:`TimeoutError`."""
-        import zmq
-
-        self._wait(zmq.POLLIN)
-        message: bytes = self._socket.recv(zmq.NOBLOCK)
-        return message
+    def recv(self) -> Any:
+        self._wait(self._zmq.POLLIN)
+        return self._socket.recv(self._zmq.NOBLOCK)
 
     def close(self) -> None:
-        """Close, and forget what has not been sent."""
         self._socket.close(linger=0)
 
     def _wait(self, event: int) -> None:
@@ -181,7 +153,7 @@ def _client(host: str, port: int) -> tuple[_PatientSocket, Any]:
             name=error.name,
         ) from error
     main = vars(sys.modules["__main__"])
-    kept = {name: main[name] for name in ("require",) if name in main}
+    kept = {name: main[name] for name in main.keys() & {"require"}}
     try:
         client = RemoteAPIClient(host, port, verbose=0)
     except zmq.ZMQError as error:
@@ -189,6 +161,5 @@ def _client(host: str, port: int) -> tuple[_PatientSocket, Any]:
     finally:  # the client puts a function of this name into the user's script
         main.pop("require", None)
         main.update(kept)
-    patient = _PatientSocket(client.socket)
-    client.socket = patient
-    return patient, client
+    client.socket = _PatientSocket(client.socket, zmq)
+    return client.socket, client

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -26,23 +26,12 @@ _ABOVE_FLOOR = 0.002
 """Metres, at which the soil covers the floor of CoppeliaSim's empty scene."""
 _MARGIN = 2.0
 """Metres of soil on each side of the field."""
-_PATH_WIDTH = 3.0
-"""Pixels."""
-_PATH_ITEMS = 10_000
-"""Lines that a path holds; then the oldest go."""
-_TARGET = "target"
-"""The alias of what CoppeliaSim's quadcopter flies to."""
+_PATH_WIDTH, _PATH_ITEMS = 3.0, 10_000
+"""Pixels, and the lines that a path holds; then the oldest go."""
 
 
-@dataclass(frozen=True)
-class Follower:
-    """The handles of a vehicle that follows a target.
-
-    Attributes:
-        body: its base.
-        target: what it follows.
-        path: the drawing object that shows where it has been.
-    """
+class Follower(NamedTuple):
+    """The handles of a vehicle, of the target that it follows, and of its path's drawing."""
 
     body: int
     target: int
@@ -62,11 +51,11 @@ class CoppeliaScene:
         self._link = link
         self._objects: list[int] = []
         self._drawings: list[int] = []
-        self._weeds: list[int] = []
-        self._areas: list[int] = []
 
     def plant(self, mission: Mission, frame: scene.Frame) -> None:
         """Make soil, corn, a line round the field, weeds, and walls along the edges of holes."""
+        self._weeds: list[int] = []
+        self._areas: list[int] = []
         ground = frame.ground(mission)
         width, depth = (frame.size + 2.0 * _MARGIN).tolist()
         place = (0.0, 0.0, _ABOVE_FLOOR - _THIN / 2)
@@ -74,10 +63,10 @@ class CoppeliaScene:
         places = corn_rows(ground)
         if len(places):
             self._mesh("corn", corn(places), scene.LEAF_GREEN)
-        self._beams("boundary", ground.exterior, scene.BOUNDARY_WIDTH, _FLAT, scene.CHALK)
+        self._beams("boundary", ground.exterior, (scene.BOUNDARY_WIDTH, _FLAT), scene.CHALK)
+        stone, wall = scene.rgba(style.FAINT_INK), (_THIN, scene.OBSTACLE_HEIGHT)
         for hole in ground.interiors:
-            stone = scene.rgba(style.FAINT_INK)
-            self._beams("obstacle", hole, _THIN, scene.OBSTACLE_HEIGHT, stone, solid=True)
+            self._beams("obstacle", hole, wall, stone, solid=True)
         side, leaves = 2.0 * mission.roi_radius * frame.metres, weed()
         for x, y in frame.to_metres(mission.field.rois).tolist():
             size, place = (side, side, _FLAT), (x, y, _FLAT / 2)
@@ -102,9 +91,9 @@ class CoppeliaScene:
         # The model's script takes the target out of the tree when the simulation starts.
         tree = call("getObjectsInTree", body)
         self._objects += [handle for handle in tree if handle != body]
-        targets = [handle for handle in tree if call("getObjectAlias", handle) == _TARGET]
+        targets = [handle for handle in tree if call("getObjectAlias", handle) == "target"]
         if not targets:
-            raise SimulatorError(f"{model}: the model has no object {_TARGET!r} to follow")
+            raise SimulatorError(f"{model}: the model has no object 'target' to follow")
         call("setObjectPosition", body, list(place))
         call("setObjectPosition", targets[0], list(place))
         kind = constant("drawing_lines") | constant("drawing_cyclic")
@@ -122,8 +111,7 @@ class CoppeliaScene:
         """Remove everything that was made and still exists; no simulation may be running."""
         for drawing in self._drawings:
             self._link.call("removeDrawingObject", drawing)
-        there = [handle for handle in self._objects if self._link.call("isHandle", handle)]
-        if there:
+        if there := [handle for handle in self._objects if self._link.call("isHandle", handle)]:
             self._link.call("removeObjects", there)
         self._drawings, self._objects = [], []
 
@@ -131,15 +119,14 @@ class CoppeliaScene:
         self,
         name: str,
         ring: shapely.LinearRing,
-        thickness: float,
-        height: float,
+        profile: tuple[float, float],
         colour: str,
         *,
         solid: bool = False,
     ) -> None:
-        """Make a cuboid on the ground along each edge of a ring."""
+        """Make a cuboid on the ground along each edge of a ring, ``profile`` wide and high."""
         for length, middle, angle in scene.edges(ring):
-            size, place = (length, thickness, height), (*middle, height / 2)
+            size, place = (length, *profile), (*middle, profile[1] / 2)
             beam = self._block(name, size, place, colour, solid=solid)
             self._link.call("setObjectOrientation", beam, [0.0, 0.0, angle])
 
@@ -154,8 +141,8 @@ class CoppeliaScene:
         solid: bool = False,
     ) -> int:
         """Make a primitive shape, centred at ``place``."""
-        kind = self._link.constant(f"primitiveshape_{kind}")
-        block = self._make("createPrimitiveShape", kind, list(size), 0)
+        shape = self._link.constant(f"primitiveshape_{kind}")
+        block = self._make("createPrimitiveShape", shape, list(size), 0)
         self._link.call("setObjectPosition", block, list(place))
         return self._dress(block, name, colour, solid=solid)
 
@@ -166,16 +153,15 @@ class CoppeliaScene:
 
     def _make(self, function: str, *arguments: object) -> int:
         """Call what makes an object, and remember that."""
-        handle: int = self._link.call(function, *arguments)
-        self._objects.append(handle)
-        return handle
+        self._objects.append(self._link.call(function, *arguments))
+        return self._objects[-1]
 
     def _dress(self, shape: int, name: str, colour: str, *, solid: bool = False) -> int:
         """Make it a shape that never moves, and that vehicles run into if it is solid."""
-        call, constant = self._link.call, self._link.constant
-        call("setObjectAlias", shape, f"mbn_{name}")
-        call("setObjectInt32Param", shape, constant("shapeintparam_static"), 1)
-        call("setObjectInt32Param", shape, constant("shapeintparam_respondable"), int(solid))
+        self._link.call("setObjectAlias", shape, f"mbn_{name}")
+        for flag, value in (("static", 1), ("respondable", int(solid))):
+            parameter = self._link.constant(f"shapeintparam_{flag}")
+            self._link.call("setObjectInt32Param", shape, parameter, value)
         self._paint(shape, colour)
         return shape
 
@@ -184,5 +170,5 @@ class CoppeliaScene:
         red, green, blue, *opacity = map(float, colour.split())
         parts = {"ambient_diffuse": [red, green, blue], "transparency": opacity or [1.0]}
         for component, value in parts.items():
-            constant = self._link.constant(f"colorcomponent_{component}")
-            self._link.call("setShapeColor", shape, "", constant, value)
+            part = self._link.constant(f"colorcomponent_{component}")
+            self._link.call("setShapeColor", shape, "", part, value)

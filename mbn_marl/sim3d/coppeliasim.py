@@ -30,7 +30,9 @@ class CoppeliaSimulator(Simulator):
     """Quadcopters in a running CoppeliaSim, whose own script flies each to a dummy, its target.
 
     A command moves the targets: in every step of CoppeliaSim by the commanded velocity. Nothing is
-    connected before the first :meth:`reset`.
+    connected before the first :meth:`reset`. Every method but :meth:`command` raises
+    :class:`~mbn_marl.errors.SimulatorError` if CoppeliaSim does not answer, and all that need a
+    :meth:`reset` do so without one.
 
     Args:
         host: the machine that CoppeliaSim runs on.
@@ -62,13 +64,10 @@ class CoppeliaSimulator(Simulator):
             allowed = "a finite number of metres above 0"
             raise ConfigError("CoppeliaSim", [f"altitude: {altitude:g}; allowed: {allowed}"])
         self._place = (host, port, timeout)
-        self._scale = scale or Scale()
-        self._altitude = altitude
-        self._model = model
+        self._scale, self._altitude, self._model = scale or Scale(), altitude, model
         self._link: CoppeliaLink | None = None
-        self._scene: CoppeliaScene | None = None
-        self._vehicles: list[Follower] = []
         self._started = False
+        self._vehicles: list[Follower] = []
         self._targets: Array = np.zeros((0, 2))
         self._velocities: Array = np.zeros((0, 2))
         self._bodies: Array = np.zeros((0, 3))
@@ -85,6 +84,7 @@ class CoppeliaSimulator(Simulator):
         try:
             if self._link is None:
                 self._link = CoppeliaLink(*self._place)
+                self._scene = CoppeliaScene(self._link)
             self._clear(self._link)
             self._build(self._link, mission)
             self._start(self._link, mission.tau * self._scale.seconds)
@@ -103,28 +103,26 @@ class CoppeliaSimulator(Simulator):
         """Simulate one step of the MDP: as many steps of CoppeliaSim as it lasts.
 
         Raises:
-            SimulatorError: CoppeliaSim does not answer, the simulation was stopped or paused by
-                hand in this step or before it, or there was no :meth:`reset`.
+            SimulatorError: also if the simulation was stopped or paused by hand in this step or
+                before it.
         """
         link = self._running()
-        before = link.call("getSimulationTime")
+        before, begun = self._bodies, link.call("getSimulationTime")
         for _ in range(self._substeps):
             self._targets = self._targets + self._velocities * self._time_step
             for vehicle, (x, y) in zip(self._vehicles, self._targets.tolist(), strict=True):
                 link.call("setObjectPosition", vehicle.target, [x, y, self._altitude])
             link.call("step")
         stopped = link.call("getSimulationState") == link.constant("simulation_stopped")
-        lasted = link.call("getSimulationTime") - before
+        lasted = link.call("getSimulationTime") - begun
         if stopped or lasted < (self._substeps - 0.5) * self._time_step:
             raise SimulatorError("CoppeliaSim: the simulation was stopped or paused by hand")
-        self._draw(link)
+        self._look(link)
+        for vehicle, ends in zip(self._vehicles, np.hstack([before, self._bodies]), strict=True):
+            link.call("addDrawingObjectItem", vehicle.path, ends.tolist())
 
     def motion(self) -> Motion:
-        """Return the vehicles now; fresh arrays.
-
-        Raises:
-            SimulatorError: CoppeliaSim does not answer, or there was no :meth:`reset`.
-        """
+        """Return the vehicles now; fresh arrays."""
         link = self._running()
         speeds = [link.call("getObjectVelocity", vehicle.body)[0] for vehicle in self._vehicles]
         velocities = np.array(speeds, np.float64)[:, :2] / self._scale.speed
@@ -132,20 +130,14 @@ class CoppeliaSimulator(Simulator):
         return Motion(positions, velocities, self._bodies[:, 2].copy())
 
     def spray(self, roi: int) -> None:
-        """Give the weed at ROI ``roi``, 0 to m - 1, another colour.
-
-        Raises:
-            SimulatorError: CoppeliaSim does not answer, or there was no :meth:`reset`.
-        """
+        """Give the weed at ROI ``roi``, 0 to m - 1, another colour."""
         self._running()
-        assert self._scene is not None
         self._scene.spray(roi)
 
     def close(self) -> None:
         """Stop the simulation, remove what :meth:`reset` made, and disconnect.
 
-        Raises:
-            SimulatorError: CoppeliaSim does not answer any more, and did until now.
+        A connection that was lost before is no error.
         """
         link, self._link = self._link, None
         if link is None:
@@ -156,22 +148,19 @@ class CoppeliaSimulator(Simulator):
             if not link.lost:
                 self._clear(link)
         finally:
-            self._scene, self._started = None, False
+            self._started = False
             link.close()
 
     def _build(self, link: CoppeliaLink, mission: Mission) -> None:
         if link.call("getSimulationState") != link.constant("simulation_stopped"):
             raise SimulatorError("CoppeliaSim: it is simulating something already; stop that first")
-        self._scene = CoppeliaScene(link)
         self._frame = Frame(mission, self._scale.metres)
         self._scene.plant(mission, self._frame)
         self._targets = self._frame.to_metres(mission.starts)
         self._velocities = np.zeros_like(self._targets)
-        self._vehicles = [
-            self._scene.add_vehicle(self._model, (x, y, self._altitude))
-            for x, y in self._targets.tolist()
-        ]
-        self._bodies = self._places(link)
+        places = [(x, y, self._altitude) for x, y in self._targets.tolist()]
+        self._vehicles = [self._scene.add_vehicle(self._model, place) for place in places]
+        self._look(link)
 
     def _start(self, link: CoppeliaLink, lasting: float) -> None:
         """Start the simulation, with ``lasting`` seconds for a step of the MDP."""
@@ -189,32 +178,21 @@ class CoppeliaSimulator(Simulator):
     def _clear(self, link: CoppeliaLink) -> None:
         """Stop the simulation if it was started here, and remove what was made."""
         if self._started:
-            self._stop(link)
+            stopped, deadline = link.constant("simulation_stopped"), monotonic() + link.timeout
+            if link.call("getSimulationState") != stopped:
+                link.call("stopSimulation")
+            while link.call("getSimulationState") != stopped:
+                if monotonic() > deadline:
+                    raise SimulatorError(f"CoppeliaSim: it did not stop within {link.timeout:g} s")
+                sleep(_POLL)
+            link.call("setStepping", False)
             self._started = False
-        if self._scene is not None:
-            self._scene.remove()
-            self._scene = None
+        self._scene.remove()
 
-    def _stop(self, link: CoppeliaLink) -> None:
-        stopped, deadline = link.constant("simulation_stopped"), monotonic() + link.timeout
-        if link.call("getSimulationState") != stopped:
-            link.call("stopSimulation")
-        while link.call("getSimulationState") != stopped:
-            if monotonic() > deadline:
-                raise SimulatorError(f"CoppeliaSim: it did not stop within {link.timeout:g} s")
-            sleep(_POLL)
-        link.call("setStepping", False)
-
-    def _draw(self, link: CoppeliaLink) -> None:
-        """Look where the vehicles are now, and lengthen their paths."""
-        before, self._bodies = self._bodies, self._places(link)
-        for vehicle, ends in zip(self._vehicles, np.hstack([before, self._bodies]), strict=True):
-            link.call("addDrawingObjectItem", vehicle.path, ends.tolist())
-
-    def _places(self, link: CoppeliaLink) -> Array:
-        """Return where the vehicles are, (n, 3) metres."""
+    def _look(self, link: CoppeliaLink) -> None:
+        """Look where the vehicles are now, (n, 3) metres."""
         places = [link.call("getObjectPosition", vehicle.body) for vehicle in self._vehicles]
-        return np.array(places, np.float64)
+        self._bodies = np.array(places, np.float64)
 
     def _running(self) -> CoppeliaLink:
         if self._link is None or not self._started:

@@ -8,11 +8,10 @@ from time import process_time
 from typing import Any, Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import BatchEngine, TrackedWorld
-from mbn_marl.episode import Episode, Outcome
+from mbn_marl.episode import Episode
+from mbn_marl.episode.play import EpisodeLog
 from mbn_marl.field import Field
 from mbn_marl.sim3d.simulator import Floats, Mission, Simulator
 
@@ -90,9 +89,8 @@ def deploy(
 ) -> Deployment:
     """Let a policy act on a simulator's vehicles for one episode, with mean actions.
 
-    In each step the engine's own code makes the observation from the measured positions and
-    velocities, turns the force into the velocity to command, limit included, and judges where the
-    vehicles came to be.
+    The engine's own code makes observations from what was measured, turns forces into the
+    velocities to command, and judges where the vehicles came to be.
 
     Args:
         policy: what acts.
@@ -113,67 +111,25 @@ def deploy(
         engine = BatchEngine(field, 1, seed=seed, autoreset=False, threads=1, **calm)
     world = TrackedWorld(engine, simulator.speed_limit)
     observations = engine.reset()
-    start = engine.snapshot()
-    simulator.reset(Mission(field, start.positions, wind, config.tau, config.roi_radius))
-    seconds = 0.0
-    log = _Log(start.positions, np.zeros(len(field.rois), np.int32))
+    starts = engine.snapshot().positions
+    simulator.reset(Mission(field, starts, wind, config.tau, config.roi_radius))
+    seconds, log = 0.0, EpisodeLog(engine)
+    commands: list[Floats] = []
     while engine.running[0]:
         seen = engine.state() if policy.observes == "state" else observations
         actions = np.asarray(policy.act(seen, deterministic=True)[0])
-        command = world.command(actions)
-        simulator.command(command.velocities)
+        commands.append(world.command(actions).velocities)
+        simulator.command(commands[-1])
         begun = process_time()
         simulator.step()
         seconds += process_time() - begun
         motion = simulator.motion()
         world.measure(motion.positions, motion.velocities)
-        for roi in log.add(engine, actions, command.velocities):
+        for roi in log.add(actions):
             simulator.spray(roi)
     return Deployment(
-        episode=log.episode(engine, config, source, seed),
-        commands=np.stack(log.commands),
+        episode=log.episode(config, source, seed),
+        commands=np.stack(commands),
         wall_hits=int(engine.metrics()["wall_hits"].sum()),
         seconds=None if simulator.external else seconds,
     )
-
-
-class _Log:
-    """The steps of an episode so far."""
-
-    def __init__(self, starts: Floats, visits: NDArray[np.int32]) -> None:
-        self.positions, self.visits = [starts], visits
-        self.actions: list[Floats] = []
-        self.commands: list[Floats] = []
-        self.terms: list[Floats] = []
-        self.rewards: list[float] = []
-
-    def add(self, engine: BatchEngine, actions: Floats, commands: Floats) -> list[int]:
-        """Note a step; return the ROIs that were visited in it."""
-        now = engine.snapshot()
-        fresh = now.visited & (self.visits == 0)
-        self.visits[fresh] = now.step
-        self.positions.append(now.positions)
-        self.actions.append(np.clip(actions, -1, 1).astype(engine.dtype))
-        self.commands.append(commands)
-        self.terms.append(engine.reward_terms()[0].astype(np.float64))
-        self.rewards.append(float(engine.team_rewards[0]))
-        return [int(roi) for roi in np.flatnonzero(fresh)]
-
-    def episode(
-        self, engine: BatchEngine, config: NavigationConfig, source: str, seed: int
-    ) -> Episode:
-        """Return the episode that was noted."""
-        last = engine.snapshot()
-        ended: Outcome = "success" if last.success else "truncated"
-        return Episode(
-            field=engine.field,
-            config=config,
-            actions=np.stack(self.actions),
-            positions=np.stack(self.positions),
-            visits=self.visits,
-            terms=np.stack(self.terms),
-            team_rewards=np.array(self.rewards),
-            outcome="collision" if last.collision else ended,
-            source=source,
-            seed=seed,
-        )

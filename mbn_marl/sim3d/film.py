@@ -1,4 +1,4 @@
-"""A film of a mission in MuJoCo: a camera, the paths as they were sprayed, and an MP4 file."""
+"""A film of a mission in MuJoCo: a camera, the robots' paths, and an MP4 file."""
 
 from __future__ import annotations
 
@@ -14,10 +14,8 @@ from mbn_marl.render.animation import Mp4Writer
 from mbn_marl.sim3d.loading import load_mujoco
 from mbn_marl.sim3d.scene import CAMERAS, LARGEST_PICTURE
 
-PATH_HEIGHT, PATH_WIDTH = 0.03, 0.05
-"""Of the paths, metres: they lie on the ground."""
-APART = 0.1
-"""Metres between two points of a path."""
+PATH_HEIGHT, PATH_WIDTH, APART = 0.03, 0.05, 0.1
+"""Of the paths, which lie on the ground, and between two points of one, metres."""
 MOST_SHAPES = 20_000
 REST = 1.0
 """Seconds that a film rests on its end."""
@@ -66,21 +64,15 @@ class Film:
         self.begun = False
 
     def begin(self, model: Any, data: Any, places: NDArray[np.intp]) -> None:
-        """Begin with the first frame.
-
-        Args:
-            model: MuJoCo's.
-            data: MuJoCo's.
-            places: (n, 2), where the robots' x and y are in ``data.qpos``.
+        """Begin with the first frame; ``places`` (n, 2) are the robots' x and y in ``data.qpos``.
 
         Raises:
             MbnError: there is no OpenGL to draw with.
         """
-        mujoco = load_mujoco()
         self.begun = True
         width, height = self._size
         try:
-            self._renderer = mujoco.Renderer(model, height, width, max_geom=MOST_SHAPES)
+            self._renderer = load_mujoco().Renderer(model, height, width, max_geom=MOST_SHAPES)
         except Exception as error:  # whatever the platform's OpenGL raises
             raise MbnError(
                 f"a film needs OpenGL, which cannot be used here ({error}); without a display "
@@ -88,21 +80,21 @@ class Film:
             ) from error
         self._data = data
         self._places, self._paths, self._due = places, [data.qpos[places]], data.time
-        self.look(model, data)
+        self.look()
 
-    def look(self, model: Any, data: Any) -> None:
+    def look(self) -> None:
         """Lengthen the paths, and take a frame if it is time for one."""
-        now = data.qpos[self._places]
+        now = self._data.qpos[self._places]
         if np.abs(now - self._paths[-1]).max() > APART:
             self._paths.append(now)
-        if data.time >= self._due - 1e-9:
+        if self._data.time >= self._due - 1e-9:
             self._due += self._period
-            self._writer.add(self._draw(data))
+            self._writer.add(self._draw())
 
-    def _draw(self, data: Any) -> NDArray[np.uint8]:
+    def _draw(self) -> Any:
         mujoco, scene = load_mujoco(), self._renderer.scene
-        self._renderer.update_scene(data, camera=self._camera)
-        points = np.array([*self._paths, data.qpos[self._places]])
+        self._renderer.update_scene(self._data, camera=self._camera)
+        points = np.array([*self._paths, self._data.qpos[self._places]])
         ends = np.dstack([points, np.full(points.shape[:2], PATH_HEIGHT)])
         for robot in range(ends.shape[1]):
             colour = np.array([*style.rgb(style.robot_colour(robot)), 255.0], np.float32) / 255.0
@@ -114,13 +106,12 @@ class Film:
                 mujoco.mjv_initGeom(shape, kind, np.zeros(3), np.zeros(3), np.zeros(9), colour)
                 mujoco.mjv_connector(shape, kind, PATH_WIDTH, ends[k, robot], ends[k + 1, robot])
                 scene.ngeom += 1
-        picture: NDArray[np.uint8] = self._renderer.render()
-        return picture
+        return self._renderer.render()
 
     def close(self) -> None:
         """Rest on how it ended, and complete the file; closing twice does no harm."""
         if self._renderer is not None:
-            picture = self._draw(self._data)
+            picture = self._draw()
             for _ in range(self._rest):
                 self._writer.add(picture)
             self._renderer.close()

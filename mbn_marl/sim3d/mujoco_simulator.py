@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,7 @@ from mbn_marl.sim3d.scene import SPRAYED_AREA, SPRAYED_WEED, Frame, build_scene
 from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Scale, Simulator
 from mbn_marl.sim3d.vehicle import Array, Senses, Vehicle
 
-VEHICLES: Mapping[str, type[Vehicle]] = MappingProxyType(
-    {"quadrotor": Quadrotor, "balancer": Balancer}
-)
+VEHICLES: Mapping[str, type[Vehicle]] = {"quadrotor": Quadrotor, "balancer": Balancer}
 CONTROL_PERIOD = 0.01
 """Seconds between two runs of the controllers, at most."""
 SUBSTEPS = 2
@@ -30,9 +27,8 @@ SUBSTEPS = 2
 class MujocoSimulator(Simulator):
     """Vehicles with dynamics in MuJoCo.
 
-    Wind is MuJoCo's medium, air of 1.2 kg/m^3 that moves. The drag of a body at rest grows with the
-    square of the wind's speed, which is chosen so that it accelerates a free vehicle at rest by
-    just what the MDP's wind would add to its velocity in a step.
+    Wind is moving air of 1.2 kg/m^3. Its speed is such that it accelerates a free vehicle at rest
+    by just what the MDP's wind would add to its velocity in a step.
 
     Args:
         vehicle: a name of :data:`VEHICLES`, or a vehicle.
@@ -86,7 +82,7 @@ class MujocoSimulator(Simulator):
         self._blow(np.asarray(mission.wind) * self.scale.acceleration(mission.tau))
         mujoco.mj_forward(self.model, self.data)
         if self._film is not None and self._film.begun:
-            self.close()
+            self._film.close()
             self._film = None
         if self._film is not None:
             self._film.begin(self.model, self.data, self._places[:, :2])
@@ -100,6 +96,7 @@ class MujocoSimulator(Simulator):
         self.model.opt.wind[:] = direction
         self._mujoco.mj_forward(self.model, self.data)
         drag = float(self.data.qfrc_fluid[self._speeds[0, :3]] @ direction)
+        # Drag grows with the square of the wind's speed.
         self.model.opt.wind[:] = direction * math.sqrt(size * self.vehicle.mass / drag)
 
     def command(self, velocities: Floats) -> None:
@@ -112,7 +109,7 @@ class MujocoSimulator(Simulator):
             self.data.ctrl[:] = self.vehicle.control(self.senses(), self._commands).ravel()
             self._mujoco.mj_step(self.model, self.data, SUBSTEPS)
             if self._film is not None:
-                self._film.look(self.model, self.data)
+                self._film.look()
 
     @property
     def seconds(self) -> float:

@@ -13,9 +13,6 @@ class PlaneSimulator(Simulator):
     """Point masses that have every commanded velocity at once (mdp.md, steps 1 and 2).
 
     A deployment here is the environment's own episode, number for number.
-
-    Attributes:
-        has_wind: false: the wind is part of the commands.
     """
 
     has_wind: ClassVar[bool] = False

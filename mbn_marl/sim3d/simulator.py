@@ -33,12 +33,10 @@ class Scale:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        problems = [
-            f"{name}: {value!r}; allowed: a finite number above 0"
-            for name, value in vars(self).items()
-            if not 0.0 < value < np.inf
-        ]
-        if problems:
+        allowed = "allowed: a finite number above 0"
+        wrong = {name: value for name, value in vars(self).items() if not 0.0 < value < np.inf}
+        if wrong:
+            problems = [f"{name}: {value!r}; {allowed}" for name, value in wrong.items()]
             raise ConfigError("scale", problems)
 
     @property
@@ -90,15 +88,9 @@ class Motion:
 
 
 class Simulator(AbstractContextManager["Simulator"]):
-    """Vehicles in a field. Positions are in units and velocities in units/step.
+    """Vehicles in a field, in a ``with`` block or closed by hand.
 
-    It is used in a ``with`` block, or closed by hand::
-
-        with simulator:
-            simulator.reset(mission)
-            simulator.command(velocities)
-            simulator.step()
-            motion = simulator.motion()
+    A mission is a :meth:`reset`, and in each step :meth:`command`, :meth:`step`, :meth:`motion`.
 
     Attributes:
         has_wind: whether the wind acts on its bodies. If not, the wind is part of the commands.
@@ -120,11 +112,7 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     @abstractmethod
     def command(self, velocities: Floats) -> None:
-        """Set what the vehicles track from now on.
-
-        Args:
-            velocities: (n, 2), units/step.
-        """
+        """Let the vehicles track ``velocities``, (n, 2) in units/step, from now on."""
 
     @abstractmethod
     def step(self) -> None:
@@ -132,7 +120,7 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     @abstractmethod
     def motion(self) -> Motion:
-        """The vehicles now; fresh arrays."""
+        """Return the vehicles now; fresh arrays."""
 
     @abstractmethod
     def spray(self, roi: int) -> None:

@@ -43,13 +43,7 @@ class Vehicle(ABC):
 
     @abstractmethod
     def add_body(self, body: Element, name: str, colour: str) -> None:
-        """Fill the MJCF body of the vehicle called ``name``, which has a free joint already.
-
-        Args:
-            body: to be filled.
-            name: prefix of all names in it.
-            colour: of what tells the vehicle apart, as MJCF has it.
-        """
+        """Fill the MJCF body of the vehicle called ``name``, told apart by its MJCF ``colour``."""
 
     @abstractmethod
     def add_motors(self, actuator: Element, name: str) -> None:
@@ -67,15 +61,10 @@ def add(parent: Element, tag: str, **attributes: Any) -> Element:
 
 
 def add_air_shape(body: Element, centre: float, radius: float, half_height: float) -> None:
-    """Give a body its shape for the air: an upright ellipsoid, invisible and not touched.
+    """Give a vehicle's body its shape for the air, an invisible upright ellipsoid, in metres.
 
-    It is round from above, so that the drag points along the wind; it makes no lift.
-
-    Args:
-        body: of a vehicle.
-        centre: its height above the body's origin, metres.
-        radius: metres.
-        half_height: metres.
+    It is round from above, so that the drag points along the wind; it makes no lift. Its
+    ``centre`` is above the body's origin.
     """
     add(body, "geom", class_="air", pos=(0, 0, centre), size=(radius, radius, half_height))
 

@@ -11,7 +11,7 @@ from mbn_marl.web import page
 
 
 def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
-    """A self-contained HTML page that plays ``episodes`` on one clock.
+    """Return a self-contained HTML page that plays ``episodes`` on one clock.
 
     Args:
         episodes: at least one.
@@ -23,11 +23,8 @@ def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
     if not episodes:
         raise MbnError("replay: at least one episode is needed")
     fields = ", ".join(dict.fromkeys(episode.field.name for episode in episodes))
-    return page.whole(
-        "replay.html",
-        f"Replay: {fields}" if title is None else title,
-        {
-            "note": page.text(f"Recorded and replayed exactly by mbn_marl {__version__}."),
-            "episodes": page.episodes_data(episodes),
-        },
-    )
+    values = {
+        "note": f"Recorded and replayed exactly by mbn_marl {__version__}.",
+        "episodes": page.episodes_data(episodes),
+    }
+    return page.whole("replay.html", f"Replay: {fields}" if title is None else title, values)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 
 from mbn_marl.episode import Episode
 from mbn_marl.web import page
@@ -49,34 +50,28 @@ class Section:
 
 
 def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
-    """A self-contained HTML page of ``sections``, with links to each and to its player.
+    """Return a self-contained HTML page of ``sections``, with links to each and to its player.
 
     Args:
         title: of the page.
         summary: a sentence below it.
         sections: in order.
     """
-    return page.whole(
-        "report.html",
-        title,
-        {
-            "summary": page.text(summary),
-            "contents": "\n".join(_links(sections)),
-            "sections": "\n".join(_section(*numbered) for numbered in enumerate(sections)),
-        },
-        extra_styles=("report.css",),
-    )
-
-
-def _links(sections: Sequence[Section]) -> Iterable[str]:
+    links = []
     for number, section in enumerate(sections):
         replay = f' (<a href="#replay-{number}">replay</a>)' if section.episodes else ""
-        link = f'<a href="#section-{number}">{page.text(section.title)}</a>'
-        yield f"<span>{link}{replay}</span>"
+        link = f'<a href="#section-{number}">{escape(section.title)}</a>'
+        links.append(f"<span>{link}{replay}</span>")
+    values = {
+        "summary": escape(summary),
+        "contents": "\n".join(links),
+        "sections": "\n".join(_section(*numbered) for numbered in enumerate(sections)),
+    }
+    return page.whole("report.html", title, values, extra_styles=("report.css",))
 
 
 def _section(number: int, section: Section) -> str:
-    parts = [f"<h2>{page.text(section.title)}</h2>", *map(_table, section.tables)]
+    parts = [f"<h2>{escape(section.title)}</h2>", *map(_table, section.tables)]
     if section.figures:
         pictures = "".join(_figure(*named) for named in section.figures.items())
         parts.append(f'<div class="figures">{pictures}</div>')
@@ -87,7 +82,7 @@ def _section(number: int, section: Section) -> str:
             f'<script type="application/json" id="episodes-{number}">{data}</script>',
         ]
     parts += [
-        f"<details><summary>{page.text(name)}</summary><pre>{page.text(text)}</pre></details>"
+        f"<details><summary>{escape(name)}</summary><pre>{escape(text)}</pre></details>"
         for name, text in section.texts.items()
     ]
     body = "\n".join(parts)
@@ -96,25 +91,22 @@ def _section(number: int, section: Section) -> str:
 
 def _table(table: Table) -> str:
     def row(tag: str, cells: Sequence[str]) -> str:
-        kinds = [' class="word"' if place < table.words else "" for place in range(len(cells))]
-        made = (
-            f"<{tag}{kind}>{page.text(cell)}</{tag}>"
-            for kind, cell in zip(kinds, cells, strict=True)
-        )
+        kinds = [' class="word"'] * table.words + [""] * (len(cells) - table.words)
+        made = map(f"<{tag}{{}}>{{}}</{tag}>".format, kinds, map(escape, cells))
         return f"<tr>{''.join(made)}</tr>"
 
     head = row("th", table.headings)
     body = "".join(row("td", line) for line in table.lines)
     shown = f"<table><thead>{head}</thead><tbody>{body}</tbody></table>"
     return (
-        f'<h3>{page.text(table.title)}</h3><div class="table">{shown}</div>'
-        f'<p class="caption">{page.text(table.caption)}</p>'
+        f'<h3>{escape(table.title)}</h3><div class="table">{shown}</div>'
+        f'<p class="caption">{escape(table.caption)}</p>'
     )
 
 
 def _figure(title: str, svg: bytes) -> str:
-    """As an image and not as part of the page: names inside two pictures may be the same."""
+    """Embed an image, not parts of the page: names inside two pictures may be the same."""
     data = base64.b64encode(svg).decode("ascii")
-    name = page.text(title)
+    name = escape(title)
     picture = f'<div><img alt="{name}" src="data:image/svg+xml;base64,{data}"></div>'
     return f"<figure>{picture}<figcaption>{name}</figcaption></figure>"

@@ -15,7 +15,7 @@ pytest.importorskip("matplotlib", reason="needs the extra [render]")
 
 from matplotlib.figure import Figure
 
-from mbn_marl.render import curves, figures
+from mbn_marl.render import curves, estimates
 
 
 def labels_of(figure: Figure) -> list[str]:
@@ -50,7 +50,7 @@ def test_the_band_is_the_bootstrap_of_scipy() -> None:
 
 def test_a_line_for_each_algorithm_and_a_band_for_more_than_one_seed() -> None:
     several = [run([0, 10], [0, 100]), run([0, 10], [50, 120])]
-    figure = figures.learning_curves({"ours": several, "theirs": [run([0, 10], [5, 7])]})
+    figure = curves.learning_curves({"ours": several, "theirs": [run([0, 10], [5, 7])]})
     axes = figure.axes[0]
     assert [line.get_ydata().tolist() for line in axes.lines] == [[25.0, 110.0], [5.0, 7.0]]
     first, second = axes.lines
@@ -63,12 +63,12 @@ def test_a_line_for_each_algorithm_and_a_band_for_more_than_one_seed() -> None:
 
 def test_a_look_is_the_algorithms_own() -> None:
     both = {"ours": [run([0, 10], [0, 9])], "theirs": [run([0, 10], [5, 7])]}
-    axes = figures.learning_curves(both, looks={"theirs": 0, "ours": 3}).axes[0]
+    axes = curves.learning_curves(both, looks={"theirs": 0, "ours": 3}).axes[0]
     assert [line.get_color() for line in axes.lines] == [style.series(k).colour for k in (3, 0)]
 
 
 def test_threshold_and_optimum_are_lines_with_their_numbers() -> None:
-    axes = figures.learning_curves({"a": [run([0, 1], [0, 9])]}, 5.0, 159_490.0).axes[0]
+    axes = curves.learning_curves({"a": [run([0, 1], [0, 9])]}, 5.0, 159_490.0).axes[0]
     assert [set(line.get_ydata()) for line in axes.lines[1:]] == [{5.0}, {159_490.0}]
     shown = [text.get_text() for text in axes.texts]
     assert shown == ["threshold 5", "optimum 159,490"]
@@ -77,7 +77,7 @@ def test_threshold_and_optimum_are_lines_with_their_numbers() -> None:
 @pytest.mark.parametrize(("worst", "scale"), [(-300_000.0, "linear"), (-4e6, "symlog")])
 def test_very_bad_returns_do_not_flatten_the_good_ones(worst: float, scale: str) -> None:
     seeds = [run([0, 1, 2], [worst, 0.0, 150_000.0])]
-    axes = figures.learning_curves({"a": seeds}, None, 159_490.0).axes[0]
+    axes = curves.learning_curves({"a": seeds}, None, 159_490.0).axes[0]
     assert axes.get_yscale() == scale
     assert ("symlog: logarithmic below \N{MINUS SIGN}159 k" in axes.get_ylabel()) == (
         scale == "symlog"
@@ -92,7 +92,7 @@ def test_very_bad_returns_do_not_flatten_the_good_ones(worst: float, scale: str)
 
 def test_returns_that_are_all_far_below_zero_are_told_apart() -> None:
     seeds = [run([0, 1, 2], [-30e6, -1e6, -2e5])]
-    axes = figures.learning_curves({"a": seeds}).axes[0]
+    axes = curves.learning_curves({"a": seeds}).axes[0]
     assert axes.get_yscale() == "symlog"
     heights = axes.transAxes.inverted().transform(
         axes.transData.transform([(0, value) for value in (-30e6, -1e6, -2e5)])
@@ -116,16 +116,16 @@ def test_returns_that_are_all_far_below_zero_are_told_apart() -> None:
 )
 def test_curves_that_cannot_be_drawn_are_refused(wrong: Any, message: str) -> None:
     with pytest.raises(MbnError, match=message):
-        figures.learning_curves(wrong)
+        curves.learning_curves(wrong)
 
 
 def test_panels_have_common_axes_and_one_legend() -> None:
     panels = {
-        "one": figures.Panel({"b": [run([0, 10], [0, 9])]}, 20.0),
-        "two": figures.Panel({"a": [run([0, 30], [0, 5]), run([0, 30], [5, 5])]}, None),
-        "three": figures.Panel({"b": [run([0, 10], [0, 9])]}, None),
+        "one": curves.Panel({"b": [run([0, 10], [0, 9])]}, 20.0),
+        "two": curves.Panel({"a": [run([0, 30], [0, 5]), run([0, 30], [5, 5])]}, None),
+        "three": curves.Panel({"b": [run([0, 10], [0, 9])]}, None),
     }
-    figure = figures.learning_curve_panels(panels, {"a": 3, "b": 5, "c": 7}, 10.0)
+    figure = curves.learning_curve_panels(panels, {"a": 3, "b": 5, "c": 7}, 10.0)
     shown = [axes for axes in figure.axes if axes.get_visible()]
     assert len({(axes.get_xlim(), axes.get_ylim()) for axes in shown}) == 1
     first, second, third = shown
@@ -134,15 +134,15 @@ def test_panels_have_common_axes_and_one_legend() -> None:
     assert [len(axes.lines) for axes in shown] == [3, 2, 2], "curve, threshold, optimum"
     assert labels_of(figure) == ["a", "b", "threshold 10", "proved optimum"]
     with pytest.raises(MbnError, match="no curve"):
-        figures.learning_curve_panels({"one": figures.Panel({}, None)}, {}, 10.0)
+        curves.learning_curve_panels({"one": curves.Panel({}, None)}, {}, 10.0)
 
 
 def test_pairs_are_joined_and_missing_ones_say_so() -> None:
     panels = {
-        "ppo": {"here": figures.Pair(1.0, 4.0), "there": figures.Pair(None, 2.0)},
-        "ars": {"there": figures.Pair(3.0, 3.5)},
+        "ppo": {"here": curves.Pair(1.0, 4.0), "there": curves.Pair(None, 2.0)},
+        "ars": {"there": curves.Pair(3.0, 3.5)},
     }
-    figure = figures.pairs(panels, ("A", "B"), 5.0)
+    figure = curves.pairs(panels, ("A", "B"), 5.0)
     ppo, ars = figure.axes
     drawn = [line.get_xydata().tolist() for line in ppo.lines[:-1]]
     assert drawn == [[[1, 0], [4, 0]], [[1, 0]], [[4, 0]], [[2, 1]]]
@@ -150,23 +150,23 @@ def test_pairs_are_joined_and_missing_ones_say_so() -> None:
     assert ars.texts[0].xy[1] == 0
     assert labels_of(figure) == ["A", "B", "threshold 5"]
     with pytest.raises(MbnError, match="no return"):
-        figures.pairs({"ppo": {"here": figures.Pair(None, None)}}, ("A", "B"), 5.0)
+        curves.pairs({"ppo": {"here": curves.Pair(None, None)}}, ("A", "B"), 5.0)
 
 
 def test_a_study_shows_its_best_so_far_and_what_was_pruned() -> None:
     values = [(0, 1.0, False), (1, 9.0, True), (2, 3.0, False), (3, 2.0, False)]
-    trials = [figures.StudyTrial(*value) for value in values]
-    figure = figures.study_figure(trials, {"gamma": 0.75, "learning_rate": 0.25}, "ppo")
+    trials = [curves.StudyTrial(*value) for value in values]
+    figure = curves.study_figure(trials, {"gamma": 0.75, "learning_rate": 0.25}, "ppo")
     history, bars = figure.axes
     best, finished, pruned = (line.get_xydata().tolist() for line in history.lines)
     assert best == [[0, 1], [2, 3], [3, 3]]
     assert finished == [[0, 1], [2, 3], [3, 2]]
     assert pruned == [[1, 9]]
     assert [bar.get_width() for bar in bars.patches] == [0.75, 0.25]
-    unknown = figures.study_figure(trials, {}, "ppo").axes[1]
+    unknown = curves.study_figure(trials, {}, "ppo").axes[1]
     assert "too few" in unknown.texts[0].get_text()
     with pytest.raises(MbnError, match="no trial"):
-        figures.study_figure([], {}, "ppo")
+        curves.study_figure([], {}, "ppo")
 
 
 def test_estimates_are_marked_within_their_intervals() -> None:
@@ -174,7 +174,7 @@ def test_estimates_are_marked_within_their_intervals() -> None:
         "mean": {"ppo": (0.5, 0.25, 0.75), "mappo": (0.9, None, None)},
         "gap": {"ppo": (0.1, 0.0, 0.2), "mappo": (0.2, 0.1, 0.3)},
     }
-    figure = figures.intervals_figure(panels)
+    figure = estimates.intervals_figure(panels)
     mean, gap = figure.axes
     assert [label.get_text() for label in mean.get_yticklabels()] == ["ppo", "mappo"]
     assert [line.get_xydata().tolist() for line in mean.lines] == [[[0.5, 0]], [[0.9, 1]]]
@@ -182,12 +182,12 @@ def test_estimates_are_marked_within_their_intervals() -> None:
     assert interval.get_segments()[0].tolist() == [[0.25, 0], [0.75, 0]]
     assert len(gap.collections) == 2
     with pytest.raises(MbnError, match="intervals"):
-        figures.intervals_figure({"mean": {}})
+        estimates.intervals_figure({"mean": {}})
 
 
 def test_the_axis_of_a_probability_spans_all_of_it_with_a_line_at_one_half() -> None:
     chances = {"ppo > mappo": (0.52, 0.51, 0.53), "ppo > ippo": (0.5, None, None)}
-    (axes,) = figures.chances_figure(chances, "probability").axes
+    (axes,) = estimates.chances_figure(chances, "probability").axes
     assert axes.get_xlim() == (0.0, 1.0)
     formatter = axes.xaxis.get_major_formatter()
     assert [formatter(tick) for tick in axes.get_xticks()] == ["0%", "25%", "50%", "75%", "100%"]
@@ -200,7 +200,7 @@ def test_profiles_are_drawn_whole_and_near_the_end() -> None:
     share = np.array([1.0, 0.5, 0.25, 0.0])
     profiles = {"ppo": (share, share - 0.1, share + 0.1), "mappo": (share, share, share)}
     looks = {"ppo": 4, "mappo": 1}
-    figure = figures.profiles_figure(profiles, thresholds, "score", looks)
+    figure = estimates.profiles_figure(profiles, thresholds, "score", looks)
     whole, end = figure.axes
     assert (whole.get_xlim(), end.get_xlim()) == ((0.0, 1.0), (0.9, 1.0))
     for axes in (whole, end):
@@ -211,4 +211,4 @@ def test_profiles_are_drawn_whole_and_near_the_end() -> None:
         assert len(axes.collections) == 2
     assert labels_of(figure) == ["ppo", "mappo"]
     with pytest.raises(MbnError, match="profiles"):
-        figures.profiles_figure({}, thresholds, "score", {})
+        estimates.profiles_figure({}, thresholds, "score", {})

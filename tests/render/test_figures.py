@@ -174,12 +174,6 @@ def test_a_figure_is_saved_in_the_format_of_its_name(
     assert list(path.parent.iterdir()) == [path], "no temporary file is left"
 
 
-def test_learning_curves_are_saved_where_asked(tmp_path: Path) -> None:
-    path = tmp_path / "curves.png"
-    figures.learning_curves({"a": [(np.arange(2), np.arange(2))]}, path=path)
-    assert path.read_bytes().startswith(b"\x89PNG")
-
-
 def test_an_unknown_format_names_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(MbnError, match=r"a\.bmp: .*\.png, \.pdf, \.svg"):
         figures.save(figures.field_figure(FIELD), tmp_path / "a.bmp")

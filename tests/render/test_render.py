@@ -12,11 +12,11 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.field import Field
 from mbn_marl.render import Viewer, style
-from mbn_marl.render.viewport import Viewport
 from tests.support.pictures import FIELD, HOLE, SIZE, SQUARE, draw, snapshot, wander, where
 
 pytest.importorskip("pygame", reason="needs the extra [render]")
 
+from mbn_marl.render.sprites import Viewport
 
 # ---------------------------------------------------------------- what is where
 

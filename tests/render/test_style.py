@@ -59,10 +59,6 @@ def test_the_colours_of_robots_are_clearly_distinct_for_all_eyes(robots: int) ->
 
 def test_figures_and_pages_use_the_robots_colours() -> None:
     assert len(set(style.ROBOTS)) == len(style.ROBOTS) >= 10
-    assert style.LIGHT_PAGE.robots == style.ROBOTS
-    changed = [
-        pair
-        for pair in zip(style.DARK_PAGE.robots, style.ROBOTS, strict=True)
-        if len(set(pair)) == 2
-    ]
-    assert changed == [(style.WHITE, style.BLACK)]
+    on_pages = [style.PAGE[f"robot-{index}"] for index in range(len(style.ROBOTS))]
+    assert tuple(light for light, _ in on_pages) == style.ROBOTS
+    assert [pair for pair in on_pages if len(set(pair)) == 2] == [(style.BLACK, style.WHITE)]
