@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
-from mbn_marl.config import describe, make_config
+from mbn_marl.config import NavigationConfig, describe, make_config
 from mbn_marl.engine import REWARD_TERMS
 from mbn_marl.episode.episode import Episode
 from mbn_marl.episode.schema import (
@@ -26,7 +26,6 @@ from mbn_marl.field import Field
 from mbn_marl.files import replacing
 from mbn_marl.version import __version__
 
-T = TypeVar("T")
 EXPECTED = f"an episode in the format {FORMAT}, as `mbn render -o episode.json` writes it"
 
 
@@ -110,8 +109,7 @@ def to_file(episode: Episode) -> EpisodeFile:
 
 def _from_file(content: EpisodeFile, name: str) -> Episode:
     """Return the episode in the file ``name``; raise ``EpisodeError`` with what does not fit."""
-    field = _made("field", lambda: Field(**content.field), name)
-    config = _made("config", lambda: make_config({**content.config, "wind": content.wind}), name)
+    field, config = _place(content, name)
     steps, robots, rois = content.steps, content.robots, len(field.rois)
     terms, known = content.rewards.terms, list(REWARD_TERMS)
     arrays: dict[str, Any] = {}
@@ -159,9 +157,12 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
     )
 
 
-def _made(part: str, make: Callable[[], T], name: str) -> T:
-    """Return what a part of the file ``name`` describes."""
+def _place(content: EpisodeFile, name: str) -> tuple[Field, NavigationConfig]:
+    """Return the field and the configuration in the file ``name``."""
+    part = "field"
     try:
-        return make()
+        field = Field(**content.field)
+        part = "config"
+        return field, make_config({**content.config, "wind": content.wind})
     except (TypeError, MbnError) as error:
         raise EpisodeError(name, [f"{part}: {error}"]) from None

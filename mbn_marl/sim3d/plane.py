@@ -12,7 +12,8 @@ from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Simulator
 class PlaneSimulator(Simulator):
     """Point masses that have every commanded velocity at once (mdp.md, steps 1 and 2).
 
-    A deployment here is the environment's own episode, number for number.
+    A deployment here is the environment's own episode, number for number. ``has_wind`` is false:
+    the wind is part of the commands.
     """
 
     has_wind: ClassVar[bool] = False
