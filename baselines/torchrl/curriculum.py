@@ -8,17 +8,11 @@ from dataclasses import dataclass
 
 @dataclass
 class RoiCurriculum:
-    """How large ROIs are while a team learns, as multiples of the true radius.
+    """The size of ROIs while a team learns, as a multiple of the true radius.
 
-    Attributes:
-        first: at stage 0; the last stage has 1.
-        stages: how many times they shrink, each time by the same factor.
-        bounds: of the success rate: below the first they grow by a stage, and from the second on
-            they shrink by one.
-        window: episodes that make a success rate.
-        stage: the present one.
-        ended: episodes of the present window.
-        succeeded: how many of them did.
+    It falls from ``first`` to 1 in ``stages``, by the same factor each. Below the first of the
+    ``bounds`` of the success rate of ``window`` episodes ROIs grow by a stage, from the second on
+    they shrink by one.
     """
 
     first: float
@@ -31,11 +25,11 @@ class RoiCurriculum:
 
     @property
     def radius(self) -> float:
-        """How large they are now."""
+        """The present multiple."""
         return float(self.first ** (1.0 - self.stage / self.stages))
 
     def add(self, successes: Sequence[float]) -> None:
-        """Take in episodes that ended: 1 for a success, 0 for a failure."""
+        """Count episodes that ended: 1 for a success, 0 for a failure."""
         self.ended += len(successes)
         self.succeeded += round(sum(successes))
 

@@ -21,9 +21,14 @@ Sharing = Literal["full", "full+id", "none"]
 Actor = Literal["centralized", "decentralized"]
 Critic = Literal["centralized", "independent"]
 
-OBSERVATION, NORMALIZED = ("robots", "observation"), ("robots", "normalized")
-LOC, SCALE, ACTION = (("robots", name) for name in ("loc", "scale", "action"))
-LOG_PROB, VALUE = "log_prob", "state_value"
+
+class Key:
+    """The entries of a rollout that networks, losses and estimator read and write."""
+
+    OBSERVATION, NORMALIZED = ("robots", "observation"), ("robots", "normalized")
+    LOC, SCALE, ACTION = ("robots", "loc"), ("robots", "scale"), ("robots", "action")
+    LOG_PROB, VALUE = "log_prob", "state_value"
+
 
 CLIP = 10.0
 """Normalised observations are clipped to +-CLIP, as is usual (a bit that was rarely set)."""
@@ -32,17 +37,7 @@ HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 @dataclass(frozen=True)
 class TeamShape:
-    """The sizes of a team's networks.
-
-    Attributes:
-        obs_size: numbers of a robot's observation.
-        n_robots: robots of a world.
-        hidden: widths of the hidden layers (tanh).
-        sharing: ``"full"``, one network for all robots; ``"full+id"``, one whose observation has
-            the robot's number (one-hot); ``"none"``, a network for each robot.
-        actor: ``"decentralized"``, each robot acts on its own observation, or ``"centralized"``,
-            one network maps all observations to all forces and ``sharing`` is of the critic alone.
-    """
+    """The sizes of a team's networks; the last three are as in ``MultiAgentPPOConfig``."""
 
     obs_size: int
     n_robots: int
@@ -52,17 +47,14 @@ class TeamShape:
 
     @property
     def networks(self) -> int:
-        """How many networks, and normalisations, the robots have: 1 or ``n_robots``."""
+        """Number of networks, and of normalisations, that the robots have: 1 or ``n_robots``."""
         return self.n_robots if self.sharing == "none" else 1
 
 
 class TeamMLP(nn.Module):
     """A tanh network for all rows of a batch, or one for each of k groups of rows.
 
-    Args:
-        networks: k, how many.
-        sizes: inputs, widths of the hidden layers, outputs; weights start orthogonal.
-        last_gain: gain of the last layer.
+    ``sizes`` are inputs, hidden layers, outputs; weights start orthogonal, the last with its gain.
     """
 
     def __init__(self, networks: int, sizes: tuple[int, ...], *, last_gain: float) -> None:
@@ -94,7 +86,7 @@ class Normalize(TensorDictModuleBase):
 
     def __init__(self, shape: TeamShape) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [OBSERVATION], [NORMALIZED]
+        self.in_keys, self.out_keys = [Key.OBSERVATION], [Key.NORMALIZED]
         robots = (shape.n_robots,) if shape.networks > 1 else ()
         self.statistics = RunningValueNorm(shape=(*robots, shape.obs_size))
 
@@ -107,7 +99,7 @@ class Normalize(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Add the normalised observations."""
-        return tensordict.set(NORMALIZED, self.normalize(tensordict.get(OBSERVATION)))
+        return tensordict.set(Key.NORMALIZED, self.normalize(tensordict.get(Key.OBSERVATION)))
 
 
 class TeamNormal(torch.distributions.Distribution):
@@ -157,17 +149,12 @@ DISTRIBUTIONS = {"decentralized": TeamNormal, "centralized": JointNormal}
 class GaussianPolicy(TensorDictModuleBase):
     """Mean and (state-independent) standard deviation of the actions.
 
-    Args:
-        shape: of the team.
-        log_std: initial logarithm of the standard deviation.
-
-    Attributes:
-        norm: the normalisation of its input, a step of its own, so that an update normalises once.
+    ``norm`` normalises its input: a step of its own, so that an update normalises once.
     """
 
     def __init__(self, shape: TeamShape, log_std: float = 0.0) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [NORMALIZED], [LOC, SCALE]
+        self.in_keys, self.out_keys = [Key.NORMALIZED], [Key.LOC, Key.SCALE]
         self.shape, self.norm = shape, Normalize(shape)
         self._joint = shape.actor == "centralized"
         n = shape.n_robots
@@ -178,16 +165,13 @@ class GaussianPolicy(TensorDictModuleBase):
 
     def means(self, normalized: torch.Tensor) -> torch.Tensor:
         """Mean actions (..., n, 2) for normalised observations (..., n, obs_size)."""
-        if not self._joint:
-            mean: torch.Tensor = self.mean(normalized)
-            return mean
-        forces: torch.Tensor = self.mean(joined(normalized))
-        return forces.reshape(*forces.shape[:-2], -1, 2)
+        means: torch.Tensor = self.mean(joined(normalized) if self._joint else normalized)
+        return means.reshape(*normalized.shape[:-1], 2)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Add mean and standard deviation."""
-        mean = self.means(tensordict.get(NORMALIZED))
-        return tensordict.set(LOC, mean).set(SCALE, self.log_std.exp().expand_as(mean))
+        mean = self.means(tensordict.get(Key.NORMALIZED))
+        return tensordict.set(Key.LOC, mean).set(Key.SCALE, self.log_std.exp().expand_as(mean))
 
 
 class ValueNetwork(TensorDictModuleBase):
@@ -198,7 +182,7 @@ class ValueNetwork(TensorDictModuleBase):
 
     def __init__(self, shape: TeamShape, sees: Critic) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [NORMALIZED], [VALUE]
+        self.in_keys, self.out_keys = [Key.NORMALIZED], [Key.VALUE]
         self._central = sees == "centralized"
         n, joint = shape.n_robots, shape.actor == "centralized"
         ends = (n * shape.obs_size, 1 if joint else n) if self._central else (shape.obs_size, 1)
@@ -207,7 +191,6 @@ class ValueNetwork(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Add the values."""
-        seen = tensordict.get(NORMALIZED)
-        if not self._central:
-            return tensordict.set(VALUE, self.values(seen))
-        return tensordict.set(VALUE, self.values(joined(seen)).transpose(-1, -2))
+        seen = tensordict.get(Key.NORMALIZED)
+        values = self.values(joined(seen)).mT if self._central else self.values(seen)
+        return tensordict.set(Key.VALUE, values)

@@ -19,11 +19,7 @@ SHAPE = "policy.json"
 
 
 class TeamPolicy:
-    """Act with a team's network on the robots' observations.
-
-    Args:
-        network: the policy's network.
-    """
+    """Act with a team's network on the robots' observations."""
 
     observes: Literal["observations", "state"] = "observations"
 

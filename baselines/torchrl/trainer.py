@@ -21,19 +21,7 @@ from baselines.runs.rng_state import restore_generators, save_generators
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
 from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.curriculum import RoiCurriculum
-from baselines.torchrl.networks import (
-    ACTION,
-    DISTRIBUTIONS,
-    LOC,
-    LOG_PROB,
-    NORMALIZED,
-    OBSERVATION,
-    SCALE,
-    VALUE,
-    GaussianPolicy,
-    TeamShape,
-    ValueNetwork,
-)
+from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
 from baselines.torchrl.policy import TeamPolicy
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
@@ -62,13 +50,7 @@ def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
 
 
 class Trainer:
-    """Multi-agent PPO; networks, losses and, on CUDA, the worlds are on the task's device.
-
-    Args:
-        task: field, settings, seed and budget.
-        config: the hyperparameters.
-        recorder: where progress goes.
-    """
+    """Multi-agent PPO; networks, losses and, on CUDA, the worlds are on the task's device."""
 
     def __init__(self, task: Task, config: MultiAgentPPOConfig, recorder: Recorder) -> None:
         torch.manual_seed(task.config.seed)
@@ -84,11 +66,11 @@ class Trainer:
         self.critic = ValueNetwork(shape, config.critic).to(env.device)
         self.actor = ProbabilisticActor(
             self.network,
-            in_keys=[LOC, SCALE],
-            out_keys=[ACTION],
+            in_keys=[Key.LOC, Key.SCALE],
+            out_keys=[Key.ACTION],
             distribution_class=DISTRIBUTIONS[config.actor],
             return_log_prob=True,
-            log_prob_key=LOG_PROB,
+            log_prob_key=Key.LOG_PROB,
         )
         self.loss = (MAPPOLoss if config.critic == "centralized" else IPPOLoss)(
             self.actor,
@@ -101,12 +83,12 @@ class Trainer:
             normalize_advantage=False,  # :meth:`_samples` does it, over the whole rollout
             log_explained_variance=False,
         )
-        self.loss.set_keys(action=ACTION, sample_log_prob=LOG_PROB, value=VALUE)
+        self.loss.set_keys(action=Key.ACTION, sample_log_prob=Key.LOG_PROB, value=Key.VALUE)
         self.estimator = MultiAgentGAE(
             gamma=config.gamma, lmbda=config.gae_lambda, value_network=None, vectorized=False
         )
         reward = ("team_reward",) if config.actor == "centralized" else ("robots", "reward")
-        self.estimator.set_keys(value=VALUE, reward=reward)
+        self.estimator.set_keys(value=Key.VALUE, reward=reward)
         self.reward = ("next", *reward)
         self.parameters = list(self.loss.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, eps=config.adam_epsilon, fused=True)
@@ -164,7 +146,7 @@ class Trainer:
             rollout = next(self.rollouts).copy()
             collected = time.perf_counter()
             losses = self._descend(self._samples(rollout, repeat))
-            self.network.norm.statistics.update(rollout[OBSERVATION])
+            self.network.norm.statistics.update(rollout[Key.OBSERVATION])
             diagnostics = {
                 "rollout_seconds": collected - started,
                 "update_seconds": time.perf_counter() - collected,
@@ -204,7 +186,9 @@ class Trainer:
         self.estimator(rollout)
         advantage = rollout["advantage"]
         rollout["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        return rollout.select(NORMALIZED, ACTION, LOG_PROB, "advantage", "value_target").reshape(-1)
+        return rollout.select(
+            Key.NORMALIZED, Key.ACTION, Key.LOG_PROB, "advantage", "value_target"
+        ).reshape(-1)
 
     def _descend(self, samples: TensorDictBase) -> dict[str, float]:
         """Take the epochs' steps on minibatches; return the means of the losses.

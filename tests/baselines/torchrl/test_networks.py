@@ -12,15 +12,11 @@ from tensordict import TensorDict
 
 from baselines.runs.files import RunError
 from baselines.torchrl.networks import (
-    LOC,
-    NORMALIZED,
-    OBSERVATION,
-    SCALE,
-    VALUE,
     Actor,
     Critic,
     GaussianPolicy,
     JointNormal,
+    Key,
     Normalize,
     Sharing,
     TeamMLP,
@@ -38,8 +34,8 @@ def test_normalisation_begins_with_the_first_update() -> None:
     assert norm.normalize(torch.tensor([3.0, 5.0])).tolist() == [3.0, 5.0]
     norm.statistics.update(torch.tensor([[[0.0, 1.0]], [[2.0, 5.0]]]))  # means 1, 3; variances 1, 4
     assert norm.normalize(torch.tensor([2.0, 5.0])).tolist() == [1.0, 1.0]
-    row = TensorDict({OBSERVATION: torch.tensor([[[100.0, 3.0]]])}, (1,))
-    assert norm(row)[NORMALIZED].tolist() == [[[10.0, 0.0]]]
+    row = TensorDict({Key.OBSERVATION: torch.tensor([[[100.0, 3.0]]])}, (1,))
+    assert norm(row)[Key.NORMALIZED].tolist() == [[[10.0, 0.0]]]
 
 
 def test_robots_with_networks_of_their_own_are_normalised_apart() -> None:
@@ -87,7 +83,7 @@ def _seen_by(network: GaussianPolicy | ValueNetwork, key: object) -> list[bool]:
     before = torch.randn(5, 3, 4)
     after = before.clone()
     after[:, 2] += 1.0
-    outputs = [network(TensorDict({NORMALIZED: seen}, (5,)))[key] for seen in (before, after)]
+    outputs = [network(TensorDict({Key.NORMALIZED: seen}, (5,)))[key] for seen in (before, after)]
     changed: list[bool] = ((outputs[0] - outputs[1]).abs().amax((0, -1)) > 1e-6).tolist()
     return changed
 
@@ -100,7 +96,7 @@ def test_only_a_centralised_critic_sees_the_other_robots(
     sees: Critic, seen: list[bool], sharing: Sharing
 ) -> None:
     torch.manual_seed(0)
-    assert _seen_by(ValueNetwork(TeamShape(4, 3, (8,), sharing), sees), VALUE) == seen
+    assert _seen_by(ValueNetwork(TeamShape(4, 3, (8,), sharing), sees), Key.VALUE) == seen
 
 
 @pytest.mark.parametrize(
@@ -108,13 +104,15 @@ def test_only_a_centralised_critic_sees_the_other_robots(
 )
 def test_only_a_centralised_actor_sees_the_other_robots(actor: Actor, seen: list[bool]) -> None:
     torch.manual_seed(0)
-    assert _seen_by(GaussianPolicy(TeamShape(4, 3, (8,), "none", actor)), LOC) == seen
+    assert _seen_by(GaussianPolicy(TeamShape(4, 3, (8,), "none", actor)), Key.LOC) == seen
 
 
 def test_a_centralised_actor_has_one_value() -> None:
     shape = TeamShape(4, 3, (8,), "none", "centralized")
-    values = ValueNetwork(shape, "centralized")(TensorDict({NORMALIZED: torch.ones(5, 3, 4)}, (5,)))
-    assert values[VALUE].shape == (5, 1, 1)
+    values = ValueNetwork(shape, "centralized")(
+        TensorDict({Key.NORMALIZED: torch.ones(5, 3, 4)}, (5,))
+    )
+    assert values[Key.VALUE].shape == (5, 1, 1)
 
 
 def test_log_probabilities_are_those_of_torch() -> None:
@@ -163,12 +161,12 @@ def test_a_saved_policy_acts_as_before(tmp_path: Path, sharing: Sharing, actor: 
         expected = policy.act(observations, deterministic=deterministic)
         torch.manual_seed(1)
         assert np.array_equal(expected, loaded.act(observations, deterministic=deterministic))
-    seen = TensorDict({OBSERVATION: torch.from_numpy(observations)}, (6,))
+    seen = TensorDict({Key.OBSERVATION: torch.from_numpy(observations)}, (6,))
     found = network(network.norm(seen))
     assert np.array_equal(
-        found[LOC].numpy(force=True), policy.act(observations, deterministic=True)
+        found[Key.LOC].numpy(force=True), policy.act(observations, deterministic=True)
     )
-    assert found[SCALE].shape == (6, 3, 2) and (found[SCALE] == network.log_std.exp()).all()
+    assert found[Key.SCALE].shape == (6, 3, 2) and (found[Key.SCALE] == network.log_std.exp()).all()
 
 
 def test_a_damaged_policy_is_named(tmp_path: Path) -> None:

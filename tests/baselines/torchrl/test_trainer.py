@@ -16,7 +16,7 @@ from torchrl.objectives.value import MultiAgentGAE
 from baselines.torchrl import trainer
 from baselines.torchrl.config import load
 from baselines.torchrl.curriculum import RoiCurriculum
-from baselines.torchrl.networks import NORMALIZED, VALUE
+from baselines.torchrl.networks import Key
 from baselines.training.config import TrainConfig
 from baselines.training.train import train
 from mbn_marl.adapters.torchrl import NavigationEnv
@@ -148,8 +148,8 @@ def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
     @torch.no_grad()
     def keep(self: Any, rollout: Any, repeat: int) -> Any:
         made = samples(self, rollout, repeat)
-        seen = TensorDict({NORMALIZED: rollout["next", *NORMALIZED]}, rollout.batch_size)
-        kept.append((self.reward, rollout.clone(), repeat, self.critic(seen)[VALUE]))
+        seen = TensorDict({Key.NORMALIZED: rollout["next", *Key.NORMALIZED]}, rollout.batch_size)
+        kept.append((self.reward, rollout.clone(), repeat, self.critic(seen)[Key.VALUE]))
         return made
 
     monkeypatch.setattr(trainer.Trainer, "_samples", keep)
