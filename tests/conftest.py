@@ -12,21 +12,45 @@ from hypothesis import settings
 FOLDER = Path(__file__).parent
 SLOW = (
     "adapters/test_forms.py",
-    "adapters/test_supersuit.py",
     "adapters/test_torchrl.py",
-    "baselines/*",
+    "baselines/cli/test_commands.py",
+    "baselines/cli/test_deploy.py",
+    "baselines/cli/test_episodes.py",
+    "baselines/cli/test_main.py",
+    "baselines/test_centralized.py",
+    "baselines/test_checksums.py",
+    "baselines/test_classical.py",
+    "baselines/test_compare_run.py",
+    "baselines/test_grid.py",
+    "baselines/test_grid_ray.py",
+    "baselines/test_grid_store.py",
+    "baselines/test_learning.py",
+    "baselines/test_loggers.py",
+    "baselines/test_paper.py",
+    "baselines/test_printed_tables.py",
+    "baselines/test_reliability.py",
+    "baselines/test_resume.py",
+    "baselines/test_shared.py",
+    "baselines/test_tune.py",
+    "baselines/test_wind.py",
+    "baselines/test_window.py",
+    "baselines/test_zoo.py",
+    "baselines/torchrl/test_trainer.py",
     "benchmarks/*",
     "engine/test_blocks.py",
-    "engine/test_cuda*.py",
+    "engine/test_cuda.py",
+    "engine/test_determinism.py",
     "engine/test_jit.py",
     "planning/test_bounds.py",
-    "sim3d/*",
+    "sim3d/test_coppeliasim.py",
+    "sim3d/test_mujoco.py",
     "test_docs.py",
+    "test_package.py",
     "web/*",
 )
-"""Tests that take seconds of computing: they compile, train, start processes, run pages."""
-QUICK = ("baselines/cli/test_options.py", "baselines/test_console.py")
-"""Those among them that do not."""
+"""Files whose tests take seconds: they compile, train, start processes, open pages."""
+LONGEST = "test_in_the_simulator"
+"""It begins first, so that the two workers end at about the same time."""
 
 # Derandomised, so that a red run is red for everybody; no deadline, since a first example compiles.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
@@ -35,9 +59,10 @@ settings.load_profile("repeatable")
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what is slow, beside the tests that are marked themselves."""
+    items.sort(key=lambda item: item.name != LONGEST)
     for item in items:
         place = str(item.path.relative_to(FOLDER))
-        if any(fnmatch(place, slow) for slow in SLOW) and place not in QUICK:
+        if any(fnmatch(place, slow) for slow in SLOW):
             item.add_marker("slow")
 
 

@@ -18,7 +18,7 @@ from tests.support.forms import BatchForm, CentralizedForm, Outcome, ParallelFor
 from tests.support.oracle import TERMS, Oracle, Step
 from tests.support.worlds import Pilot, World, random_field, worlds
 
-EXAMPLES = 7  # for each number of robots
+EXAMPLES = 4  # for each number of robots
 STEPS = 60
 TIE = {"float64": 1e-9, "float32": 1e-2}
 """A decision closer than this to its threshold, in units, may fall either way by rounding."""

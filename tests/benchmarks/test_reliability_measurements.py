@@ -118,7 +118,7 @@ def test_growth_of_memory_is_found(capsys: pytest.CaptureFixture[str]) -> None:
     kept: list[np.ndarray] = []
 
     def leak(*arguments: Any) -> list[str]:
-        kept.append(np.ones(1 << 13))
+        kept.append(np.ones(1 << 15))  # in all far more than the process may have free
         return []
 
     with pytest.MonkeyPatch.context() as patch:

@@ -59,7 +59,7 @@ def replay(
     assert total == pytest.approx(episode.episode_return, rel=0, abs=reward_tolerance * 1e6)
 
 
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("episode", load_episodes(), ids=lambda episode: episode.id)
 def test_golden_episode(episode: Episode, form: str, dtype: str) -> None:

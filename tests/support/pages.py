@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from baselines.cli import main
 from baselines.cli.main import read_command
 from baselines.cli.options import read_options
 from benchmarks.__main__ import benchmark_class
@@ -109,11 +108,6 @@ def tiny(words: Sequence[str]) -> list[str]:
     return [*words, *TINY.get(words[0], "").split()]
 
 
-def run_mbn(words: Sequence[str]) -> None:
-    """Run ``mbn`` with a tiny budget."""
-    assert main(tiny(words)) == 0, shlex.join(words)
-
-
 def parse_mbn(words: Sequence[str]) -> None:
     """Check that there is such a command."""
     if "--help" not in words:
@@ -142,15 +136,12 @@ def check_tool(words: Sequence[str]) -> None:
 
 
 def run_page(page: Path, folder: Path) -> None:
-    """Do what a page says, in order, with ``folder`` as the working directory.
+    """Run a page's Python, which shares its names, with ``folder`` as the working directory.
 
-    Python shares its names through the page. Commands on pages of results are parsed only: they
-    are the record of what was run.
+    Its commands are parsed only: ``tests.newcomer`` runs them, with the wheel.
     """
     names: dict[str, object] = {"__name__": "__main__"}
     for block in blocks_of(page):
-        parsed = "results" in page.parts or block.needs in ("cluster", "gpu")
-        run = parse_mbn if parsed else run_mbn
         match block.language:
             case "python":
                 exec(compile(block.text, str(page), "exec"), names)
@@ -158,7 +149,7 @@ def run_page(page: Path, folder: Path) -> None:
                 write_file(block, folder)
             case "sh":
                 for words in commands_of(block):
-                    run(words[1:]) if words[0] == "mbn" else check_tool(words)
+                    parse_mbn(words[1:]) if words[0] == "mbn" else check_tool(words)
             case "":
                 pass
             case other:
