@@ -24,11 +24,9 @@ from mbn_marl.optimum import optimal_return, optimality_gap
 
 
 class ClonedPolicy:
-    """One network from all robots' observations to all robots' actions.
+    """One network with two hidden layers from all robots' observations to all robots' actions.
 
-    Args:
-        observations: (K, n, obs_size), for the means and deviations of the inputs.
-        hidden: width of the two hidden layers.
+    Its inputs are normalised as ``observations`` (K, n, obs_size) are.
     """
 
     observes: Literal["observations", "state"] = "observations"

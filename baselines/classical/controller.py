@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +19,7 @@ from mbn_marl.planning.tracking import Tracker
 
 CLASSICAL = ("greedy", "planner")
 """The names of these policies."""
-
-
-class Controller(Protocol):
-    """Controls one team through one episode."""
-
-    def act(
-        self, positions: Floats, velocities: Floats, visited: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
-        """Return actions (n, 2) for positions and velocities (n, 2) and visited ROIs (m,)."""
-        ...
+Controller = Greedy | Tracker
 
 
 class ControllerPolicy:
@@ -76,13 +67,7 @@ class ControllerPolicy:
 def make_classical(
     name: str, field: Field, settings: Mapping[str, Any], *, time_limit: float = 60.0
 ) -> Policy:
-    """Return one of :data:`CLASSICAL` for a field.
-
-    Args:
-        name: the name of the policy.
-        field: the field.
-        settings: of the environment.
-        time_limit: seconds that the planner may take.
+    """Return one of :data:`CLASSICAL` for a field; the planner may take ``time_limit`` seconds.
 
     Raises:
         MbnError: there is no such policy, or the planner found no plan.
@@ -97,11 +82,7 @@ def make_classical(
 
 
 def make_tracker(found: Plan, settings: Mapping[str, Any]) -> Tracker:
-    """Return a tracker that follows a plan for one episode.
-
-    Args:
-        found: the plan.
-        settings: of the environment that it was made for.
+    """Return a tracker that follows a plan for one episode, under the settings it was made for.
 
     Raises:
         MbnError: no plan was found.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
@@ -36,36 +37,20 @@ def record_demonstrations(
     """
     engine = BatchEngine(plan.field, 1, autoreset="disabled", threads=1, **settings)
     random = np.random.default_rng(seed)
-    rows: dict[str, list[Any]] = {}
+    rows: dict[str, list[Any]] = defaultdict(list)
     for episode in range(episodes):
-        lengths = _record(engine, plan, settings, noise, random, rows)
-        rows.setdefault("successes", []).extend([engine.snapshot().success] * lengths)
-        rows.setdefault("episodes", []).extend([np.int32(episode)] * lengths)
+        tracker, observations = make_tracker(plan, settings), engine.reset()
+        while engine.running[0]:
+            seen, state = engine.snapshot(), engine.state()[0]
+            wanted = tracker.act(seen.positions, seen.velocities, seen.visited)
+            added = random.normal(0.0, noise, wanted.shape) if noise else 0.0
+            taken = np.clip(wanted + added, -1.0, 1.0).astype(np.float32)
+            row = {"observations": observations[0].copy(), "states": state.astype(np.float32)}
+            observations, rewards, terminated, truncated = engine.step(taken[None])
+            row |= {"actions": wanted, "taken": taken, "rewards": rewards[0].astype(np.float32)}
+            row |= {"terminations": terminated[0], "truncations": truncated[0]}
+            for name, value in {**row, "episodes": np.int32(episode)}.items():
+                rows[name].append(value)
+        steps = len(rows["episodes"]) - len(rows["successes"])
+        rows["successes"] += [engine.snapshot().success] * steps
     return {name: np.array(values) for name, values in rows.items()}
-
-
-def _record(
-    engine: BatchEngine,
-    plan: Plan,
-    settings: Mapping[str, Any],
-    noise: float,
-    random: np.random.Generator,
-    rows: dict[str, list[Any]],
-) -> int:
-    """Append one episode to the rows; return its number of steps."""
-    tracker, observations, steps = make_tracker(plan, settings), engine.reset(), 0
-    ended = False
-    while not ended:
-        seen, state = engine.snapshot(), engine.state()[0]
-        wanted = tracker.act(seen.positions, seen.velocities, seen.visited)
-        added = random.normal(0.0, noise, wanted.shape) if noise else 0.0
-        taken = np.clip(wanted + added, -1.0, 1.0).astype(np.float32)
-        row = {"observations": observations[0].copy(), "states": state.astype(np.float32)}
-        observations, rewards, terminated, truncated = engine.step(taken[None])
-        row |= {"actions": wanted, "taken": taken, "rewards": rewards[0].astype(np.float32)}
-        row |= {"terminations": terminated[0], "truncations": truncated[0]}
-        for name, value in row.items():
-            rows.setdefault(name, []).append(value)
-        steps += 1
-        ended = bool(terminated[0] or truncated[0])
-    return steps

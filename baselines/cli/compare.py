@@ -12,7 +12,7 @@ from tyro.constructors import PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from baselines.cli.options import REGISTRY, Reading
 from baselines.compare.config import CompareConfig
-from baselines.compare.variants import Variant, parse_variants, read_variants
+from baselines.compare.variants import Variant, parse_variant, read_variants
 from mbn_marl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def read_variant(info: PrimitiveTypeInfo) -> Reading | None:
 
     def read(words: list[str]) -> Variant:
         try:
-            return parse_variants(words)[0]
+            return parse_variant(words[0])
         except ConfigError as error:
             raise ValueError(f"{words[0]!r}; {', '.join(error.problems)}") from None
 
@@ -95,7 +95,7 @@ def train_and_compare(
         RunError: a learner broke down; all else is done and written.
         MbnError: as ``train_all_runs``.
     """
-    from baselines.compare.markdown import PAGE, write_comparison
+    from baselines.compare.report import PAGE, write_comparison
     from baselines.compare.run import train_all_runs
     from baselines.compare.tables import print_comparison
     from baselines.console import console

@@ -31,7 +31,7 @@ class Estimate(NamedTuple):
 class Profile(NamedTuple):
     """A performance profile, (k,) each: the share of runs above each threshold, and its band.
 
-    With one seed a field there is no band: its ends are the share itself.
+    With one seed a field the band's ends are the share itself.
     """
 
     share: FloatArray
@@ -54,15 +54,13 @@ def probability_of_improvement(ours: FloatArray, theirs: FloatArray) -> Estimate
 
     Equal scores count half, so that the two directions sum to 1. Fields have to be the same.
     """
-    fields = np.broadcast_shapes(ours.shape[:1], theirs.shape[:1])[0]
     wins = np.where(ours[:, :, None] == theirs[:, None, :], 0.5, ours[:, :, None] > theirs[:, None])
-    value = float(wins.mean())
     if max(ours.shape[1], theirs.shape[1]) == 1:
-        return Estimate(value, None, None)
+        return Estimate(float(wins.mean()), None, None)
     rng = np.random.default_rng(0)
     our_shares, their_shares = (_shares(scores.shape, rng) for scores in (ours, theirs))
-    resampled = np.einsum("rfi,fij,rfj->r", our_shares, wins, their_shares, optimize=True) / fields
-    return Estimate(value, *_bounds(resampled))
+    resampled = np.einsum("rfi,fij,rfj->r", our_shares, wins, their_shares, optimize=True)
+    return Estimate(float(wins.mean()), *np.percentile(resampled / len(wins), ENDS).tolist())
 
 
 def performance_profile(scores: FloatArray, thresholds: FloatArray) -> Profile:
@@ -78,22 +76,12 @@ def _estimate(scores: FloatArray, statistic: Callable[[FloatArray], Any]) -> Est
     value = float(statistic(scores.ravel()))
     if scores.shape[1] == 1:
         return Estimate(value, None, None)
-    drawn = _draw(scores.shape, np.random.default_rng(0))
+    drawn = np.random.default_rng(0).integers(0, scores.shape[1], (RESAMPLES, *scores.shape))
     resampled = np.take_along_axis(scores[None], drawn, axis=2).reshape(RESAMPLES, -1)
-    return Estimate(value, *_bounds(statistic(resampled)))
-
-
-def _draw(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.int64]:
-    """The seeds that each resample draws, (resamples, fields, seeds)."""
-    return rng.integers(0, shape[1], (RESAMPLES, *shape))
+    return Estimate(value, *np.percentile(statistic(resampled), ENDS).tolist())
 
 
 def _shares(shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
-    """How often each resample draws each run, as a share of its field's; of the same shape."""
-    drawn = _draw(shape, rng)
+    """How often each resample draws each run, as a share of its field's, (resamples, *shape)."""
+    drawn = rng.integers(0, shape[1], (RESAMPLES, *shape))
     return np.stack([(drawn == seed).mean(axis=2) for seed in range(shape[1])], axis=2)
-
-
-def _bounds(resampled: FloatArray) -> tuple[float, float]:
-    low, high = np.percentile(resampled, ENDS)
-    return float(low), float(high)

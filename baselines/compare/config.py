@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import json
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any
 
+from pydantic_core import to_jsonable_python
 from tyro.conf import arg
 
 from baselines.compare.variants import Variant
@@ -55,15 +57,12 @@ class CompareConfig:
         for name, values in lists.items():
             if not values:
                 problems.append(f"{name}: at least one is needed")
-            problems += [
-                f"{name}: {value} is given twice"
-                for value in dict.fromkeys(values)
-                if values.count(value) > 1
-            ]
+            twice = [value for value, count in Counter(values).items() if count > 1]
+            problems += [f"{name}: {value} is given twice" for value in twice]
         names = []
-        for seed, field, variant in self._cells():
+        for request in self._requests():
             with collecting(problems):
-                names.append(self._run(seed, field, variant).name)
+                names.append(request().name)
         if not problems and len(set(names)) < len(names):
             problems.append("fields: two files have the same name")
         if problems:
@@ -71,17 +70,14 @@ class CompareConfig:
 
     def runs(self) -> list[TrainConfig]:
         """Return the runs, seed by seed."""
-        return [self._run(*cell) for cell in self._cells()]
+        return [request() for request in self._requests()]
 
-    def _cells(self) -> list[tuple[int, str, Variant]]:
-        return list(itertools.product(self.seeds, self.fields, self.variants))
-
-    def _run(self, seed: int, field: str, variant: Variant) -> TrainConfig:
+    def _requests(self) -> list[Callable[[], TrainConfig]]:
         budget = {name: getattr(self, name) for name in ("steps", "evaluate_every", "episodes")}
-        return variant.training(field, seed, **budget)
+        cells = itertools.product(self.seeds, self.fields, self.variants)
+        return [partial(variant.training, field, seed, **budget) for seed, field, variant in cells]
 
     def to_json(self) -> dict[str, Any]:
         """Return it as JSON values."""
-        values = {**vars(self), "variants": [variant.model_dump() for variant in self.variants]}
-        as_json: dict[str, Any] = json.loads(json.dumps(values))
-        return as_json
+        values: dict[str, Any] = to_jsonable_python(self)
+        return values

@@ -18,13 +18,7 @@ from mbn_marl.web.report import Section, Table, report_page
 
 
 def comparison_page(results: Results, comparison: Comparison, command: str) -> str:
-    """The page, which needs no other file.
-
-    Args:
-        results: the runs.
-        comparison: the numbers.
-        command: the exact command, recorded on the page.
-    """
+    """The page, which needs no other file and records the exact command."""
     runs = [record for cell in results.cells.values() for record in cell]
     made = "\n".join(record.run.command for record in runs)
     tables = overall_tables(comparison) | {"Optimality gap per field": gaps(comparison)}
@@ -67,8 +61,4 @@ def _field_section(results: Results, comparison: Comparison, field: str) -> Sect
 
 
 def _tables(tables: Mapping[str, TextTable]) -> list[Table]:
-    return [
-        Table(title, table.caption, table.headings, table.lines, table.words)
-        for title, table in tables.items()
-        if table.lines
-    ]
+    return [Table(title, **vars(table)) for title, table in tables.items() if table.lines]

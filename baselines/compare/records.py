@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from baselines.algorithms import ALGORITHMS, Form, find_algorithm
+from baselines.algorithms import ALGORITHMS
 from baselines.runs.discover import run_folders
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
@@ -26,19 +27,10 @@ HISTORY = ("env_steps", "seconds", "return_mean")
 """Entries that a comparison needs besides: of the configuration, the final evaluation, each of its
 two summaries, and every evaluation on the way."""
 
-Kind = Literal["stochastic", "deterministic"]
-"""Of a final evaluation: with sampled actions, or with mean ones."""
-
 
 @dataclass(frozen=True)
 class RunRecord:
-    """The records of a run. Evaluations are read when they are first asked for.
-
-    Attributes:
-        run: its folder.
-        config: its configuration.
-        field: the field it was trained on.
-    """
+    """A run's folder, configuration and field; evaluations are read when first asked for."""
 
     run: RunFolder
     config: Mapping[str, Any]
@@ -46,11 +38,7 @@ class RunRecord:
 
     @classmethod
     def read(cls, run: RunFolder, *, finished: bool = True) -> RunRecord:
-        """Read a run.
-
-        Args:
-            run: its folder.
-            finished: check too that it has all that a comparison needs.
+        """Read a run; check too that it has all that a comparison needs, if it is ``finished``.
 
         Raises:
             RunError: a file cannot be read, or lacks what runs record now.
@@ -71,8 +59,8 @@ class RunRecord:
         if finished:
             yield "config.json", self.config, CONFIG
             yield "evaluation.json", self.evaluation, EVALUATION
-            yield "evaluation.json", self.evaluation["stochastic"], SUMMARY
-            yield "evaluation.json", self.evaluation["deterministic"], SUMMARY
+            for kind in ("stochastic", "deterministic"):
+                yield "evaluation.json", self.evaluation[kind], SUMMARY
             for entry in self.evaluations:
                 yield "evaluations.json", entry, HISTORY
 
@@ -91,11 +79,6 @@ class RunRecord:
         """The name in tables and figures."""
         config = self.config
         return config.get("label") or default_label(config["algorithm"], config["setting"])
-
-    @property
-    def form(self) -> Form:
-        """``"centralized"`` or ``"decentralized"``."""
-        return find_algorithm(self.config["algorithm"]).form
 
     @cached_property
     def optimum(self) -> float | None:
@@ -119,11 +102,7 @@ def find_records(
 ) -> list[RunRecord]:
     """Read the runs at ``paths``: run folders, or folders with run folders anywhere inside.
 
-    Args:
-        paths: where to look.
-        note: receives what is left out, see :func:`baselines.runs.discover.run_folders`.
-        comparisons: read the runs of comparisons inside too.
-        finished: see :meth:`RunRecord.read`.
+    See :func:`baselines.runs.discover.run_folders`, and :meth:`RunRecord.read` for ``finished``.
 
     Raises:
         RunError: a path holds no run, or a run cannot be read.
@@ -133,26 +112,18 @@ def find_records(
 
 
 def ordered(algorithms: Mapping[str, str]) -> dict[str, int]:
-    """Order labels as every table and figure has them, and number their looks.
+    """Order labels, given with their algorithms, as every table and figure has them.
 
     Algorithms are in the order of the registry, and labels of one algorithm in their own order. The
     first label of an algorithm has the algorithm's place in the registry as its look, so that it
     looks the same in every report; each further one has the next look that is free.
 
-    Args:
-        algorithms: the algorithm of each label.
-
     Returns:
         The number of each label's look, for ``mbn_marl.render.style.series``, in order.
     """
-    places = {name: place for place, name in enumerate(ALGORITHMS)}
-    labels = sorted(algorithms, key=lambda label: (places[algorithms[label]], label))
-    taken = {places[algorithm] for algorithm in algorithms.values()}
-    free = (place for place in range(len(places) + len(labels)) if place not in taken)
-    seen: set[str] = set()
-    looks = {}
-    for label in labels:
-        first = algorithms[label] not in seen
-        looks[label] = places[algorithms[label]] if first else next(free)
-        seen.add(algorithms[label])
+    places = {label: list(ALGORITHMS).index(name) for label, name in algorithms.items()}
+    free = (look for look in itertools.count() if look not in places.values())
+    looks: dict[str, int] = {}
+    for label in sorted(places, key=lambda label: (places[label], label)):
+        looks[label] = next(free) if places[label] in looks.values() else places[label]
     return looks

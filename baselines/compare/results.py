@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.compare.records import Kind, RunRecord, ordered
+from baselines.compare.records import RunRecord, ordered
 from mbn_marl.errors import ConfigError
 from mbn_marl.optimum import VIEW
 
@@ -41,10 +41,6 @@ class Results:
     def of(cls, records: Sequence[RunRecord], broken: Mapping[str, str] | None = None) -> Results:
         """Put finished runs together.
 
-        Args:
-            records: the runs.
-            broken: see the attribute.
-
         Raises:
             ConfigError: naming everything that keeps them from being compared.
         """
@@ -60,7 +56,11 @@ class Results:
         problems = [*_unequal_seeds(cells), *_differences(records, "all runs", _everywhere)]
         for label in looks:
             own = [one for one in records if one.label == label]
-            problems += _differences(own, f"runs labelled {label}", _in_a_label)
+            problems += _differences(
+                own,
+                f"runs labelled {label}",
+                lambda one: {name: one.config[name] for name in LEARNER},
+            )
         problems += _different_fields(records)
         if problems:
             raise ConfigError("comparison", problems)
@@ -84,21 +84,23 @@ class Results:
         """The runs on a field, by label."""
         return {label: self.cells[label, field] for label in self.looks}
 
-    def returns(self, label: str, kind: Kind = "stochastic") -> NDArray[np.float64]:
-        """The final mean returns of a label (reward units), (fields, seeds)."""
+    def returns(
+        self, label: str, kind: Literal["stochastic", "deterministic"] = "stochastic"
+    ) -> NDArray[np.float64]:
+        """Final mean returns of a label with sampled or mean actions (reward), (fields, seeds)."""
         finals = [one.final(kind, "return_mean") for one in self.of_label(label)]
         return np.array(finals).reshape(len(self.fields), -1)
 
-    def optima(self) -> NDArray[np.float64]:
-        """The proved best returns (reward units), (fields,); NaN where nothing is proved."""
-        firsts = [self.cells[self.labels[0], field][0] for field in self.fields]
-        return np.array([first.optimum for first in firsts], np.float64)
+    @property
+    def optima(self) -> dict[str, float]:
+        """The proved best return (reward units) of each field that has one."""
+        firsts = {field: self.cells[self.labels[0], field][0] for field in self.fields}
+        return {field: one.optimum for field, one in firsts.items() if one.optimum is not None}
 
-    def proved(self) -> Results | None:
-        """The part on fields with a proved optimum; ``None`` if there is none."""
-        fields = tuple(itertools.compress(self.fields, np.isfinite(self.optima())))
+    def on(self, fields: Collection[str]) -> Results:
+        """The part on some fields."""
         cells = {place: cell for place, cell in self.cells.items() if place[1] in fields}
-        return Results(self.looks, fields, cells) if fields else None
+        return Results(self.looks, tuple(fields), cells)
 
 
 def _unequal_seeds(cells: Mapping[tuple[str, str], Sequence[RunRecord]]) -> list[str]:
@@ -125,14 +127,12 @@ def _differences(
     """Name each value in which a run differs from the first one, once."""
     first, problems = records[0], []
     for name, value in values_of(first).items():
-        for other in records:
-            theirs = values_of(other).get(name)
-            if theirs != value:
-                problems.append(
-                    f"{name}: must be the same in {whose}; {first.run.path} has {value!r}, "
-                    f"{other.run.path} {theirs!r}"
-                )
-                break
+        others = (one for one in records if values_of(one).get(name) != value)
+        if other := next(others, None):
+            problems.append(
+                f"{name}: must be the same in {whose}; {first.run.path} has {value!r}, "
+                f"{other.run.path} {values_of(other).get(name)!r}"
+            )
     return problems
 
 
@@ -141,11 +141,6 @@ def _everywhere(record: RunRecord) -> dict[str, Any]:
     world = record.config["environment"]
     task = {f"environment.{name}": world[name] for name in world if name not in VIEW}
     return {name: record.config[name] for name in BUDGET} | task
-
-
-def _in_a_label(record: RunRecord) -> dict[str, Any]:
-    """Return what runs of one label have in common: they differ in field and seed alone."""
-    return {name: record.config[name] for name in LEARNER}
 
 
 def _different_fields(records: Sequence[RunRecord]) -> list[str]:

@@ -30,20 +30,12 @@ def train_all_runs(
     wandb: str | None = None,
     listener: Listener = lambda report: None,
 ) -> Results:
-    """Train every run into a folder of its own under ``out``.
+    """Train every run into a folder of its own under ``out``, so many ``processes`` at a time.
 
     A run that diverges stops no other; its label is then left out of the results, which say so.
-
-    Args:
-        config: what to compare.
-        out: the folder of the comparison.
-        command: the exact command, recorded there.
-        processes: runs at a time.
-        force: move a folder that is already there aside.
-        resume: continue the comparison in ``out``, which must be of the same configuration:
-            finished runs are kept, unfinished ones resumed, missing ones started.
-        wandb: a project of Weights & Biases to log to as well.
-        listener: receives where the runs stand.
+    ``out`` records the exact command; ``force`` moves one that is there aside. With ``resume``,
+    finished runs there are kept, unfinished ones resumed, missing ones started. ``wandb`` is a
+    project of Weights & Biases to log to as well; ``listener`` receives where the runs stand.
 
     Raises:
         RunError: ``out`` already holds something, or another process compares there, or a run

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
-from baselines.compare.aggregate import Estimate
-from baselines.compare.summary import Aggregate, Comparison, FieldOutcome, Outcome
+from baselines.compare.summary import Comparison, Numbers
 from baselines.compare.text_table import TextTable
 
 UNKNOWN = "-"
@@ -35,8 +34,7 @@ OF_GAPS = (
 
 def print_comparison(comparison: Comparison, console: Console) -> None:
     """Print every table, and below it what its columns mean."""
-    per_field = field_tables(comparison)
-    for title, table in per_field.items():
+    for title, table in field_tables(comparison).items():
         console.print(table.rich(title))
     console.print(OF_FIELDS, "\n")
     for title, table in overall_tables(comparison).items():
@@ -49,7 +47,9 @@ def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
     tables = {}
     if comparison.aggregates:
         first = comparison.aggregates[0]
-        title = f"Over {_counted(first.fields, 'field')}, {_counted(first.seeds, 'seed')} each"
+        title = (
+            f"Over {_counted(first['fields'], 'field')}, {_counted(first['seeds'], 'seed')} each"
+        )
         tables[title] = _aggregates(comparison)
     if len(comparison.looks) > 1:
         tables["Probability of improvement"] = _improvement(comparison)
@@ -58,22 +58,28 @@ def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
 
 def field_tables(comparison: Comparison) -> dict[str, TextTable]:
     """A table for each field, by title, which begins with the field's name and a colon."""
+    headings = (
+        *("algo", "return", "interval\n(x 1000)", "success", "make-\nspan", "of\noptimum"),
+        *("mean\nactions", *THRESHOLD),
+    )
     tables = {}
-    for field in dict.fromkeys(row.field for row in comparison.rows):
-        rows = [row for row in comparison.rows if row.field == field]
-        steps = " or ".join(f"{steps:,}" for steps in sorted({row.env_steps for row in rows}))
-        seeds = _counted(rows[0].seeds, "seed")
-        tables[f"{field}: {steps} env-steps a run, {seeds} each"] = _field(rows)
+    for field, rows in _by_field(comparison.rows).items():
+        steps = " or ".join(f"{steps:,}" for steps in sorted({row["env_steps"] for row in rows}))
+        title = f"{field}: {steps} env-steps a run, {_counted(rows[0]['seeds'], 'seed')} each"
+        tables[title] = TextTable(OF_FIELDS, headings, tuple(map(_row_line, rows)))
     return tables
 
 
 def gaps(comparison: Comparison) -> TextTable:
     """How far each label falls short of the proved optimum on each field."""
-    lines = tuple(
-        (field, *(_gap(row) for row in comparison.rows if row.field == field))
-        for field in dict.fromkeys(row.field for row in comparison.rows if row.optimum is not None)
-    )
+    proved = [row for row in comparison.rows if row["optimum"] is not None]
+    lines = tuple((field, *map(_gap, rows)) for field, rows in _by_field(proved).items())
     return TextTable(OF_GAPS, ("field", *comparison.looks), lines)
+
+
+def _by_field(rows: Sequence[Numbers]) -> dict[str, list[Numbers]]:
+    fields = dict.fromkeys(row["field"] for row in rows)
+    return {field: [row for row in rows if row["field"] == field] for field in fields}
 
 
 def _aggregates(comparison: Comparison) -> TextTable:
@@ -82,75 +88,60 @@ def _aggregates(comparison: Comparison) -> TextTable:
         f" Left out, with no proved optimum: {left_out}." if left_out else ""
     )
     headings = ("algo", "IQM", "interval", "gap", "gap, mean\nactions", "success", *THRESHOLD)
-    return TextTable(caption, headings, tuple(map(_aggregate_line, comparison.aggregates)))
-
-
-def _aggregate_line(aggregate: Aggregate) -> tuple[str, ...]:
-    return (
-        aggregate.label,
-        f"{aggregate.iqm.value:.1%}",
-        _ends(aggregate.iqm, 0.01),
-        f"{aggregate.gap.value:.2%}",
-        f"{aggregate.deterministic_gap.value:.2%}",
-        f"{aggregate.success_rate:.1%}",
-        *_threshold(aggregate, aggregate.seeds * aggregate.fields),
+    lines = tuple(
+        (
+            one["label"],
+            f"{one['iqm'].value:.1%}",
+            _ends(0.01, *one["iqm"][1:]),
+            f"{one['gap'].value:.2%}",
+            f"{one['deterministic_gap'].value:.2%}",
+            f"{one['success_rate']:.1%}",
+            *_threshold(one, one["seeds"] * one["fields"]),
+        )
+        for one in comparison.aggregates
     )
+    return TextTable(caption, headings, lines)
 
 
 def _improvement(comparison: Comparison) -> TextTable:
-    labels = tuple(comparison.looks)
-
-    def cell(ours: str, theirs: str) -> str:
-        return UNKNOWN if ours == theirs else f"{comparison.improvement[ours][theirs].value:.0%}"
-
-    lines = tuple((ours, *(cell(ours, theirs) for theirs in labels)) for ours in labels)
-    return TextTable(OF_IMPROVEMENT, ("", *labels), lines)
-
-
-def _field(rows: Sequence[FieldOutcome]) -> TextTable:
-    headings = (
-        *("algo", "return", "interval\n(x 1000)", "success", "make-\nspan", "of\noptimum"),
-        *("mean\nactions", *THRESHOLD),
+    lines = tuple(
+        (ours, *(f"{than[one].value:.0%}" if one in than else UNKNOWN for one in comparison.looks))
+        for ours, than in comparison.improvement.items()
     )
-    return TextTable(OF_FIELDS, headings, tuple(map(_row_line, rows)))
+    return TextTable(OF_IMPROVEMENT, ("", *comparison.looks), lines)
 
 
-def _row_line(row: FieldOutcome) -> tuple[str, ...]:
+def _row_line(row: Numbers) -> tuple[str, ...]:
     return (
-        row.label,
-        f"{row.return_mean:,.0f}",
-        _ends(Estimate(row.return_mean, row.return_low, row.return_high), 1000.0),
-        f"{row.success_rate:.1%}",
-        _shown(row.makespan, "{:.1f}"),
-        _shown(row.optimum_share, "{:.1%}"),
-        f"{row.deterministic_return:,.0f}",
-        *_threshold(row, row.seeds),
+        row["label"],
+        f"{row['return_mean']:,.0f}",
+        _ends(1000.0, row["return_low"], row["return_high"]),
+        f"{row['success_rate']:.1%}",
+        _shown(row["makespan"], "{:.1f}"),
+        _shown(row["optimum_share"], "{:.1%}"),
+        f"{row['deterministic_return']:,.0f}",
+        *_threshold(row, row["seeds"]),
     )
 
 
-def _gap(row: FieldOutcome) -> str:
-    def short(value: float) -> float:
-        assert row.optimum is not None  # all labels of a field have the same
-        return 100.0 * (1.0 - value / row.optimum)
-
-    gap = f"{short(row.return_mean):.2f}%"
-    if row.return_low is None or row.return_high is None:
-        return gap
-    return f"{gap} ({short(row.return_high):.2f}..{short(row.return_low):.2f})"
+def _gap(row: Numbers) -> str:
+    mean, low, high = (
+        None if row[name] is None else 100.0 * (1.0 - row[name] / row["optimum"])
+        for name in ("return_mean", "return_low", "return_high")
+    )
+    return f"{mean:.2f}%" + ("" if low is None else f" ({high:.2f}..{low:.2f})")
 
 
-def _threshold(outcome: Outcome, runs: int) -> tuple[str, str]:
+def _threshold(numbers: Numbers, runs: int) -> tuple[str, str]:
     """Env-steps and seconds to the threshold, and how many of ``runs`` got there."""
-    steps = outcome.env_steps_to_threshold
+    steps = numbers["env_steps_to_threshold"]
     shown = UNKNOWN if steps is None else f"{steps / 1000.0:,.0f}k"
-    return f"{shown} {outcome.reached}/{runs}", _shown(outcome.seconds_to_threshold, "{:.1f}")
+    return f"{shown} {numbers['reached']}/{runs}", _shown(numbers["seconds_to_threshold"], "{:.1f}")
 
 
-def _ends(estimate: Estimate, unit: float, digits: int = 1) -> str:
+def _ends(unit: float, low: float | None, high: float | None) -> str:
     """The interval in units of ``unit``."""
-    if estimate.low is None or estimate.high is None:
-        return UNKNOWN
-    return f"{estimate.low / unit:.{digits}f}..{estimate.high / unit:.{digits}f}"
+    return UNKNOWN if low is None or high is None else f"{low / unit:.1f}..{high / unit:.1f}"
 
 
 def _counted(number: int, noun: str) -> str:

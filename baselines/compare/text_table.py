@@ -31,12 +31,12 @@ class TextTable:
     lines: tuple[tuple[str, ...], ...]
     words: int = 1
 
-    def markdown(self, title: str = "", level: int = 2) -> str:
+    def markdown(self, title: str = "") -> str:
         """As a table of GitHub's Markdown below its caption, under ``title`` if there is one."""
         rule = ["---"] * self.words + ["--:"] * (len(self.headings) - self.words)
         headings = [word.replace("-\n", "").replace("\n", " ") for word in self.headings]
         rows = [" | ".join(row) for row in (headings, rule, *self.lines)]
-        heading = [f"{'#' * level} {title}", ""] if title else []
+        heading = [f"## {title}", ""] if title else []
         return "\n".join([*heading, self.caption, "", *(f"| {row} |" for row in rows)])
 
     def latex(self, label: str) -> str:

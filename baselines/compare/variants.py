@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,12 +36,7 @@ class Variant(BaseModel):
         return self.label or default_label(self.algorithm, self.setting)
 
     def training(self, field: str, seed: int, **budget: Any) -> TrainConfig:
-        """Its training on a field with a seed.
-
-        Args:
-            field: a catalogue name or a path.
-            seed: of the run.
-            budget: ``steps``, ``evaluate_every`` and ``episodes``.
+        """Its training on a field with a seed; ``budget`` has ``steps`` and the like.
 
         Raises:
             MbnError: the algorithm is unknown or does not have the setting, or a number is not
@@ -51,21 +45,19 @@ class Variant(BaseModel):
         return TrainConfig(field=field, seed=seed, **self.model_dump(), **budget)
 
 
-def parse_variants(words: Sequence[str]) -> tuple[Variant, ...]:
-    """Variants from the command line: ``ALGO``, or ``ALGO:SETTING`` for another setting than N.
+def parse_variant(word: str) -> Variant:
+    """Read a variant from ``ALGO``, or ``ALGO:SETTING`` for another setting than N.
 
     Raises:
         ConfigError: naming an unknown setting and what is allowed.
     """
-    pairs = [word.partition(":") for word in words]
-    return tuple(
-        validate(Variant, {"algorithm": name, "setting": setting if colon else "N"}, "comparison")
-        for name, colon, setting in pairs
-    )
+    name, colon, setting = word.partition(":")
+    values = {"algorithm": name, "setting": setting if colon else "N"}
+    return validate(Variant, values, "comparison")
 
 
 def read_variants(path: Path) -> tuple[Variant, ...]:
-    """Variants from a YAML file: a block for each, under its label.
+    """Read variants from a YAML file: a block for each, under its label.
 
     Raises:
         ConfigError: the file cannot be read, or naming every value of a block that is not valid.

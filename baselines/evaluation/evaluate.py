@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,15 @@ from mbn_marl.field import Field
 
 EVALUATION_SEED = 1_000_003
 """Seed of the evaluation episodes: the same for every run, and none that training uses."""
+LISTS = {
+    "returns": "episode_return",
+    "successes": "success",
+    "collisions": "collision",
+    "steps": "steps",
+    "rois_visited": "rois_visited",
+    "wall_hits": "wall_hits",
+}
+"""The lists of an evaluation, and the engine's metrics in them."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +44,7 @@ class Evaluation:
         steps: lengths in env-steps.
         rois_visited: ROIs visited at the end.
         wall_hits: steps of any robot that pushed outside the field.
+        recorded: the episodes that were asked for, whole.
     """
 
     deterministic: bool
@@ -45,10 +55,15 @@ class Evaluation:
     steps: list[int]
     rois_visited: list[int]
     wall_hits: list[int]
+    recorded: tuple[Episode, ...] = ()
+
+    @property
+    def makespans(self) -> list[int]:
+        """The lengths of the successful episodes in env-steps."""
+        return [steps for steps, ok in zip(self.steps, self.successes, strict=True) if ok]
 
     def summary(self) -> dict[str, Any]:
         """Means over the episodes; ``makespan`` is the mean length of the successful ones."""
-        lengths = [s if ok else None for s, ok in zip(self.steps, self.successes, strict=True)]
         return {
             "episodes": len(self.returns),
             "deterministic": self.deterministic,
@@ -58,15 +73,14 @@ class Evaluation:
             "return_max": max(self.returns),
             "success_rate": float(np.mean(self.successes)),
             "collision_rate": float(np.mean(self.collisions)),
-            "makespan": mean_of_known(lengths),
+            "makespan": mean_of_known(self.makespans),
             "rois_visited": float(np.mean(self.rois_visited)),
             "wall_hits": float(np.mean(self.wall_hits)),
         }
 
     def to_json(self) -> dict[str, Any]:
         """The summary, and every episode under ``per_episode``."""
-        lists = {name: value for name, value in asdict(self).items() if isinstance(value, list)}
-        return {**self.summary(), "per_episode": lists}
+        return {**self.summary(), "per_episode": {name: getattr(self, name) for name in LISTS}}
 
 
 def evaluate(
@@ -77,7 +91,8 @@ def evaluate(
     episodes: int = 100,
     deterministic: bool = False,
     seed: int = EVALUATION_SEED,
-    attach: Callable[[BatchEngine], None] = lambda engine: None,
+    record: Iterable[int] = (),
+    source: str = "",
 ) -> Evaluation:
     """Run ``episodes`` fresh episodes side by side, one world each.
 
@@ -88,37 +103,53 @@ def evaluate(
         episodes: how many (> 0).
         deterministic: take the mean action instead of a sampled one.
         seed: of the worlds and of the sampled actions.
-        attach: receives the engine before the first reset, to follow it.
+        record: the worlds, from 0, whose episodes are recorded.
+        source: the policy's name in these.
 
     Raises:
-        ConfigError: the policy was trained for other observations, see :func:`check_fits`.
+        ConfigError: the policy was trained for other observations, see :func:`roll_out`.
     """
     engine = BatchEngine(field, episodes, seed=seed, threads=1, **settings)
-    check_fits(policy, engine.field, settings)
-    attach(engine)
-    open_worlds = np.ones(episodes, dtype=bool)
+    running = np.ones(episodes, dtype=bool)
     results: dict[str, np.ndarray] = {}
+    with ExitStack() as stack:
+        recorders = [
+            stack.enter_context(EpisodeRecorder(engine, world, source=source)) for world in record
+        ]
+        for ended in roll_out(engine, policy, deterministic=deterministic, seed=seed):
+            if (first := ended & running).any():
+                for name, values in engine.metrics(LISTS.values()).items():
+                    per_world = values if values.ndim == 1 else values.sum(axis=1)
+                    results.setdefault(name, np.zeros_like(per_world))[first] = per_world[first]
+            running &= ~ended
+            if not running.any():
+                break
+    lists: dict[str, Any] = {name: results[metric].tolist() for name, metric in LISTS.items()}
+    recorded = tuple(recorder.episodes[0] for recorder in recorders)
+    return Evaluation(deterministic, seed, **lists, recorded=recorded)
+
+
+def roll_out(
+    engine: BatchEngine, policy: Policy, *, deterministic: bool, seed: int
+) -> Iterator[np.ndarray]:
+    """Reset the engine and let a policy act; yield at each step which episodes ended, (W,) bool.
+
+    Sampled actions come from torch's generator, which is seeded, and at the end put back.
+
+    Raises:
+        ConfigError: naming everything in which the field differs from the one that a loaded policy
+            was trained in: the number of robots or ROIs and, for a policy that acts on the robots'
+            own observations, their kind and what they are scaled by.
+    """
+    _check_fits(policy, engine)
     observations = engine.reset()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        while open_worlds.any():
+        while True:
             seen = engine.state() if policy.observes == "state" else observations
             actions = policy.act(seen, deterministic=deterministic)
             observations, _, terminated, truncated = engine.step(actions)
-            ended = (terminated | truncated) & open_worlds
-            if ended.any():
-                _record(results, engine.metrics(), ended)
-                open_worlds &= ~ended
-    return Evaluation(
-        deterministic=deterministic,
-        seed=seed,
-        returns=[float(value) for value in results["episode_return"]],
-        successes=[bool(value) for value in results["success"]],
-        collisions=[bool(value) for value in results["collision"]],
-        steps=[int(value) for value in results["steps"]],
-        rois_visited=[int(value) for value in results["rois_visited"]],
-        wall_hits=[int(value) for value in results["wall_hits"]],
-    )
+            yield terminated | truncated
 
 
 def is_one_episode(policy: Policy, settings: Mapping[str, Any], *, deterministic: bool) -> bool:
@@ -128,95 +159,47 @@ def is_one_episode(policy: Policy, settings: Mapping[str, Any], *, deterministic
     return deterministic or not getattr(policy, "samples", True)
 
 
-def check_fits(policy: Policy, field: Field, settings: Mapping[str, Any]) -> None:
-    """Check that a loaded policy would see what it was trained to see.
-
-    Raises:
-        ConfigError: naming everything that differs: the number of robots or ROIs and, for a policy
-            that acts on the robots' own observations, their kind and what they are scaled by.
-    """
-    trained: Origin | None = getattr(policy, "origin", None)
-    if trained is None:
-        return
-    ours, theirs = _sizes(*trained), _sizes(field, make_config(settings))
-    if policy.observes == "state":
-        ours, theirs = dict([*ours.items()][:2]), dict([*theirs.items()][:2])
-    problems = [
-        f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
-        for name in ours
-        if ours[name] != theirs[name]
-    ]
-    if problems:
-        raise ConfigError(f"policy in {field.name}", problems)
-
-
-def evaluate_recorded(
-    policy: Policy,
-    field: str | Field,
-    settings: Mapping[str, Any],
-    *,
-    worlds: Iterable[int],
-    source: str = "",
-    **how: Any,
-) -> tuple[Evaluation, list[Episode]]:
-    """Evaluate, and record the episodes of some worlds.
-
-    Args:
-        policy: as for :func:`evaluate`, as all that is not here.
-        field: as there.
-        settings: as there.
-        worlds: their numbers, from 0.
-        source: the name of the policy.
-        how: as there.
-
-    Raises:
-        ConfigError: as there.
-    """
-    recorders: list[EpisodeRecorder] = []
-    with ExitStack() as stack:
-
-        def attach(engine: BatchEngine) -> None:
-            for world in worlds:
-                recorder = EpisodeRecorder(engine, world, source=source)
-                recorders.append(stack.enter_context(recorder))
-
-        evaluation = evaluate(policy, field, settings, attach=attach, **how)
-    return evaluation, [recorder.episodes[0] for recorder in recorders]
-
-
 def record_evaluation(
-    policy: Policy,
-    field: Field,
-    settings: Mapping[str, Any],
-    *,
-    episodes: int,
-    seed: int,
-    source: str,
+    policy: Policy, field: Field, settings: Mapping[str, Any], *, episodes: int, **how: Any
 ) -> dict[str, Episode]:
     """The ``best``, the ``median`` and the ``worst`` episode with sampled actions, by return.
 
-    Arguments as for :func:`evaluate`, which sees the same episodes; ``source`` names the policy.
+    Arguments as for :func:`evaluate`, which sees the same episodes.
     """
-    how: dict[str, Any] = {"episodes": episodes, "seed": seed, "source": source}
-    evaluation, recorded = evaluate_recorded(policy, field, settings, worlds=range(episodes), **how)
+    how |= {"episodes": episodes, "record": range(episodes)}
+    evaluation = evaluate(policy, field, settings, **how)
     order = np.argsort(evaluation.returns, kind="stable")
     worlds = {"best": order[-1], "median": order[len(order) // 2], "worst": order[0]}
-    return {name: recorded[world] for name, world in worlds.items()}
+    return {name: evaluation.recorded[world] for name, world in worlds.items()}
 
 
 def evaluate_both(
-    policy: Policy, field: Field, settings: Mapping[str, Any], *, episodes: int, seed: int
+    policy: Policy, field: Field, settings: Mapping[str, Any], **how: Any
 ) -> dict[str, Evaluation]:
     """Evaluate with sampled actions (``stochastic``) and with mean ones (``deterministic``).
 
     Arguments as for :func:`evaluate`.
     """
+    ways = {"stochastic": False, "deterministic": True}
     return {
-        name: evaluate(
-            policy, field, settings, episodes=episodes, deterministic=deterministic, seed=seed
-        )
-        for name, deterministic in (("stochastic", False), ("deterministic", True))
+        name: evaluate(policy, field, settings, deterministic=deterministic, **how)
+        for name, deterministic in ways.items()
     }
+
+
+def _check_fits(policy: Policy, engine: BatchEngine) -> None:
+    """Check that a loaded policy would see what it was trained to see."""
+    trained: Origin | None = getattr(policy, "origin", None)
+    if trained is None:
+        return
+    ours, theirs = _sizes(*trained), _sizes(engine.field, engine.config)
+    problems = [
+        f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
+        for name in (("robots", "ROIs") if policy.observes == "state" else ours)
+        if ours[name] != theirs[name]
+    ]
+    if problems:
+        raise ConfigError(f"policy in {engine.field.name}", problems)
 
 
 def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
@@ -232,12 +215,3 @@ def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
     elif config.observation == "state":
         del sizes["arena"], sizes["v_clip"]
     return sizes
-
-
-def _record(
-    results: dict[str, np.ndarray], metrics: Mapping[str, np.ndarray], ended: np.ndarray
-) -> None:
-    """Copy the metrics of the worlds that have just ended their first episode."""
-    for name, values in metrics.items():
-        per_world = values if values.ndim == 1 else values.sum(axis=1)
-        results.setdefault(name, np.zeros_like(per_world))[ended] = per_world[ended]

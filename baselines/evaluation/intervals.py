@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -34,30 +33,12 @@ def passes(
     )
 
 
-@dataclass(frozen=True)
-class Interval:
+class Interval(NamedTuple):
     """A mean over seeds with its bootstrap interval; one seed gives no interval."""
 
     mean: float
     low: float | None
     high: float | None
-
-
-@dataclass(frozen=True)
-class Reach:
-    """How many runs reached the threshold, and the mean cost of those that did.
-
-    Attributes:
-        reached: runs with an evaluation at or above the threshold.
-        runs: all runs.
-        env_steps: mean env-steps of the first such evaluation; ``None`` if no run reached it.
-        seconds: mean training time of the first such evaluation, evaluations excluded.
-    """
-
-    reached: int
-    runs: int
-    env_steps: float | None
-    seconds: float | None
 
 
 def mean_interval(values: Sequence[float], *, confidence: float = 0.95) -> Interval:
@@ -77,15 +58,14 @@ def mean_interval(values: Sequence[float], *, confidence: float = 0.95) -> Inter
         return Interval(mean, None, None)
     if np.ptp(sample) == 0.0:
         return Interval(mean, mean, mean)
-    result = stats.bootstrap(
+    bounds = stats.bootstrap(
         (sample,),
         np.mean,
         confidence_level=confidence,
         n_resamples=10_000,
         method="percentile",
         rng=np.random.default_rng(0),
-    )
-    bounds = result.confidence_interval
+    ).confidence_interval
     return Interval(mean, float(bounds.low), float(bounds.high))
 
 
@@ -106,24 +86,3 @@ def mean_of_known(values: Iterable[float | None]) -> float | None:
     """The mean of the values that are not ``None``; ``None`` if there are none."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None
-
-
-def first_reach(
-    evaluations: Iterable[dict[str, Any]], threshold: float = RETURN_THRESHOLD
-) -> dict[str, Any] | None:
-    """The first of a run's evaluations, in order, with ``return_mean >= threshold``."""
-    return next((entry for entry in evaluations if entry["return_mean"] >= threshold), None)
-
-
-def reach(
-    histories: Sequence[Sequence[dict[str, Any]]], threshold: float = RETURN_THRESHOLD
-) -> Reach:
-    """Summarise :func:`first_reach` over the evaluation histories of several runs."""
-    firsts = [first_reach(history, threshold) for history in histories]
-    hits = [entry for entry in firsts if entry is not None]
-    return Reach(
-        reached=len(hits),
-        runs=len(firsts),
-        env_steps=mean_of_known(entry["env_steps"] for entry in hits),
-        seconds=mean_of_known(entry["seconds"] for entry in hits),
-    )

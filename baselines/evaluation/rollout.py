@@ -8,20 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from baselines.evaluation.evaluate import check_fits
+from baselines.evaluation.evaluate import roll_out
 from baselines.evaluation.policy import Policy
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder, save_episode
 from mbn_marl.errors import MbnError
 from mbn_marl.field import Field
-from mbn_marl.render import Viewer, write_gif, write_mp4
+from mbn_marl.render import Viewer, figures, write_gif, write_mp4
 
 ANIMATIONS = {".gif": write_gif, ".mp4": write_mp4}
-FIGURES = (".png", ".pdf", ".svg")
-FORMATS = (*ANIMATIONS, *FIGURES, ".json")
+FORMATS = (*ANIMATIONS, *figures.FORMATS, ".json")
 ANIMATION_SIZE = (400, 400)
 """Pixels."""
 REST = 20
@@ -38,32 +37,19 @@ def record_episode(
     limit: int | None = None,
     source: str = "",
 ) -> Episode:
-    """An episode of a policy.
+    """Record an episode of a policy; arguments as for :func:`~.evaluate.evaluate`.
 
-    Args:
-        policy: what acts.
-        field: where.
-        settings: settings of the environment.
-        deterministic: take the mean action instead of a sampled one.
-        seed: of the world and of the sampled actions.
-        limit: stop after so many steps; ``None`` for the whole episode.
-        source: what the policy is, in words.
+    ``limit`` stops it after so many steps (> 0); by default it is whole.
 
     Raises:
         ConfigError: the policy was trained for other observations.
     """
-    check_fits(policy, field, settings)
     engine = BatchEngine(field, 1, seed=seed, autoreset="disabled", threads=1, **settings)
-    steps, ended = 0, False
-    with torch.random.fork_rng(devices=[]), EpisodeRecorder(engine, source=source) as recorder:
-        torch.manual_seed(seed)
-        observations = engine.reset()
-        while not ended and (limit is None or steps < limit):
-            seen = engine.state() if policy.observes == "state" else observations
-            actions = policy.act(seen, deterministic=deterministic)
-            observations, _, terminated, truncated = engine.step(actions)
-            ended = bool(terminated[0] or truncated[0])
-            steps += 1
+    with EpisodeRecorder(engine, source=source) as recorder:
+        steps = roll_out(engine, policy, deterministic=deterministic, seed=seed)
+        for number, (ended,) in enumerate(steps, start=1):
+            if ended or number == limit:
+                break
     return recorder.episodes[0]
 
 
@@ -71,9 +57,8 @@ def write_episode(episode: Episode, path: Path) -> None:
     """Write an episode as the end of ``path`` says: the episode, an animation, or its paths.
 
     Raises:
-        MbnError: another ending, naming those allowed.
+        MbnError: another ending than :func:`check_ending` allows.
     """
-    check_ending(path)
     ending = path.suffix.lower()
     if ending == ".json":
         save_episode(episode, path)
@@ -83,15 +68,14 @@ def write_episode(episode: Episode, path: Path) -> None:
         write_trajectories(episode, path)
 
 
-def check_ending(path: Path) -> Path:
-    """``path``, if an episode can be written there as far as its name goes.
+def check_ending(path: Path) -> None:
+    """Check that an episode can be written to ``path`` as far as its name goes.
 
     Raises:
         MbnError: naming the path and the endings allowed.
     """
     if path.suffix.lower() not in FORMATS:
         raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
-    return path
 
 
 def write_animation(episode: Episode, path: Path) -> None:
@@ -110,15 +94,11 @@ def _frames(episode: Episode) -> Iterator[NDArray[np.uint8]]:
 
 def write_trajectories(episode: Episode, path: Path, title: str | None = None) -> None:
     """Write the robots' paths as a figure (png, pdf or svg)."""
-    from mbn_marl.render import figures
-
     figures.save(draw_trajectories(episode, title), path)
 
 
-def draw_trajectories(episode: Episode, title: str | None = None) -> Any:
-    """The robots' paths as a matplotlib figure."""
-    from mbn_marl.render import figures
-
+def draw_trajectories(episode: Episode, title: str | None = None) -> Figure:
+    """Draw the robots' paths."""
     last = episode.snapshot(episode.steps)
     return figures.trajectory_figure(
         last.field,

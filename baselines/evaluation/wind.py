@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from baselines.evaluation.evaluate import Evaluation, evaluate_recorded, is_one_episode
+from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
 from baselines.evaluation.intervals import mean_interval, share_interval
 from baselines.evaluation.policy import Policy
 from mbn_marl.episode import Episode
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
+from mbn_marl.render import figures
 
 MOST_SPEEDS = 100
 
 
 def parse_speeds(text: str) -> list[float]:
-    """Wind speeds from numbers between commas; ``..`` goes on in even steps up to the next one.
+    """Read wind speeds from numbers between commas; ``..`` is even steps up to the next one.
 
     ``0,0.1,..,0.5`` is ``0,0.1,0.2,0.3,0.4,0.5``.
 
@@ -29,38 +29,40 @@ def parse_speeds(text: str) -> list[float]:
     """
     speeds: list[float] = []
     words = [word.strip() for word in text.split(",")]
-    for index, word in enumerate(words):
-        if word == "..":
-            continue
-        try:
-            speed = float(word)
-        except ValueError:
-            raise _problem(text, f"{word!r} is no number") from None
-        if not 0.0 <= speed < float("inf"):
-            raise _problem(text, f"{word} is no speed; allowed: 0 and above")
-        if index and words[index - 1] == "..":
-            speeds += _between(text, speeds, speed)
-        speeds.append(speed)
-    if words[-1] == "..":
-        raise _problem(text, "'..' needs a number after it")
-    if len(speeds) > MOST_SPEEDS:
-        raise _problem(text, f"{len(speeds)} speeds; allowed: up to {MOST_SPEEDS}")
+    try:
+        for before, word in itertools.pairwise(["", *words]):
+            if word != "..":
+                speed = _speed(word)
+                speeds += [*(_between(speeds, speed) if before == ".." else ()), speed]
+        if words[-1] == "..":
+            raise ValueError("'..' needs a number after it")
+        if len(speeds) > MOST_SPEEDS:
+            raise ValueError(f"{len(speeds)} speeds; allowed: up to {MOST_SPEEDS}")
+    except ValueError as error:
+        problem = f"wind_speeds {text!r}: {error}; for example 0,0.1,..,0.5"
+        raise ConfigError("wind", [problem]) from None
     return speeds
 
 
-def _between(text: str, before: Sequence[float], end: float) -> list[float]:
-    """The speeds that ``..`` stands for."""
+def _speed(word: str) -> float:
+    try:
+        speed = float(word)
+    except ValueError:
+        raise ValueError(f"{word!r} is no number") from None
+    if not 0.0 <= speed < float("inf"):
+        raise ValueError(f"{word} is no speed; allowed: 0 and above")
+    return speed
+
+
+def _between(before: Sequence[float], end: float) -> list[float]:
+    """The speeds in the place of ``..``."""
     if len(before) < 2:
-        raise _problem(text, "'..' needs two numbers before it")
+        raise ValueError("'..' needs two numbers before it")
     start, step = before[-1], before[-1] - before[-2]
     count = round((end - start) / step) if step else 0
     if not 1 <= count <= MOST_SPEEDS or abs(start + count * step - end) > 1e-9:
-        raise _problem(text, f"even steps of {step:g} from {start:g} do not reach {end:g}")
+        raise ValueError(f"even steps of {step:g} from {start:g} do not reach {end:g}")
     return [round(start + number * step, 12) for number in range(1, count)]
-
-
-def _problem(text: str, what: str) -> ConfigError:
-    return ConfigError("wind", [f"wind_speeds {text!r}: {what}; for example 0,0.1,..,0.5"])
 
 
 def evaluate_in_wind(
@@ -73,16 +75,10 @@ def evaluate_in_wind(
     episodes: int,
     seed: int,
 ) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
-    """Evaluate at every speed, with sampled and with mean actions.
+    """Evaluate at every speed (units/step per step), with sampled and with mean actions.
 
-    Args:
-        policy: what acts.
-        field: where.
-        settings: of the environment; its wind is replaced.
-        speeds: units/step per step.
-        angle: of the wind, degrees from +x.
-        episodes: of every evaluation; one where all would be the same.
-        seed: of the episodes.
+    The wind replaces that of the settings; its ``angle`` is in degrees from +x. An evaluation has
+    one episode where all would be the same.
 
     Returns:
         JSON values, an entry for every speed and way to act: see :func:`with_intervals`; and, by
@@ -93,16 +89,16 @@ def evaluate_in_wind(
     for speed, deterministic in itertools.product(speeds, (False, True)):
         world = {**settings, "wind": (speed, angle)}
         one = is_one_episode(policy, world, deterministic=deterministic)
-        how: dict[str, Any] = {
-            "episodes": 1 if one else episodes,
-            "deterministic": deterministic,
-            "seed": seed,
-        }
-        worlds = [0] if deterministic else []
-        evaluation, recorded = evaluate_recorded(policy, field, world, worlds=worlds, **how)
+        evaluation = evaluate(
+            *(policy, field, world),
+            episodes=1 if one else episodes,
+            deterministic=deterministic,
+            seed=seed,
+            record=[0] if deterministic else [],
+        )
         wind = {"wind_speed": speed, "wind_angle": angle}
         rows.append({**wind, **with_intervals(evaluation, one_episode=one)})
-        drawn.update({f"wind {speed:g}": episode for episode in recorded})
+        drawn.update({f"wind {speed:g}": episode for episode in evaluation.recorded})
     return rows, drawn
 
 
@@ -113,20 +109,16 @@ def with_intervals(evaluation: Evaluation, *, one_episode: bool) -> dict[str, An
     intervals of the mean, the latter over successful episodes and ``None`` without any. With
     ``one_episode``, a deterministic one, there is none.
     """
-    lengths = [
-        float(steps)
-        for steps, success in zip(evaluation.steps, evaluation.successes, strict=True)
-        if success
-    ]
+    makespans = evaluation.makespans
     intervals = {
         "success_interval": share_interval(evaluation.successes),
         "return_interval": mean_interval(evaluation.returns),
-        "makespan_interval": mean_interval(lengths) if lengths else None,
+        "makespan_interval": mean_interval(makespans) if makespans else None,
     }
     return {
         **evaluation.to_json(),
         **{
-            name: None if interval is None or one_episode else asdict(interval)
+            name: None if interval is None or one_episode else interval._asdict()
             for name, interval in intervals.items()
         },
     }
@@ -138,7 +130,5 @@ def write_panels(episodes: Mapping[str, Episode], path: Path) -> None:
     Raises:
         MbnError: ``path`` does not end in png, pdf or svg.
     """
-    from mbn_marl.render import figures
-
     lasts = {name: episode.snapshot(episode.steps) for name, episode in episodes.items()}
     figures.save(figures.trajectory_panels(lasts), path)

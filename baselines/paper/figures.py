@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
+import pandas
 from matplotlib.figure import Figure
-from pandas import DataFrame
 
 from baselines.compare.records import ordered
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
 from baselines.paper.trainings import Trainings
+from baselines.runs.files import RunError, read_json
 from mbn_marl.field import load_field
 from mbn_marl.optimum import optimal_return
-from mbn_marl.render import figures
-from mbn_marl.render.curves import Pair, Panel, learning_curve_panels, pairs
+from mbn_marl.render import curves, figures
+from mbn_marl.render.curves import Pair, Panel, StudyTrial
 
 
 def overview() -> Figure:
     """The paper's ten fields."""
-    return figures.fields_figure([load_field(name) for name in published.fields()])
+    return figures.fields_figure([load_field(name) for name in published.FIELDS])
 
 
 def learning_curves(trainings: Trainings, setting: str) -> Figure | None:
@@ -25,14 +29,21 @@ def learning_curves(trainings: Trainings, setting: str) -> Figure | None:
     rows = trainings.rows[trainings.rows.setting == setting]
     if rows.empty:
         return None
-    panels = {
-        field: _panel(trainings, rows[rows.field == field], field)
-        for field in trainings.field_names
-        if (rows.field == field).any()
-    }
+    groups, panels = rows.groupby(["field", "algorithm"]), {}
+    for field in trainings.field_names:
+        found = {
+            published.display_name(name): [
+                (run.env_steps.to_numpy(), run.moving_mean.to_numpy())
+                for _, run in groups.get_group((field, name)).groupby("seed")
+            ]
+            for name in trainings.algorithms
+            if (field, name) in groups.groups
+        }
+        if found:
+            panels[field] = Panel(found, optimal_return(trainings.fields[field]))
     looks = ordered({name: name for name in trainings.algorithms})
     shown = {published.display_name(name): look for name, look in looks.items()}
-    return learning_curve_panels(panels, shown, RETURN_THRESHOLD)
+    return curves.learning_curve_panels(panels, shown, RETURN_THRESHOLD)
 
 
 def against(trainings: Trainings, first: str, second: str) -> Figure | None:
@@ -41,46 +52,48 @@ def against(trainings: Trainings, first: str, second: str) -> Figure | None:
     A panel an algorithm, with a line for each field, for these fields together, and for the
     paper's number over all ten fields, if the paper has both settings.
     """
-    rows = trainings.rows
-    counts = rows.groupby(["algorithm", "field", "setting"]).size().unstack()
-    counts = counts.reindex(columns=[first, second]).dropna()
-    fields = [name for name in trainings.field_names if name in counts.index.unique("field")]
+    rows = trainings.rows[trainings.rows.setting.isin([first, second])]
+    means = rows.pivot_table("moving_mean", ["algorithm", "field"], "setting")
+    means = means.reindex(columns=[first, second]).dropna()
+    fields = [name for name in trainings.field_names if name in means.index.unique("field")]
     paper = published.by_algorithm()
     panels = {}
     for algorithm in trainings.algorithms:
-        own = rows[rows.algorithm == algorithm]
-        both = [field for field in fields if (algorithm, field) in counts.index]
+        both = [field for field in fields if (algorithm, field) in means.index]
         if both:
             lines = {
-                field: _pair(own[own.field == field], first, second)
-                if field in both
-                else Pair(None, None)
+                field: Pair(*means.loc[algorithm, field]) if field in both else Pair(None, None)
                 for field in fields
             }
-            lines["these together"] = _pair(own[own.field.isin(both)], first, second)
-            if {first, second} <= set(published.settings()):
+            own = rows[(rows.algorithm == algorithm) & rows.field.isin(both)]
+            together = own.groupby("setting").moving_mean.mean()
+            lines["these together"] = Pair(together[first], together[second])
+            if {first, second} <= set(published.SETTINGS):
                 cells = [paper.get((algorithm, name), {}) for name in (first, second)]
                 lines["paper, all ten"] = Pair(*(cell.get("mean") for cell in cells))
             panels[published.display_name(algorithm)] = lines
     if not panels:
         return None
-    return pairs(panels, (f"setting {first}", f"setting {second}"), RETURN_THRESHOLD)
+    return curves.pairs(panels, (f"setting {first}", f"setting {second}"), RETURN_THRESHOLD)
 
 
-def _pair(rows: DataFrame, first: str, second: str) -> Pair:
-    """The mean of the moving means under each of two settings."""
-    means = rows.groupby("setting").moving_mean.mean()
-    return Pair(float(means[first]), float(means[second]))
+def draw_study(folder: Path) -> Figure:
+    """Draw the history of the study of ``folder`` and what mattered in it.
 
-
-def _panel(trainings: Trainings, rows: DataFrame, field: str) -> Panel:
-    """The curves of one field, a curve for each algorithm and seed."""
-    curves = {
-        published.display_name(name): [
-            (run.env_steps.to_numpy(), run.moving_mean.to_numpy())
-            for _, run in rows[rows.algorithm == name].groupby("seed")
-        ]
-        for name in trainings.algorithms
-        if (rows.algorithm == name).any()
-    }
-    return Panel(curves, optimal_return(trainings.fields[field]))
+    Raises:
+        RunError: there is no study, or ``mbn tune`` has not come to its end there.
+        MbnError: no trial has a return yet.
+    """
+    try:
+        table = pandas.read_csv(folder / "trials.csv")
+        rows = table[table.return_mean.notna() & (table.state != "fail")]
+        pruned = rows.state != "complete"
+        trials = [*map(StudyTrial, rows.trial, rows.return_mean, pruned)]
+        importances = json.loads((folder / "importances.json").read_text())
+    except (OSError, ValueError, AttributeError) as error:
+        raise RunError(
+            f"{folder} is not the folder of a study that mbn tune has written to its end ({error})"
+        ) from None
+    config = read_json(folder / "config.json")
+    title = f"{config['algorithm']} on {config['field']}, {config['steps']:,} env-steps a trial"
+    return curves.study_figure(trials, importances, title)

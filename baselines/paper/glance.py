@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable
 
 from pandas import DataFrame, MultiIndex
@@ -50,8 +51,8 @@ def reached(trainings: Trainings) -> TextTable:
         hits = runs.reach.count()
         return f"{hits} of {len(runs)}" + (f", soonest {_short(runs.reach.min())}" if hits else "")
 
-    words = _words(trainings.runs, CELL[:2], cell)
-    table = words.unstack().reindex(trainings.algorithms, columns=list(SETTINGS)).fillna(MISSING)
+    table = _words(trainings.runs, CELL[:2], cell)
+    table = table.reindex(trainings.algorithms, columns=list(SETTINGS)).fillna(MISSING)
     lines = tuple((published.display_name(name), *cells) for name, *cells in table.itertuples())
     caption = (
         f"Runs whose moving mean of 100 training episodes reached {RETURN_THRESHOLD:,.0f}, once so "
@@ -64,12 +65,8 @@ def reached(trainings: Trainings) -> TextTable:
 
 def ranking(tables: Iterable[PaperTable]) -> TextTable:
     """The algorithms of each setting from the best mean to the worst, in the paper and here."""
-    lines = [
-        _ranking_line(table, setting)
-        for setting in published.settings()
-        for table in tables
-        if table.kind is ALGORITHMS
-    ]
+    tables = [table for table in tables if table.kind is ALGORITHMS]
+    lines = [_ranking_line(*pair) for pair in itertools.product(published.SETTINGS, tables)]
     caption = (
         "Algorithms by the mean of Table 1, best first; those without a run here are left out "
         "here. Kendall's tau is 1 for the same order and -1 for the reverse."
@@ -78,7 +75,7 @@ def ranking(tables: Iterable[PaperTable]) -> TextTable:
     return TextTable(caption, headings, tuple(lines), words=4)
 
 
-def _ranking_line(table: PaperTable, setting: str) -> tuple[str, ...]:
+def _ranking_line(setting: str, table: PaperTable) -> tuple[str, ...]:
     paper, here = table.means(setting, "paper"), table.means(setting, "here")
     here = here[here.index.isin(paper.index)]
     agreement = MISSING
@@ -92,8 +89,8 @@ def _per_cell(trainings: Trainings, caption: str, shown: Callable[[DataFrame], s
     """A line for every algorithm and setting, a column for every field."""
     fields = trainings.field_names
     index = MultiIndex.from_product([trainings.algorithms, SETTINGS])
-    table = _words(trainings.runs, CELL, shown).unstack().reindex(index, columns=fields)
-    papers = index.get_level_values(0).isin(published.algorithms())
+    table = _words(trainings.runs, CELL, shown).reindex(index, columns=fields)
+    papers = index.get_level_values(0).isin(published.ALGORITHMS)
     table = table[papers | table.notna().any(axis=1)].fillna(MISSING)
     lines = tuple(
         (published.display_name(name), setting, *cells)
@@ -103,8 +100,8 @@ def _per_cell(trainings: Trainings, caption: str, shown: Callable[[DataFrame], s
 
 
 def _words(runs: DataFrame, keys: list[str], shown: Callable[[DataFrame], str]) -> DataFrame:
-    """What is shown for each group of runs."""
-    return runs.groupby(keys).apply(shown, include_groups=False)
+    """What is shown for each group of runs; the last key makes the columns."""
+    return runs.groupby(keys).apply(shown, include_groups=False).unstack()
 
 
 def _short(steps: float) -> str:

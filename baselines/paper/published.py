@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,45 +15,25 @@ STATISTICS = {"mean": "mean", "SD": "sd", "max": "max", "range": "range"}
 Numbers = dict[str, float]
 """A cell's numbers in reward units, by the names in ``STATISTICS``."""
 
-
-@cache
-def _published() -> dict[str, Any]:
-    published: dict[str, Any] = json.loads(Path(__file__).with_name("published.json").read_text())
-    return published
-
-
-def source() -> str:
-    """Where the numbers come from."""
-    return str(_published()["source"])
-
-
-def algorithms() -> dict[str, str]:
-    """The paper's algorithms in its order: our name -> the paper's."""
-    return {name.lower(): name for name in _published()["algorithms"]}
-
-
-def settings() -> list[str]:
-    """The paper's settings."""
-    return list(_published()["environments"])
+_FILE: dict[str, Any] = json.loads(Path(__file__).with_name("published.json").read_text())
+SOURCE: str = _FILE["source"]
+ALGORITHMS: dict[str, str] = {name.lower(): name for name in _FILE["algorithms"]}
+"""The paper's algorithms in its order: our name -> the paper's."""
+SETTINGS: list[str] = list(_FILE["environments"])
+FIELDS: list[str] = list(_FILE["environments"]["A"])
 
 
 def display_name(algorithm: str) -> str:
     """An algorithm as the paper writes it; one that it does not have in capitals."""
-    return algorithms().get(algorithm, algorithm.upper())
-
-
-def fields() -> list[str]:
-    """The paper's fields."""
-    return list(_published()["environments"]["A"])
+    return ALGORITHMS.get(algorithm, algorithm.upper())
 
 
 def by_algorithm() -> dict[tuple[str, str], Numbers]:
     """Each algorithm over all fields (table 1): (our name, setting) -> its numbers."""
-    table = _published()["algorithms"]
     return {
         (name, setting): _numbers(cell, ALGORITHM_UNIT)
-        for name, shown in algorithms().items()
-        for setting, cell in table[shown].items()
+        for name, shown in ALGORITHMS.items()
+        for setting, cell in _FILE["algorithms"][shown].items()
     }
 
 
@@ -62,21 +41,16 @@ def by_field() -> dict[tuple[str, str], Numbers]:
     """Each field over all algorithms (appendix): (field, setting) -> its numbers."""
     return {
         (field, setting): _numbers(cell, 1.0)
-        for setting, cells in _published()["environments"].items()
+        for setting, cells in _FILE["environments"].items()
         for field, cell in cells.items()
     }
 
 
-def tuned(algorithm: str) -> dict[str, float]:
-    """The hyperparameters that the paper tuned for ``algorithm``, with the values it found."""
-    return dict(_published()["optuna_hyperparameters"][algorithms()[algorithm]])
-
-
-def tuning_range(hyperparameter: str) -> tuple[float, float]:
-    """The range in which the paper tuned a hyperparameter."""
-    low, high = _published()["optuna_ranges"][hyperparameter]
-    return low, high
-
-
 def _numbers(cell: dict[str, float], unit: float) -> Numbers:
     return {name: cell[key] * unit for name, key in STATISTICS.items()}
+
+
+def tuning_ranges(algorithm: str) -> dict[str, tuple[float, float]]:
+    """The hyperparameters that the paper tuned for an algorithm, with the ends of their ranges."""
+    names = _FILE["optuna_hyperparameters"][ALGORITHMS[algorithm]]
+    return {name: tuple(_FILE["optuna_ranges"][name]) for name in names}

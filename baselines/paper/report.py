@@ -13,16 +13,13 @@ from matplotlib.figure import Figure
 from baselines.algorithms import SETTINGS, Setting
 from baselines.compare.text_table import DASH
 from baselines.paper import figures, glance, published
-from baselines.paper.study import draw_study
 from baselines.paper.tables import ALGORITHMS, MISSING, PaperTable, paper_tables, write_csv
 from baselines.paper.trainings import Trainings, find_trainings
-from baselines.runs.files import RunError, write_text
+from baselines.runs.files import read_text, write_text
 from baselines.runs.provenance import write_provenance
 from baselines.runs.report_path import Place
 from mbn_marl.render.figures import save
 
-OVERVIEW = "fields"
-STUDY = "optuna"
 FILES = ("algorithms.csv", "algorithms.tex", "fields.csv", "fields.tex")
 OTHERS = [setting for setting in SETTINGS if setting != "A"]
 """Settings that are compared with A."""
@@ -38,21 +35,15 @@ def write_report(
     force: bool = False,
     note: Callable[[str], None] = lambda text: None,
 ) -> Place:
-    """Write the report on the runs at ``paths``.
+    """Write the report on the runs at ``paths``: run folders, or folders that hold some.
 
-    Args:
-        paths: run folders, or folders that hold some.
-        out: see :meth:`Place.of`.
-        command: the exact command, recorded in the folder and on the page.
-        study: the folder of a study of hyperparameters, to draw.
-        notes: a Markdown file to put at the top of the page.
-        force: move a report that is already there aside.
-        note: receives the folders at ``paths`` that are left out, and why.
+    Args as for :func:`baselines.compare.report.report_comparison`; besides, ``study`` is the folder
+    of a study of hyperparameters to draw, ``notes`` a Markdown file for the top of the page.
 
     Raises:
         RunError: a run, the study or the notes cannot be read, or something is at ``out`` already.
     """
-    preface = "" if notes is None else _read_notes(notes)
+    preface = "" if notes is None else read_text(notes).strip()
     trainings = find_trainings(paths, note)
     tables = paper_tables(trainings)
     drawn = _draw(trainings, study)
@@ -71,21 +62,13 @@ def write_report(
     return place
 
 
-def _read_notes(path: Path) -> str:
-    """The text of a Markdown file."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise RunError(f"{path} is not a text file in UTF-8: {error}") from None
-
-
 def _draw(trainings: Trainings, study: Path | None) -> dict[str, Figure | None]:
     """Draw every figure by its file's name; ``None`` for one that no run has anything for."""
     return {
         **{f"curves_{name}": figures.learning_curves(trainings, name) for name in SETTINGS},
         **{f"A_against_{name}": figures.against(trainings, "A", name) for name in OTHERS},
-        STUDY: None if study is None else draw_study(study),
-        OVERVIEW: figures.overview(),
+        "optuna": None if study is None else figures.draw_study(study),
+        "fields": figures.overview(),
     }
 
 
@@ -104,38 +87,34 @@ def _page(
             return f"{title}: missing."
         return f"{title}:\n\n![{title}]({place.link(f'{name}.png')})"
 
-    def parts(parts: Sequence[str]) -> str:
-        return "\n\n".join(parts)
-
+    join = "\n\n".join
     of_algorithms = [table for table in tables if table.kind is ALGORITHMS]
     of_fields = [table for table in tables if table.kind is not ALGORITHMS]
     page = Template((files(__package__) / "page.md").read_text(encoding="utf-8")).substitute(
-        notes=preface.strip(),
-        source=published.source(),
+        notes=preface,
+        source=published.SOURCE,
         command=command,
         settings="\n".join(f"- **{name}**: {_meaning(name)}." for name in SETTINGS),
         missing=MISSING,
         dash=DASH,
         files=", ".join(f"[{name}]({place.link(name)})" for name in FILES),
         coverage=glance.coverage(trainings).markdown(),
-        algorithms=parts([table.text().markdown() for table in of_algorithms]),
+        algorithms=join(table.text().markdown() for table in of_algorithms),
         ranking=glance.ranking(of_algorithms).markdown(),
         reached=glance.reached(trainings).markdown(),
         success=glance.success(trainings).markdown(),
-        curves=parts(
-            [picture(f"curves_{name}", f"Setting {name}: {_meaning(name)}") for name in SETTINGS]
+        curves=join(
+            picture(f"curves_{name}", f"Setting {name}: {_meaning(name)}") for name in SETTINGS
         ),
-        against=parts(
-            [picture(f"A_against_{name}", f"Setting A against {name}") for name in OTHERS]
-        ),
-        study=picture(STUDY, "History of the study and importance of each hyperparameter"),
-        fields=parts([table.text().markdown() for table in of_fields]),
-        overview=picture(OVERVIEW, "The ten fields, each to a scale of its own"),
+        against=join(picture(f"A_against_{name}", f"Setting A against {name}") for name in OTHERS),
+        study=picture("optuna", "History of the study and importance of each hyperparameter"),
+        fields=join(table.text().markdown() for table in of_fields),
+        overview=picture("fields", "The ten fields, each to a scale of its own"),
         commands="\n".join(trainings.runs.command),
     )
-    return page if preface.strip() else page.replace("\n\n\n\n", "\n\n", 1)
+    return page if preface else page.replace("\n\n\n\n", "\n\n", 1)
 
 
 def _meaning(setting: Setting) -> str:
     summary = SETTINGS[setting].summary
-    return summary if setting in published.settings() else f"ours: {summary}"
+    return summary if setting in published.SETTINGS else f"ours: {summary}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -25,27 +25,27 @@ class Sample(NamedTuple):
 
     name: str
     label: str
-    summarise: Callable[[DataFrame], Series]
+    summarise: Callable[[DataFrame], list[float]]
 
 
-def of_episodes(rows: DataFrame) -> Series:
+def of_episodes(rows: DataFrame) -> list[float]:
     """The numbers of a cell over every training episode of ``rows`` (reward units).
 
     Exact, from the count, mean, deviation and range of each row: the squared deviation from the
     mean of all is the row's variance plus the square of its mean's distance.
     """
     some = rows[rows.episodes > 0]
-    mean = np.average(some["mean"], weights=some.episodes)
-    variance = np.average(some.sd**2 + (some["mean"] - mean) ** 2, weights=some.episodes)
-    highest, lowest = some.maximum.max(), some.minimum.min()
-    return Series([mean, np.sqrt(variance), highest, highest - lowest], list(STATISTICS))
+    mean = np.average(some.return_mean, weights=some.episodes)
+    squares = some.return_std**2 + (some.return_mean - mean) ** 2
+    variance = np.average(squares, weights=some.episodes)
+    highest, lowest = some.return_max.max(), some.return_min.min()
+    return [mean, np.sqrt(variance), highest, highest - lowest]
 
 
-def of_moving_means(rows: DataFrame) -> Series:
+def of_moving_means(rows: DataFrame) -> list[float]:
     """The numbers of a cell over the moving means of ``rows``, one a row (reward units)."""
     means = rows.moving_mean
-    numbers = [means.mean(), means.std(ddof=0), means.max(), means.max() - means.min()]
-    return Series(numbers, list(STATISTICS))
+    return [means.mean(), means.std(ddof=0), means.max(), means.max() - means.min()]
 
 
 SAMPLES = (
@@ -95,7 +95,7 @@ COLUMNS = [
     (setting, source)
     for setting in SETTINGS
     for source in ("paper", "here")
-    if source == "here" or setting in published.settings()
+    if source == "here" or setting in published.SETTINGS
 ]
 """Columns of a table: a setting, in the paper or here."""
 
@@ -114,6 +114,21 @@ class PaperTable:
     kind: Kind
     sample: Sample
     cells: DataFrame
+
+    @classmethod
+    def of(cls, kind: Kind, sample: Sample, names: Iterable[str], rows: DataFrame) -> PaperTable:
+        """Make the table of the rows ``names`` from the paper's numbers and training's ``rows``."""
+        here = {
+            (*key, "here"): Series(sample.summarise(group), list(STATISTICS))
+            for key, group in rows.groupby([kind.row, "setting"], sort=False)
+        }
+        paper = {(*key, "paper"): Series(numbers) for key, numbers in kind.in_paper().items()}
+        index = MultiIndex.from_tuples(
+            [(name, *column) for name in names for column in COLUMNS],
+            names=["row", "setting", "source"],
+        )
+        cells = DataFrame({**paper, **here}).T.reindex(index=index, columns=list(STATISTICS))
+        return cls(kind, sample, cells)
 
     def means(self, setting: str, source: str) -> Series:
         """The means of a column, of the rows that have one, the best first."""
@@ -151,8 +166,7 @@ class PaperTable:
             names=[self.kind.row, "setting", "source"]
         )
         lines[self.kind.row] = lines[self.kind.row].map(self._shown)
-        over = np.where(lines.source == "here", self.sample.name, "")
-        lines.insert(3, "over", over)
+        lines.insert(3, "over", np.where(lines.source == "here", self.sample.name, ""))
         lines.insert(4, "unit", self.kind.unit_name)
         return lines
 
@@ -162,7 +176,7 @@ class PaperTable:
 
 def marked(setting: str) -> str:
     """A mark behind a setting that is not the paper's."""
-    return "" if setting in published.settings() else ", ours"
+    return "" if setting in published.SETTINGS else ", ours"
 
 
 def paper_tables(trainings: Trainings) -> list[PaperTable]:
@@ -173,26 +187,10 @@ def paper_tables(trainings: Trainings) -> list[PaperTable]:
     """
     rows = trainings.rows
     chosen = (
-        (ALGORITHMS, trainings.algorithms, rows[rows.field.isin(published.fields())]),
-        (FIELDS, trainings.field_names, rows[rows.algorithm.isin(published.algorithms())]),
+        (ALGORITHMS, trainings.algorithms, rows[rows.field.isin(published.FIELDS)]),
+        (FIELDS, trainings.field_names, rows[rows.algorithm.isin(published.ALGORITHMS)]),
     )
-    return [
-        PaperTable(kind, sample, _cells(kind, sample, names, own))
-        for kind, names, own in chosen
-        for sample in SAMPLES
-    ]
-
-
-def _cells(kind: Kind, sample: Sample, names: Sequence[str], rows: DataFrame) -> DataFrame:
-    here = {
-        (*key, "here"): sample.summarise(group)
-        for key, group in rows.groupby([kind.row, "setting"], sort=False)
-        if (group.episodes > 0).any()
-    }
-    paper = {(*key, "paper"): Series(numbers) for key, numbers in kind.in_paper().items()}
-    every = [(name, *column) for name in names for column in COLUMNS]
-    index = MultiIndex.from_tuples(every, names=["row", "setting", "source"])
-    return DataFrame({**paper, **here}).T.reindex(index=index, columns=list(STATISTICS))
+    return [PaperTable.of(kind, sample, *part) for kind, *part in chosen for sample in SAMPLES]
 
 
 def write_csv(tables: Iterable[PaperTable]) -> str:

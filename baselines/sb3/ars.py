@@ -17,12 +17,10 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 class PopulationSearch(ARS):
     """SB3-Contrib's ARS, for many worlds, and able to resume exactly where it was saved.
 
-    - With several worlds each evaluates a candidate of its own. The library would evaluate one
-      candidate after the other, in all worlds at once.
+    - With several worlds each evaluates a candidate of its own, not all of them the same one.
     - A rollout starts before the random directions are drawn, so that a learner saved at that
       moment draws the same ones.
-    - The search continues from the parameters that were loaded. The library would begin at zero
-      again: it sets its parameter vector when the object is made.
+    - The search continues from the parameters that were loaded, not from zero.
 
     Its environment is a ``LearnersView``, perhaps inside a ``VecNormalize``.
     """

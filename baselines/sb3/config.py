@@ -6,8 +6,8 @@ import inspect
 import math
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
@@ -50,12 +50,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
 }
 """The ranges of the numbers of ``model``, which the library does not check."""
 TUNED_IN_PAPER = (
-    "learning_rate",
-    "gamma",
-    "gae_lambda",
-    "vf_coef",
-    "ent_coef",
-    "max_grad_norm",
+    *("learning_rate", "gamma", "gae_lambda", "vf_coef", "ent_coef", "max_grad_norm"),
     "buffer_size",
 )
 """The paper tuned these, some for algorithms without such an argument: there they are skipped, and
@@ -97,8 +92,7 @@ class LinearSchedule(BaseModel):
 
 def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
     """The library's class of an algorithm."""
-    module, name = CLASSES[algorithm].split(":")
-    found: type[BaseAlgorithm] = getattr(import_module(module), name)
+    found: type[BaseAlgorithm] = resolve_name(CLASSES[algorithm])
     return found
 
 
@@ -110,20 +104,10 @@ def load(
     num_envs: int | None = None,
     file: Path | None = None,
 ) -> SB3Config:
-    """The hyperparameters of an algorithm under a setting, with ``overrides``.
+    """The hyperparameters of an algorithm, as :meth:`baselines.algorithms.Algorithm.resolve`.
 
     Setting C fine-tunes with the values of A. An override of ``model`` changes the arguments it
     names and leaves the others.
-
-    Args:
-        algorithm: its name.
-        setting: ``"A"``, ``"B"``, ``"C"`` or ``"N"``.
-        overrides: values by name, instead of the recorded ones.
-        num_envs: worlds side by side, instead of the recorded number.
-        file: a YAML file whose block of the setting takes the place of the recorded one.
-
-    Raises:
-        ConfigError: naming every unknown or invalid hyperparameter.
     """
     name = "A" if setting == "C" and file is None else setting
     place = f"hyperparameters of {algorithm}" if file is None else str(file)
@@ -134,14 +118,13 @@ def load(
         values["model"] = {**block["model"], **overrides["model"]}
     config = validate(SB3Config, values, place)
     accepted = accepted_arguments(algorithm)
-    foreign = {name: value for name, value in config.model.items() if name not in accepted}
-    if strange := sorted(set(foreign) - set(TUNED_IN_PAPER)):
-        known = sorted(accepted)
-        raise ConfigError(
-            place, [f"model.{name}: {unknown('name', name, known)}" for name in strange]
-        )
     kept = {name: value for name, value in config.model.items() if name in accepted}
+    foreign = {name: value for name, value in config.model.items() if name not in accepted}
     problems = [
+        f"model.{name}: {unknown('name', name, sorted(accepted))}"
+        for name in sorted(set(foreign) - set(TUNED_IN_PAPER))
+    ]
+    problems += [
         f"model.{name}: {problem} (got {value!r:.80})"
         for name, value in kept.items()
         for problem in _problems(name, value, accepted[name])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,11 +22,7 @@ from mbn_marl.engine import BatchEngine
 class LearnersView(VecEnvWrapper):
     """The worlds as the learner gets them: rewards scaled, ended episodes noted.
 
-    Args:
-        venv: the worlds.
-        scale: factor of the reward that the learner sees.
-        episodes: where true returns and successes of ended episodes go.
-        stride: rows of a world; the first one reports the world's episodes.
+    A world has ``stride`` rows, of which the first one reports the world's episodes.
 
     Attributes:
         watched: (num_envs,) bool, the rows whose episodes are noted: all, unless a learner steps
@@ -37,8 +33,7 @@ class LearnersView(VecEnvWrapper):
         self, venv: VecEnv, scale: float, episodes: EpisodeWindow, stride: int = 1
     ) -> None:
         super().__init__(venv)
-        self._scale = scale
-        self._episodes = episodes
+        self._scale, self._episodes = scale, episodes
         self.watched = np.arange(venv.num_envs) % stride == 0
 
     def reset(self) -> VecEnvObs:
@@ -57,10 +52,7 @@ class LearnersView(VecEnvWrapper):
 
 
 class TeamReturn(BaseParallelWrapper):  # type: ignore[misc]  # the library ships no types
-    """Adds the team's return to the infos of an episode's last step.
-
-    SuperSuit starts the next episode in the same call, so it cannot be asked for afterwards.
-    """
+    """Adds the team's return to an episode's last infos: SuperSuit resets in the same call."""
 
     def step(self, actions: Mapping[str, Any]) -> StepResult:
         """Move all robots."""
@@ -72,22 +64,14 @@ class TeamReturn(BaseParallelWrapper):  # type: ignore[misc]  # the library ship
         return result
 
 
-def single_mdp(task: Task, num_worlds: int) -> VecEnv:
-    """All worlds in one batch, a row each."""
-    return CentralizedVecEnv(
-        task.field, num_worlds, seed=task.config.seed, threads=1, **task.settings
-    )
-
-
-def robot_rows(task: Task, num_worlds: int) -> VecEnv:
-    """All worlds in one batch; row ``w * n + i`` is robot i of world w."""
-    return SharedPolicyVecEnv(
-        task.field, num_worlds, seed=task.config.seed, threads=1, **task.settings
-    )
+def engine_rows(task: Task, num_worlds: int) -> VecEnv:
+    """All worlds in one batch: a row for each, or row ``w * n + i`` for robot i of world w."""
+    kind = SharedPolicyVecEnv if task.config.algorithm == "ppo-shared" else CentralizedVecEnv
+    return kind(task.field, num_worlds, seed=task.config.seed, threads=1, **task.settings)
 
 
 def supersuit_rows(task: Task, num_worlds: int) -> VecEnv:
-    """The rows of :func:`robot_rows` from copies of one PettingZoo environment, stepped in turn.
+    """The rows of :func:`engine_rows` from copies of one PettingZoo environment, stepped in turn.
 
     SuperSuit cannot seed them, so the one environment is seeded before it is copied: a run can be
     repeated, but with ``random_starts`` all worlds draw the same starts. It does not report time
@@ -102,16 +86,9 @@ def supersuit_rows(task: Task, num_worlds: int) -> VecEnv:
     return worlds
 
 
-ROWS: Mapping[str, Callable[[Task, int], VecEnv]] = {
-    "ppo-shared": robot_rows,
-    "ppo-supersuit": supersuit_rows,
-}
-"""What a learner's rows are; all others learn on the single MDP."""
-
-
 def make_env(task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> VecEnv:
     """The worlds of training, as the learner sees them."""
-    make = ROWS.get(task.config.algorithm, single_mdp)
+    make = supersuit_rows if task.config.algorithm == "ppo-supersuit" else engine_rows
     worlds = make(task, hyperparameters.num_envs)
     stride = worlds.num_envs // hyperparameters.num_envs
     with warnings.catch_warnings():

@@ -29,14 +29,9 @@ LOGGED = ("ep_info_buffer", "ep_success_buffer")
 
 
 class Learner:
-    """A fresh learner of the library on the worlds of a task.
+    """A fresh learner of the library on the worlds of a task; notes its ``episodes``.
 
     The library's own ``seed`` would seed the worlds too, which SuperSuit's refuse.
-
-    Args:
-        task: what is trained.
-        hyperparameters: of the algorithm.
-        episodes: where training episodes are noted.
 
     Attributes:
         model: the library's object.
@@ -68,9 +63,7 @@ class Learner:
         return SB3Policy.of(self.model, self._algorithm)
 
     def begin_with(self, source: RunFolder) -> None:
-        """Take over the networks and optimisers of another run.
-
-        Env-steps, replay buffer and random numbers start as in a fresh learner.
+        """Take over networks and optimisers of another run; all else is as in a fresh learner.
 
         Raises:
             RunError: the run has saved no policy, or a damaged one.
@@ -87,19 +80,17 @@ class Learner:
         }
         seen = {name: array for name in SEEN if (array := getattr(model, name)) is not None}
         write_arrays(folder / WORLDS, {**worlds, **seen}, compress=True)
-        if self._replay is not None:
-            buffer = self._replay
+        if (buffer := self._replay) is not None:
             filled = buffer.buffer_size if buffer.full else buffer.pos
             arrays = {name: array[:filled] for name, array in _transitions(buffer).items()}
             place = {"pos": np.array(buffer.pos), "full": np.array(buffer.full)}
             write_arrays(folder / REPLAY, {**arrays, **place})
-        episodes = [
-            {name: float(value) for name, value in episode.items()}
-            for episode in model.ep_info_buffer
-        ]
         counters = {
             **{name: getattr(model, name) for name in COUNTED},
-            "ep_info_buffer": episodes,
+            "ep_info_buffer": [
+                {name: float(value) for name, value in episode.items()}
+                for episode in model.ep_info_buffer
+            ],
             "ep_success_buffer": list(map(float, model.ep_success_buffer)),
             "actions": model.action_space.np_random.bit_generator.state,
             "generators": save_generators(),
@@ -121,15 +112,12 @@ class Learner:
             normalization.put_into(model.get_vec_normalize_env())
         arrays, counters = read_arrays(checkpoint / WORLDS), read_json(checkpoint / COUNTERS)
         for name in SEEN:
-            setattr(model, name, arrays.pop(name, None))
-        worlds: dict[str, dict[str, NDArray[Any]]] = {}
-        for key, array in arrays.items():
-            number, name = key.split("/")
-            worlds.setdefault(number, {})[name] = array
-        for index, engine in enumerate(engines(self._env)):
-            engine.load_state(worlds[str(index)])
-        if self._replay is not None:
-            saved, buffer = read_arrays(checkpoint / REPLAY), self._replay
+            setattr(model, name, arrays.get(name))
+        for number, engine in enumerate(engines(self._env)):
+            own = [key for key in arrays if key.startswith(f"{number}/")]
+            engine.load_state({key.partition("/")[2]: arrays[key] for key in own})
+        if (buffer := self._replay) is not None:
+            saved = read_arrays(checkpoint / REPLAY)
             for name, array in _transitions(buffer).items():
                 array[: len(saved[name])] = saved[name]
             buffer.pos, buffer.full = int(saved["pos"]), bool(saved["full"])

@@ -51,15 +51,13 @@ class Normalization:
         """The normalisation of ``env`` as it is now; ``None`` without one."""
         if env is None:
             return None
-        running: Any = env.obs_rms
-        return cls(
-            running.mean.copy(), running.var.copy(), running.count, env.epsilon, env.clip_obs
-        )
+        seen: Any = env.obs_rms
+        return cls(seen.mean.copy(), seen.var.copy(), seen.count, env.epsilon, env.clip_obs)
 
     def put_into(self, env: VecNormalize) -> None:
         """Make ``env`` normalise, and continue counting, as this does."""
-        running: Any = env.obs_rms
-        running.mean, running.var, running.count = self.mean, self.variance, self.count
+        seen: Any = env.obs_rms
+        seen.mean, seen.var, seen.count = self.mean, self.variance, self.count
 
     @classmethod
     def from_json(cls, values: dict[str, Any] | None) -> Normalization | None:
@@ -71,13 +69,13 @@ class Normalization:
 
     def __call__(self, seen: np.ndarray) -> np.ndarray:
         """Normalise ``seen`` (rows, size)."""
-        scaled: np.ndarray = (seen - self.mean) / np.sqrt(self.variance + self.epsilon)
-        clipped: np.ndarray = np.clip(scaled, -self.clip, self.clip)
-        return clipped.astype(np.float32)
+        scaled = (seen - self.mean) / np.sqrt(self.variance + self.epsilon)
+        clipped: np.ndarray = np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+        return clipped
 
     def to_json(self) -> dict[str, Any]:
         """As JSON values."""
-        return {**vars(self), "mean": self.mean.tolist(), "variance": self.variance.tolist()}
+        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
 
 
 class SB3Policy:
@@ -88,8 +86,7 @@ class SB3Policy:
         shape: the algorithm's name, the library's name of the policy and its arguments, and the
             sizes of observation and action (JSON values).
         normalization: of what it sees; ``None`` if it sees that raw.
-        model: the learner whose policy this is, saved with it for runs that begin with it; ``None``
-            for a loaded policy.
+        model: the learner whose policy this is, saved too; ``None`` for a loaded policy.
     """
 
     def __init__(
@@ -99,34 +96,27 @@ class SB3Policy:
         normalization: Normalization | None,
         model: BaseAlgorithm | None = None,
     ) -> None:
-        self.network = network
-        self.shape = shape
+        self.network, self.shape, self._model = network, shape, model
         self.normalization = normalization
-        self._model = model
         self.observes: Literal["observations", "state"] = (
             "observations" if list(shape["action_shape"]) == [2] else "state"
         )
 
     @classmethod
     def of(cls, model: BaseAlgorithm, algorithm: str) -> Self:
-        """The policy of a learner as it is now.
-
-        Args:
-            model: the learner.
-            algorithm: its name.
-        """
+        """The policy of a learner as it is now."""
         names = {kind: name for name, kind in model.policy_aliases.items()}
-        arguments = {
-            name: value
-            for name, value in {"use_sde": model.use_sde or None, **model.policy_kwargs}.items()
-            if value is not None and not name.startswith("optimizer_")
-        }
+        arguments = {"use_sde": model.use_sde or None, **model.policy_kwargs}
         shape = {
             "algorithm": algorithm,
             "policy": names[type(model.policy)],
             "obs_size": spaces.flatdim(model.observation_space),
             "action_shape": list(model.action_space.shape or ()),
-            "arguments": arguments,
+            "arguments": {
+                name: value
+                for name, value in arguments.items()
+                if value is not None and not name.startswith("optimizer_")
+            },
         }
         normalization = Normalization.of(model.get_vec_normalize_env())
         return cls(model.policy, shape, normalization, model)
@@ -165,7 +155,6 @@ def put_into(model: Any, folder: Path) -> None:
 
     Raises:
         RunError: a file is missing or damaged, or does not fit the learner.
-        DamageError: a file does not have the checksum that its folder lists.
     """
     _check_version(folder, LEARNER)
     weights, learned = read_tensors(folder / WEIGHTS), read_tensors(folder / LEARNER)
@@ -192,7 +181,6 @@ def load_policy(folder: Path) -> SB3Policy:
 
     Raises:
         RunError: a file is missing or damaged, or an older version wrote it.
-        DamageError: a file does not have the checksum that its folder lists.
     """
     _check_version(folder, SHAPE)
     shape = {**FIRST_SHAPE, **read_json(folder / SHAPE)}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Mapping
 from numbers import Real
 from typing import Any
 
@@ -22,37 +21,25 @@ from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError, MbnError
 
 REFUSALS = (
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    LookupError,
-    MemoryError,
-    RuntimeError,
-    TypeError,
-    ValueError,
+    *(ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError),
+    *(RuntimeError, TypeError, ValueError),
 )
 """What the library and torch raise for arguments that make no learner."""
 
 
 class Reporter(BaseCallback):
-    """Reports the end of every rollout to a recorder, and saves between updates when that is due.
-
-    Args:
-        recorder: where progress goes.
-        learner: what is trained.
-    """
+    """Reports every rollout to a recorder, and saves between updates when that is due."""
 
     def __init__(self, recorder: Recorder, learner: Learner) -> None:
         super().__init__()
-        self._recorder = recorder
-        self._learner = learner
+        self._recorder, self._learner = recorder, learner
 
     def _on_training_start(self) -> None:
         self._recorder.start()
 
     def _on_rollout_start(self) -> None:
-        learner = self._learner
         if self._recorder.checkpoint_due:
+            learner = self._learner
             self._recorder.save_checkpoint(learner.env_steps, learner.policy, learner.save)
 
     def _on_step(self) -> bool:
@@ -63,22 +50,16 @@ class Reporter(BaseCallback):
 
 
 class ToRecorder(KVWriter):
-    """Passes what the library logs on to the recorder's TensorBoard.
-
-    Args:
-        recorder: where it goes.
-        stride: rows of a world.
-    """
+    """Passes what the library logs to the recorder; a world has ``stride`` rows."""
 
     def __init__(self, recorder: Recorder, stride: int) -> None:
-        self._recorder = recorder
-        self._stride = stride
+        self._recorder, self._stride = recorder, stride
 
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
         """Write the values that are numbers and meant for TensorBoard."""
-        values: Mapping[str, float] = {
+        values = {
             name: float(value)
             for name, value in key_values.items()
             if "tensorboard" not in key_excluded[name] and isinstance(value, Real)
@@ -93,8 +74,7 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
     """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result.
 
     The learner is a fresh one, or begins with the policy of another run, or resumes the recorder's
-    checkpoint, bit for bit as if it had not been interrupted. An env-step moves every robot of a
-    world.
+    checkpoint, bit for bit as if it had not been interrupted.
     """
     learner = Learner(task, hyperparameters, recorder.episodes)
     model, stride = learner.model, learner.stride
@@ -134,8 +114,8 @@ def check(task: Task, hyperparameters: SB3Config) -> None:
 def budget(task: Task, hyperparameters: SB3Config) -> Budget:
     """How many env-steps a run takes, rounded up to whole rollouts."""
     library = algorithm_class(task.config.algorithm)
-    known = inspect.signature(library).parameters
-    model = {name: parameter.default for name, parameter in known.items()} | hyperparameters.model
+    known = inspect.signature(library).parameters.values()
+    model = {one.name: one.default for one in known} | hyperparameters.model
     steps, worlds = task.config.steps, hyperparameters.num_envs
     if library is PopulationSearch:
         episodes = 2 * model["n_delta"] * model["n_eval_episodes"]

@@ -114,18 +114,7 @@ def load(
     num_envs: int | None = None,
     file: Path | None = None,
 ) -> MultiAgentPPOConfig:
-    """The hyperparameters of ``"mappo"``, ``"ippo"`` or ``"ppo-joint"``, with ``overrides``.
-
-    Args:
-        algorithm: its name.
-        setting: ``"N"``, their only one.
-        overrides: values by name, instead of the recorded ones.
-        num_envs: worlds side by side, instead of the recorded number.
-        file: a YAML file whose block of the setting takes the place of the recorded values.
-
-    Raises:
-        ConfigError: naming every unknown or invalid hyperparameter.
-    """
+    """The hyperparameters of an algorithm, as :meth:`baselines.algorithms.Algorithm.resolve`."""
     if file is None:
         blocks = read_blocks(SOURCE)
         recorded = {**blocks["shared"], **blocks[algorithm]}

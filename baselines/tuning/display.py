@@ -15,13 +15,9 @@ from baselines.tuning.trial import News
 def tune_display(
     trials: int, ended: int, steps: int, console: Console
 ) -> Iterator[Callable[[News], None]]:
-    """Show one bar for the study, and a line for every trial that ended.
+    """Show one bar for a study of ``trials``, so many of them ``ended``, and a line for each end.
 
-    Args:
-        trials: how many trials there are to be.
-        ended: how many have ended before.
-        steps: env-steps of a trial.
-        console: where.
+    A trial has so many env-``steps``.
     """
     running: dict[int, str] = {}
     columns = (TextColumn("trials"), BarColumn(bar_width=20), MofNCompleteColumn())

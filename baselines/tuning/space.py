@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from optuna import Trial
@@ -16,31 +15,15 @@ LOGARITHMIC = {"learning_rate"}
 """Drawn so that each decade is as likely; the paper does not say how it drew."""
 
 
-class Parameter(NamedTuple):
-    """A hyperparameter and its range; one whose ends are whole numbers above 1 is whole."""
-
-    name: str
-    low: float
-    high: float
-
-    def suggest(self, trial: Trial) -> float:
-        """A value for ``trial``."""
-        if self.low > 1 and self.low % 1 == self.high % 1 == 0:
-            return trial.suggest_int(self.name, int(self.low), int(self.high))
-        log = self.name in LOGARITHMIC
-        return trial.suggest_float(self.name, self.low, self.high, log=log)
-
-
-@dataclass(frozen=True)
-class Space:
+class Space(NamedTuple):
     """The hyperparameters that are tuned for an algorithm.
 
     Attributes:
-        parameters: in the paper's order.
+        ranges: the lowest and the highest value of each, in the paper's order.
         skipped: what the paper tuned but the library's class does not take.
     """
 
-    parameters: tuple[Parameter, ...]
+    ranges: dict[str, tuple[float, float]]
     skipped: tuple[str, ...]
 
     @classmethod
@@ -51,18 +34,21 @@ class Space:
             MbnError: the paper did not tune it; the message lists what it tuned.
         """
         find_algorithm(algorithm)
-        if algorithm not in published.algorithms():
-            known = ", ".join(published.algorithms())
+        if algorithm not in published.ALGORITHMS:
+            known = ", ".join(published.ALGORITHMS)
             raise MbnError(f"{algorithm} has no ranges to tune it in; those that have: {known}")
-        names = list(published.tuned(algorithm))
-        accepted = accepted_arguments(algorithm)
+        ranges, accepted = published.tuning_ranges(algorithm), accepted_arguments(algorithm)
         return cls(
-            tuple(
-                Parameter(name, *published.tuning_range(name)) for name in names if name in accepted
-            ),
-            tuple(name for name in names if name not in accepted),
+            {name: ends for name, ends in ranges.items() if name in accepted},
+            tuple(name for name in ranges if name not in accepted),
         )
 
     def suggest(self, trial: Trial) -> dict[str, Any]:
-        """A value for each hyperparameter, by name."""
-        return {parameter.name: parameter.suggest(trial) for parameter in self.parameters}
+        """A value for each hyperparameter; one whose ends are whole numbers above 1 is whole."""
+        values: dict[str, float] = {}
+        for name, (low, high) in self.ranges.items():
+            if low > 1 and low % 1 == high % 1 == 0:
+                values[name] = trial.suggest_int(name, int(low), int(high))
+            else:
+                values[name] = trial.suggest_float(name, low, high, log=name in LOGARITHMIC)
+        return values

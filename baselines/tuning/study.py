@@ -14,14 +14,13 @@ Files of a study's folder:
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 import optuna
+import pandas
 from optuna import Study
 from optuna.exceptions import DuplicatedStudyError, StorageInternalError
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage
@@ -120,9 +119,9 @@ def ended(study: Study) -> list[FrozenTrial]:
 
 
 def importances(study: Study) -> Mapping[str, float]:
-    """Return how much each hyperparameter had to do with a trial's being in the better half.
+    """Return the share of each hyperparameter in a trial's being in the better half (PED-ANOVA).
 
-    By PED-ANOVA, as shares of 1, largest first; empty with fewer than ``ENOUGH`` finished trials.
+    Largest first; empty with fewer than ``ENOUGH`` finished trials.
     """
     finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     if len(finished) < ENOUGH:
@@ -131,24 +130,13 @@ def importances(study: Study) -> Mapping[str, float]:
     return optuna.importance.get_param_importances(study, evaluator=evaluator)
 
 
-def last_return(trial: FrozenTrial) -> float | None:
-    """Return its final return, or the last one before it was pruned, if it had one."""
-    if trial.state is TrialState.COMPLETE:
-        return trial.value
-    values = trial.intermediate_values
-    return values[max(values)] if values else None
-
-
 def trials_csv(study: Study) -> str:
-    """Return a line for each trial: number, state, return, hyperparameters."""
-    trials = study.get_trials(deepcopy=False)
-    names = list(dict.fromkeys(name for trial in trials for name in trial.params))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["trial", "state", "return_mean", *names])
-    for trial in trials:
-        value = last_return(trial)
+    """Return a line for each trial: number, state, last return, hyperparameters."""
+    rows = []
+    for trial in study.get_trials(deepcopy=False):
         state = DIVERGED if DIVERGED in trial.user_attrs else trial.state.name.lower()
-        values = [trial.params.get(name, "") for name in names]
-        writer.writerow([trial.number, state, "" if value is None else value, *values])
-    return text.getvalue()
+        last = max(trial.intermediate_values.items(), default=(0, None))[1]
+        value = trial.value if trial.state is TrialState.COMPLETE else last
+        rows.append({"trial": trial.number, "state": state, "return_mean": value, **trial.params})
+    table = pandas.DataFrame(rows, dtype=object)
+    return str(table.to_csv(index=False, lineterminator="\n"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,8 +19,6 @@ from baselines.training.train import train
 from baselines.tuning.space import Space
 from baselines.tuning.study import DIVERGED, load_study
 
-State = Literal["running", "finished", "pruned", "diverged"]
-
 BASE: Literal["A"] = "A"
 """The setting whose other hyperparameters the trials have."""
 TOKEN = "job"
@@ -29,16 +27,9 @@ TOKEN = "job"
 
 @dataclass(frozen=True)
 class TuneConfig:
-    """The subject of a study, the same for all its trials.
+    """The subject of a study, the same for all its trials; see :class:`TrainConfig`.
 
-    Attributes:
-        algorithm: one that the paper tuned.
-        field: a catalogue name or the path of a field file.
-        seed: of every training and of the sampler (0 to 2^32 - 1).
-        steps: env-steps of a trial (> 0).
-        evaluate_every: env-steps between two fresh evaluations, after which a trial may be pruned.
-        episodes: stochastic episodes of an evaluation (> 0).
-        num_envs: worlds side by side (> 0).
+    A trial may be pruned after each fresh evaluation. The seed is the sampler's too.
 
     Raises:
         ConfigError: naming every number out of range.
@@ -69,28 +60,26 @@ class News:
 
     Attributes:
         number: the trial's number.
+        values: its hyperparameters.
         state: what it does, or how it ended.
         env_steps: env-steps it has taken.
         return_mean: its last or final return, if there was one.
-        values: its hyperparameters.
     """
 
     number: int
-    state: State
-    env_steps: int
-    return_mean: float | None
     values: dict[str, Any]
+    state: Literal["running", "finished", "pruned", "diverged"] = "running"
+    env_steps: int = 0
+    return_mean: float | None = None
 
 
 @dataclass(frozen=True)
 class TrialJob:
-    """One trial to run.
+    """One trial of the study in ``folder`` to run.
 
     Attributes:
-        config: what is tuned.
-        folder: the study's, for the run folder of the trial.
         database: the URL of the one that keeps the trials; ``None`` for the journal in ``folder``.
-        command: the exact command, recorded there.
+        command: the exact command, recorded in the trial's run folder.
         name: of this job alone; when it is begun again elsewhere, it knows its lost trial by it.
         after: no job has to wait for another.
     """
@@ -107,11 +96,7 @@ def run_trial(job: TrialJob, listener: Callable[[News], None]) -> None:
     """Claim the study's next trial, train it, and report its end to the study.
 
     The sampler's generator depends on the trial's number: no process, and no later one that resumes
-    the study, draws what another has drawn.
-
-    Args:
-        job: the trial to run.
-        listener: receives where it stands.
+    the study, draws what another has drawn. ``listener`` receives where the trial stands.
     """
     study = load_study(job.folder, job.database)
     for lost in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
@@ -124,20 +109,20 @@ def run_trial(job: TrialJob, listener: Callable[[News], None]) -> None:
     study.sampler = TPESampler(seed=seed, constant_liar=True)
     values = Space.of(job.config.algorithm).suggest(trial)
     out = job.folder / "trials" / f"trial-{trial.number:04d}"
-    watch = _Watch(trial, job.config.steps, RunFolder(out), values, listener)
+    watch = _Watch(trial, RunFolder(out), job.config.steps, listener, News(trial.number, values))
     try:
         run = train(job.config.training(values), out, command=job.command, listener=watch)
     except TrialPruned:
         study.tell(trial, state=TrialState.PRUNED)
-        watch.tell("pruned")
+        watch.tell(state="pruned")
     except DivergenceError as error:
         trial.set_user_attr(DIVERGED, str(error))
         trial.set_constraint(DIVERGED, 1.0)  # the sampler takes it for the worst that can be
         study.tell(trial, state=TrialState.PRUNED)
-        watch.tell("diverged")
+        watch.tell(state="diverged")
     else:
         study.tell(trial, run.evaluation["stochastic"]["return_mean"])
-        watch.tell("finished")
+        watch.tell(state="finished")
 
 
 @dataclass
@@ -149,13 +134,11 @@ class _Watch:
     """
 
     trial: Trial
-    steps: int
     run: RunFolder
-    values: dict[str, Any]
+    steps: int
     listener: Callable[[News], None]
+    news: News
     seen: int = 0
-    env_steps: int = 0
-    return_mean: float | None = None
 
     def __call__(self, report: Report) -> None:
         """Pass on what is new, and prune the trial if it is not worth its time.
@@ -163,17 +146,16 @@ class _Watch:
         Raises:
             TrialPruned: its best return so far is below the median of the finished trials'.
         """
-        self.env_steps = report.env_steps
         new = self.run.evaluations[self.seen :]
         for entry in new:
             self.seen += 1
-            self.return_mean = entry["return_mean"]
             self.trial.report(entry["return_mean"], self.seen)
-        self.tell("running")
+        latest = {"return_mean": new[-1]["return_mean"]} if new else {}
+        self.tell(env_steps=report.env_steps, **latest)
         if new and report.env_steps < self.steps and self.trial.should_prune():
             raise TrialPruned
 
-    def tell(self, state: State) -> None:
-        """Report how the trial stands."""
-        number = self.trial.number
-        self.listener(News(number, state, self.env_steps, self.return_mean, self.values))
+    def tell(self, **changes: Any) -> None:
+        """Report what has changed."""
+        self.news = replace(self.news, **changes)
+        self.listener(self.news)

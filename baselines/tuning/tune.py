@@ -13,7 +13,7 @@ from optuna import Study
 from optuna.trial import TrialState
 
 from baselines.algorithms import find_algorithm
-from baselines.paper.study import draw_study
+from baselines.paper.figures import draw_study
 from baselines.runs.differences import differences
 from baselines.runs.files import RunError, alone, claim_folder, read_json, write_json, write_text
 from baselines.runs.provenance import write_provenance
@@ -47,22 +47,12 @@ def tune(
     force: bool = False,
     listener: Callable[[News], None] = lambda news: None,
 ) -> Path:
-    """Run a study, and write what it found.
+    """Run a study in the folder ``out``; return the YAML file with the best values as setting B.
 
-    Args:
-        config: what to tune.
-        out: the folder of the study.
-        trials: how many that end, finished or pruned, with those from before (> 0).
-        engine: what runs the trials; the machines of a Ray cluster have to see the journal or the
-            database.
-        command: the exact command, recorded when the study begins.
-        database: the URL of one that keeps the trials, instead of a journal in ``out``.
-        resume: continue the study in ``out``; a trial that was interrupted is run again.
-        force: move a folder that is already there aside.
-        listener: receives where the trials stand.
-
-    Returns:
-        The YAML file with the best values as setting B.
+    It ends when ``trials`` (> 0) are finished or pruned, with those from before. A journal in
+    ``out`` keeps them, or the database at a URL, which all machines of a Ray cluster have to see.
+    ``out`` records the exact command; ``force`` moves a folder that is there aside, ``resume``
+    continues its study and runs an interrupted trial again. ``listener`` receives where they stand.
 
     Raises:
         ConfigError: ``trials`` is below 1, or the study in ``out`` tunes something else.

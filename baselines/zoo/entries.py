@@ -28,9 +28,6 @@ def read_card(name: str) -> dict[str, Any]:
 def open_run(source: str) -> RunFolder:
     """The run that ``source`` means: ``zoo:NAME``, or the path of a run folder.
 
-    Args:
-        source: which.
-
     Raises:
         MbnError: there is no such entry; the message lists those there are.
         RunError: there is no run at the path.

@@ -46,16 +46,9 @@ from them; `card.json` has the versions it ran with.
 
 
 def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
-    """Evaluate a finished run's policy and make the folder ``path`` of it.
+    """Evaluate a finished run's policy, make the folder ``path`` of it, and return its card.
 
-    A folder that is already there is replaced when all has gone well.
-
-    Args:
-        run: the run, on a field of the catalogue.
-        path: the entry's folder; its name is the entry's name.
-
-    Returns:
-        The card.
+    The folder's name is the entry's. One that is there is replaced when all has gone well.
 
     Raises:
         RunError: the run is not finished, or ``path`` holds something that is no entry.
@@ -87,20 +80,10 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
 
 
 def make_card(run: RunFolder, name: str) -> dict[str, Any]:
-    """How a run's policy was trained, and its evaluation, as JSON values.
-
-    Args:
-        run: the run; its policy is evaluated here.
-        name: of the entry.
-    """
+    """Evaluate a run's policy; return how it was trained and what it does, as JSON values."""
     config, trained = run.config, run.evaluation
-    evaluations = evaluate_both(
-        load_policy(run),
-        run.field,
-        config["environment"],
-        episodes=EPISODES,
-        seed=EVALUATION_SEED,
-    )
+    where = load_policy(run), run.field, config["environment"]
+    evaluations = evaluate_both(*where, episodes=EPISODES, seed=EVALUATION_SEED)
     return {
         "name": name,
         **{key: config[key] for key in ("algorithm", "setting", "field", "seed")},

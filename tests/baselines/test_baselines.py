@@ -72,26 +72,6 @@ def test_mean_interval_of_nothing_is_an_error() -> None:
         statistics.mean_interval([])
 
 
-def _history(*returns: float) -> list[dict[str, Any]]:
-    return [
-        {"env_steps": 100 * (index + 1), "seconds": 2.0 * (index + 1), "return_mean": value}
-        for index, value in enumerate(returns)
-    ]
-
-
-def test_reach_takes_the_first_evaluation_at_the_threshold() -> None:
-    histories = [
-        _history(0.0, 100_000.0, 5.0),
-        _history(0.0, 99_999.0, 0.0, 120_000.0),
-        _history(0.0),
-    ]
-    assert statistics.reach(histories) == statistics.Reach(2, 3, env_steps=300.0, seconds=6.0)
-
-
-def test_reach_of_runs_that_never_got_there() -> None:
-    assert statistics.reach([_history(1.0)]) == statistics.Reach(0, 1, None, None)
-
-
 # Hyperparameters
 
 

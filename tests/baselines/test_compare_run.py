@@ -21,7 +21,7 @@ from tests.support.records import CONFIG, TINY
 
 
 def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("baselines.compare.markdown.write_animation", lambda episode, path: None)
+    monkeypatch.setattr("baselines.compare.report.write_animation", lambda episode, path: None)
     out = tmp_path / "comparison"
     second = out / CONFIG.runs()[1].name
 
@@ -56,7 +56,7 @@ def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.M
 def test_a_learner_that_breaks_down_stops_its_own_run_alone(
     processes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    monkeypatch.setattr("baselines.compare.markdown.write_animation", lambda episode, path: None)
+    monkeypatch.setattr("baselines.compare.report.write_animation", lambda episode, path: None)
     out, variants = tmp_path / "out", tmp_path / "variants.yaml"
     wild = {**TINY, "learning_rate": [1e30, 1e30], "max_grad_norm": 1e30}
     blocks = {

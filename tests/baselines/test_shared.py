@@ -17,7 +17,7 @@ from baselines.evaluation.policy import load_policy
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import write_tensors
-from baselines.sb3.envs import ROWS, engines, make_env
+from baselines.sb3.envs import engines, make_env
 from baselines.sb3.policy import SB3Policy
 from baselines.sb3.policy import load_policy as load_saved
 from baselines.training.config import Task, TrainConfig
@@ -26,7 +26,7 @@ from baselines.training.train import train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field
 
-NAMES = [*ROWS]
+NAMES = ["ppo-shared", "ppo-supersuit"]
 BOTH = pytest.mark.parametrize("name", NAMES)
 ROBOTS = 3
 SMALL: dict[str, Any] = {

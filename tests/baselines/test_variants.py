@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from baselines.compare.variants import parse_variants, read_variants
+from baselines.compare.variants import parse_variant, read_variants
 from baselines.training.config import TrainConfig
 from baselines.training.overrides import parse, words_of
 from mbn_marl.errors import ConfigError
@@ -42,12 +42,12 @@ def test_wrong_overrides_are_named(words: list[str], message: str) -> None:
 
 
 def test_variants_on_the_command_line_have_settings() -> None:
-    ppo, crossq = parse_variants(["ppo", "crossq:A"])
+    ppo, crossq = map(parse_variant, ["ppo", "crossq:A"])
     assert (ppo.name, crossq.name) == ("ppo", "crossq-A")
     assert crossq.training("field_03", 4, steps=9).name == "crossq-A-field_03-seed4"
     with pytest.raises(ConfigError, match=r"setting: .*'A', 'B' or 'N' \(got 'C'\)"):
-        parse_variants(["ppo:C"])
-    (mappo,) = parse_variants(["mappo:A"])
+        parse_variant("ppo:C")
+    mappo = parse_variant("mappo:A")
     with pytest.raises(ConfigError, match="setting: mappo has N, not A"):
         mappo.training("field_03", 0)
 
