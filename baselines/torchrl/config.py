@@ -24,10 +24,8 @@ class MultiAgentPPOConfig(Hyperparameters):
 
     Attributes:
         actor: ``"decentralized"``, each robot acts on its own observation, or ``"centralized"``,
-            one network maps all observations to all forces (the paper's single MDP: one team
-            reward, one log-probability).
-        critic: ``"centralized"``, it sees all robots' observations, or ``"independent"``, each
-            robot's value comes from its own.
+            one network maps all observations to all forces (one reward, one log-probability).
+        critic: it sees ``"centralized"`` all observations, or ``"independent"`` each robot's own.
         num_worlds: worlds stepped side by side.
         rollout_steps: decisions of every world between two updates.
         epochs, minibatches: passes over a rollout, and minibatches of a pass.
@@ -46,11 +44,9 @@ class MultiAgentPPOConfig(Hyperparameters):
         reward_scale: the learner sees the reward times this.
         action_repeat: env-steps that a decision lasts, from and to, falling linearly (rounded)
             over ``action_repeat_until`` of training. Evaluations always decide at every step.
-        roi_radius: how many times as large ROIs are at first (see ``curriculum``), 1 for none.
-            Training episodes in ``progress.csv`` are of that size, evaluations of the true one.
+        roi_radius: how many times as large ROIs are at first in training, 1 for no curriculum.
         roi_stages: the stages from there to the true size; each begins with new episodes.
-        roi_success: success rates of ``num_worlds`` training episodes or more: below the first
-            ROIs grow by a stage, from the second on they shrink by one.
+        roi_success: ``bounds`` of :class:`~baselines.torchrl.curriculum.RoiCurriculum`.
         episode_steps: training episodes are truncated after so many env-steps, if not before;
             evaluations are not.
     """
@@ -94,10 +90,6 @@ class MultiAgentPPOConfig(Hyperparameters):
     def repeat_at(self, progress: float) -> int:
         """The env-steps of a decision at ``progress``, in [0, 1]."""
         return round(between(self.action_repeat, progress / self.action_repeat_until))
-
-    def learning_rate_at(self, progress: float) -> float:
-        """The learning rate at ``progress``, in [0, 1]."""
-        return between(self.learning_rate, progress)
 
 
 def between(ends: tuple[float, float], share: float) -> float:

@@ -103,10 +103,7 @@ class Normalize(TensorDictModuleBase):
 
 
 class TeamNormal(torch.distributions.Distribution):
-    """Normal actions (..., n, 2), independent for each robot: log-probabilities (..., n).
-
-    The standard deviation is the same in every row, so it is not written out for each.
-    """
+    """Normal actions (..., n, 2): log-probabilities (..., n); all rows have one deviation."""
 
     arg_constraints: dict[str, torch.distributions.constraints.Constraint] = {}  # noqa: RUF012
     has_rsample = True
@@ -175,10 +172,7 @@ class GaussianPolicy(TensorDictModuleBase):
 
 
 class ValueNetwork(TensorDictModuleBase):
-    """Values (..., n, 1): from all observations (MAPPO) or each from its own (IPPO).
-
-    A centralised actor gets one value, (..., 1, 1), for the team.
-    """
+    """Values (..., n, 1), or one (..., 1, 1) for a centralised actor."""
 
     def __init__(self, shape: TeamShape, sees: Critic) -> None:
         super().__init__()

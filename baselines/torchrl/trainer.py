@@ -19,7 +19,7 @@ from torchrl.objectives.value import MultiAgentGAE
 from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
 from baselines.runs.rng_state import restore_generators, save_generators
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
-from baselines.torchrl.config import MultiAgentPPOConfig
+from baselines.torchrl.config import MultiAgentPPOConfig, between
 from baselines.torchrl.curriculum import RoiCurriculum
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
 from baselines.torchrl.policy import TeamPolicy
@@ -28,9 +28,8 @@ from baselines.training.run_logger import Recorder
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import make_config
 
-NETWORK, CRITIC, OPTIMIZER = (f"{name}.safetensors" for name in ("network", "critic", "optimizer"))
+NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
 WORLDS, COUNTERS = "worlds.npz", "counters.json"
-EPISODE_ENDS = ("next", "done")
 MINIMISED = ("loss_objective", "loss_critic", "loss_entropy")
 LOGGED = (*MINIMISED, "entropy", "kl_approx", "clip_fraction")
 
@@ -116,18 +115,19 @@ class Trainer:
     def _collect_from(self, env: NavigationEnv) -> None:
         """Collect rollouts from ``env`` from now on."""
         self.env = env
-        collector = Collector(
-            env,
-            TensorDictSequential(self.network.norm, self.actor),
-            frames_per_batch=self.config.decisions,
-            total_frames=-1,
-            device=env.device,  # without it every step is cast
-            track_traj_ids=False,
-            use_buffers=True,
-            return_same_td=True,
-            auto_register_policy_transforms=False,
+        self.rollouts = iter(
+            Collector(
+                env,
+                TensorDictSequential(self.network.norm, self.actor),
+                frames_per_batch=self.config.decisions,
+                total_frames=-1,
+                device=env.device,  # without it every step is cast
+                track_traj_ids=False,
+                use_buffers=True,
+                return_same_td=True,
+                auto_register_policy_transforms=False,
+            )
         )
-        self.rollouts = iter(collector)
 
     def run(self) -> None:
         """Train to the end of the budget, or until an evaluation passes."""
@@ -140,7 +140,7 @@ class Trainer:
             progress = env_steps / self.task.config.steps
             self.env.action_repeat = repeat = config.repeat_at(progress)
             for group in self.optimizer.param_groups:
-                group["lr"] = config.learning_rate_at(progress)
+                group["lr"] = between(config.learning_rate, progress)
             self.network.log_std.data.clamp_(max=config.cap_at(progress))
             started = time.perf_counter()
             rollout = next(self.rollouts).copy()
@@ -152,11 +152,10 @@ class Trainer:
                 "update_seconds": time.perf_counter() - collected,
                 "std": self.network.log_std.exp().mean().item(),
                 "roi_radius": self.curriculum.radius,
-                **losses,
             }
             self._count_episodes(rollout)
             env_steps += config.decisions * repeat
-            self.recorder.update(env_steps, policy, diagnostics)
+            self.recorder.update(env_steps, policy, diagnostics | losses)
             if self.recorder.checkpoint_due:
                 save = partial(self._save, env_steps)
                 self.recorder.save_checkpoint(env_steps, policy, save)
@@ -164,8 +163,7 @@ class Trainer:
 
     def _count_episodes(self, rollout: TensorDictBase) -> None:
         """Report the episodes that ended, and change the size of the ROIs when it is time."""
-        ended = rollout[EPISODE_ENDS]
-        metrics = rollout["next", "metrics"]
+        ended, metrics = rollout["next", "done"], rollout["next", "metrics"]
         successes = metrics["success"][ended].tolist()
         self.recorder.episodes.add(metrics["episode_return"][ended].tolist(), successes)
         self.curriculum.add(successes)
@@ -214,13 +212,8 @@ class Trainer:
 
     def _save(self, env_steps: int, folder: Path) -> None:
         """Write all that :meth:`_restore` needs into ``folder``, without pickle."""
-        tensors = {
-            NETWORK: self.network.state_dict(),
-            CRITIC: self.critic.state_dict(),
-            OPTIMIZER: moments_of(self.optimizer.state_dict()),
-        }
-        for name, entries in tensors.items():
-            write_tensors(folder / name, entries)
+        write_tensors(folder / NETWORKS, self.loss.state_dict())
+        write_tensors(folder / OPTIMIZER, moments_of(self.optimizer.state_dict()))
         write_arrays(folder / WORLDS, self.env.save_state(), compress=True)
         counters = {
             "env_steps": env_steps,
@@ -231,8 +224,7 @@ class Trainer:
 
     def _restore(self, folder: Path) -> int:
         """Continue from a checkpoint, at exactly the same point; return its env-steps."""
-        self.network.load_state_dict(read_tensors(folder / NETWORK))
-        self.critic.load_state_dict(read_tensors(folder / CRITIC))
+        self.loss.load_state_dict(read_tensors(folder / NETWORKS))
         moments = read_tensors(folder / OPTIMIZER)
         self.optimizer.load_state_dict(with_moments(self.optimizer.state_dict(), moments))
         counters = read_json(folder / COUNTERS)

@@ -14,7 +14,7 @@ from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
 from baselines.torchrl import trainer
-from baselines.torchrl.config import load
+from baselines.torchrl.config import between, load
 from baselines.torchrl.curriculum import RoiCurriculum
 from baselines.torchrl.networks import Key
 from baselines.training.config import TrainConfig
@@ -43,10 +43,16 @@ def test_the_algorithms_differ_by_what_actor_and_critic_see_alone() -> None:
 
 
 def test_the_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
-    changes = {"log_std_cap": [0.5, -1.5], "log_std_cap_from": 0.5, "learning_rate": [3.0, 1.0]}
+    changes = {"log_std_cap": [0.5, -1.5], "log_std_cap_from": 0.5}
     config = load("mappo", "N", changes)
     assert [config.cap_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == [0.5, 0.5, -0.5, -1.5]
-    assert [config.learning_rate_at(progress) for progress in (0.0, 0.25, 1.0)] == [3.0, 2.5, 1.0]
+    assert [between((3.0, 1.0), share) for share in (-1.0, 0.0, 0.25, 1.0, 2.0)] == [
+        3,
+        3,
+        2.5,
+        1,
+        1,
+    ]
 
 
 @pytest.mark.parametrize(("sharing", "told"), [("full", False), ("full+id", True), ("none", False)])
