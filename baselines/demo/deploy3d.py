@@ -1,4 +1,4 @@
-"""Policies off the plane: who is deployed where, and what came of it, in numbers."""
+"""Policies off the plane: who is deployed where, and the results in numbers."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field
 from mbn_marl.sim3d import Deployment, Scale, Simulator, deploy
 
-ZOO = "zoo"
-"""The zoo's own policy for each field."""
+ZOO = "zoo"  # the zoo's own policy for each field
 
 
 def find_pilots(
@@ -22,8 +21,7 @@ def find_pilots(
     """Find who acts in each of some fields.
 
     Args:
-        policy: ``"zoo"``, ``zoo:NAME``, a run's folder, ``"greedy"``, ``"planner"`` or
-            ``"random"``.
+        policy: ``"zoo"``, ``zoo:NAME``, a run's folder, ``"greedy"``, ``"planner"``, ``"random"``.
         fields: names or files; without any, a run's or a zoo policy's own.
         speed_limit: of the vehicles, units/step: classical policies plan with it.
 
@@ -70,10 +68,10 @@ def summarise(deployment: Deployment, scale: Scale) -> dict[str, Any]:
 def sweep_wind(
     actor: Actor, simulator: Simulator, speeds: Sequence[float], angle: float, *, every: bool
 ) -> list[Deployment]:
-    """Deploy an actor in winds, the weakest first.
+    """Deploy an actor in winds instead of its own, the weakest first.
 
     Args:
-        actor: who, where; these winds take the place of its own.
+        actor: who, where.
         simulator: is reset each time, and left open.
         speeds: of the wind, in any order, units/step per step.
         angle: of the wind, degrees from +x.

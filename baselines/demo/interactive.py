@@ -15,10 +15,11 @@ from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.errors import ConfigError
 from mbn_marl.render import Viewer
 
-_RIGHT, _LEFT, _UP, _DOWN = (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)
 DIRECTIONS = {
-    **{"right": _RIGHT, "left": _LEFT, "up": _UP, "down": _DOWN},
-    **{"d": _RIGHT, "a": _LEFT, "w": _UP, "s": _DOWN},
+    **dict.fromkeys(("right", "d"), (1.0, 0.0)),
+    **dict.fromkeys(("left", "a"), (-1.0, 0.0)),
+    **dict.fromkeys(("up", "w"), (0.0, 1.0)),
+    **dict.fromkeys(("down", "s"), (0.0, -1.0)),
 }
 """The force along x and y of each key."""
 _KEYS = "space: pause, R: restart, Esc: close"
@@ -26,21 +27,13 @@ _KEYS = "space: pause, R: restart, Esc: close"
 
 @dataclasses.dataclass(frozen=True)
 class Show:
-    """How episodes are shown.
+    """How episodes are shown."""
 
-    Attributes:
-        deterministic: take the policy's mean action instead of a sampled one.
-        seed: of the worlds and of sampled actions.
-        speed: steps a second, above 0.
-        episodes: how many; ``None``: until the window is closed.
-        rest: seconds that the end of an episode stays.
-    """
-
-    deterministic: bool = True
-    seed: int = 0
-    speed: float = 10.0
-    episodes: int | None = None
-    rest: float = 1.5
+    deterministic: bool = True  # take the policy's mean action instead of a sampled one
+    seed: int = 0  # of the worlds and of sampled actions
+    speed: float = 10.0  # steps a second, above 0
+    episodes: int | None = None  # how many; ``None``: until the window is closed
+    rest: float = 1.5  # seconds that the end of an episode stays
 
     def __post_init__(self) -> None:
         """Check the numbers."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,7 @@ RANDOM = "random"
 
 @dataclass(frozen=True)
 class Actor:
-    """A policy in its place.
-
-    Attributes:
-        policy: what acts.
-        field: where.
-        settings: of the environment.
-        name: what acts, in words.
-    """
+    """A policy in its field, with the environment's settings and a name in words."""
 
     policy: Policy
     field: Field
@@ -35,7 +28,7 @@ class Actor:
 
 
 def find_actor(source: str, policy: str | None = None, *, seed: int = 0) -> Actor:
-    """The actor of a command line.
+    """Find the actor of a command line.
 
     Args:
         source: a run's folder or ``zoo:NAME``, with their field; or a field's name or file.
@@ -48,10 +41,10 @@ def find_actor(source: str, policy: str | None = None, *, seed: int = 0) -> Acto
             ROIs than the field's.
     """
     if source.startswith(PREFIX) or Path(source).is_dir():
-        if policy is not None:
-            problem = f"policy: {source} has its own; to try another, name a field"
-            raise ConfigError("policy", [problem])
-        return _of_run(open_run(source), source)
+        if policy is None:
+            return _of_run(open_run(source), source)
+        problem = f"policy: {source} has its own; to try another, name a field"
+        raise ConfigError("policy", [problem])
     if is_episode_file(source):
         raise ConfigError("policy", [f"{source} is an episode; `mbn replay` plays it"])
     field = load_field(source)
@@ -62,12 +55,11 @@ def find_actor(source: str, policy: str | None = None, *, seed: int = 0) -> Acto
     if sizes[0] != sizes[1]:
         trained, asked = (f"{robots} robots and {rois} ROIs" for robots, rois in sizes)
         raise ConfigError("policy", [f"{policy}: trained for {trained}; {field.name} has {asked}"])
-    actor = _of_run(run, str(policy))
-    return Actor(actor.policy, field, actor.settings, f"{policy} in {field.name}")
+    return replace(_of_run(run, ""), field=field, name=f"{policy} in {field.name}")
 
 
 def zoo_policy(source: str) -> str | None:
-    """The zoo's policy for a field of the catalogue, if there is one."""
+    """Return the zoo's policy for a field of the catalogue, if there is one."""
     return f"{PREFIX}{source}" if source in entry_names() else None
 
 

@@ -78,7 +78,7 @@ def play(
         actions: (T, n, 2), clipped to [-1, 1].
         starts: the robots' starts, (n, 2), units; ``None`` for the field's own.
         source: the name of what chose the actions.
-        seed: the seed of what chose the actions.
+        seed: of that.
 
     Raises:
         ConfigError: field, configuration and starts do not fit together.

@@ -17,12 +17,9 @@ from mbn_marl.files import replacing
 
 GIF_RATES, MP4_RATES = (0.01, 50.0), (0.01, 120.0)
 """Allowed frames per second; a GIF counts hundredths of a second, and viewers slow down a one."""
-_SAMPLED = 8
-"""Frames that a GIF's one palette is made from; with one palette only what moves is stored."""
-_QUALITY = 8
-"""Of an MP4, out of 10; below it, thin lines fray."""
-_EVEN = 2
-"""Sides of an MP4 have to be a multiple of this: colour is stored for every second pixel."""
+_SAMPLED = 8  # frames that a GIF's palette is made from; with one, only what moves is stored
+_QUALITY = 8  # of an MP4, out of 10; below it, thin lines fray
+_EVEN = 2  # an MP4's sides are a multiple of this: colour is stored for every second pixel
 
 
 class Mp4Writer(AbstractContextManager["Mp4Writer"]):

@@ -25,8 +25,7 @@ Band = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Steps, mean, and the two ends of the band, (k,) each."""
 
 _RESAMPLES = 10_000
-_RULE: dict[str, Any] = {"color": style.FAINT_INK, "lw": 1.0}
-"""The look of a marked return."""
+_RULE: dict[str, Any] = {"color": style.FAINT_INK, "lw": 1.0}  # the look of a marked return
 _AT_VALUE: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "color": style.FAINT_INK}
 _PAIR_MARKS: tuple[dict[str, Any], ...] = (
     {"marker": "o", "ls": "none", "color": style.BLUE, "mfc": style.WHITE, "ms": 7.5, "mew": 1.3},
@@ -90,11 +89,8 @@ def learning_curves(
         seeds = len(curves[name])
         label = f"{name} ({seeds} seed{'' if seeds == 1 else 's'})"
         _draw_curve(axes, band, style.series(looks[name]), label, banded=seeds > 1)
-    marks = [
-        (label, mark, dash)
-        for label, mark, dash in (("threshold", threshold, ":"), ("optimum", optimum, "-"))
-        if mark is not None
-    ]
+    given = (("threshold", threshold, ":"), ("optimum", optimum, "-"))
+    marks = [(label, mark, dash) for label, mark, dash in given if mark is not None]
     note = _scale_bands(axes, bands.values(), [mark for _, mark, _ in marks])
     for label, mark, dash in marks:
         axes.axhline(mark, ls=dash, zorder=2, **_RULE)

@@ -16,8 +16,7 @@ from mbn_marl.render import style
 END = 0.9
 """Where the second panel of a profile begins: what is left to the best possible score."""
 
-_WIDTH = 4.6
-"""Width of a figure, inches: about that of a phone."""
+_WIDTH = 4.6  # inches: about that of a phone
 
 Interval = tuple[float, float | None, float | None]
 """A value and the ends of its interval, ``None`` if it has none."""
@@ -28,10 +27,7 @@ Band = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def intervals_figure(panels: Mapping[str, Mapping[str, Interval]]) -> Figure:
-    """Draw shares with their intervals, a panel for each quantity, one below the other.
-
-    Args:
-        panels: for each title, for each line its share and interval.
+    """Draw shares with their intervals, a panel for each title, one below the other.
 
     Raises:
         MbnError: there is nothing to draw.
@@ -57,10 +53,7 @@ def intervals_figure(panels: Mapping[str, Mapping[str, Interval]]) -> Figure:
 
 
 def chances_figure(lines: Mapping[str, Interval], title: str) -> Figure:
-    """Draw probabilities with their intervals on an axis from 0 to 100 %, with a line at 50 %.
-
-    Arguments and errors as :func:`intervals_figure`, for the panel of that title.
-    """
+    """Draw probabilities with their intervals on an axis from 0 to 100 %, with a line at 50 %."""
     figure = intervals_figure({title: lines})
     (axes,) = figure.axes
     axes.axvline(0.5, color=style.FAINT_INK, ls=":", lw=1.2, zorder=1)
@@ -76,8 +69,8 @@ def profiles_figure(
 
     Args:
         profiles: for each line its shares and the ends of their band, (k,) each.
-        thresholds: (k,), increasing.
-        score: what is measured.
+        thresholds: (k,), increasing, of the ``score``.
+        score: the name of the x axis.
         looks: the number of each line's style.
 
     Raises:

@@ -26,24 +26,16 @@ from mbn_marl.render import maps, style
 
 FORMATS = (".png", ".pdf", ".svg")
 
-_WIDTH = 4.6
-"""Width of a figure of one field, inches."""
-_HEIGHTS = (3.0, 5.6)
-"""Least and greatest height of a figure of one field, inches."""
+_WIDTH, _HEIGHTS = 4.6, (3.0, 5.6)
+"""Of a figure of one field, with its least and greatest height, inches."""
 _PANEL_WIDTH, _PAIR_WIDTH, _FIELD_WIDTH = 3.2, 2.6, 1.9
 """Of a panel with one episode, with a pair, and with a field alone, inches."""
-_TITLES = 0.6
-"""Height of a panel's title and axis label, inches."""
+_TITLES = 0.6  # height of a panel's title and axis label, inches
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def field_figure(field: Field, *, roi_radius: float = maps.ROI_RADIUS) -> Figure:
-    """Draw a field with its holes, its numbered ROIs and the robots' starts.
-
-    Args:
-        field: what to draw.
-        roi_radius: rho, units.
-    """
+    """Draw a field with its holes, its numbered ROIs, ``roi_radius`` in units, and the starts."""
     figure, axes = _canvas(field, field.name)
     maps.draw_field(axes, field, roi_radius=roi_radius)
     maps.draw_robots(axes, field.starts)
@@ -53,11 +45,7 @@ def field_figure(field: Field, *, roi_radius: float = maps.ROI_RADIUS) -> Figure
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def fields_figure(fields: Sequence[Field], *, roi_radius: float = maps.ROI_RADIUS) -> Figure:
-    """Draw all ``fields`` side by side with their ROIs, starts and a scale bar each.
-
-    Args:
-        fields: what to draw (one at least).
-        roi_radius: rho, units.
+    """Draw fields side by side with ROIs, ``roi_radius`` in units, starts and a scale bar each.
 
     Raises:
         MbnError: there is no field.

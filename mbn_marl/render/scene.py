@@ -17,10 +17,8 @@ if TYPE_CHECKING:
     from mbn_marl.engine.snapshot import Snapshot
 
 _MINUS = "\N{MINUS SIGN}"
-_NOMINAL = 400.0
-"""The picture's smaller side, in pixels, at which the sizes below hold; they grow with it."""
-_SMALLEST_SCALE = 0.7
-"""What they shrink to at most: smaller text cannot be read."""
+_NOMINAL = 400.0  # the smaller side, in pixels, at which the sizes below hold; they grow with it
+_SMALLEST_SCALE = 0.7  # what they shrink to at most: smaller text cannot be read
 _MARGIN, _HEADER, _FOOTER = 16.0, 46.0, 20.0
 _ROBOT, _ROI, _TRAIL, _COMPASS = 8.0, 6.0, 2.0, 19.0
 _FONT, _SMALL_FONT = 18.0, 13.0
@@ -32,10 +30,7 @@ class Scene:
     Robots and ROIs are markers of a size that can be read, with the circles of the safety
     distance and of the ROI radius round them to scale where there is room.
 
-    Args:
-        size: width and height of the picture, pixels.
-        own: the index of the robot to mark as the user's; ``None`` for none.
-        keys: a line below the field, about the keys; none if empty.
+    Arguments as :class:`~mbn_marl.render.Viewer`.
     """
 
     def __init__(self, size: tuple[int, int], own: int | None = None, keys: str = "") -> None:

@@ -18,17 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from mbn_marl.field import Field
 from mbn_marl.render import style
 
-_FINE = 4
-"""How many times larger than shown a piece is drawn."""
-
-_VISITED_TINT, _SAFETY_TINT = 70, 60
-"""Opacity, 0 to 255, of the circles drawn to scale."""
-
-_ROOM = 1.2
-"""A circle to scale is drawn where it is this many times larger than the marker inside it."""
-
-_OWN = 1.65
-"""Radius of the ring round the user's robot, as a share of the robot's disc."""
+_FINE = 4  # how many times larger than shown a piece is drawn
+_VISITED_TINT, _SAFETY_TINT = 70, 60  # opacity, 0 to 255, of the circles drawn to scale
+_ROOM = 1.2  # a circle to scale is drawn where it is so many times larger than the marker inside
+_OWN = 1.65  # radius of the ring round the user's robot, as a share of the robot's disc
 
 Painter = Callable[[pygame.Surface, float, float], None]
 """Paints a square surface, given its centre coordinate and the size of a shown pixel."""
@@ -36,23 +29,16 @@ Painter = Callable[[pygame.Surface, float, float], None]
 
 @dataclass(frozen=True)
 class Viewport:
-    """The map from field units to pixels, ``origin + scale * (x, -y)``.
-
-    Attributes:
-        scale: pixels per unit, the same along both axes.
-        origin: where the point (0, 0) falls, in pixels from the top left corner.
-    """
+    """The map from field units to pixels from the top left corner, ``origin + scale * (x, -y)``."""
 
     scale: float
     origin: tuple[float, float]
 
     @classmethod
     def fit(cls, points: NDArray[Any], area: tuple[float, float, float, float]) -> Viewport:
-        """Centre the bounding box of ``points`` in ``area``, as large as it goes.
+        """Centre the bounding box of ``points`` (k, 2) in ``area``, as large as it goes.
 
-        Args:
-            points: (k, 2), units; not all on one point.
-            area: left, top, width and height, in pixels.
+        The area is left, top, width and height, in pixels.
         """
         left, top, width, height = area
         low, high = points.min(axis=0), points.max(axis=0)
@@ -62,7 +48,7 @@ class Viewport:
         return cls(scale, (left + width / 2.0 - x, top + height / 2.0 + y))
 
     def to_pixels(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return points (..., 2) in units as pixels (..., 2), from the top left corner."""
+        """Return points (..., 2) in units as pixels (..., 2)."""
         return np.asarray(self.origin) + np.asarray(points, np.float64) * (self.scale, -self.scale)
 
 
@@ -74,14 +60,7 @@ def blank(size: tuple[int, int]) -> pygame.Surface:
 def terrain(
     field: Field, view: Viewport, size: tuple[int, int], line_width: float
 ) -> pygame.Surface:
-    """Draw the ground of ``field`` with its holes, outlined, on the obstacle colour.
-
-    Args:
-        field: what to draw.
-        view: where it goes.
-        size: of the surface, pixels.
-        line_width: of the outlines, pixels.
-    """
+    """Draw the ground of ``field`` with its holes, outlined, on the obstacle colour; pixels."""
     fine = blank((size[0] * _FINE, size[1] * _FINE))
     fine.fill(style.rgb(style.OBSTACLE))
     width, outline = max(round(line_width * _FINE), 1), style.rgb(style.OUTLINE)
@@ -98,10 +77,7 @@ def terrain(
 def roi(visited: bool, marker: float, reach: float) -> pygame.Surface:
     """Draw an ROI: a hollow marker until it is visited, then a filled one with a tick.
 
-    Args:
-        visited: whether a robot has been there.
-        marker: radius of the marker, pixels.
-        reach: distance within which a robot visits it, pixels; without room it has no circle.
+    ``marker`` is its radius and ``reach`` that of the circle from which it is visited, pixels.
     """
     colour = style.rgb(style.ROI_VISITED if visited else style.ROI_OPEN)
     white = style.rgb(style.WHITE)
@@ -127,13 +103,9 @@ def roi(visited: bool, marker: float, reach: float) -> pygame.Surface:
 
 
 def robot(index: int, radius: float, safety: float, *, own: bool = False) -> pygame.Surface:
-    """Return robot ``index``: a disc with its number, in the circle of its safety distance.
+    """Draw a robot: a disc with its number, in the circle of half its safety distance, pixels.
 
-    Args:
-        index: 0, 1, ...; names the robot and chooses its colour.
-        radius: of the disc, pixels.
-        safety: half of the safety distance, pixels; without room it has no circle.
-        own: mark it as the user's, by a thick dark ring.
+    A thick dark ring marks the user's ``own``.
     """
     colour = style.robot_colour(index)
     mark = _OWN * radius if own else 0.0
@@ -157,12 +129,7 @@ def robot(index: int, radius: float, safety: float, *, own: bool = False) -> pyg
 
 
 def wind_arrow(wind: tuple[float, float], radius: float) -> pygame.Surface:
-    """Draw an arrow in a ring of ``radius`` pixels that points the way the wind blows, y up.
-
-    Args:
-        wind: ``(v_x, v_y)``, not both 0; only the direction counts.
-        radius: of the ring, pixels.
-    """
+    """Draw an arrow in a ring of ``radius`` pixels that points the way the wind blows, y up."""
     angle = math.atan2(-wind[1], wind[0])
     cos, sin = math.cos(angle), math.sin(angle)
 

@@ -21,10 +21,8 @@ LAVENDER: Final = "#9977FF"
 INDIGO: Final = "#4F22E8"
 WHITE: Final = "#FFFFFF"
 
-GROUND: Final = WHITE
-"""Inside the field."""
-OBSTACLE: Final = "#DDE2E8"
-"""Outside the field, and in its holes."""
+GROUND: Final = WHITE  # inside the field
+OBSTACLE: Final = "#DDE2E8"  # outside the field, and in its holes
 OUTLINE: Final = "#3C4650"
 INK: Final = "#1B232B"
 FAINT_INK: Final = "#6B7681"

@@ -17,11 +17,9 @@ if TYPE_CHECKING:
     from mbn_marl.render.scene import Scene
 
 RENDER_MODES = ("human", "rgb_array")
-RENDER_SIZE = (800, 800)
-"""Width and height of a picture, pixels, unless told otherwise."""
+RENDER_SIZE = (800, 800)  # width and height of a picture, pixels, unless given
 SMALLEST_SIDE = 200
-UNSEEN = "offscreen"
-"""The driver that SDL falls back to where there is no display."""
+UNSEEN = "offscreen"  # the driver that SDL falls back to where there is no display
 
 
 class Viewer:

@@ -9,31 +9,21 @@ import numpy as np
 
 from mbn_marl.sim3d.vehicle import GRAVITY, Array, Senses, Vehicle, add, add_air_shape
 
-BODY_MASS, WHEEL_MASS = 3.0, 0.3
-"""kg."""
-WHEEL_RADIUS, TRACK = 0.1, 0.3
-"""Metres; the track is from wheel to wheel."""
-BODY_CENTRE = 0.15
-"""Of the body's middle above the axle, metres."""
-BODY_HALF = (0.06, 0.1, 0.15)
-"""Half the body's sides, metres."""
-FULL_TORQUE = 2.0
-"""Of a wheel, N m."""
+BODY_MASS, WHEEL_MASS = 3.0, 0.3  # kg
+WHEEL_RADIUS, TRACK = 0.1, 0.3  # metres; the track is from wheel to wheel
+BODY_CENTRE = 0.15  # of the body's middle above the axle, metres
+BODY_HALF = (0.06, 0.1, 0.15)  # half the body's sides, metres
+FULL_TORQUE = 2.0  # of a wheel, N m
 
-SPEED_LIMIT = 2.0
-"""Units/step, as in the paper."""
-VELOCITY_GAIN = 1.2
-"""1/s: acceleration per error of the forward speed."""
-STEEPEST = 0.15
-"""rad: the most that it leans to speed up or to brake."""
+SPEED_LIMIT = 2.0  # units/step, as in the paper
+VELOCITY_GAIN = 1.2  # 1/s: acceleration per error of the forward speed
+STEEPEST = 0.15  # rad: the most that it leans to speed up or to brake
 LEAN_GAIN, LEAN_RATE_GAIN = 14.0, 2.6
 """N m/rad and N m s/rad: the wheels' torque per error of the lean and per its rate."""
 HEADING_GAIN, FASTEST_TURN = 4.0, 4.0
 """1/s and rad/s: rate of turn per error of the heading, and its limit."""
-TURN_GAIN = 0.15
-"""N m s/rad: difference of the wheels' torques per error of the rate of turn."""
-STILL = 1e-3
-"""m/s: a command below this has no direction to turn to."""
+TURN_GAIN = 0.15  # N m s/rad: difference of the wheels' torques per error of the rate of turn
+STILL = 1e-3  # m/s: a command below this has no direction to turn to
 
 
 class Balancer(Vehicle):

@@ -13,17 +13,13 @@ from typing import Any
 from mbn_marl.errors import ConfigError, SimulatorError
 
 _HINT = "is CoppeliaSim running, with its ZMQ remote API server on this port?"
-_PROBE = 1.0
-"""Seconds that finding out why nobody answers may take."""
+_PROBE = 1.0  # seconds that finding out why nobody answers may take
 
 
 class CoppeliaLink:
     """CoppeliaSim's remote API through its official client, which would wait for ever.
 
-    Args:
-        host: the machine that CoppeliaSim runs on.
-        port: of its ZMQ remote API server.
-        timeout: seconds, above 0, that any call may take.
+    Any call may take ``timeout`` seconds, above 0.
 
     Attributes:
         lost: whether a call got no usable answer; the link is then closed.

@@ -18,16 +18,11 @@ from mbn_marl.sim3d.simulator import Mission
 
 Array = NDArray[np.float64]
 
-_THIN = 0.05
-"""Metres: how thick walls and the soil are."""
-_FLAT = 0.008
-"""Metres above the soil: the line round the field, and the areas to be sprayed."""
-_ABOVE_FLOOR = 0.002
-"""Metres, at which the soil covers the floor of CoppeliaSim's empty scene."""
-_MARGIN = 2.0
-"""Metres of soil on each side of the field."""
-_PATH_WIDTH, _PATH_ITEMS = 3.0, 10_000
-"""Pixels, and the lines that a path holds; then the oldest go."""
+_THIN = 0.05  # metres: how thick walls and the soil are
+_FLAT = 0.008  # metres above the soil: the line round the field, and the areas to be sprayed
+_ABOVE_FLOOR = 0.002  # metres, at which the soil covers the floor of CoppeliaSim's empty scene
+_MARGIN = 2.0  # metres of soil on each side of the field
+_PATH_WIDTH, _PATH_ITEMS = 3.0, 10_000  # pixels; the lines that a path holds, then the oldest go
 
 
 class Follower(NamedTuple):
@@ -39,12 +34,9 @@ class Follower(NamedTuple):
 
 
 class CoppeliaScene:
-    """What one reset makes in CoppeliaSim, noted so that all of it can be removed.
+    """The objects that one reset makes in CoppeliaSim while no simulation runs.
 
     Its methods raise :class:`~mbn_marl.errors.SimulatorError` where CoppeliaSim refuses a call.
-
-    Args:
-        link: to CoppeliaSim, with no simulation running.
     """
 
     def __init__(self, link: CoppeliaLink) -> None:
@@ -75,11 +67,7 @@ class CoppeliaScene:
             self._weeds.append(self._mesh("weed", here, scene.WEED))
 
     def add_vehicle(self, model: str, place: Sequence[float]) -> Follower:
-        """Load a vehicle that follows a dummy.
-
-        Args:
-            model: a file in CoppeliaSim's folder of resources, or an absolute path on its machine.
-            place: ``(x, y, z)``, metres.
+        """Load a vehicle that follows a dummy, at a ``place`` (x, y, z) in metres.
 
         Raises:
             SimulatorError: there is no such model, or it has no object ``target``.

@@ -17,13 +17,10 @@ from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Scale, Simulator
 
 Array = NDArray[np.float64]
 
-QUADCOPTER = "models/robots/mobile/Quadcopter.ttm"
-"""The quadcopter that CoppeliaSim ships with."""
+QUADCOPTER = "models/robots/mobile/Quadcopter.ttm"  # ships with CoppeliaSim
 
-_LEASH = 1.0
-"""Metres that a target may be ahead of its vehicle: one that is held up stores up no more."""
-_POLL = 0.01
-"""Seconds between two looks at a simulation that is coming to its end."""
+_LEASH = 1.0  # metres that a target may be ahead of its vehicle: one held up stores up no more
+_POLL = 0.01  # seconds between two looks at a simulation that is coming to its end
 
 
 class CoppeliaSimulator(Simulator):

@@ -19,16 +19,13 @@ from mbn_marl.sim3d.simulator import Floats, Mission, Simulator
 class Policy(Protocol):
     """A policy, such as those of ``baselines``.
 
-    Attributes:
-        observes: ``"observations"``, the robots' own, (1, n, obs_size), or ``"state"``, the
-            paper's vector, (1, 4n + 1).
+    It ``observes`` the robots' observations (1, n, obs_size) or the paper's state (1, 4n + 1).
     """
 
     observes: Literal["observations", "state"]
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """Actions (1, n, 2) in [-1, 1] for what ``observes`` names."""
-        ...
+        """Return actions (1, n, 2) in [-1, 1] for what ``observes`` names."""
 
 
 @dataclass(frozen=True, eq=False)

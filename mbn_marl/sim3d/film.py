@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import os
+import sys
+from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +15,12 @@ from numpy.typing import NDArray
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.render import style
 from mbn_marl.render.animation import Mp4Writer
-from mbn_marl.sim3d.loading import load_mujoco
 from mbn_marl.sim3d.scene import CAMERAS, LARGEST_PICTURE
 
 PATH_HEIGHT, PATH_WIDTH, APART = 0.03, 0.05, 0.1
 """Of the paths, which lie on the ground, and between two points of one, metres."""
 MOST_SHAPES = 20_000
-REST = 1.0
-"""Seconds that a film rests on its end."""
+REST = 1.0  # seconds that a film rests on its end
 
 
 class Film:
@@ -117,3 +119,27 @@ class Film:
             self._renderer.close()
             self._renderer = None
             self._writer.close()
+
+
+def load_mujoco() -> Any:
+    """Return MuJoCo, which draws by EGL, if there is one, where there is no display.
+
+    MuJoCo chooses how to draw when it is first imported, which another package may have done;
+    ``MUJOCO_GL`` decides.
+
+    Raises:
+        ImportError: it is not installed, naming the extra that brings it.
+    """
+    headless = sys.platform == "linux" and not os.environ.get("DISPLAY")
+    late = headless and "MUJOCO_GL" not in os.environ and "mujoco" in sys.modules
+    if headless:
+        os.environ.setdefault("MUJOCO_GL", "egl" if find_library("EGL") else "disable")
+    try:
+        import mujoco
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            'simulating vehicles needs MuJoCo: pip install "mbn_marl[sim3d]"', name="mujoco"
+        ) from error
+    if late:
+        importlib.reload(sys.modules[mujoco.Renderer.__module__].gl_context)
+    return mujoco

@@ -10,18 +10,15 @@ import numpy as np
 
 from mbn_marl.errors import ConfigError
 from mbn_marl.sim3d.balancer import Balancer
-from mbn_marl.sim3d.film import Film
-from mbn_marl.sim3d.loading import load_mujoco
+from mbn_marl.sim3d.film import Film, load_mujoco
 from mbn_marl.sim3d.quadrotor import Quadrotor
 from mbn_marl.sim3d.scene import SPRAYED_AREA, SPRAYED_WEED, Frame, build_scene
 from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Scale, Simulator
 from mbn_marl.sim3d.vehicle import Array, Senses, Vehicle
 
 VEHICLES: Mapping[str, type[Vehicle]] = {"quadrotor": Quadrotor, "balancer": Balancer}
-CONTROL_PERIOD = 0.01
-"""Seconds between two runs of the controllers, at most."""
-SUBSTEPS = 2
-"""Steps of the physics in a control period."""
+CONTROL_PERIOD = 0.01  # seconds between two runs of the controllers, at most
+SUBSTEPS = 2  # steps of the physics in a control period
 
 
 class MujocoSimulator(Simulator):

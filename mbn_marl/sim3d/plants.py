@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 ROW_SPACING, PLANT_SPACING = 0.75, 0.25
 """Metres between rows and along them, as corn is sown; further apart in large fields."""
 MOST_PLANTS = 1500
-CORN_HEIGHT = 0.22
-"""Metres: the vehicles fly above it."""
+CORN_HEIGHT = 0.22  # metres: the vehicles fly above it
 LEAF = np.array([[0.0, -0.012, 0.0], [0.0, 0.012, 0.0], [0.07, 0.0, 1.0], [0.16, 0.0, 0.7]])
 """A leaf that points along +x: base, bend and tip; z in heights of the plant."""
-LEAF_FACES = np.array([[0, 1, 2], [0, 2, 1], [1, 3, 2], [1, 2, 3]])
-"""Both sides of each triangle are faces."""
+LEAF_FACES = np.array([[0, 1, 2], [0, 2, 1], [1, 3, 2], [1, 2, 3]])  # both sides of each
 
 Array = NDArray[np.float64]
 
@@ -65,6 +63,5 @@ def _leaves(places: Array, turns: Array, heights: Array, leaves: int, width: flo
         ],
         axis=-1,
     )
-    count = angles.size
-    faces = LEAF_FACES + len(LEAF) * np.arange(count)[:, None, None]
+    faces = LEAF_FACES + len(LEAF) * np.arange(angles.size)[:, None, None]
     return Mesh(points.reshape(-1, 3), faces.reshape(-1, 3))

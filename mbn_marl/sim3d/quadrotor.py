@@ -9,34 +9,23 @@ import numpy as np
 
 from mbn_marl.sim3d.vehicle import GRAVITY, Array, Senses, Vehicle, add, add_air_shape
 
-MASS = 1.0
-"""kg."""
-INERTIA = np.array([0.008, 0.008, 0.014])
-"""Of the whole about its centre, kg m^2: about a disc of 0.18 m."""
-INERTIA_STEPS = INERTIA[[2, 0, 1]] - INERTIA[[1, 2, 0]]
-"""What makes ``w x J w`` of the body rates, kg m^2."""
-ARM = 0.15
-"""Of each rotor's offset along x and along y, metres."""
-REACTION = 0.016
-"""Torque about the rotor's axis per thrust, metres."""
-FULL_THRUST = 6.0
-"""Of one rotor, N; hovering takes 2.45."""
-ROTOR_LAG = 0.02
-"""Time constant of a rotor's thrust, seconds."""
+MASS = 1.0  # kg
+INERTIA = np.array([0.008, 0.008, 0.014])  # about the centre, kg m^2: a disc of 0.18 m
+INERTIA_STEPS = INERTIA[[2, 0, 1]] - INERTIA[[1, 2, 0]]  # for ``w x J w`` of the body rates
+ARM = 0.15  # of each rotor's offset along x and along y, metres
+REACTION = 0.016  # torque about the rotor's axis per thrust, metres
+FULL_THRUST = 6.0  # of one rotor, N; hovering takes 2.45
+ROTOR_LAG = 0.02  # time constant of a rotor's thrust, seconds
 ROTORS = ((1, 1, -1), (1, -1, 1), (-1, -1, -1), (-1, 1, 1))
 """Where each rotor is along x and y, in arms, and the sign of its reaction."""
 HOVER = MASS * GRAVITY / len(ROTORS)
 
-HEIGHT = 0.35
-"""Metres above the ground, as in the paper."""
-VELOCITY_GAIN = 4.0
-"""1/s: acceleration per error of the horizontal velocity."""
+HEIGHT = 0.35  # metres above the ground, as in the paper
+VELOCITY_GAIN = 4.0  # 1/s: acceleration per error of the horizontal velocity
 HEIGHT_GAIN, CLIMB_GAIN = 9.0, 6.0
 """1/s^2 and 1/s: vertical acceleration per error of height and per climb; critically damped."""
-ATTITUDE_RATE, DAMPING = 16.0, 0.9
-"""rad/s and a ratio: the attitude follows as a second-order system of these."""
-STEEPEST = 3.0
-"""m/s^2, the most horizontal acceleration: a tilt of 17 degrees."""
+ATTITUDE_RATE, DAMPING = 16.0, 0.9  # rad/s and a ratio: the attitude is a second-order system
+STEEPEST = 3.0  # m/s^2, the most horizontal acceleration: a tilt of 17 degrees
 
 
 class Quadrotor(Vehicle):
@@ -95,13 +84,11 @@ class Quadrotor(Vehicle):
         """Return thrusts of the rotors (n, 4), N, for velocities ``commands`` (n, 2), m/s."""
         push = self._acceleration(senses, commands) + np.array([0.0, 0.0, GRAVITY])
         thrust = MASS * np.einsum("ni,ni->n", push, senses.rotations[:, :, 2])
-        error = attitude_error(senses.rotations, wanted_attitude(push))
-        turning = -(ATTITUDE_RATE**2) * error - 2.0 * DAMPING * ATTITUDE_RATE * senses.rates
-        rates = senses.rates
+        error, rates = attitude_error(senses.rotations, wanted_attitude(push)), senses.rates
+        turning = -(ATTITUDE_RATE**2) * error - 2.0 * DAMPING * ATTITUDE_RATE * rates
         gyroscopic = INERTIA_STEPS * rates[:, (1, 2, 0)] * rates[:, (2, 0, 1)]
         torque = INERTIA * turning + gyroscopic
-        thrusts: Array = np.column_stack([thrust, torque]) @ self._unmix.T
-        return thrusts
+        return np.column_stack([thrust, torque]) @ self._unmix.T
 
     def _acceleration(self, senses: Senses, commands: Array) -> Array:
         """Return the acceleration (n, 3), m/s^2, that the velocity and the height ask for."""
@@ -129,5 +116,4 @@ def attitude_error(rotations: Array, wanted: Array) -> Array:
     """Return half the skew part of ``wanted^T rotations``, (n, 3, 3), as vectors (n, 3)."""
     relative = wanted.transpose(0, 2, 1) @ rotations
     skew = (relative - relative.transpose(0, 2, 1)) / 2.0
-    error: Array = skew[:, (2, 0, 1), (1, 2, 0)]
-    return error
+    return skew[:, (2, 0, 1), (1, 2, 0)]

@@ -20,14 +20,9 @@ from mbn_marl.sim3d.vehicle import GRAVITY, Vehicle, add
 
 SOIL, DARK_SOIL, LEAF_GREEN = "0.42 0.33 0.24", "0.34 0.26 0.19", "0.36 0.6 0.22 1"
 CHALK = "0.95 0.95 0.93 1"
-OBSTACLE_HEIGHT = 0.8
-"""Metres."""
-BOUNDARY_WIDTH = 0.06
-"""Of the line round the field, metres."""
-AIR_DENSITY = 1.2
-"""kg/m^3."""
-FIELD_OF_VIEW = 40.0
-"""Of the cameras, degrees from the bottom to the top."""
+OBSTACLE_HEIGHT, BOUNDARY_WIDTH = 0.8, 0.06  # and of the line round the field, metres
+AIR_DENSITY = 1.2  # kg/m^3
+FIELD_OF_VIEW = 40.0  # of the cameras, degrees from the bottom to the top
 CAMERAS = ("field", "top", "chase")
 """Across the whole field, from above, and behind the first robot."""
 LARGEST_PICTURE = (1920, 1080)
@@ -36,12 +31,7 @@ Array = NDArray[np.float64]
 
 
 class Frame:
-    """From the field's units to the world's metres: the middle of the field is the origin.
-
-    Args:
-        mission: with the field.
-        metres: of one unit.
-    """
+    """The map from the field's units to the world's ``metres``; the origin is its middle."""
 
     def __init__(self, mission: Mission, metres: float) -> None:
         low, high = mission.field.vertices.min(axis=0), mission.field.vertices.max(axis=0)
@@ -55,13 +45,11 @@ class Frame:
 
     def to_metres(self, points: NDArray[np.floating]) -> Array:
         """Return points (k, 2) in units as metres."""
-        moved: Array = (np.asarray(points, float) - self.middle) * self.metres
-        return moved
+        return (np.asarray(points, float) - self.middle) * self.metres
 
     def to_units(self, points: Array) -> Array:
         """Return points (k, 2) in metres as units."""
-        moved: Array = points / self.metres + self.middle
-        return moved
+        return points / self.metres + self.middle
 
 
 # What all scenes share: physics, light, the classes of geoms, soil, sky and sun.
@@ -109,15 +97,9 @@ _COMMON = f"""
 
 
 def build_scene(mission: Mission, frame: Frame, vehicle: Vehicle, timestep: float) -> str:
-    """Return the MJCF of a mission.
+    """Return the MJCF of a mission with a ``vehicle`` at each start; ``timestep`` in seconds.
 
     Robot i is the body ``robot_i``, ROI j the geoms ``weed_j`` and ``area_j``.
-
-    Args:
-        mission: the field and the starts.
-        frame: from units to metres.
-        vehicle: what stands at each start.
-        timestep: of the simulation, seconds.
     """
     root = ElementTree.fromstring(_COMMON)
     root.set("model", mission.field.name)
@@ -134,9 +116,8 @@ def build_scene(mission: Mission, frame: Frame, vehicle: Vehicle, timestep: floa
     if len(places):
         _add_mesh(assets, "corn", corn(places))
         add_scenery(world, "mesh", mesh="corn", rgba=LEAF_GREEN)
-    _add_weeds(
-        assets, world, frame.to_metres(mission.field.rois), mission.roi_radius * frame.metres
-    )
+    rois = frame.to_metres(mission.field.rois)
+    _add_weeds(assets, world, rois, mission.roi_radius * frame.metres)
     _add_cameras(world, frame)
     for index, (x, y) in enumerate(frame.to_metres(mission.starts)):
         name = f"robot_{index}"

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
-"""Metres per second squared."""
+GRAVITY = 9.81  # metres per second squared
 
 
 class Senses(NamedTuple):

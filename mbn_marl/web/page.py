@@ -24,7 +24,7 @@ def whole(
     Args:
         body: the name of the body's template.
         title: as plain text.
-        values: of the body's names, as HTML.
+        values: of the template's names, as HTML.
         extra_styles: names of style sheets besides the player's.
     """
     return _fill(

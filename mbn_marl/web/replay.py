@@ -13,9 +13,7 @@ from mbn_marl.web import page
 def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
     """Return a self-contained HTML page that plays ``episodes`` on one clock.
 
-    Args:
-        episodes: at least one.
-        title: of the page; ``None`` for the names of the fields.
+    Without a ``title`` it names the fields.
 
     Raises:
         MbnError: there is no episode.

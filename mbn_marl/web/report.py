@@ -13,14 +13,9 @@ from mbn_marl.web import page
 
 @dataclass(frozen=True)
 class Table:
-    """A table of words.
+    """A table whose lines are as long as its headings, which may have line breaks.
 
-    Attributes:
-        title: its heading.
-        caption: sentences that stand with it.
-        headings: of the columns; a line break in one stays.
-        lines: each as long as the headings.
-        words: how many columns, from the left, hold words; the others hold numbers.
+    The first ``words`` columns hold words, the others numbers.
     """
 
     title: str
@@ -34,12 +29,8 @@ class Table:
 class Section:
     """A part of a report.
 
-    Attributes:
-        title: its heading, and its name in the table of contents.
-        tables: in order.
-        figures: SVG pictures by what they show.
-        episodes: to play side by side.
-        texts: long texts by title, folded away.
+    It has tables, SVG pictures by what they show, episodes to play side by side, and long texts by
+    title, folded away.
     """
 
     title: str
@@ -52,10 +43,7 @@ class Section:
 def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
     """Return a self-contained HTML page of ``sections``, with links to each and to its player.
 
-    Args:
-        title: of the page.
-        summary: a sentence below it.
-        sections: in order.
+    The ``summary`` is a sentence below the title.
     """
     links = []
     for number, section in enumerate(sections):

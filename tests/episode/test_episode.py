@@ -25,7 +25,7 @@ from mbn_marl.episode import (
     play,
     save_episode,
 )
-from mbn_marl.episode.schema import CodedArray
+from mbn_marl.episode.files import CodedArray
 from mbn_marl.errors import ConfigError, EpisodeError, MbnError
 
 SETTINGS: dict[str, Any] = {"wind": (0.2, 30.0), "max_steps": 40}

@@ -21,7 +21,7 @@ from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from mbn_marl.sim3d import Deployment, PlaneSimulator, Scale, deploy
 from mbn_marl.sim3d.deployment import Policy
-from mbn_marl.sim3d.loading import load_mujoco
+from mbn_marl.sim3d.film import load_mujoco
 from mbn_marl.sim3d.vehicle import Vehicle
 from tests.support.missions import BEND, SMALL, Wander, drive, start
 
@@ -243,7 +243,7 @@ def test_drawing_does_not_depend_on_who_loads_mujoco_first() -> None:
     code = """
 import warnings; warnings.simplefilter("ignore")
 import mujoco
-from mbn_marl.sim3d.loading import load_mujoco
+from mbn_marl.sim3d.film import load_mujoco
 load_mujoco().Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()
 """
     free = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
