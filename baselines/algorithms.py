@@ -106,8 +106,8 @@ class Algorithm:
 
     @property
     def load_policy(self) -> Callable[..., Any]:
-        """``load_policy(run_folder)``."""
-        load: Callable[..., Any] = self._module("policy").load
+        """``load_policy(folder)``, of a run's folder ``policy``."""
+        load: Callable[..., Any] = self._module("policy").load_policy
         return load
 
 

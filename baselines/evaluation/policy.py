@@ -68,7 +68,7 @@ def load_policy(run: Path | RunFolder) -> TrainedPolicy:
         RunError: there is no run, or it has saved no policy yet.
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
-    policy: Any = find_algorithm(folder.config["algorithm"]).load_policy(folder)
+    policy: Any = find_algorithm(folder.config["algorithm"]).load_policy(folder.policy)
     policy.origin = Origin(folder.field, make_config(folder.config["environment"]))
     trained: TrainedPolicy = policy
     return trained

@@ -17,7 +17,6 @@ from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 
 from baselines.runs.files import RunError, read_json, write_json
-from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
 from baselines.sb3.config import algorithm_class
 
@@ -199,11 +198,6 @@ def load_policy(folder: Path) -> SB3Policy:
     except (RuntimeError, TypeError, ValueError, LookupError) as error:
         raise RunError(f"{folder / WEIGHTS} does not fit {SHAPE}: {error}") from None
     return SB3Policy(network, shape, normalization)
-
-
-def load(run: RunFolder) -> SB3Policy:
-    """Load the latest policy of a run."""
-    return load_policy(run.policy)
 
 
 def _check_version(folder: Path, name: str) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 
 from baselines.runs.files import RunError, read_json, write_json
-from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import read_tensors, write_tensors
 from baselines.torchrl.networks import GaussianPolicy, TeamShape
 
@@ -55,8 +54,3 @@ def load_policy(folder: Path) -> TeamPolicy:
     except RuntimeError as error:
         raise RunError(f"{folder / WEIGHTS} does not fit {SHAPE}: {error}") from None
     return TeamPolicy(network)
-
-
-def load(run: RunFolder) -> TeamPolicy:
-    """Load the latest policy of a run."""
-    return load_policy(run.policy)

@@ -46,13 +46,7 @@ def test_the_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
     changes = {"log_std_cap": [0.5, -1.5], "log_std_cap_from": 0.5}
     config = load("mappo", "N", changes)
     assert [config.cap_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == [0.5, 0.5, -0.5, -1.5]
-    assert [between((3.0, 1.0), share) for share in (-1.0, 0.0, 0.25, 1.0, 2.0)] == [
-        3,
-        3,
-        2.5,
-        1,
-        1,
-    ]
+    assert [between((3.0, 1.0), share) for share in (-1, 0, 0.25, 1, 2)] == [3, 3, 2.5, 1, 1]
 
 
 @pytest.mark.parametrize(("sharing", "told"), [("full", False), ("full+id", True), ("none", False)])
