@@ -22,9 +22,6 @@ def load_policy(source: str | Path) -> TrainedPolicy:
         source: the folder of a run (of an unfinished one, its newest checkpoint counts), or
             ``"zoo:NAME"``, a policy of ``mbn zoo``.
 
-    Returns:
-        The policy.
-
     Raises:
         MbnError: the zoo has no such policy; the message lists those it has.
         RunError: there is no run, or it has saved no policy, or an older version wrote it.

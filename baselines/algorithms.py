@@ -1,4 +1,4 @@
-"""The registry of algorithms: frozen entries that import their libraries when they are used."""
+"""The registry of algorithms; their libraries are imported when they are used."""
 
 from __future__ import annotations
 
@@ -17,13 +17,7 @@ Setting = Literal["A", "B", "C", "N"]
 
 @dataclass(frozen=True)
 class Protocol:
-    """A setting, and the defaults of its runs.
-
-    Attributes:
-        summary: the setting in a few words.
-        seed: of networks, exploration and worlds.
-        steps: the budget in env-steps.
-    """
+    """A setting in a few words, and the seed and the budget in env-steps of its runs."""
 
     summary: str
     seed: int
@@ -46,8 +40,7 @@ class Algorithm:
         name: as on the command line.
         form: ``"centralized"``, the single MDP, or ``"decentralized"``, each robot acts on its own
             observation.
-        package: the package of ``baselines`` that trains it, with one trainer for all its
-            algorithms: ``sb3`` with Stable-Baselines3, ``torchrl`` with TorchRL.
+        package: the package of ``baselines`` that trains it: ``sb3`` or ``torchrl``.
     """
 
     name: str
@@ -71,13 +64,13 @@ class Algorithm:
         num_envs: int | None = None,
         file: Path | None = None,
     ) -> Any:
-        """The hyperparameters of a setting: the recorded ones with ``overrides``.
+        """Return the hyperparameters of a setting: the recorded ones with ``overrides``.
 
         Args:
             overrides: values by name, instead of the recorded ones.
             setting: one of :attr:`settings`.
             num_envs: worlds side by side, instead of the recorded number.
-            file: a YAML file whose block of the setting takes the place of the recorded one.
+            file: a YAML file whose block of the setting replaces the recorded one.
 
         Raises:
             ConfigError: naming every unknown or invalid hyperparameter.
@@ -86,16 +79,12 @@ class Algorithm:
         return load(self.name, setting, overrides, num_envs=num_envs, file=file)
 
     def check(self, task: Any, hyperparameters: Any) -> None:
-        """Check that a learner can be made; for TorchRL's, the ranges were enough.
-
-        Raises:
-            ConfigError: with the library's objection to the hyperparameters.
-        """
+        """Check that the library accepts the hyperparameters; for TorchRL their ranges do."""
         if self.package != "torchrl":
             self._module("trainer").check(task, hyperparameters)
 
     def budget(self, task: Any, hyperparameters: Any) -> Any:
-        """The :class:`~baselines.training.config.Budget` of a run."""
+        """Return the :class:`~baselines.training.config.Budget` of a run."""
         return self._module("trainer").budget(task, hyperparameters)
 
     @property
@@ -130,11 +119,7 @@ ALGORITHMS: Mapping[str, Algorithm] = {
 
 
 def find_algorithm(name: str) -> Algorithm:
-    """Look up an algorithm.
-
-    Raises:
-        MbnError: the name is unknown; the message lists the known ones.
-    """
+    """Look up an algorithm; raise an MbnError that lists the known ones."""
     if name not in ALGORITHMS:
         raise MbnError(f"{name}: {unknown('algorithm', name, ALGORITHMS)}")
     return ALGORITHMS[name]

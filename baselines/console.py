@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from copy import copy
+from dataclasses import replace
 from typing import Any
 
-from rich.console import Console, RenderableType
+from rich.console import Console
+from rich.progress import Progress, ProgressColumn, Task
 from rich.table import Column, Table
 
 UNBOUNDED = 100_000
@@ -17,13 +19,13 @@ UNBOUNDED = 100_000
 class WholeCells(Console):
     """A console that does not break the cells of tables.
 
-    A table that is wider than the console is printed in blocks, one below the other. Each block has
-    some of the columns, after the leading ones that are aligned to the left, which name the row.
-    Only a column that is too wide alone is wrapped, between words.
+    A table that is too wide is printed in blocks of columns, one below the other, each after the
+    leading columns aligned to the left, which name the row. Only a column that is too wide alone is
+    wrapped, between words.
     """
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print as rich does, each table in blocks that fit, below its title on one line."""
+        """Print as rich does, each table in blocks that fit, below its title."""
         for one in objects:
             if isinstance(one, Table) and one.title:
                 super().print(one.title, style="table.title", highlight=False, soft_wrap=True)
@@ -36,7 +38,8 @@ class WholeCells(Console):
         lead = len(names) if 0 < len(names) < len(table.columns) else 1
         blocks = [table.columns[:lead]]
         for column in table.columns[lead:]:
-            if len(blocks[-1]) > lead and not self._fits(_part(table, [*blocks[-1], column])):
+            wider = _part(table, [*blocks[-1], column])
+            if len(blocks[-1]) > lead and not _fits(wider, self):
                 blocks.append(table.columns[:lead])
             blocks[-1] = [*blocks[-1], column]
         for number, columns in enumerate(blocks, start=1):
@@ -45,21 +48,42 @@ class WholeCells(Console):
             block.caption = table.caption if number == len(blocks) else None
             yield block
 
-    def _fits(self, table: RenderableType) -> bool:
-        wide = self.options.update(max_width=UNBOUNDED)
-        return self.measure(table, options=wide).maximum <= self.width
+
+class FittingProgress(Progress):
+    """Progress bars that are never cut; without a terminal nothing is shown.
+
+    Of the ``columns`` those in ``spare`` are left out, the first one first, until a row fits.
+    """
+
+    def __init__(
+        self, *columns: ProgressColumn, spare: Iterable[ProgressColumn], screen: Console
+    ) -> None:
+        self._spare, self._screen = tuple(spare), screen
+        super().__init__(*columns, console=screen, disable=not screen.is_terminal)
+
+    def make_tasks_table(self, tasks: Iterable[Task]) -> Table:
+        """Return the bars, one a row."""
+        table = super().make_tasks_table(tasks)
+        columns = dict(zip(self.columns, table.columns, strict=True))
+        for column in self._spare:
+            if _fits(table, self._screen):
+                break
+            del columns[column]
+            table = _part(table, columns.values())
+        return table
 
 
-def _part(table: Table, columns: Sequence[Column]) -> Table:
+def _part(table: Table, columns: Collection[Column]) -> Table:
     part = copy(table)
-    part.columns = [*columns]
+    part.columns = [replace(column, _index=place) for place, column in enumerate(columns)]
     return part
 
 
-def console() -> Console:
-    """Return a console on the standard output of the moment.
+def _fits(table: Table, console: Console) -> bool:
+    wide = console.options.update(max_width=UNBOUNDED)
+    return console.measure(table, options=wide).maximum <= console.width
 
-    On a terminal it has the terminal's width. In a pipe or a file there is no width to fit into:
-    a table takes its natural one, and no line is wrapped.
-    """
+
+def console() -> Console:
+    """Return a console on the standard output; in a pipe or a file it wraps nothing."""
     return WholeCells(width=None if sys.stdout.isatty() else UNBOUNDED)

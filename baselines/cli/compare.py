@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 from tyro.constructors import PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from baselines.cli.options import REGISTRY, Reading
+from baselines.cli.options import REGISTRY, Reading, check_options
 from baselines.compare.config import CompareConfig
 from baselines.compare.variants import Variant, parse_variant, read_variants
 from mbn_marl.errors import ConfigError
@@ -62,38 +62,28 @@ class Compare:
     def run(self, command_line: str) -> None:
         """Train with a bar for every run, then print the tables."""
         config = self.config
+        wrong = {
+            "algos and variants: allowed is one of them": self.variants is not None
+            and config.variants != CompareConfig.variants,
+            f"processes: at least 1, not {self.processes}": self.processes < 1,
+            "force and resume: allowed is one of them": self.force and self.resume,
+        }
+        check_options("comparison", wrong)
         if self.variants is not None:
-            if config.variants != CompareConfig.variants:
-                raise ConfigError("comparison", ["algos and variants: allowed is one of them"])
             config = replace(config, variants=read_variants(self.variants))
-        train_and_compare(
-            config,
-            self.out,
-            command=command_line,
-            processes=self.processes,
-            force=self.force,
-            resume=self.resume,
-            wandb=self.wandb,
-        )
+        names = ("processes", "force", "resume", "wandb")
+        how = {name: getattr(self, name) for name in names}
+        train_and_compare(config, self.out, command=command_line, **how)
         print(f"written to {self.out}: comparison.md, comparison.json, table.csv, figures, runs")
 
 
-def train_and_compare(
-    config: CompareConfig,
-    out: Path,
-    *,
-    command: str,
-    processes: int,
-    force: bool,
-    resume: bool,
-    wandb: str | None = None,
-) -> Results:
+def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Results:
     """Train with a bar for every run, then write and print the comparison.
 
+    Arguments and errors are those of :func:`~baselines.compare.run.train_all_runs`.
+
     Raises:
-        ConfigError: ``force`` and ``resume`` together, or no process.
-        RunError: a learner broke down; all else is done and written.
-        MbnError: as ``train_all_runs``.
+        RunError: a learner diverged; all else is done and written.
     """
     from baselines.compare.report import PAGE, write_comparison
     from baselines.compare.run import train_all_runs
@@ -101,28 +91,12 @@ def train_and_compare(
     from baselines.console import console
     from baselines.runs.files import RunError
     from baselines.runs.report_path import Place
-    from baselines.training.progress_bar import ProgressDisplay
+    from baselines.training.progress_bar import progress_bars
 
-    problems = []
-    if processes < 1:
-        problems.append(f"processes: at least 1, not {processes}")
-    if force and resume:
-        problems.append("force and resume: allowed is one of them")
-    if problems:
-        raise ConfigError("comparison", problems)
-    with ProgressDisplay([run.name for run in config.runs()], config.steps) as display:
-        results = train_all_runs(
-            config,
-            out,
-            command=command,
-            processes=processes,
-            force=force,
-            resume=resume,
-            wandb=wandb,
-            listener=display,
-        )
+    with progress_bars([run.name for run in config.runs()], config.steps) as show:
+        results = train_all_runs(config, out, listener=show, **options)
     print_comparison(write_comparison(results, Place.of(out, PAGE)), console())
     if results.broken:
         errors = "\n".join(results.broken.values())
-        raise RunError(f"{out / PAGE} leaves out the variants of runs that broke down:\n{errors}")
+        raise RunError(f"{out / PAGE} leaves out the variants of runs that diverged:\n{errors}")
     return results

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
+from baselines.cli.options import check_options
+
 if TYPE_CHECKING:
     from mbn_marl.sim3d import Deployment, Scale, Simulator
-
-Flights = dict[str, list["Deployment"]]
-"""Deployments of one actor by simulator, the plane to compare with included."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class Deploy:
         speeds, angle = self._check()
         scale = Scale(self.metres_per_unit, self.seconds_per_step)
         rows: list[dict[str, Any]] = []
-        flights: list[Flights] = []
+        flights: list[dict[str, list[Deployment]]] = []
         with ExitStack() as stack:
             simulators = self._simulators(scale)
             for simulator in simulators.values():
@@ -80,16 +79,19 @@ class Deploy:
             if self.video is not None:
                 claim_file(self.video, force=self.force)
             for actor in pilots:
-                flown = {
-                    name: sweep_wind(actor, one, speeds, angle, every=self.figure is not None)
-                    for name, one in simulators.items()
-                }
-                flights.append(flown)
-                for name, sweep in flown.items():
+                flights.append({})
+                for name, one in simulators.items():
+                    sweep = sweep_wind(actor, one, speeds, angle, every=self.figure is not None)
+                    flights[-1][name] = sweep
                     strongest = strongest_wind(sweep) if self.wind_speeds else None
-                    summaries = [summarise(one, scale) for one in sweep]
-                    rows += [{"sim": name, **one, "strongest_wind": strongest} for one in summaries]
-        print_deployments(rows, title=f"{self.policy}, {self._vehicles()}")
+                    last = {"strongest_wind": strongest}
+                    rows += [{"sim": name, **summarise(flight, scale), **last} for flight in sweep]
+        names = {
+            "mujoco": f"{self.vehicle}s in MuJoCo",
+            "plane": "point masses in the plane",
+            "coppeliasim": "quadcopters in CoppeliaSim",
+        }
+        print_deployments(rows, title=f"{self.policy}, {names[self.sim]}")
         if self.figure is not None:
             self._draw(flights, claim_file(self.figure, force=self.force))
         if self.json is not None:
@@ -100,7 +102,6 @@ class Deploy:
     def _check(self) -> tuple[list[float], float]:
         """Check the options and the outputs before anything is touched; return the winds."""
         from baselines.evaluation.wind import parse_speeds
-        from mbn_marl.errors import ConfigError
         from mbn_marl.files import check_free
         from mbn_marl.render.figures import check_name
 
@@ -115,9 +116,7 @@ class Deploy:
             and not (self.compare or self.wind_speeds),
             "wind: allowed without --wind-speeds": self.wind_speeds and any(self.wind),
         }
-        problems = [problem for problem, wrong in checks.items() if wrong]
-        if problems:
-            raise ConfigError("deployment", problems)
+        check_options("deployment", checks)
         if self.figure is not None:
             check_name(self.figure)
         for output in filter(None, (self.video, self.figure, self.json)):
@@ -125,11 +124,6 @@ class Deploy:
         if self.wind_speeds is None:
             return [self.wind[0]], self.wind[1]
         return parse_speeds(self.wind_speeds), self.wind_angle
-
-    def _vehicles(self) -> str:
-        """Return what flies or drives, in words."""
-        names = {"mujoco": f"{self.vehicle}s in MuJoCo", "plane": "point masses in the plane"}
-        return names.get(self.sim, "quadcopters in CoppeliaSim")
 
     def _simulators(self, scale: Scale) -> dict[str, Simulator]:
         """Return the simulator by name, and the plane before it to compare with."""
@@ -147,13 +141,12 @@ class Deploy:
         if self.sim == "coppeliasim":
             from mbn_marl.sim3d.coppeliasim import CoppeliaSimulator
 
-            simulators["coppeliasim"] = CoppeliaSimulator(
-                self.host, self.port, timeout=self.timeout, scale=scale
-            )
+            place = (self.host, self.port)
+            simulators[self.sim] = CoppeliaSimulator(*place, timeout=self.timeout, scale=scale)
         return simulators
 
-    def _draw(self, flights: Sequence[Flights], path: Path) -> None:
-        """Draw the paths."""
+    def _draw(self, flights: Sequence[Mapping[str, list[Deployment]]], path: Path) -> None:
+        """Draw the paths of each actor by simulator."""
         from mbn_marl.render import figures
 
         def last(deployment: Deployment) -> Any:
@@ -176,32 +169,26 @@ class Deploy:
 
 def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Print deployments (as ``summarise`` has them, with ``sim``) as a table, one a row."""
-    from rich import box
-    from rich.table import Table
-
-    from baselines.console import console
+    from baselines.compare.text_table import TextTable
 
     caption = (
         "ratio: to the plane's makespan; apart: least distance of robots, units;\n"
         "error: of tracking, units a step; speed: times real time on one core"
     )
-    look: dict[str, Any] = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), "pad_edge": False}
-    table = Table(title=title, caption=caption, **look)
-    for heading in ("field", "sim", "outcome"):
-        table.add_column(heading, justify="left")
-    for heading in ("wind", "makespan", "ratio", "return", "apart", "error", "speed"):
-        table.add_column(heading, justify="right")
+    headings = ("field", "sim", "outcome", "wind", "makespan", "ratio", "return", "apart")
 
     def shown(value: float | None, digits: int) -> str:
         return "-" if value is None else f"{value:,.{digits}f}"
 
-    plane = {
-        (row["field"], row["wind_speed"]): row["makespan"] for row in rows if row["sim"] == "plane"
-    }
+    def world(row: Mapping[str, Any]) -> tuple[str, float]:
+        return row["field"], row["wind_speed"]
+
+    plane = {world(row): row["makespan"] for row in rows if row["sim"] == "plane"}
+    lines = []
     for row in rows:
         flat, makespan = row["sim"] == "plane", row["makespan"]
-        best = None if flat else plane.get((row["field"], row["wind_speed"]))
-        table.add_row(
+        best = None if flat else plane.get(world(row))
+        line = (
             *(row["field"], row["sim"], row["outcome"], f"{row['wind_speed']:g}"),
             shown(makespan, 0),
             shown(makespan / best if makespan and best else None, 2),
@@ -210,4 +197,5 @@ def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
             shown(row["tracking_error"], 2),
             shown(None if flat else row["times_real_time"], 0),
         )
-    console().print(table)
+        lines.append(line)
+    TextTable(caption, (*headings, "error", "speed"), tuple(lines), words=3).print(title)

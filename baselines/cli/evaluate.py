@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from baselines.cli.options import check_options
 from mbn_marl.optimum import optimality_gap
-
-if TYPE_CHECKING:
-    from baselines.evaluation.policy import Policy
-    from mbn_marl.field import Field
-
 
 ONE_EPISODE = "deterministic:\none episode"
 """In place of a number of episodes, where all are the same."""
@@ -49,12 +46,15 @@ class Evaluate:
 
     def run(self, command_line: str) -> None:
         """Evaluate, print the summaries, and write the files that are asked for."""
+        from baselines.classical.controller import CLASSICAL
         from baselines.evaluation.evaluate import EVALUATION_SEED
         from baselines.zoo.entries import PREFIX
-        from mbn_marl.errors import ConfigError
 
-        in_wind = self.wind_speeds is not None
-        homeless = self.field is not None or self.source.startswith(PREFIX)
+        in_wind, classical = self.wind_speeds is not None, self.source in CLASSICAL
+        field = f"{self.source} has its own; --field is for {' and '.join(CLASSICAL)}"
+        if classical:
+            field = f"needed, for example: mbn evaluate {self.source} --field field_03"
+        homeless = classical or self.source.startswith(PREFIX)
         wrong = {
             f"episodes: at least 1, not {self.episodes}": self.episodes < 1,
             "figure: allowed with --wind-speeds": self.figure is not None and not in_wind,
@@ -62,56 +62,52 @@ class Evaluate:
             "json, figure: of a policy without a run folder in wind, name both": in_wind
             and homeless
             and None in (self.json, self.figure),
+            f"field: {field}": classical != (self.field is not None),
         }
-        if any(wrong.values()):
-            raise ConfigError("evaluation", [problem for problem in wrong if wrong[problem]])
-        subject = self._subject()
-        seed = EVALUATION_SEED if self.seed is None else self.seed
-        how: dict[str, Any] = {"episodes": self.episodes, "seed": seed}
+        check_options("evaluation", wrong)
+        how, home = self._subject()
+        how["episodes"] = self.episodes
+        how["seed"] = EVALUATION_SEED if self.seed is None else self.seed
         if self.wind_speeds is None:
-            self._evaluate(subject, how, command_line)
+            self._evaluate(how, command_line)
         else:
-            self._evaluate_in_wind(subject, how, command_line, self.wind_speeds)
+            self._evaluate_in_wind(how, command_line, home, self.wind_speeds)
 
-    def _subject(self) -> _Subject:
-        """Return what is evaluated, and where."""
-        from baselines.classical.controller import CLASSICAL, make_classical
+    def _subject(self) -> tuple[dict[str, Any], Path]:
+        """Return policy, field and settings, and the folder that files go to by default."""
+        from baselines.classical.controller import make_classical
         from baselines.evaluation.policy import load_policy
         from baselines.zoo.entries import open_run
-        from mbn_marl.errors import ConfigError
         from mbn_marl.field import load_field
 
-        if (self.source in CLASSICAL) != (self.field is not None):
-            problem = f"{self.source} has its own; --field is for {' and '.join(CLASSICAL)}"
-            if self.field is None:
-                problem = f"needed, for example: mbn evaluate {self.source} --field field_03"
-            raise ConfigError("evaluation", [f"field: {problem}"])
         if self.field is not None:
             field = load_field(self.field)
-            return _Subject((make_classical(self.source, field, {}), field, {}), Path())
+            policy = make_classical(self.source, field, {})
+            return {"policy": policy, "field": field, "settings": {}}, Path()
         run = open_run(self.source)
         if run.unfinished is not None:
             print(run.unfinished)
-        return _Subject((load_policy(run), run.field, run.config["environment"]), run.path)
+        settings = run.config["environment"]
+        return {"policy": load_policy(run), "field": run.field, "settings": settings}, run.path
 
-    def _evaluate(self, subject: _Subject, how: dict[str, Any], command_line: str) -> None:
+    def _evaluate(self, how: dict[str, Any], command_line: str) -> None:
         """Evaluate as the policy was trained."""
-        from baselines.evaluation.evaluate import evaluate_both, record_evaluation
+        from baselines.evaluation.evaluate import evaluate_both, is_one_episode, record_evaluation
         from baselines.runs.files import claim_folder, write_json
         from mbn_marl.config import make_config
         from mbn_marl.episode import save_episode
-        from mbn_marl.files import claim_file
+        from mbn_marl.files import check_free, claim_file
         from mbn_marl.optimum import optimal_return
 
         if self.json is not None:
-            claim_file(self.json, force=self.force)
+            check_free(self.json, force=self.force)
         if self.record is not None:
             claim_folder(self.record, force=self.force)
-        results = evaluate_both(*subject.where, **how)
-        _, field, settings = subject.where
-        optimum = optimal_return(field, make_config(settings))
+        results = evaluate_both(**how)
+        optimum = optimal_return(how["field"], make_config(how["settings"]))
+        one = partial(is_one_episode, how["policy"], how["settings"])
         summaries = {name: result.summary() for name, result in results.items()}
-        print_evaluations(summaries.values(), self.source, optimum, one=subject.one_episode)
+        print_evaluations(summaries.values(), self.source, optimum, one)
         if self.json is not None:
             gaps = {
                 name: optimality_gap(summary["return_mean"], optimum)
@@ -119,63 +115,46 @@ class Evaluate:
             }
             heading = {"command": command_line, "optimum": optimum, "optimality_gap": gaps}
             episodes = {name: result.to_json() for name, result in results.items()}
-            write_json(self.json, {**heading, **episodes})
+            write_json(claim_file(self.json, force=self.force), {**heading, **episodes})
         if self.record is not None:
             source = self.source if self.field else f"{self.source}, sampled actions"
-            recorded = record_evaluation(*subject.where, **how, source=source)
+            recorded = record_evaluation(**how, source=source)
             for name, episode in recorded.items():
                 save_episode(episode, self.record / f"{name}.json")
             print(f"recorded: {', '.join(recorded)} in {self.record}")
 
     def _evaluate_in_wind(
-        self, subject: _Subject, how: dict[str, Any], command_line: str, speeds: str
+        self, how: dict[str, Any], command_line: str, home: Path, speeds: str
     ) -> None:
         """Evaluate at several wind speeds; write the episodes and the picture."""
         from baselines.evaluation.wind import evaluate_in_wind, parse_speeds, write_panels
         from baselines.runs.files import write_json
-        from mbn_marl.files import claim_file
+        from mbn_marl.files import check_free, claim_file
         from mbn_marl.render.figures import check_name
 
-        winds = parse_speeds(speeds), self.wind_angle
-        figure = check_name(self.figure or subject.home / "wind.png")
-        results = self.json or subject.home / "wind.json"
+        winds: dict[str, Any] = {"speeds": parse_speeds(speeds), "angle": self.wind_angle}
+        figure = check_name(self.figure or home / "wind.png")
+        results = self.json or home / "wind.json"
         for output in (results, figure):
-            claim_file(output, force=self.force)
-        rows, episodes = evaluate_in_wind(*subject.where, *winds, **how)
-        write_json(results, {"command": command_line, "results": rows})
-        write_panels(episodes, figure)
+            check_free(output, force=self.force)
+        rows, episodes = evaluate_in_wind(**how, **winds)
+        written = {"command": command_line, "results": rows}
+        write_json(claim_file(results, force=self.force), written)
+        write_panels(episodes, claim_file(figure, force=self.force))
         print_winds(rows, title=f"{self.source}: wind at {self.wind_angle:g} degrees")
         print(f"written: {results}, {figure}")
-
-
-@dataclass(frozen=True)
-class _Subject:
-    """A policy with its field and settings, and the folder that its files go to by default."""
-
-    where: tuple[Policy, Field, Mapping[str, Any]]
-    home: Path
-
-    def one_episode(self, deterministic: bool) -> bool:
-        """Return whether all episodes with these actions are the same."""
-        from baselines.evaluation.evaluate import is_one_episode
-
-        policy, _, settings = self.where
-        return is_one_episode(policy, settings, deterministic=deterministic)
 
 
 def print_evaluations(
     summaries: Iterable[Mapping[str, Any]],
     title: str,
     optimum: float | None = None,
-    one: Callable[[bool], bool] = lambda deterministic: False,
+    one: Callable[..., bool] = lambda *, deterministic: False,
 ) -> None:
     """Print evaluations (as ``Evaluation.summary()`` has them) as a table, one a row.
 
-    Args:
-        summaries: the rows.
-        title: above the table.
-        optimum: the proved best return, from which the gap is measured; ``None`` for no gap.
-        one: whether all episodes of a row are the same, from its ``deterministic``.
+    ``optimum`` is the proved best return, if there is one; ``one(deterministic=...)`` says whether
+    all episodes of a row are the same.
     """
     from baselines.compare.text_table import TextTable
 
@@ -188,7 +167,7 @@ def print_evaluations(
         lines.append(
             (
                 "mean" if deterministic else "sampled",
-                ONE_EPISODE if one(deterministic) else str(summary["episodes"]),
+                ONE_EPISODE if one(deterministic=deterministic) else str(summary["episodes"]),
                 *(f"{summary[f'return_{name}']:,.0f}" for name in ("mean", "min", "max")),
                 f"{summary['success_rate']:.1%}",
                 "-" if makespan is None else f"{makespan:.1f}",
@@ -202,27 +181,23 @@ def print_winds(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Print what ``evaluate_in_wind`` returns as a table, one entry a row."""
     from baselines.compare.text_table import TextTable
 
+    def shown(row: Mapping[str, Any], name: str, mean: str, form: str) -> str:
+        """Return a mean with its interval below, if it has one; a dash for none."""
+        interval = row[f"{name}_interval"] or {"low": None, "high": None}
+        ends = f"\n{form} .. {form}" if interval["low"] is not None else ""
+        whole = f"{form}{ends.format(interval['low'], interval['high'])}"
+        return "-" if row[mean] is None else whole.format(row[mean])
+
     lines = tuple(
         (
             f"{row['wind_speed']:g}",
             "mean" if row["deterministic"] else "sampled",
             str(row["episodes"]) if row["return_interval"] else ONE_EPISODE,
-            _with_interval(row["success_rate"], row["success_interval"], "{:.0%}"),
-            _with_interval(row["return_mean"], row["return_interval"], "{:,.0f}"),
-            _with_interval(row["makespan"], row["makespan_interval"], "{:.1f}"),
+            shown(row, "success", "success_rate", "{:.0%}"),
+            shown(row, "return", "return_mean", "{:,.0f}"),
+            shown(row, "makespan", "makespan", "{:.1f}"),
         )
         for row in rows
     )
     headings = ("wind", "actions", "episodes", "success", "return", "makespan")
     TextTable("intervals: 95 % over the episodes", headings, lines, words=2).print(title)
-
-
-def _with_interval(
-    mean: float | None, interval: Mapping[str, float | None] | None, form: str
-) -> str:
-    """A mean with its interval below, if it has one; a dash for none."""
-    if mean is None:
-        return "-"
-    low, high = (None, None) if interval is None else (interval["low"], interval["high"])
-    ends = "" if low is None else f"\n{form.format(low)} .. {form.format(high)}"
-    return form.format(mean) + ends

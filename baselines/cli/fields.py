@@ -26,30 +26,23 @@ class Fields:
 
     def run(self, command_line: str) -> None:
         """Print the table, and draw the figure if one is asked for."""
-        from rich.table import Table
-
-        from baselines.console import console
+        from baselines.compare.text_table import TextTable
         from mbn_marl.field import catalogue_names, load_field
         from mbn_marl.optimum import optimal_return
 
-        table = Table(title="fields (optimum: proved, released rewards, no wind)")
-        table.add_column("field")
-        for heading in ("robots", "ROIs", "holes", "edges", "area", "makespan", "return"):
-            table.add_column(heading, justify="right")
         fields = [load_field(name) for name in self.fields or catalogue_names()]
+        lines = []
         for field in fields:
-            optimum = optimal_return(field)
-            table.add_row(
-                field.name,
-                str(len(field.starts)),
-                str(len(field.rois)),
-                str(len(field.holes)),
-                str(len(field.edges)),
-                f"{field.polygon.area:,.0f}",
-                "-" if field.optimal_makespan is None else str(field.optimal_makespan),
-                "-" if optimum is None else f"{optimum:,.0f}",
+            makespan, optimum = field.optimal_makespan, optimal_return(field)
+            counts = (field.starts, field.rois, field.holes, field.edges)
+            best = "-" if optimum is None else f"{optimum:,.0f}"
+            area = f"{field.polygon.area:,.0f}"
+            lines.append(
+                (field.name, *(str(len(one)) for one in counts), area, str(makespan or "-"), best)
             )
-        console().print(table)
+        headings = ("field", "robots", "ROIs", "holes", "edges", "area", "makespan", "return")
+        title = "fields (makespan, return: proved optima, released rewards, no wind)"
+        TextTable("", headings, tuple(lines)).print(title)
         if self.figure is not None:
             self._draw(fields, self.figure)
 

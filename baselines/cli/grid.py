@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from baselines.cli.options import check_options
+
 if TYPE_CHECKING:
     from baselines.sweep.run import Sweep
 
@@ -20,8 +22,8 @@ class Grid:
     """Train a grid of runs that a YAML file declares, see docs/grid.md.
 
     Finished runs are never made again, failed and interrupted ones resume from their last
-    checkpoint. `mbn grid status SPEC` shows how it stands, from any machine that sees the store;
-    `mbn grid fetch SPEC` copies the finished runs of a store elsewhere to --out.
+    checkpoint. `mbn grid status SPEC` shows the progress, from any machine that sees the store;
+    `mbn grid fetch SPEC` copies the finished runs of a remote store to --out.
     """
 
     words: Positional[Annotated[tuple[str, ...], arg(metavar="[status|fetch] SPEC")]]
@@ -42,33 +44,18 @@ class Grid:
         from baselines.sweep.run import Sweep
         from baselines.sweep.spec import read_spec
 
-        action, path = self._parsed()
-        sweep = Sweep.of(read_spec(path))
-        if action == "status":
-            self._watch(sweep)
-        elif action == "fetch":
-            self._fetch(sweep)
-        else:
-            self._train(sweep)
-
-    def _parsed(self) -> tuple[str, Path]:
-        """Return what to do, and with which file."""
-        from mbn_marl.errors import ConfigError
-
         named = bool(self.words) and self.words[0] in ACTIONS
         action, *rest = self.words if named else ("train", *self.words)
-        problems = []
-        if len(rest) != 1:
-            problems.append(f"SPEC: one file is needed, not {len(rest)}")
-        if self.processes < 1:
-            problems.append(f"processes: at least 1, not {self.processes}")
-        if self.address is not None and self.engine != "ray":
-            problems.append("address: allowed with --engine ray")
-        if (action == "fetch") != (self.out is not None):
-            problems.append("out: needed by fetch, and allowed there alone")
-        if problems:
-            raise ConfigError("grid", problems)
-        return action, Path(rest[0])
+        wrong = {
+            f"SPEC: one file is needed, not {len(rest)}": len(rest) != 1,
+            f"processes: at least 1, not {self.processes}": self.processes < 1,
+            "address: allowed with --engine ray": self.address and self.engine != "ray",
+            "out: needed by fetch, and allowed there alone": (action == "fetch")
+            != (self.out is not None),
+        }
+        check_options("grid", wrong)
+        sweep = Sweep.of(read_spec(Path(rest[0])))
+        {"status": self._watch, "fetch": self._fetch, "train": self._train}[action](sweep)
 
     def _train(self, sweep: Sweep) -> None:
         from baselines.console import console
@@ -78,11 +65,7 @@ class Grid:
 
         screen = console()
         done = len(sweep.runs) - len(sweep.left())
-        screen.print(
-            f"{len(sweep.runs)} runs, {done} of them done; {sweep.place}",
-            soft_wrap=True,
-            highlight=False,
-        )
+        print(f"{len(sweep.runs)} runs, {done} of them done; {sweep.place}", flush=True)
         if self.check:
             return
 
@@ -110,12 +93,13 @@ class Grid:
                 time.sleep(sweep.store.refresh)
 
     def _fetch(self, sweep: Sweep) -> None:
-        from baselines.sweep.store import RemoteStore, fetch_all
+        from baselines.sweep.store import RemoteStore
         from mbn_marl.errors import ConfigError
 
         assert self.out is not None
         if not isinstance(sweep.store, RemoteStore):
             raise ConfigError("grid", [f"store: {sweep.place} is here already; nothing to fetch"])
         names = sorted(sweep.store.finished(sweep.names))
-        fetch_all(sweep.store, names, self.out)
+        for name in names:
+            sweep.store.fetch(name, self.out / name)
         print(f"{len(names)} of {len(sweep.runs)} runs are finished and in {self.out}")

@@ -1,4 +1,4 @@
-"""Reads the command line, runs the command, and says clearly what was wrong."""
+"""``mbn``: read the command line, run the command, and say clearly what was wrong."""
 
 from __future__ import annotations
 
@@ -33,17 +33,12 @@ COMMANDS = {
     "deploy": "deploy:Deploy",
     "zoo": "zoo:Zoo",
 }
-"""The module of each command in this package, and its class; a module is imported when it is
-needed, and imports nothing heavy itself."""
+"""The module of each command, and its class; none imports anything heavy itself."""
 
 MOVED = {"bench": "python -m benchmarks, in a checkout of the repository"}
 """Where commands went that are no longer here."""
 
-EXTRAS = {
-    "ray": "ray",
-    "mujoco": "sim3d",
-    "coppeliasim_zmqremoteapi_client": "sim3d",
-}
+EXTRAS = {"ray": "ray", "mujoco": "sim3d", "coppeliasim_zmqremoteapi_client": "sim3d"}
 """The extras with packages that commands need, if not the extra ``baselines``."""
 
 OWN_PACKAGES = ("mbn_marl", "baselines")
@@ -71,7 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         if isinstance(error, BrokenPipeError) and _reader_left(probe="\n"):
             return READER_LEFT
-        return _fail(str(error) if error.filename is None else _of_file(error))
+        places = [str(name) for name in (error.filename, error.filename2) if name is not None]
+        return _fail(f"{' -> '.join(places)}: {error.strerror}" if places else str(error))
     except ImportError as error:
         package = (error.name or "").split(".")[0]
         if package in ("", *OWN_PACKAGES):
@@ -85,13 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def read_command(words: Sequence[str]) -> Any:
-    """Return the command that ``words`` ask for, ready to ``run``.
-
-    Raises:
-        UsageError: there is no such command, or an option is unknown, missing or wrong.
-        MbnError: a configuration is not valid.
-        SystemExit: after ``--help``.
-    """
+    """Return the command that ``words`` ask for, ready to ``run``; errors as ``read_options``."""
     name, *options = words
     if name in MOVED:
         raise UsageError(f"{name}: now {MOVED[name]}")
@@ -109,20 +99,15 @@ def _run(words: list[str]) -> None:
         read_command(words).run(shlex.join(["mbn", *words]))
 
 
-def _command(name: str) -> type:
-    module, _, of_class = COMMANDS[name].partition(":")
-    command: type = getattr(import_module(f"baselines.cli.{module}"), of_class)
-    return command
+def _command(name: str) -> Any:
+    module, of_class = COMMANDS[name].split(":")
+    return getattr(import_module(f"baselines.cli.{module}"), of_class)
 
 
 def _help() -> str:
     """Return the commands, each with the first paragraph of its docstring."""
-    lines = [
-        "usage: mbn COMMAND ...",
-        "",
-        "Multi-robot navigation: train, evaluate, compare, plan.",
-        "",
-    ]
+    lines = ["usage: mbn COMMAND ...", ""]
+    lines += ["Multi-robot navigation: train, evaluate, compare, plan.", ""]
     for name in COMMANDS:
         summary = " ".join((inspect.getdoc(_command(name)) or "").split("\n\n")[0].split())
         lines += textwrap.wrap(
@@ -134,12 +119,6 @@ def _help() -> str:
 def _fail(message: str) -> int:
     print(f"mbn: error: {message}", file=sys.stderr)
     return WRONG_INPUT
-
-
-def _of_file(error: OSError) -> str:
-    """Return the place first, as in all messages, and no number."""
-    places = [str(name) for name in (error.filename, error.filename2) if name is not None]
-    return f"{' -> '.join(places)}: {error.strerror}"
 
 
 def _reader_left(probe: str = "") -> bool:

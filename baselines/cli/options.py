@@ -8,7 +8,7 @@ import inspect
 import io
 import re
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass, replace
 from itertools import pairwise
 from types import NoneType, UnionType
@@ -25,7 +25,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from mbn_marl.errors import MbnError
+from mbn_marl.errors import ConfigError, MbnError
 
 Command = TypeVar("Command")
 Reading = PrimitiveConstructorSpec[Any]
@@ -48,15 +48,18 @@ class UsageError(MbnError):
     """A command line is not valid."""
 
 
+def check_options(command: str, wrong: Mapping[str, object]) -> None:
+    """Check that options fit together.
+
+    Raises:
+        ConfigError: listing the keys of ``wrong``, each a problem, whose value is true.
+    """
+    if problems := [problem for problem, found in wrong.items() if found]:
+        raise ConfigError(command, problems)
+
+
 def read_options(command: type[Command], words: Sequence[str], prog: str) -> Command:
-    """Make a command from its words on the command line.
-
-    A field that is itself a dataclass, annotated with ``arg(name="")``, adds its own fields.
-
-    Args:
-        command: a dataclass.
-        words: what follows the command's name.
-        prog: the command's name, for messages.
+    """Make a command, a dataclass, from the words that follow its name on the command line.
 
     Raises:
         UsageError: an option is unknown, missing, or has a wrong value.
@@ -66,23 +69,14 @@ def read_options(command: type[Command], words: Sequence[str], prog: str) -> Com
     told, said = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stdout(told), contextlib.redirect_stderr(said):
-            return tyro.cli(
-                command,
-                args=list(words),
-                prog=prog,
-                config=(tyro.conf.FlagCreatePairsOff,),
-                registry=REGISTRY,
-            )
+            config = (tyro.conf.FlagCreatePairsOff,)
+            return tyro.cli(command, prog=prog, args=words, config=config, registry=REGISTRY)
     except SystemExit as end:
         if end.code:
             raise UsageError(f"{_in_short(said.getvalue())}; see {prog} --help") from None
-        print("\n".join(map(_wrapped, told.getvalue().splitlines())))
+        for line in told.getvalue().splitlines():  # those of the options begin with a space
+            print(line.rstrip() if line.startswith(" ") else textwrap.fill(line, WIDTH))
         raise
-
-
-def _wrapped(line: str) -> str:
-    """Return a line of the description wrapped; those of the options begin with a space."""
-    return line.rstrip() if line.startswith(" ") else textwrap.fill(line, WIDTH)
 
 
 def _in_short(said: str) -> str:
@@ -114,19 +108,14 @@ def _dataclass(info: StructTypeInfo) -> StructConstructorSpec | None:
 
 def _option(field: Field[Any], hint: Any, texts: dict[str, str]) -> StructFieldSpec:
     default = field.default
-    if field.default_factory is not MISSING:
-        default = field.default_factory()
     if default is MISSING:
-        default = tyro.MISSING
+        made = field.default_factory
+        default = tyro.MISSING if made is MISSING else made()
     if default is None and isinstance(hint, type):
         hint = hint | None
     silent = any(default is nothing for nothing in (None, False, (), tyro.MISSING))
-    hint = Annotated[hint, arg(help_behavior_hint="" if silent else _default)]
+    hint = Annotated[hint, arg(help_behavior_hint="" if silent else "(default: {})".format)]
     return StructFieldSpec(field.name, hint, default, texts.get(field.name))
-
-
-def _default(text: str) -> str:
-    return f"(default: {text})"
 
 
 def _help_texts(command: type) -> dict[str, str]:
@@ -139,13 +128,11 @@ def _help_texts(command: type) -> dict[str, str]:
             match above, below:
                 case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(text))):
                     texts[name] = text
-    return {name: _sentence(text.split()) for name, text in texts.items()}
-
-
-def _sentence(words: list[str]) -> str:
-    """Return words as a text that begins with a capital letter, unless a name is first."""
-    first, *rest = words
-    return " ".join([first[0].upper() + first[1:] if first.isalpha() else first, *rest])
+    for name, text in texts.items():
+        first, *rest = text.split()
+        capital = first[0].upper() + first[1:] if first.isalpha() else first  # else it is a name
+        texts[name] = " ".join([capital, *rest])
+    return texts
 
 
 @REGISTRY.primitive_rule
@@ -204,12 +191,7 @@ def _numbers(convert: Callable[[str], float], metavar: str, allowed: str) -> Rea
 
 
 def whole_number(text: str) -> int:
-    """Return the whole number that ``text`` is, such as ``5000``, ``1_000_000`` or ``1e6``.
-
-    Raises:
-        ValueError: it is none.
-        OverflowError: it is infinite.
-    """
+    """Return the whole number that ``text`` is, such as ``5000``, ``1_000_000`` or ``1e6``."""
     try:
         return int(text)
     except ValueError:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from baselines.cli.options import check_options
+
 if TYPE_CHECKING:
     from mbn_marl.planning import Plan as FoundPlan
 
@@ -67,38 +69,33 @@ class Plan:
 
     def _check(self) -> None:
         """Check that the options fit together."""
-        from mbn_marl.errors import ConfigError
-
-        problems = []
-        if not self.time_limit > 0.0:
-            problems.append(f"time_limit: more than 0 seconds, not {self.time_limit}")
-        if self.episodes < 1:
-            problems.append(f"episodes: at least 1, not {self.episodes}")
-        if not self.noise >= 0.0:
-            problems.append(f"noise: 0 or more, not {self.noise}")
-        if self.export is None and (self.episodes, self.noise) != (1, 0.0):
-            problems.append("episodes, noise: for --export")
-        if self.export is not None and self.export.suffix != ".npz":
-            problems.append(f"export: allowed: a name that ends in .npz, not {self.export}")
-        if self.write and not Path(self.field).is_file():
-            problems.append(f"write: allowed with a field file of yours, not {self.field}")
-        if self.write and (self.n_robots is not None or any(self.wind)):
-            problems.append("write: allowed without --n-robots and --wind")
-        if problems:
-            raise ConfigError("plan", problems)
+        task = self.n_robots is not None or any(self.wind)
+        wrong = {
+            f"time_limit: more than 0 seconds, not {self.time_limit}": not self.time_limit > 0.0,
+            f"episodes: at least 1, not {self.episodes}": self.episodes < 1,
+            f"noise: 0 or more, not {self.noise}": not self.noise >= 0.0,
+            "episodes, noise: for --export": self.export is None
+            and (self.episodes, self.noise) != (1, 0.0),
+            f"export: allowed: a name that ends in .npz, not {self.export}": self.export is not None
+            and self.export.suffix != ".npz",
+            f"write: allowed with a field file of yours, not {self.field}": self.write
+            and not Path(self.field).is_file(),
+            "write: allowed without --n-robots and --wind": self.write and task,
+        }
+        check_options("plan", wrong)
 
     def _keep_optimum(self, found: FoundPlan) -> None:
         """Say which line keeps a proved optimum in the field file, or write it there."""
         from mbn_marl.errors import MbnError
 
         path, usual = Path(self.field), self.n_robots is None and not any(self.wind)
+        line = f"optimal_makespan: {found.makespan}"
         if self.write and not found.optimal:
             raise MbnError(f"{path}: nothing is written, since this plan is not proved optimal")
         if self.write:
             write_optimum(path, found)
-            print(f"written to {path}: optimal_makespan: {found.makespan}")
+            print(f"written to {path}: {line}")
         elif path.is_file() and usual and found.optimal and found.field.optimal_makespan is None:
-            line = f"optimal_makespan: {found.makespan}"
             print(f"to keep it, add this line to {path} (--write does): {line}")
 
     def _export(self, found: FoundPlan, settings: dict[str, Any], path: Path) -> None:
@@ -128,7 +125,7 @@ def write_optimum(path: Path, found: FoundPlan) -> None:
     line = f"optimal_makespan: {found.makespan}"
     new, count = re.subn(r"^optimal_makespan:[ \t]*[\w~]*", line, text, count=1, flags=re.MULTILINE)
     if not count:
-        new = f"{text}{'' if text.endswith(chr(10)) else chr(10)}{line}\n"
+        new = f"{text.removesuffix(chr(10))}\n{line}\n"
     try:
         with replacing(path) as temporary:
             temporary.write_text(new, encoding="utf-8")
@@ -140,7 +137,7 @@ def write_optimum(path: Path, found: FoundPlan) -> None:
 
 
 def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> list[str]:
-    """The plan's actions and positions, its episode and its picture; their names."""
+    """Write the plan's arrays, episode and picture; return the files' names."""
     import numpy as np
 
     from baselines.runs.files import write_arrays
@@ -171,8 +168,8 @@ def print_plan(found: FoundPlan) -> None:
     from baselines.console import console
 
     table = Table(title=f"plan of {found.field.name}", show_header=False)
-    makespan = "none was found" if found.makespan is None else f"{found.makespan} steps"
-    table.add_row("makespan", makespan)
+    none = found.makespan is None
+    table.add_row("makespan", "none was found" if none else f"{found.makespan} steps")
     table.add_row("proved lower bound", f"{found.makespan_lower_bound} steps")
     table.add_row("optimal", "yes, proved" if found.optimal else "not proved")
     table.add_row("return", "-" if found.return_ is None else f"{found.return_:,.0f}")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
+from baselines.cli.options import check_options
+
 if TYPE_CHECKING:
     from mbn_marl.episode import Episode
 
@@ -34,11 +36,10 @@ class Render:
     def run(self, command_line: str) -> None:
         """Run the episode and write it."""
         from baselines.evaluation.rollout import check_ending, write_episode
-        from mbn_marl.errors import ConfigError
         from mbn_marl.files import check_free, claim_file
 
-        if self.steps is not None and self.steps < 1:
-            raise ConfigError("render", [f"steps: at least 1, not {self.steps}"])
+        few = self.steps is not None and self.steps < 1
+        check_options("render", {f"steps: at least 1, not {self.steps}": few})
         check_ending(self.out)
         check_free(self.out, force=self.force)
         episode = self._episode()
@@ -51,12 +52,12 @@ class Render:
         from baselines.evaluation.rollout import record_episode
         from mbn_marl.episode import check_episode, is_episode_file, load_episode
         from mbn_marl.episode.files import EXPECTED
-        from mbn_marl.errors import ConfigError, FieldError
+        from mbn_marl.errors import FieldError
 
         if is_episode_file(self.source):
-            if (self.sampled, self.seed, self.steps) != (False, 0, None):
-                problem = f"sampled, seed, steps: not for {self.source}, which is recorded already"
-                raise ConfigError("render", [problem])
+            asked = (self.sampled, self.seed, self.steps) != (False, 0, None)
+            problem = f"sampled, seed, steps: not for {self.source}, which is recorded already"
+            check_options("render", {problem: asked})
             episode = load_episode(self.source)
             check_episode(episode, self.source)
             return episode
@@ -66,13 +67,10 @@ class Render:
             if not self.source.lower().endswith(".json"):
                 raise
             raise FieldError(self.source, [*error.problems, f"nor is it {EXPECTED}"]) from None
-        kind = ", sampled actions" if self.sampled else ""
         return record_episode(
-            actor.policy,
-            actor.field,
-            actor.settings,
+            *(actor.policy, actor.field, actor.settings),
             deterministic=not self.sampled,
             seed=self.seed,
             limit=self.steps,
-            source=f"{actor.name}{kind}",
+            source=f"{actor.name}{', sampled actions' if self.sampled else ''}",
         )

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from baselines.cli.options import check_options
+
 
 @dataclass(frozen=True)
 class Report:
@@ -37,19 +39,16 @@ class Report:
         from baselines.compare.report import is_page, report_comparison
         from baselines.compare.tables import print_comparison
         from baselines.console import console
-        from mbn_marl.errors import ConfigError
 
-        problems = []
-        if is_page(self.out) and self.paper:
-            problems.append(f"out: --paper writes a folder or .md, not {self.out}")
-        elif not is_page(self.out) and self.paper == self.comparison:
-            problems.append("kind: --paper or --comparison is needed, or an out that ends in .html")
-        if not self.paper and (self.study is not None or self.notes is not None):
-            problems.append("study and notes: allowed with --paper")
-        if not self.runs:
-            problems.append("RUNS: at least one folder is needed")
-        if problems:
-            raise ConfigError("report", problems)
+        page = is_page(self.out)
+        wrong = {
+            f"out: --paper writes a folder or .md, not {self.out}": page and self.paper,
+            "kind: --paper or --comparison is needed, or an out that ends in .html": not page
+            and self.paper == self.comparison,
+            "study and notes: allowed with --paper": not self.paper and (self.study or self.notes),
+            "RUNS: at least one folder is needed": not self.runs,
+        }
+        check_options("report", wrong)
         screen = console()
         note = partial(screen.print, soft_wrap=True, highlight=False)
         how: dict[str, Any] = {"command": command_line, "force": self.force, "note": note}

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import arg
 
+from baselines.cli.options import check_options
 from baselines.training.config import TrainConfig
-from mbn_marl.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -34,26 +34,19 @@ class Train:
         """Train, with a progress bar, and print the final evaluation."""
         from baselines.cli.evaluate import print_evaluations
         from baselines.training.overrides import ENVIRONMENT, parse
-        from baselines.training.progress_bar import ProgressDisplay
+        from baselines.training.progress_bar import progress_bars
         from baselines.training.train import notes, train
 
-        if self.force and self.resume:
-            raise ConfigError("training", ["force and resume: allowed is one of them"])
+        wrong = {"force and resume: allowed is one of them": self.force and self.resume}
+        check_options("training", wrong)
         changes = parse(self.set)
         environment = changes.pop(ENVIRONMENT, {})
         config = replace(self.config, environment=environment, hyperparameters=changes)
         for line in notes(config):
             print(line)
         out = self.out or Path("runs") / config.name
-        with ProgressDisplay([config.name], config.steps) as display:
-            run = train(
-                config,
-                out,
-                command=command_line,
-                force=self.force,
-                resume=self.resume,
-                wandb=self.wandb,
-                listener=display,
-            )
+        how: dict[str, Any] = {n: getattr(self, n) for n in ("force", "resume", "wandb")}
+        with progress_bars([config.name], config.steps) as show:
+            run = train(config, out, command=command_line, listener=show, **how)
         final = run.evaluation
         print_evaluations([final["stochastic"], final["deterministic"]], title=str(run.path))

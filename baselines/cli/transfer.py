@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
+
+from baselines.cli.options import check_options
 
 
 @dataclass(frozen=True)
@@ -44,47 +46,55 @@ class Transfer:
     def run(self, command_line: str) -> None:
         """Train with a bar for every run, then print the final evaluations."""
         from baselines.cli.evaluate import print_evaluations
+        from baselines.runs.files import RunError
         from baselines.runs.folder import RunFolder
         from baselines.sweep.processes import LocalEngine
         from baselines.sweep.run import check_outcomes, train_runs
-        from baselines.sweep.transfer import transfer_runs
-        from baselines.training.config import TrainConfig
-        from baselines.training.progress_bar import ProgressDisplay
-        from mbn_marl.errors import ConfigError
+        from baselines.sweep.spec import GridSpec, runs_of
+        from baselines.training.hyperparameters import validate
+        from baselines.training.progress_bar import progress_bars
         from mbn_marl.field import catalogue_names, load_field
 
-        counts = {"processes": self.processes, "source_steps": self.source_steps}
-        problems = [
-            f"{name}: at least 1, not {n}" for name, n in counts.items() if n is not None and n < 1
-        ]
-        if problems:
-            raise ConfigError("transfer", problems)
-        config = TrainConfig(
-            self.algorithm,
-            self.source,
-            setting="A",
-            seed=self.seed,
-            steps=self.steps,
-            evaluate_every=self.evaluate_every,
-            episodes=self.episodes,
-            num_envs=self.num_envs,
-            device=self.device,
+        home, engine = load_field(self.source), LocalEngine(self.processes)
+        others = [name for name in catalogue_names() if load_field(name) != home]
+        wrong = {
+            f"fields: {field} is the field that the policy comes from": load_field(field) == home
+            for field in self.fields
+        }
+        wrong[f"source_steps: at least 1, not {self.source_steps}"] = (
+            self.source_steps is not None and self.source_steps < 1
         )
-        fields = self.fields or tuple(
-            name for name in catalogue_names() if load_field(name) != load_field(self.source)
+        check_options("transfer", wrong)
+        spec = {
+            "store": str(self.out),
+            "algorithms": (self.algorithm,),
+            "fields": self.fields or others,
+            "settings": ("C",),
+            "seeds": (self.seed,),
+            "source": self.source,
+            "budget": {n: getattr(self, n) for n in ("steps", "evaluate_every", "episodes")},
+        }
+        first, *targets = (
+            replace(run, num_envs=self.num_envs, device=self.device)
+            for run in runs_of(validate(GridSpec, spec, "transfer"))
         )
-        runs = transfer_runs(
-            config, self.out, fields, source_steps=self.source_steps, resume=self.resume
-        )
-        with ProgressDisplay([run.name for run in runs], self.steps) as display:
-            outcomes = train_runs(
-                runs, str(self.out), LocalEngine(self.processes), listener=display
+        source, runs = RunFolder(self.out / first.name), targets
+        if not source.finished:
+            runs = [replace(first, steps=self.source_steps or self.steps), *targets]
+        elif self.source_steps not in (None, steps := source.config["steps"]):
+            raise RunError(
+                f"{source.path} is finished with a budget of {steps:,} env-steps, not "
+                f"{self.source_steps:,}; choose another --out, or leave --source-steps out"
             )
-        source = RunFolder(self.out / config.name)
+        there = [str(self.out / run.name) for run in runs if (self.out / run.name).exists()]
+        if there and not self.resume:
+            problem = "already exists; choose another --out, or pass --resume"
+            raise RunError(f"{', '.join(there)} {problem}")
+        with progress_bars([run.name for run in runs], self.steps) as show:
+            outcomes = train_runs(runs, str(self.out), engine, listener=show)
         if source.finished:
             print(f"from: {source.path}, {source.evaluation['env_steps']:,} env-steps")
-        done = [RunFolder(self.out / run.name) for run in runs if run.setting == "C"]
-        for folder in (source, *done):
+        for folder in (source, *(RunFolder(self.out / run.name) for run in targets)):
             if folder.finished:
                 final = folder.evaluation
                 print_evaluations([final["stochastic"], final["deterministic"]], str(folder.path))

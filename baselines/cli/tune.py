@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
+
+from baselines.cli.options import check_options
 
 
 @dataclass(frozen=True)
@@ -56,37 +58,20 @@ class Tune:
         from baselines.tuning.study import ended, open_study
         from baselines.tuning.trial import TuneConfig
         from baselines.tuning.tune import tune
-        from mbn_marl.errors import ConfigError
 
-        if self.resume and self.force:
-            raise ConfigError("tuning", ["resume: continues a study that --force moves aside"])
+        wrong = {"force and resume: allowed is one of them": self.force and self.resume}
+        check_options("tuning", wrong)
         engine = make_engine(self.engine, self.processes, self.address)
-        config = TuneConfig(
-            self.algorithm,
-            self.field,
-            seed=self.seed,
-            steps=self.steps,
-            evaluate_every=self.evaluate_every,
-            episodes=self.episodes,
-            num_envs=self.num_envs,
-        )
+        config = TuneConfig(**{one.name: getattr(self, one.name) for one in fields(TuneConfig)})
         out = self.out or Path("runs") / f"tune-{self.algorithm}-{Path(self.field).stem}"
         screen = console()
         for name in Space.of(self.algorithm).skipped:
             screen.print(f"skipped: {name}, since {self.algorithm} has no such argument")
         before = len(ended(open_study(out))) if self.resume else 0
-        with tune_display(self.trials, before, self.steps, screen) as display:
-            path = tune(
-                config,
-                out,
-                trials=self.trials,
-                engine=engine,
-                command=command_line,
-                database=self.database,
-                resume=self.resume,
-                force=self.force,
-                listener=display,
-            )
+        names = ("trials", "database", "resume", "force")
+        how: dict[str, Any] = {name: getattr(self, name) for name in names}
+        with tune_display(self.trials, before, self.steps, screen) as show:
+            path = tune(config, out, engine=engine, command=command_line, listener=show, **how)
         screen.print(
             f"written to {out}: trials.csv, study.png, {path.name}. To train with it:\n"
             f"mbn train {self.algorithm} FIELD --setting B --hyperparams {path}",

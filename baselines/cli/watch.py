@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import Positional, arg
-
-if TYPE_CHECKING:
-    from baselines.demo.interactive import Show
-    from baselines.demo.resolve import Actor
-    from mbn_marl.episode import Episode
 
 
 @dataclass(frozen=True)
@@ -38,30 +33,24 @@ class _Window:
     force: bool = False
     """If that file exists, move it aside."""
 
-    def _actor(self) -> Actor:
+    def run(self, command_line: str) -> None:
+        """Show episodes until the window is closed, and keep the last one if asked to."""
+        from baselines.demo.interactive import Show, play, watch
         from baselines.demo.resolve import find_actor, zoo_policy
-
-        chosen = self.policy or zoo_policy(self.source)
-        actor = find_actor(self.source, chosen, seed=self.seed)
-        if self.wind is None:
-            return actor
-        return replace(actor, settings={**actor.settings, "wind": self.wind})
-
-    def _show(self) -> Show:
-        from baselines.demo.interactive import Show
+        from mbn_marl.episode import save_episode
         from mbn_marl.errors import MbnError
-        from mbn_marl.files import check_free
+        from mbn_marl.files import check_free, claim_file
 
+        actor = find_actor(self.source, self.policy or zoo_policy(self.source), seed=self.seed)
+        wind = {} if self.wind is None else {"wind": self.wind}
+        actor = replace(actor, settings={**actor.settings, **wind})
         if self.save is not None:
             if self.save.suffix.lower() != ".json":
                 raise MbnError(f"{self.save}: the file name has to end in .json")
             check_free(self.save, force=self.force)
-        return Show(not self.sampled, self.seed, self.speed, self.episodes)
-
-    def _keep(self, shown: list[Episode]) -> None:
-        from mbn_marl.episode import save_episode
-        from mbn_marl.files import claim_file
-
+        show = Show(not self.sampled, self.seed, self.speed, self.episodes)
+        robot = self.robot if isinstance(self, Play) else None
+        shown = watch(actor, show) if robot is None else play(actor, show, robot)
         for episode in shown:
             print(f"{episode.outcome}, {episode.steps} steps, return {episode.team_return:,.0f}")
         if self.save is not None and shown:
@@ -73,12 +62,6 @@ class _Window:
 class Watch(_Window):
     """Watch a policy in a window. Space pauses, R starts it again, Escape closes it."""
 
-    def run(self, command_line: str) -> None:
-        """Show episodes until the window is closed."""
-        from baselines.demo.interactive import watch
-
-        self._keep(watch(self._actor(), self._show()))
-
 
 @dataclass(frozen=True)
 class Play(_Window):
@@ -86,9 +69,3 @@ class Play(_Window):
 
     robot: int = 0
     """Which robot is yours."""
-
-    def run(self, command_line: str) -> None:
-        """Show episodes until the window is closed."""
-        from baselines.demo.interactive import play
-
-        self._keep(play(self._actor(), self._show(), self.robot))

@@ -37,31 +37,19 @@ class Zoo:
 
 def print_cards(cards: list[Mapping[str, Any]]) -> None:
     """Print cards as a table, one a row: returns with sampled and with mean actions."""
-    from rich import box
-    from rich.table import Table
+    from baselines.compare.text_table import TextTable
 
-    from baselines.console import console
-
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for heading in (
-        "policy",
-        "algorithm",
-        "env-steps",
-        "sampled\nactions",
-        "success",
-        "mean\nactions",
-        "optimum",
-    ):
-        table.add_column(heading, justify="left" if heading == "policy" else "right")
-    for card in cards:
-        sampled, optimum = card["stochastic"], card["optimum"]
-        table.add_row(
+    headings = ("policy", "algorithm", "env-steps", "sampled\nactions", "success", "mean\nactions")
+    lines = tuple(
+        (
             f"zoo:{card['name']}",
             card["algorithm"],
             f"{card['env_steps']:,}",
-            f"{sampled['return_mean']:,.0f}",
-            f"{sampled['success_rate']:.0%}",
+            f"{card['stochastic']['return_mean']:,.0f}",
+            f"{card['stochastic']['success_rate']:.0%}",
             f"{card['deterministic']['return_mean']:,.0f}",
-            "-" if optimum is None else f"{optimum:,.0f}",
+            "-" if card["optimum"] is None else f"{card['optimum']:,.0f}",
         )
-    console().print(table)
+        for card in cards
+    )
+    TextTable("", (*headings, "optimum"), lines).print("")

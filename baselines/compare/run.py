@@ -7,8 +7,14 @@ from pathlib import Path
 from baselines.compare.config import CompareConfig
 from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
-from baselines.runs.differences import differences
-from baselines.runs.files import RunError, alone, claim_folder, read_json, write_json
+from baselines.runs.files import (
+    RunError,
+    alone,
+    claim_folder,
+    differences,
+    read_json,
+    write_json,
+)
 from baselines.runs.folder import RunFolder
 from baselines.runs.provenance import write_provenance
 from baselines.sweep.processes import LocalEngine

@@ -1,7 +1,6 @@
-"""Checksums of what must be read exactly as it was written: checkpoints, policies and the zoo.
+"""Checksums of checkpoints, policies and the zoo.
 
-``checksums.json`` lists the SHA-256 of the files beside it; whoever reads one of them checks it
-first. A file that is not listed is not checked, nor is one in a folder without a list.
+``checksums.json`` lists the SHA-256 of files beside it, which every reader of one checks first.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ LIST = "checksums.json"
 
 
 def digests_of(folder: Path) -> dict[str, str]:
-    """The SHA-256 of each file in ``folder``, by name, but of hidden ones and of the list."""
+    """Return the SHA-256 of each file in ``folder`` by name, without hidden ones and the list."""
     files = (path for path in sorted(folder.iterdir()) if path.is_file())
     return {path.name: _digest(path) for path in files if path.name[0] != "." and path.name != LIST}
 
@@ -43,7 +42,7 @@ def _digest(path: Path) -> str:
 
 
 def _listed(folder: Path) -> dict[str, Any]:
-    """The checksums that ``folder`` lists, by file; none without a list."""
+    """Return the checksums that ``folder`` lists, by file; none without a list."""
     place = folder / LIST
     if not place.is_file():
         return {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from baselines.runs.files import RunError, moved_aside, read_json
@@ -14,14 +14,10 @@ def run_folders(
     *,
     comparisons: bool = False,
 ) -> list[Path]:
-    """The run folders at ``paths``, which are some, or hold some anywhere inside; each one once.
+    """Return the run folders at or anywhere inside ``paths``, each one once.
 
-    Studies and what ``--force`` moved aside are left out inside; a path itself is always read.
-
-    Args:
-        paths: where to look.
-        note: is told what is left out.
-        comparisons: read those inside too.
+    Inside, studies, what ``--force`` moved aside, and unless asked for ``comparisons`` are left
+    out; ``note`` receives a line about each.
 
     Raises:
         RunError: a path holds no run.
@@ -31,7 +27,7 @@ def run_folders(
 
 
 def _inside(path: Path, note: Callable[[str], None], comparisons: bool) -> list[Path]:
-    """The folders of runs at or below ``path``, sorted, but for what is left out."""
+    """Return the folders of runs at or below ``path``, sorted, but for what is left out."""
     if not path.is_dir():
         raise RunError(f"{path} is not a folder")
     if is_study(path):
@@ -39,7 +35,8 @@ def _inside(path: Path, note: Callable[[str], None], comparisons: bool) -> list[
     folders: list[Path] = []
     left_out: dict[Path, str] = {}
     for folder in sorted(file.parent for file in path.rglob("field.yaml")):
-        for place in _from_to(path, folder):
+        below = (place for place in (*reversed(folder.parents), folder) if path in place.parents)
+        for place in below:
             if why := _why_left_out(place, comparisons):
                 left_out[place] = why
                 break
@@ -52,27 +49,25 @@ def _inside(path: Path, note: Callable[[str], None], comparisons: bool) -> list[
     return folders
 
 
-def _from_to(path: Path, folder: Path) -> list[Path]:
-    """The folders below ``path`` on the way to ``folder`` inside it, and that one."""
-    return [place for place in (*reversed(folder.parents), folder) if path in place.parents]
-
-
 def _why_left_out(folder: Path, comparisons: bool) -> str | None:
-    """Why what is in ``folder`` is not reported on; ``None`` if it is."""
+    """Return why what is in ``folder`` is left out; ``None`` if it is not."""
     if moved_aside(folder):
         return "moved aside by --force"
     if is_study(folder):
         return "a study; draw it with --study"
-    config = folder / "config.json"
-    is_run = (folder / "field.yaml").is_file()
-    is_comparison = not is_run and config.is_file() and "variants" in read_json(config)
-    if is_comparison and not comparisons:
+    config, is_run = _config(folder), (folder / "field.yaml").is_file()
+    if not is_run and not comparisons and "variants" in config:
         return "a comparison; name it to report on its runs"
     return None
 
 
 def is_study(folder: Path) -> bool:
     """Return whether ``folder`` is that of a study."""
+    return "database" in _config(folder)
+
+
+def _config(folder: Path) -> Collection[str]:
+    """Return the entries of ``config.json``; none without the file."""
     path = folder / "config.json"
     config = read_json(path) if path.is_file() else None
-    return isinstance(config, dict) and "database" in config
+    return config if isinstance(config, dict) else ()

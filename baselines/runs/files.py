@@ -33,12 +33,7 @@ class RunError(MbnError):
 
 
 def claim_folder(path: Path, *, force: bool = False) -> Path:
-    """Create the folder ``path`` for a new run or comparison.
-
-    Args:
-        path: the folder; parents are created.
-        force: a folder that is already there is moved aside to ``<path>.1``, ``<path>.2``, ...
-            (the first free name), so nothing is lost.
+    """Create the folder ``path``; with ``force`` move one that is there aside to ``<path>.1``, ...
 
     Raises:
         RunError: ``path`` is a file, or a folder with something in it and ``force`` is not set or
@@ -46,7 +41,10 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
     """
     if path.exists() and not path.is_dir():
         raise RunError(f"{path} is a file; the output must be a folder")
-    if path.is_dir() and not all(map(_of_a_beginning, path.iterdir())):
+    # A process that is killed before its first write leaves at most these.
+    if path.is_dir() and any(
+        file.name != LOCK and not file.name.startswith(".config.json.") for file in path.iterdir()
+    ):
         if not force:
             raise RunError(
                 f"{path} already exists; choose another --out, or pass --force to move it aside"
@@ -59,29 +57,22 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
     return path
 
 
-def _of_a_beginning(path: Path) -> bool:
-    """Return whether the file is what a process leaves if it is killed before its first write."""
-    return path.name == LOCK or path.name.startswith(".config.json.")
-
-
 @contextmanager
 def alone(folder: Path, command: str, hint: str = "") -> Iterator[None]:
-    """Hold the lock of ``folder``; the system frees it however this process ends.
-
-    Args:
-        folder: it must exist.
-        command: what runs there, such as ``"mbn train"``.
-        hint: what to do instead.
+    """Hold the lock of a folder that exists; the system frees it however this process ends.
 
     Raises:
-        RunError: another process holds it.
+        RunError: another process holds it; with its command, or else this one's, and ``hint``.
     """
     place = folder / LOCK
     lock = FileLock(place, timeout=0)
     try:
         lock.acquire()
     except Timeout:
-        holder = _holder(place, command)
+        holder = command
+        with suppress(OSError, ValueError, TypeError, KeyError):  # it is not recorded yet
+            recorded = json.loads(place.read_text())
+            holder = "{command} (process {pid} on {host} since {since})".format(**recorded)
         raise RunError(f"{folder}: another {holder} is running here{hint}") from None
     try:
         with suppress(OSError):  # the name is a courtesy; the lock itself is the system's
@@ -95,13 +86,13 @@ def alone(folder: Path, command: str, hint: str = "") -> Iterator[None]:
         lock.release()
 
 
-def _holder(place: Path, command: str) -> str:
-    """Who holds a lock, in words; ``command`` if that is not recorded yet."""
-    try:
-        holder = json.loads(place.read_text())
-        return "{command} (process {pid} on {host} since {since})".format(**holder)
-    except (OSError, ValueError, TypeError, KeyError):
-        return command
+def differences(recorded: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
+    """Return a line for each entry of ``asked`` that was recorded otherwise, of JSON values."""
+    return [
+        f"{name}: recorded is {recorded.get(name)!r}, asked for is {value!r}"
+        for name, value in asked.items()
+        if recorded.get(name) != value
+    ]
 
 
 def moved_aside(path: Path) -> bool:
@@ -134,16 +125,12 @@ def read_json(path: Path) -> Any:
         raise RunError(f"{path} is missing: {path.parent} is not a finished run") from None
     except MbnError:
         raise
-    except (ValueError, RecursionError) as error:  # not text, not JSON, or nested without end
+    except (ValueError, RecursionError) as error:  # no text, no JSON, or nested without end
         raise RunError(f"{path} is not valid JSON: {error}") from None
 
 
 def read_text(path: Path) -> str:
-    """Read a text file of a run.
-
-    Raises:
-        RunError: the file is missing or is not text.
-    """
+    """Read a text file of a run; raise a RunError if it is missing or no text."""
     try:
         return path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -163,7 +150,7 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bo
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read what :func:`write_arrays` wrote; no file can run code here.
+    """Read what :func:`write_arrays` wrote; nothing in a file is run.
 
     Raises:
         RunError: the file is missing or damaged, or is another kind of archive.
@@ -171,7 +158,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """
     try:
         check(path)
-        check_members(path)
+        _check_members(path)
         with np.load(path, allow_pickle=False) as arrays:
             return dict(arrays)
     except MbnError:
@@ -184,7 +171,7 @@ UNREADABLE = (OSError, ValueError, EOFError, NotImplementedError, zipfile.BadZip
 """What Python's and NumPy's readers raise for archives that are damaged."""
 
 
-def check_members(path: Path) -> None:
+def _check_members(path: Path) -> None:
     """Check that an archive names only files inside it; raise an error if it does not."""
     with zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
@@ -196,10 +183,7 @@ def check_members(path: Path) -> None:
 
 @contextmanager
 def replacing_folder(path: Path) -> Iterator[Path]:
-    """A new folder that replaces ``path`` when the block ends well.
-
-    If the block fails or is killed, ``path`` is left as it was.
-    """
+    """Yield a new folder that replaces ``path`` when the block succeeds."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     try:

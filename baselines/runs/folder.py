@@ -31,6 +31,7 @@ from typing import Any, Self
 from baselines.runs.checksums import check
 from baselines.runs.files import (
     RunError,
+    differences,
     read_json,
     read_text,
     replacing_folder,
@@ -49,25 +50,14 @@ FOLDERS = ("policy", "checkpoints", "tensorboard")
 
 
 class RunFolder:
-    """The folder of one run; see the module's docstring for its files.
-
-    Args:
-        path: the folder.
-    """
+    """The folder ``path`` of one run; see the module's docstring for its files."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     @classmethod
     def create(cls, path: Path, resolved: Mapping[str, Any], field: Field, command: str) -> Self:
-        """Start a run in a folder that is claimed.
-
-        Args:
-            path: the folder.
-            resolved: the resolved configuration (JSON values).
-            field: the field to train on.
-            command: the exact command of the run.
-        """
+        """Start a run in a claimed folder, with its resolved configuration (JSON values)."""
         folder = cls(path)
         folder._clear_leftovers()
         write_json(path / "config.json", resolved)
@@ -79,61 +69,38 @@ class RunFolder:
     def resume(cls, path: Path, resolved: Mapping[str, Any], field: Field, command: str) -> Self:
         """Resume the run in ``path``, if it was interrupted; a finished one is left as it is.
 
-        Args:
-            path: the folder.
-            resolved: the resolved configuration; it must be the recorded one.
-            field: the field to train on; it must be the recorded one.
-            command: the exact command that resumes it, recorded in the folder.
-
         Raises:
             RunError: there is no run at ``path``.
-            ConfigError: naming every entry of the configuration that differs.
+            ConfigError: naming what differs from the recorded configuration and field.
         """
         folder = cls.open(path)
         recorded, asked = folder.config, json.loads(json.dumps(resolved))
-        problems = [
-            f"{name}: the run has {recorded.get(name)!r}, this command {asked.get(name)!r}"
-            for name in dict.fromkeys([*recorded, *asked])
-            if recorded.get(name) != asked.get(name)
-        ]
+        problems = differences(recorded, {**dict.fromkeys(recorded), **asked})
         if (path / "field.yaml").exists() and folder.field != field:
             problems.append("field: it has changed since the run was started")
         if problems:
             raise ConfigError(f"{path} cannot be resumed", problems)
-        if not folder.finished:
-            folder._record_resumption(field, command)
-        return folder
-
-    def _record_resumption(self, field: Field, command: str) -> None:
-        """Record that the run is resumed, and write what it was killed too early to write."""
-        self._clear_leftovers()
-        entry = {"env_steps": self.saved_steps, "command": command, "versions": versions()}
-        history = self.path / "resumed.json"
+        if folder.finished:
+            return folder
+        folder._clear_leftovers()
+        entry = {"env_steps": folder.saved_steps, "command": command, "versions": versions()}
+        history = path / "resumed.json"
         write_json(history, [*(read_json(history) if history.exists() else []), entry])
-        if not (self.path / "field.yaml").exists():
-            save_field(field, self.path / "field.yaml")
-        if not (self.path / "versions.json").exists():
-            write_provenance(self.path, command)
+        if not (path / "field.yaml").exists():  # it was killed too early to write these
+            save_field(field, path / "field.yaml")
+        if not (path / "versions.json").exists():
+            write_provenance(path, command)
+        return folder
 
     def _clear_leftovers(self) -> None:
         """Remove what a killed process left half-written."""
-        names = (*FILES, "policy")
-        for leftover in (file for name in names for file in self.path.glob(f".{name}.*")):
-            if leftover.is_dir():
-                shutil.rmtree(leftover)
-            else:
-                leftover.unlink()
+        for name in (*FILES, "policy"):
+            for leftover in self.path.glob(f".{name}.*"):
+                shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open the folder of an earlier run.
-
-        Args:
-            path: the folder.
-
-        Raises:
-            RunError: there is no run at ``path``, or a link in it.
-        """
+        """Open the folder of an earlier run; raise a RunError if there is none, or a link in it."""
         if not (path / "config.json").is_file():
             raise RunError(f"{path} is not a run folder: it has no config.json")
         inside = (file for name in FOLDERS for file in (path / name).rglob("*"))
@@ -145,8 +112,7 @@ class RunFolder:
     @property
     def config(self) -> dict[str, Any]:
         """The resolved configuration."""
-        config: dict[str, Any] = read_json(self.path / "config.json")
-        return config
+        return dict(read_json(self.path / "config.json"))
 
     @property
     def field(self) -> Field:
@@ -164,14 +130,12 @@ class RunFolder:
     @property
     def evaluations(self) -> list[dict[str, Any]]:
         """The summaries of the fresh evaluations during training, in order."""
-        evaluations: list[dict[str, Any]] = read_json(self.path / "evaluations.json")
-        return evaluations
+        return list(read_json(self.path / "evaluations.json"))
 
     @property
     def evaluation(self) -> dict[str, Any]:
         """The final evaluation of a finished run."""
-        evaluation: dict[str, Any] = read_json(self.path / "evaluation.json")
-        return evaluation
+        return dict(read_json(self.path / "evaluation.json"))
 
     @property
     def finished(self) -> bool:
@@ -180,7 +144,7 @@ class RunFolder:
 
     @property
     def unfinished(self) -> str | None:
-        """How far a run without a final policy came, in words; ``None`` if it has one."""
+        """The progress of a run without a final policy, in words; ``None`` if it has one."""
         if (self.path / "policy").exists():
             return None
         saved, asked = self.saved_steps, self.config["steps"]
@@ -199,10 +163,7 @@ class RunFolder:
 
     @contextmanager
     def new_checkpoint(self, env_steps: int) -> Iterator[Path]:
-        """A folder to fill; when the block ends well it is the newest checkpoint, and the only one.
-
-        Whatever interrupts this leaves the one before in place.
-        """
+        """Yield a folder to fill; then it is the newest checkpoint, and the only one."""
         path = self.path / "checkpoints" / f"{env_steps:012d}"
         with replacing_folder(path) as folder:
             yield folder
@@ -215,7 +176,7 @@ class RunFolder:
 
     @contextmanager
     def new_policy(self) -> Iterator[Path]:
-        """A folder to fill; when the block ends well it is the final policy's."""
+        """Yield a folder to fill: the final policy's, if the block succeeds."""
         with replacing_folder(self.path / "policy") as folder:
             yield folder
             seal(folder)
@@ -242,11 +203,7 @@ class RunFolder:
         return self.progress.stat().st_size if self.progress.exists() else 0
 
     def cut_progress(self, size: int) -> None:
-        """Keep the first ``size`` bytes of ``progress.csv``; with 0, remove it.
-
-        Raises:
-            RunError: it is shorter.
-        """
+        """Keep the first ``size`` bytes of ``progress.csv``; with 0, remove it."""
         if self.progress_bytes < size:
             raise RunError(f"{self.progress} is damaged: it ends before the checkpoint")
         if size == 0:
@@ -255,20 +212,13 @@ class RunFolder:
             os.truncate(self.progress, size)
 
     def append_progress(self, row: Mapping[str, float]) -> None:
-        """Append a row to ``progress.csv``; the first row fixes the columns.
-
-        Raises:
-            ValueError: the columns differ from the first row's.
-        """
-        path = self.progress
-        new = not path.exists()
-        if not new:
-            with path.open(newline="") as file:
-                columns = next(csv.reader(file))
-            if columns != list(row):
-                raise ValueError(f"progress columns {list(row)} differ from {columns}")
-        with path.open("a", newline="") as file:
+        """Append a row to ``progress.csv``, with the columns of the first row."""
+        with self.progress.open("a+", newline="") as file:
             writer = csv.writer(file)
-            if new:
+            file.seek(0)
+            columns = next(csv.reader(file), None)
+            if columns is None:
                 writer.writerow(row)
+            elif columns != list(row):
+                raise ValueError(f"progress columns {list(row)} differ from {columns}")
             writer.writerow([f"{value:.6g}" if value % 1 else int(value) for value in row.values()])

@@ -6,23 +6,15 @@ import importlib.metadata
 import os
 import platform
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from baselines.runs.files import write_json, write_text
 
 PACKAGES = (
-    "mbn-marl",
-    "numpy",
-    "numba",
-    "gymnasium",
-    "pettingzoo",
-    "sb3-contrib",
-    "stable-baselines3",
-    "supersuit",
-    "tensordict",
-    "torch",
-    "torchrl",
+    *("mbn-marl", "numpy", "numba", "gymnasium", "pettingzoo", "sb3-contrib", "stable-baselines3"),
+    *("supersuit", "tensordict", "torch", "torchrl"),
 )
 
 
@@ -34,12 +26,10 @@ def write_provenance(path: Path, command: str) -> None:
 
 def versions(*more: str) -> dict[str, Any]:
     """Return Python, packages and ``more``, machine, git revision (``None`` outside a clone)."""
-    packages: dict[str, str | None] = {}
-    for name in (*PACKAGES, *more):
-        try:
+    packages: dict[str, str | None] = dict.fromkeys((*PACKAGES, *more))
+    for name in packages:
+        with suppress(importlib.metadata.PackageNotFoundError):
             packages[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            packages[name] = None
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -50,18 +40,11 @@ def versions(*more: str) -> dict[str, Any]:
 
 
 def _git_revision() -> str | None:
-    """The revision of the clone that this file lies in, with ``-dirty`` if it was changed."""
+    """Return the revision of the clone with this file, with ``-dirty`` if it was changed."""
     root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return None
-    try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
-            cwd=root,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return described.stdout.strip()
+    describe = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    if (root / ".git").exists():
+        with suppress(OSError, subprocess.CalledProcessError):
+            found = subprocess.run(describe, cwd=root, capture_output=True, text=True, check=True)
+            return found.stdout.strip()
+    return None

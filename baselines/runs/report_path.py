@@ -23,11 +23,9 @@ class Place:
 
     @classmethod
     def of(cls, out: Path, page: str) -> Place:
-        """``NAME.md`` is the page, beside its folder ``NAME``; any other path is the folder.
+        """Return where ``out`` says: ``NAME.md`` is the page, beside its folder ``NAME``.
 
-        Args:
-            out: that path.
-            page: the name of the page in a folder.
+        Any other path is the folder, and ``page`` the name of the page in it.
         """
         if out.suffix == ".md":
             return cls(out, out.with_suffix(""))
@@ -47,5 +45,5 @@ class Place:
             claim_file(self.page, force=force)
 
     def link(self, name: str) -> str:
-        """A file of the folder as the page refers to it."""
+        """Return the link from the page to a file of the folder."""
         return (self.folder / name).relative_to(self.page.parent).as_posix()

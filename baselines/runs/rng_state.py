@@ -1,4 +1,4 @@
-"""The states of the global random number generators, to be kept in a JSON file."""
+"""The states of the global random number generators, as JSON values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 
 
 def save_generators() -> dict[str, Any]:
-    """The states of Python's, NumPy's and torch's global generators, as JSON values."""
+    """Return the states of Python's, NumPy's and torch's global generators."""
     version, numbers, gauss = random.getstate()
     state: Any = np.random.get_state(legacy=False)
     key = state["state"]["key"].tolist()
@@ -26,7 +26,7 @@ def save_generators() -> dict[str, Any]:
 
 
 def restore_generators(saved: Mapping[str, Any]) -> None:
-    """Go on with the random numbers that would have followed :func:`save_generators`."""
+    """Restore the states that :func:`save_generators` returned."""
     version, numbers, gauss = saved["python"]
     random.setstate((version, tuple(numbers), gauss))
     state = saved["numpy"]

@@ -45,7 +45,7 @@ def read_tensors(path: Path) -> dict[str, torch.Tensor]:
 
 
 def moments_of(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    """The tensors of an optimiser's ``state_dict``, by ``"<parameter's number>.<name>"``."""
+    """Return the tensors of an optimiser's ``state_dict`` as ``"<parameter's number>.<name>"``."""
     return {
         f"{index}.{name}": tensor
         for index, entry in state["state"].items()
@@ -54,7 +54,7 @@ def moments_of(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
 
 
 def with_moments(state: Mapping[str, Any], moments: Mapping[str, torch.Tensor]) -> dict[str, Any]:
-    """An optimiser's ``state_dict`` with what :func:`moments_of` returned instead of its own."""
+    """Return an optimiser's ``state_dict`` with what :func:`moments_of` returned in it."""
     entries: dict[int, dict[str, torch.Tensor]] = {}
     for key, tensor in moments.items():
         index, name = key.split(".")

@@ -17,29 +17,20 @@ from mbn_marl.errors import ConfigError, MbnError
 
 
 class Job(Protocol):
-    """A piece of work that can be pickled.
-
-    Attributes:
-        name: unique among the jobs.
-        after: the name of an earlier job that has to end before this one begins, or ``None``.
-    """
+    """A piece of work that can be pickled."""
 
     @property
     def name(self) -> str:
-        """See the class."""
+        """Unique among the jobs."""
 
     @property
     def after(self) -> str | None:
-        """See the class."""
+        """The name of an earlier job that has to end before this one begins, or ``None``."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """The end of a job that raised an error, or whose process or machine was lost.
-
-    Attributes:
-        error: the message, or the traceback of a defect.
-    """
+    """The message or traceback of a job that failed, or whose process or machine was lost."""
 
     error: str
 
@@ -59,32 +50,23 @@ class LocalEngine:
     Attributes:
         processes: jobs at a time (>= 1).
         retries: how often a job that failed is begun again (>= 0).
-
-    Raises:
-        ConfigError: a number is out of range.
     """
 
     processes: int
     retries: int = 0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
+        """Check the number of processes; raise a ConfigError if it is below 1."""
         if self.processes < 1:
             raise ConfigError("engine", [f"processes: must be at least 1 (got {self.processes})"])
 
     def run(
         self, work: Work, jobs: Iterable[Job], report: Callable[[Any], None], ended: Ended
     ) -> None:
-        """Do all jobs, in order but for those that have to wait.
+        """Do all jobs, each drawn when it can begin, in order but for those that have to wait.
 
-        A worker that dies, even by kill -9, fails its job and no other one. An error that
-        ``report`` or ``ended`` raises, or Ctrl-C, stops all; workers end with this process.
-
-        Args:
-            work: does a job.
-            jobs: one is drawn when it can begin; what has ended by then has been received.
-            report: receives what the work reports.
-            ended: receives how each job ended.
+        A worker that dies fails its job alone. An error that ``report`` or ``ended`` raises, or
+        Ctrl-C, stops all; workers end with this process.
         """
         if self.processes == 1 and self.retries == 0:
             for job in jobs:
@@ -107,7 +89,7 @@ class LocalEngine:
 
 
 class _Queue:
-    """Jobs to do, some of which have to wait for others, or are begun again."""
+    """Jobs to do; some wait for others, or are begun again."""
 
     def __init__(self, jobs: Iterable[Job], retries: int) -> None:
         self._jobs, self._retries = iter(jobs), retries
@@ -128,7 +110,7 @@ class _Queue:
         return None
 
     def is_over(self, job: Job, result: Any) -> bool:
-        """Take in how a job ended; return whether it is not begun again."""
+        """Receive how a job ended; return whether it is over, not begun again."""
         self._tries[job.name] += 1
         if isinstance(result, Failure) and self._tries[job.name] <= self._retries:
             self._waiting.insert(0, job)
@@ -145,33 +127,26 @@ class _Ended:
 
 
 class _Workers:
-    """Processes that do one job after the other.
-
-    Each has a connection of its own, so that a death harms no other one.
-
-    Attributes:
-        busy: the process and the job of each connection that a job was sent to.
-    """
+    """Processes that do jobs, each with its own connection, so that a death harms no other."""
 
     def __init__(self, work: Work) -> None:
-        self.busy: dict[Any, tuple[SpawnProcess, Job]] = {}
+        self.busy: dict[Any, tuple[SpawnProcess, Job]] = {}  # by connection
         self._idle: list[tuple[Any, SpawnProcess]] = []
         self._work = work
 
     def begin(self, job: Job) -> None:
         """Send a job to a process, to a new one if none is idle."""
-        connection, process = self._idle.pop() if self._idle else self._start()
+        if not self._idle:
+            context = multiprocessing.get_context("spawn")
+            ours, theirs = context.Pipe()
+            new = context.Process(target=_serve, args=(self._work, theirs))
+            new.start()
+            theirs.close()
+            self._idle.append((ours, new))
+        connection, process = self._idle.pop()
         self.busy[connection] = (process, job)
         with suppress(OSError):  # it is dead, which messages() reports
             connection.send(job)
-
-    def _start(self) -> tuple[Any, SpawnProcess]:
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(self._work, theirs))
-        process.start()
-        theirs.close()
-        return ours, process
 
     def messages(self) -> Iterator[tuple[Job, Any]]:
         """Wait for messages about jobs; a dead process has failed its job."""
@@ -191,8 +166,8 @@ class _Workers:
 
     def stop(self) -> None:
         """End all processes."""
-        processes = [process for _, process in self._idle]
-        for process in (*processes, *(process for process, _ in self.busy.values())):
+        busy = (process for process, _ in self.busy.values())
+        for process in (*busy, *(process for _, process in self._idle)):
             process.terminate()
             process.join()
 

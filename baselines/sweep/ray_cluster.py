@@ -15,14 +15,14 @@ from mbn_marl.errors import MbnError
 
 @dataclass(frozen=True)
 class RayEngine:
-    """A Ray cluster that is there already; every job is a task with a process of its own.
+    """A Ray cluster that is there already; every job is a task with its own process.
 
     Attributes:
         address: HOST:PORT; ``None`` for that of ``RAY_ADDRESS``, or the cluster this machine is in.
         cpus: cores that a job takes (>= 0).
         gpus: GPUs that a job takes (>= 0), whole or a share of one.
-        retries: how often a job is begun again when its process or machine is lost, or after an
-            error that is none of bad input (>= 0).
+        retries: how often a job is begun again (>= 0) when its process or machine is lost, or after
+            an error other than of bad input.
     """
 
     address: str | None = None
@@ -33,11 +33,7 @@ class RayEngine:
     def run(
         self, work: Work, jobs: Iterable[Job], report: Callable[[Any], None], ended: Ended
     ) -> None:
-        """Do all jobs, see :meth:`LocalEngine.run`; only a job's last report is received.
-
-        Raises:
-            MbnError: there is no cluster, or it runs another Ray or Python.
-        """
+        """Do all jobs, see :meth:`LocalEngine.run`; only a job's last report is received."""
         import ray
 
         with connected(self.address):
@@ -65,7 +61,7 @@ class RayEngine:
                     ray.cancel(ref, force=True)
 
     def _warn_if_too_small(self) -> None:
-        """Say so if no machine that the cluster has now can give a job what it takes."""
+        """Log a warning if no machine of the cluster has what a job takes."""
         import ray
 
         wanted = {"CPU": self.cpus, "GPU": self.gpus}
@@ -93,7 +89,7 @@ def _result_of(ref: Any) -> tuple[list[Any], Any]:
 
 @contextmanager
 def connected(address: str | None) -> Iterator[None]:
-    """Use the Ray cluster at ``address``; a connection that this process has already is kept.
+    """Use the Ray cluster at ``address``, or the one that this process is connected to.
 
     Raises:
         MbnError: there is no cluster, or it runs another Ray or Python.
@@ -104,8 +100,11 @@ def connected(address: str | None) -> Iterator[None]:
         yield
         return
     try:
-        if address is not None:
-            _reach(address)
+        if address is not None:  # which Ray itself would try to reach for minutes
+            host, _, port = address.removeprefix("ray://").rpartition(":")
+            if not host or not port.isdecimal():
+                raise ValueError("the address must be HOST:PORT")
+            socket.create_connection((host, int(port)), timeout=10.0).close()
         ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
     except (OSError, RuntimeError, ValueError) as error:
         where = "here" if address is None else f"at {address}"
@@ -117,20 +116,6 @@ def connected(address: str | None) -> Iterator[None]:
         yield
     finally:
         ray.shutdown()
-
-
-def _reach(address: str) -> None:
-    """Check that something listens at HOST:PORT, which Ray itself would try for minutes.
-
-    Raises:
-        OSError: nothing does.
-        ValueError: it is no such address.
-    """
-    host, _, port = address.removeprefix("ray://").rpartition(":")
-    if not host or not port.isdecimal():
-        raise ValueError("the address must be HOST:PORT")
-    with socket.create_connection((host, int(port)), timeout=10.0):
-        pass
 
 
 def _do(work: Work, job: Job, before: Any) -> tuple[list[Any], Any]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from baselines.runs.differences import differences
-from baselines.runs.files import RunError
+from baselines.runs.files import RunError, differences
 from baselines.sweep.processes import Failure, LocalEngine
 from baselines.sweep.ray_cluster import RayEngine
 from baselines.sweep.spec import GridSpec, Resources, runs_of, without_source
@@ -33,11 +32,7 @@ def make_engine(
 ) -> Engine:
     """Return the engine that a command line asks for.
 
-    Args:
-        name: ``"local"``, processes of this machine; or ``"ray"``, a Ray cluster.
-        processes: under ``"local"``, jobs at a time.
-        address: of the Ray cluster; ``None`` for that of ``RAY_ADDRESS`` or of this machine.
-        resources: what a job is given; by default a core, and nothing is retried on this machine.
+    Without ``resources`` a job gets a core, and no retries on this machine.
 
     Raises:
         ConfigError: ``processes`` is below 1, or ``address`` is given without ``"ray"``.
@@ -67,18 +62,18 @@ def train_runs(
         runs: what to train; each comes after the one that it begins with, and the next one is
             drawn when there is a process for it.
         place: the path or URL of the store.
-        engine: what does the work.
+        engine: runs the jobs.
         noted: write notes about the runs in the store, for ``mbn grid status``.
-        upload_seconds: to a store elsewhere checkpoints go no more often than so.
+        upload_seconds: least seconds between two copies of checkpoints into a remote store.
         wandb: a project of Weights & Biases to log to as well.
-        listener: receives where the runs stand.
+        listener: receives the progress of the runs.
         ended: receives how each run ended.
 
     Returns:
         How each run ended, by its name.
     """
     outcomes: dict[str, Outcome] = {}
-    drawn: set[str] = set()
+    drawn: set[str | None] = set()
 
     def jobs() -> Iterator[TrainJob]:
         for run in runs:
@@ -96,7 +91,7 @@ def train_runs(
                 failed = {"state": "failed", "error": result.error}
                 store.note(job.name, known.model_copy(update=failed))
         if result.error is not None:
-            listener(Report.broken(job.name, result.error))
+            listener(Report(job.name, error=result.error))
         outcomes[job.name] = result
         ended(result)
 
@@ -105,11 +100,7 @@ def train_runs(
 
 
 def check_outcomes(outcomes: Collection[Outcome], place: str | Path) -> None:
-    """Check that all runs are done.
-
-    Raises:
-        RunError: some are not; the message says why.
-    """
+    """Check that all runs are done; raise a RunError that says which are not, and why."""
     lines = [f"{one.name}: {first_line(one.error)}" for one in outcomes if one.state != "done"]
     if lines:
         more = [f"and {len(lines) - SHOWN} more"] if len(lines) > SHOWN else []
@@ -121,21 +112,14 @@ def check_outcomes(outcomes: Collection[Outcome], place: str | Path) -> None:
 
 
 def first_line(error: str | None) -> str:
-    """Return an error in a line; of a defect's traceback the last one."""
+    """Return the first line of an error, or the last one of a traceback."""
     lines = (error or "").strip().splitlines()
     return lines[-1] if lines and lines[0].endswith("process failed:") else "".join(lines[:1])
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """The runs of a grid, checked, and their store.
-
-    Attributes:
-        runs: in order.
-        resources: of each run.
-        place: the store's path or URL, as every machine takes it.
-        store: the store.
-    """
+    """The checked runs of a grid, in order, and their store at ``place``, a path or URL."""
 
     runs: Sequence[TrainConfig]
     resources: Resources
@@ -144,11 +128,7 @@ class Sweep:
 
     @classmethod
     def of(cls, spec: GridSpec) -> Sweep:
-        """Expand and check a grid.
-
-        Raises:
-            ConfigError: naming every value that is not valid.
-        """
+        """Expand and check a grid; raise a ConfigError that names every value that is wrong."""
         place = spec.store if "://" in spec.store else str(Path(spec.store).resolve())
         return cls(runs_of(spec), spec.resources, place, open_store(place))
 
@@ -164,12 +144,14 @@ class Sweep:
             ConfigError: a finished run is of another configuration than the grid asks for.
         """
         finished = self.store.finished(self.names)
-        problems = [
-            f"{run.name}: {problem}"
-            for run in self.runs
-            if run.name in finished
-            for problem in _differences(run, self.store.config(run.name))
-        ]
+        problems = []
+        for run in (run for run in self.runs if run.name in finished):
+            recorded = self.store.config(run.name)
+            asked = json.loads(json.dumps(dict(resolve(*prepare(without_source(run))))))
+            # Where the run's source lay does not matter.
+            same = {"transferred_from": recorded.get("transferred_from"), "setting": run.setting}
+            found = differences(recorded, {**asked, **same})
+            problems += [f"{run.name}: {problem}" for problem in found]
         if problems:
             raise ConfigError(f"{self.place}: finished runs are of another grid", problems)
         return [run for run in self.runs if run.name not in finished]
@@ -177,16 +159,11 @@ class Sweep:
     def train(
         self, engine: Engine, ended: Callable[[Outcome], None] = lambda outcome: None
     ) -> None:
-        """Train every run that is not finished.
-
-        Args:
-            engine: what does the work.
-            ended: receives how each run ended.
+        """Train every run that is not finished; ``ended`` receives how each one ended.
 
         Raises:
-            ConfigError: a finished run is of another configuration.
-            MbnError: there is no Ray cluster.
             RunError: runs failed; the message names the first ones.
+            MbnError: a finished run is of another configuration, or there is no Ray cluster.
         """
         seconds = self.resources.upload_seconds
         outcomes = train_runs(
@@ -197,10 +174,3 @@ class Sweep:
                 missing = "it is not in the store; do all machines see that place?"
                 outcomes[name] = Outcome(name, "failed", missing)
         check_outcomes(outcomes.values(), self.place)
-
-
-def _differences(run: TrainConfig, recorded: Mapping[str, object]) -> list[str]:
-    """Return where a finished run is not what is asked for; where its source lay is no matter."""
-    asked = json.loads(json.dumps(dict(resolve(*prepare(without_source(run))))))
-    place = {"transferred_from": recorded.get("transferred_from")}
-    return differences(recorded, {**asked, **place, "setting": run.setting})

@@ -1,4 +1,4 @@
-"""A grid as a YAML file declares it, and the runs in it."""
+"""The YAML file of a grid, and the runs in it."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from baselines.algorithms import SETTINGS, Setting, find_algorithm
+from baselines.algorithms import Setting, find_algorithm
 from baselines.sweep.store import open_store
 from baselines.training.config import MOST_SEED, TrainConfig, default_label
 from baselines.training.overrides import ENVIRONMENT, parse
@@ -52,14 +52,7 @@ FieldName = Annotated[str, _that_loads(load_field)]
 
 
 class Budget(BaseModel):
-    """The length of each run.
-
-    Attributes:
-        steps: env-steps; ``None`` for the setting's own number.
-        evaluate_every: env-steps between two fresh evaluations; a checkpoint is due after each.
-        episodes: stochastic episodes of an evaluation.
-        stop_at: stop at the first fresh evaluation with this mean return; ``None``: do not.
-    """
+    """The length of each run, see :class:`TrainConfig`; by default the setting's own steps."""
 
     model_config = _STRICT
 
@@ -74,10 +67,10 @@ class Resources(BaseModel):
 
     Attributes:
         cpus: cores that Ray sets aside for it; training uses one.
-        gpus: GPUs, whole or a share of one; with any, the networks run on a GPU.
-        retries: how often a run is resumed from its last checkpoint, when its process or machine is
-            lost or something unforeseen happens.
-        upload_seconds: to a store elsewhere checkpoints go no more often than so.
+        gpus: GPUs or a share of one; with any, the networks run on a GPU.
+        retries: how often a run is resumed after an unforeseen error, or when its process or
+            machine is lost.
+        upload_seconds: least seconds between two copies of checkpoints into a remote store.
     """
 
     model_config = _STRICT
@@ -94,13 +87,11 @@ class GridSpec(BaseModel):
     Attributes:
         store: where the run folders go: a path, or a URL that fsspec knows.
         algorithms: names of :data:`baselines.algorithms.ALGORITHMS`.
-        fields: catalogue names or paths of field files; by default the whole catalogue.
-        settings: names of :data:`baselines.algorithms.SETTINGS`; an algorithm takes part under
-            those that it has.
+        fields: catalogue names or paths of field files.
+        settings: an algorithm takes part under those that it has.
         seeds: of networks, exploration and worlds.
         robots: team sizes; by default that of the field.
-        set: more axes: the values that a hyperparameter, or with ``environment.NAME`` a setting of
-            the environment, takes in turn.
+        set: more axes: the values of a hyperparameter, or of ``environment.NAME``.
         source: the field whose run under A the runs under C begin with.
         budget: of each run.
         resources: of each run.
@@ -121,11 +112,7 @@ class GridSpec(BaseModel):
 
 
 def read_spec(path: Path) -> GridSpec:
-    """Read a grid.
-
-    Raises:
-        ConfigError: the file cannot be read, or naming every value that is not valid.
-    """
+    """Read a grid; raise a ConfigError that names every value that is wrong."""
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -144,10 +131,9 @@ def read_spec(path: Path) -> GridSpec:
 
 
 def runs_of(spec: GridSpec) -> list[TrainConfig]:
-    """Return the runs of a grid, each after the one that it begins with; every one is checked.
+    """Return the checked runs of a grid, each after the one that it begins with.
 
-    Runs under A on the source's field that setting C needs are among them, asked for or not. Of
-    ``transferred_from`` only the name counts, of a run in the store.
+    Runs under A that those under C begin with are among them; ``transferred_from`` names them.
 
     Raises:
         ConfigError: naming everything that does not fit together.
@@ -159,14 +145,14 @@ def runs_of(spec: GridSpec) -> list[TrainConfig]:
 
 
 def without_source(run: TrainConfig) -> TrainConfig:
-    """Return the same training without another run's policy, which need not be there yet."""
+    """Return the same training without its source, which need not be there yet."""
     if run.transferred_from is None:
         return run
     return replace(run, setting="A", transferred_from=None)
 
 
 def size_problems(source: str, fields: Iterable[str]) -> list[str]:
-    """Return in which of ``fields`` a policy of the field ``source`` cannot act, and why."""
+    """Return for which of ``fields`` a policy of ``source`` is of another size, and why."""
     theirs = load_field(source)
     return [
         f"{field}: {name} {ours}; allowed: {allowed}, as {source} has"
@@ -177,7 +163,7 @@ def size_problems(source: str, fields: Iterable[str]) -> list[str]:
 
 
 def _problems(spec: GridSpec) -> list[str]:
-    """Return what does not fit together in a grid whose values are valid by themselves."""
+    """Return what does not fit together in a grid whose values are valid."""
     problems, fields = [], list(spec.fields)
     for name in spec.algorithms:
         there = find_algorithm(name).settings
@@ -196,7 +182,7 @@ def _problems(spec: GridSpec) -> list[str]:
 
 
 def _problems_of_runs(spec: GridSpec) -> Iterator[str]:
-    """Find runs of one name, and what is not valid in one; what a seed cannot change, once."""
+    """Find runs of one name, and what is not valid in a run; once for all seeds."""
     runs: dict[str, TrainConfig] = {}
     checked: set[str] = set()
     try:
@@ -223,14 +209,42 @@ def _problems_of(run: TrainConfig) -> list[str]:
     return []
 
 
+def _runs(spec: GridSpec) -> Iterator[TrainConfig]:
+    """Expand a grid; under C a run comes after the one that it begins with."""
+    device: Literal["cpu", "cuda"] = "cuda" if spec.resources.gpus else "cpu"
+    axes = (spec.seeds, spec.fields, spec.algorithms, spec.settings, _changes(spec))
+    for seed, field, algorithm, asked, (words, changes) in itertools.product(*axes):
+        if asked not in find_algorithm(algorithm).settings:
+            continue
+        cells: list[tuple[Setting, str]] = [(asked, field)]
+        if asked == "C":
+            cells.insert(0, ("A", spec.source))
+        source = None
+        for setting, place in cells:
+            run = TrainConfig(
+                algorithm,
+                found_anywhere(place),
+                setting,
+                seed,
+                transferred_from=source,
+                device=device,
+                label=default_label(algorithm, setting) + words if words else None,
+                **dict(spec.budget),
+                **changes,
+            )
+            source = Path(run.name)
+            yield run
+
+
 def _changes(spec: GridSpec) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Find what the other axes change in a run: in words for its label, and by name."""
+    """Find what the other axes change in a run: in words for its label, and as its arguments."""
     axes = {**({f"{ENVIRONMENT}.n_robots": list(spec.robots)} if spec.robots else {}), **spec.set}
     for values in itertools.product(*axes.values()):
         chosen = dict(zip(axes, values, strict=True))
         label = "".join(f"-{_in_words(name, value)}" for name, value in chosen.items())
-        words = [f"{name}={json.dumps(value)}" for name, value in chosen.items()]
-        yield label, parse(words)
+        changes = parse([f"{name}={json.dumps(value)}" for name, value in chosen.items()])
+        environment = changes.pop(ENVIRONMENT, {})
+        yield label, {"environment": environment, "hyperparameters": changes}
 
 
 def _in_words(name: str, value: Any) -> str:
@@ -238,46 +252,3 @@ def _in_words(name: str, value: Any) -> str:
     last = name.rpartition(".")[2]
     words = re.sub(r"[^\w.+-]+", "+", json.dumps(value)).strip("+")
     return f"{words}robots" if last == "n_robots" else f"{last}{words}"
-
-
-def _runs(spec: GridSpec) -> Iterator[TrainConfig]:
-    """Expand a grid; under C a run comes after the one that it begins with."""
-    axes = (spec.seeds, spec.fields, spec.algorithms, spec.settings, _changes(spec))
-    for seed, field, algorithm, setting, changes in itertools.product(*axes):
-        if setting not in find_algorithm(algorithm).settings:
-            continue
-        place, source = found_anywhere(field), None
-        if setting == "C":
-            first = _run(spec, algorithm, "A", found_anywhere(spec.source), seed, changes)
-            yield first
-            source = Path(first.name)
-        yield _run(spec, algorithm, setting, place, seed, changes, source)
-
-
-def _run(
-    spec: GridSpec,
-    algorithm: str,
-    setting: Setting,
-    field: str,
-    seed: int,
-    changes: tuple[str, dict[str, Any]],
-    source: Path | None = None,
-) -> TrainConfig:
-    """Return one run."""
-    words, values = changes[0], dict(changes[1])
-    environment = values.pop(ENVIRONMENT, {})
-    return TrainConfig(
-        algorithm,
-        field,
-        setting,
-        seed,
-        steps=spec.budget.steps or SETTINGS[setting].steps,
-        evaluate_every=spec.budget.evaluate_every,
-        episodes=spec.budget.episodes,
-        stop_at=spec.budget.stop_at,
-        transferred_from=source,
-        device="cuda" if spec.resources.gpus else "cpu",
-        label=default_label(algorithm, setting) + words if words else None,
-        environment=environment,
-        hyperparameters=values,
-    )

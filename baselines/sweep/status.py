@@ -1,12 +1,11 @@
-"""The progress of a grid: counted, estimated, shown."""
+"""The progress of a grid."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from statistics import median
-from threading import Event, Thread
 from typing import Literal
 
 from rich import box
@@ -26,13 +25,7 @@ STANDINGS: tuple[Standing, ...] = ("done", "running", "failed", "waiting")
 
 @dataclass(frozen=True)
 class RunStatus:
-    """The progress of a run.
-
-    Attributes:
-        run: what is trained.
-        standing: in a word; one that was interrupted waits.
-        note: the last note about it.
-    """
+    """The progress of a run; one that was interrupted is waiting."""
 
     run: TrainConfig
     standing: Standing
@@ -59,7 +52,7 @@ class Status:
 
     @classmethod
     def of(cls, sweep: Sweep) -> Status:
-        """Look at the store.
+        """Read the store.
 
         Raises:
             RunError: a note there cannot be read.
@@ -81,104 +74,78 @@ class Status:
         return sum(one.standing == standing for one in self.runs)
 
     def by_learner(self) -> dict[str, Status]:
-        """Return the parts with one algorithm, setting and values of the other axes."""
+        """Return the status of each learner: algorithm, setting, values of the other axes."""
         parts: dict[str, list[RunStatus]] = {}
         for one in self.runs:
             parts.setdefault(one.run.shown_as, []).append(one)
         return {learner: Status(part) for learner, part in parts.items()}
 
     def seconds_left(self) -> float | None:
-        """Return the seconds until all are done, at the present number of runs at a time.
+        """Return the seconds until all are done, with as many runs at a time as now.
 
-        Each learner's runs are taken to be as fast as those of it that are known, or else as those
-        of all. ``None`` as long as nothing runs or no speed is known.
+        A run whose speed is unknown is as fast as the median of its learner's, or else of all
+        learners'. ``None`` as long as nothing runs or no speed is known.
         """
-        running = self.count("running")
-        parts = self.by_learner()
-        known = {name: _median(one.speed for one in part.runs) for name, part in parts.items()}
-        usual = _median(known.values())
-        if not running or usual is None:
+        speeds = {
+            name: median(found)
+            for name, part in self.by_learner().items()
+            if (found := [one.speed for one in part.runs if one.speed])
+        }
+        if not speeds or not (running := self.count("running")):
             return None
-        work = 0.0
-        for one in self.runs:
-            if one.standing in ("running", "waiting"):
-                speed = one.speed or known[one.run.shown_as] or usual
-                work += (one.run.steps - one.env_steps) / speed
-        return work / running
-
-
-def _median(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return median(known) if known else None
+        usual = median(speeds.values())
+        work = (
+            (one.run.steps - one.env_steps) / (one.speed or speeds.get(one.run.shown_as, usual))
+            for one in self.runs
+            if one.standing in ("running", "waiting")
+        )
+        return sum(work) / running
 
 
 def show(status: Status) -> RenderableType:
     """Return the status as a table, with the running and the failed runs below it."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("learner")
-    for standing in STANDINGS:
-        table.add_column(standing, justify="right")
-    table.add_column("env-steps", justify="right")
-    for learner, part in status.by_learner().items():
-        table.add_row(escape(learner), *_numbers(part))
-    table.add_section()
-    table.add_row("all", *_numbers(status))
+    for heading in ("learner", *STANDINGS, "env-steps"):
+        table.add_column(heading, justify="left" if heading == "learner" else "right")
+    parts = status.by_learner()
+    for learner, part in {**parts, "all": status}.items():
+        share = sum(one.env_steps for one in part.runs) / sum(one.run.steps for one in part.runs)
+        counts = (str(part.count(standing)) for standing in STANDINGS)
+        table.add_row(escape(learner), *counts, f"{share:.0%}", end_section=learner == [*parts][-1])
     lines: list[RenderableType] = [table]
     left = status.seconds_left()
     if left is not None:
         lines.append(f"about {duration(left)} left, with {status.count('running')} at a time")
-    lines += _named(status, "running", lambda one: f"{one.env_steps / one.run.steps:.0%}")
-    lines += _named(status, "failed", lambda one: first_line(one.note.error if one.note else ""))
+    for standing in ("running", "failed"):
+        runs = [one for one in status.runs if one.standing == standing]
+        for one in runs[:SHOWN]:
+            note = one.note or Note(state="failed")
+            words = (note.machine, f"{one.env_steps / one.run.steps:.0%}")
+            where, how = words if standing == "running" else ("failed", first_line(note.error))
+            lines.append(escape(f"{one.run.name} ({where}): {how}"))
+        if len(runs) > SHOWN:
+            lines.append(f"and {len(runs) - SHOWN} more {standing}")
     return Group(*lines)
-
-
-def _numbers(status: Status) -> list[str]:
-    steps = sum(one.env_steps for one in status.runs)
-    budget = sum(one.run.steps for one in status.runs)
-    return [*(str(status.count(one)) for one in STANDINGS), f"{steps / budget:.0%}"]
-
-
-def _named(status: Status, standing: Standing, words: Callable[[RunStatus], str]) -> Iterator[str]:
-    """Make a line for each of the first runs that stand so."""
-    runs = [one for one in status.runs if one.standing == standing]
-    for one in runs[:SHOWN]:
-        where = one.note.machine if one.note and standing == "running" else standing
-        yield escape(f"{one.run.name} ({where}): {words(one)}")
-    if len(runs) > SHOWN:
-        yield f"and {len(runs) - SHOWN} more {standing}"
 
 
 def duration(seconds: float) -> str:
     """Return seconds in words, in the unit that fits."""
-    minutes, hours, days = seconds / 60.0, seconds / 3600.0, seconds / 86_400.0
-    if days >= 2.0:
-        return f"{days:.1f} days"
-    if hours >= 2.0:
-        return f"{hours:.1f} h"
-    return f"{minutes:.0f} min" if minutes >= 2.0 else f"{seconds:.0f} s"
+    for unit, form in ((86_400.0, "{:.1f} days"), (3600.0, "{:.1f} h"), (60.0, "{:.0f} min")):
+        if seconds >= 2.0 * unit:
+            return form.format(seconds / unit)
+    return f"{seconds:.0f} s"
 
 
-@contextmanager
-def live(sweep: Sweep, console: Console) -> Iterator[None]:
-    """Show how a grid stands while the block runs, and at its end, on a terminal."""
-    if not console.is_terminal:
-        yield
-        return
-    over = Event()
+def live(sweep: Sweep, console: Console) -> AbstractContextManager[object]:
+    """Return a context in which a terminal shows the progress of a grid."""
 
-    def follow(screen: Live) -> None:
-        while not over.wait(sweep.store.refresh):
-            try:
-                screen.update(show(Status.of(sweep)), refresh=True)
-            except (MbnError, OSError) as error:
-                screen.update(f"the store cannot be read now: {error}", refresh=True)
-
-    with Live(show(Status.of(sweep)), console=console, auto_refresh=False) as screen:
-        follower = Thread(target=follow, args=(screen,), daemon=True)
-        follower.start()
+    def now() -> RenderableType:
         try:
-            yield
-        finally:
-            over.set()
-            follower.join()
-            screen.update(show(Status.of(sweep)), refresh=True)
+            return show(Status.of(sweep))
+        except (MbnError, OSError) as error:
+            return f"the store cannot be read now: {error}"
+
+    if not console.is_terminal:
+        return nullcontext()
+    often = 1.0 / sweep.store.refresh
+    return Live(console=console, get_renderable=now, refresh_per_second=often)

@@ -1,12 +1,12 @@
-"""Stores of run folders, and notes about how each run stands.
+"""Stores of run folders, and notes about the progress of each run.
 
 A store is the only memory of a sweep: whoever trains a run, on whatever machine, reads and writes
 here. ``.grid/NAME.json`` is the last note about a run; it informs people and decides nothing.
 
-In a folder (:class:`Store`) runs are trained in place, and the lock of each run folder keeps
-two processes apart. A store elsewhere (:class:`RemoteStore`) is any file system of fsspec, which
-may know no locks and no renaming of folders: a run is trained in a scratch folder and copied as one
-file, ``.grid/NAME-STEPS.zip`` at checkpoints and ``NAME.zip`` when it is finished.
+In a folder (:class:`Store`) runs are trained in place, and the lock of each run folder keeps two
+processes apart. Elsewhere (:class:`RemoteStore`), where there may be no locks, a run is trained in
+a scratch folder and copied as one file: ``.grid/NAME-STEPS.zip`` at checkpoints, ``NAME.zip`` at
+its end.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import re
 import shutil
 import tempfile
 import time
 import zipfile
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
@@ -28,14 +29,7 @@ from filelock import FileLock
 from fsspec.core import url_to_fs
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from baselines.runs.files import (
-    LOCK,
-    UNREADABLE,
-    RunError,
-    read_json,
-    replacing_folder,
-    write_json,
-)
+from baselines.runs.files import LOCK, UNREADABLE, RunError, replacing_folder, write_json
 from baselines.runs.folder import RunFolder
 from mbn_marl.errors import MbnError
 
@@ -48,22 +42,15 @@ LOST = 900.0
 
 
 class Note(BaseModel):
-    """The progress of a run, as the process that trained it last has noted it.
+    """The progress of a run, as the last process that trained it noted it.
 
-    Attributes:
-        state: what it does, or how it ended.
-        attempt: how often it has been begun or resumed.
-        machine: where.
-        process: the process's number there.
-        env_steps: env-steps taken.
-        steps_per_second: env-steps per second of this attempt, with everything.
-        updated: when this was noted, seconds since 1970.
-        error: what went wrong.
+    ``attempt`` counts how often it has been begun or resumed; ``steps_per_second`` is of this
+    attempt, with evaluations; ``updated`` is in seconds since 1970.
     """
 
     model_config = ConfigDict(frozen=True)
 
-    state: Literal["running", "done", "diverged", "failed"]
+    state: Literal["running", "done", "diverged", "failed"] = "running"
     attempt: int = 1
     machine: str = ""
     process: int = 0
@@ -85,11 +72,8 @@ class Note(BaseModel):
 class Store:
     """A folder of run folders that every machine sees under the same path, and a note about each.
 
-    Args:
-        place: a path; for a :class:`RemoteStore` a URL.
-
     Raises:
-        MbnError: a URL of a kind that is unknown, or whose package is not installed.
+        MbnError: a URL is of an unknown kind, or its package is not installed.
     """
 
     refresh = 1.0
@@ -104,7 +88,7 @@ class Store:
         self._root = root.rstrip("/")
 
     def finished(self, names: Collection[str]) -> set[str]:
-        """Return those of ``names`` whose run is finished and here."""
+        """Return those of ``names`` whose run is finished."""
         return {name for name in names if RunFolder(self.folder(name)).finished}
 
     def config(self, name: str) -> dict[str, Any]:
@@ -120,17 +104,13 @@ class Store:
         return self.folder(name)
 
     def restore(self, name: str) -> None:
-        """Put the newest checkpoint of a run where it is trained: here it is there.
-
-        Raises:
-            RunError: the checkpoint is damaged.
-        """
+        """Copy the newest checkpoint of a run to where it is trained; in a folder, do nothing."""
 
     def keep(self, name: str) -> None:
-        """Keep the newest checkpoint of a run for other machines: here it is kept."""
+        """Copy the newest checkpoint of a run into the store; in a folder, do nothing."""
 
     def finish(self, name: str) -> None:
-        """Keep a finished run: here it is kept."""
+        """Copy a finished run into the store; in a folder, do nothing."""
 
     def note(self, name: str, note: Note) -> None:
         """Write a note, whole or not at all."""
@@ -138,32 +118,34 @@ class Store:
             self._files.pipe_file(place, note.model_dump_json(indent=2).encode())
 
     def notes(self) -> dict[str, Note]:
-        """Return every note, by the run's name.
-
-        Raises:
-            RunError: one cannot be read; the message names it.
-        """
+        """Return every note, by the run's name; raise a RunError that names an unreadable one."""
         paths = [path for path in self._list(NOTES) if path.endswith(".json")]
-        texts = self._files.cat(paths) if paths else {}
-        return {PurePosixPath(path).stem: _read(text, path) for path, text in texts.items()}
+        notes = {}
+        for path, text in (self._files.cat(paths) if paths else {}).items():
+            try:
+                notes[PurePosixPath(path).stem] = Note.model_validate_json(text)
+            except ValidationError as error:
+                why = error.errors()[0]["msg"]
+                raise RunError(f"{path} is not a note about a run ({why}); remove it") from None
+        return notes
 
     def last_note(self, name: str) -> Note | None:
         """Return the note about a run; ``None`` if there is none that can be read."""
-        with suppress(FileNotFoundError, RunError):
-            return _read(self._files.cat_file(f"{self._root}/{NOTES}/{name}.json"), name)
+        with suppress(FileNotFoundError, ValidationError):
+            text = self._files.cat_file(f"{self._root}/{NOTES}/{name}.json")
+            return Note.model_validate_json(text)
         return None
 
     def _list(self, folder: str = "") -> list[str]:
         """Return the paths in a folder of the store, as they are now."""
         self._files.invalidate_cache()
-        try:
+        with suppress(FileNotFoundError):
             return sorted(self._files.ls(f"{self._root}/{folder}".rstrip("/"), detail=False))
-        except FileNotFoundError:
-            return []
+        return []
 
     @contextmanager
     def _replacing(self, name: str) -> Iterator[str]:
-        """Return a path to write, which takes the place of the file ``name`` in the end."""
+        """Yield a path to write, which then replaces the file ``name``."""
         target = f"{self._root}/{name}"
         self._files.makedirs(target.rpartition("/")[0], exist_ok=True)
         new = f"{target}.{uuid4().hex}"
@@ -182,11 +164,7 @@ class RemoteStore(Store):
         self._scratch = Path(tempfile.gettempdir()) / f"mbn-grid-{own}"
 
     def finished(self, names: Collection[str]) -> set[str]:
-        """Return those of ``names`` whose run is finished and here.
-
-        Raises:
-            RunError: some are folders, as older versions left them.
-        """
+        """Return those of ``names`` whose run is finished; refuse folders of older versions."""
         there = {PurePosixPath(path).name for path in self._list()}
         done = {name for name in names if f"{name}.zip" in there}
         if older := sorted((there & set(names)) - done):
@@ -199,8 +177,7 @@ class RemoteStore(Store):
     def config(self, name: str) -> dict[str, Any]:
         """Return the ``config.json`` of a finished run."""
         with self._files.open(f"{self._root}/{name}.zip") as file, zipfile.ZipFile(file) as archive:
-            config: dict[str, Any] = json.loads(archive.read("config.json"))
-        return config
+            return dict(json.loads(archive.read("config.json")))
 
     def folder(self, name: str) -> Path:
         """Return the scratch folder that a run is trained in on this machine."""
@@ -211,20 +188,17 @@ class RemoteStore(Store):
         folder = self._scratch / "sources" / name
         folder.parent.mkdir(parents=True, exist_ok=True)
         with FileLock(f"{folder}.lock"):
-            if not RunFolder(folder).finished:
-                self.fetch(name, folder)
+            self.fetch(name, folder)
         return folder
 
     def restore(self, name: str) -> None:
-        """Copy the newest checkpoint of a run here, unless there is one as new or newer.
-
-        Raises:
-            RunError: the checkpoint is damaged.
-        """
-        kept, here = self._checkpoints(name), RunFolder(self.folder(name)).checkpoint
-        if kept and (here is None or int(here.name) < max(kept)):
-            self._unpack(kept[max(kept)], self.folder(name))
-            self._relocate(self.folder(name))
+        """Copy the newest checkpoint of a run here, unless there is one as new or newer."""
+        kept, run = self._checkpoints(name), RunFolder(self.folder(name))
+        if kept and (run.checkpoint is None or run.saved_steps < max(kept)):
+            self._unpack(kept[max(kept)], run.path)
+            if source := run.config["transferred_from"]:
+                moved = {"transferred_from": str(self.source(Path(source).name))}
+                write_json(run.path / "config.json", {**run.config, **moved})
 
     def keep(self, name: str) -> None:
         """Copy the newest checkpoint of a run into the store."""
@@ -236,43 +210,40 @@ class RemoteStore(Store):
                 self._files.rm_file(path)
 
     def finish(self, name: str) -> None:
-        """Copy a finished run into the store, and remove what was kept on the way."""
+        """Copy a finished run into the store, and remove its checkpoints there and its folder."""
         self._pack(name, f"{name}.zip")
         for path in self._checkpoints(name).values():
             self._files.rm_file(path)
         shutil.rmtree(self.folder(name))
 
     def fetch(self, name: str, out: Path) -> None:
-        """Copy a finished run into the new folder ``out``.
-
-        Raises:
-            RunError: the run is damaged.
-        """
-        self._unpack(f"{self._root}/{name}.zip", out)
+        """Copy a finished run into the folder ``out``, unless it is there already."""
+        if not RunFolder(out).finished:
+            self._unpack(f"{self._root}/{name}.zip", out)
 
     def _checkpoints(self, name: str) -> dict[int, str]:
         """Return the archives of a run's checkpoints by their env-steps."""
-        found = {}
-        for path in self._list(NOTES):
-            run, _, steps = PurePosixPath(path).stem.rpartition("-")
-            if run == name and path.endswith(".zip") and steps.isdecimal():
-                found[int(steps)] = path
-        return found
+        archive = re.compile(rf".*/{re.escape(name)}-(\d+)\.zip")
+        found = map(archive.fullmatch, self._list(NOTES))
+        return {int(match[1]): match[0] for match in found if match}
 
     def _pack(self, name: str, target: str) -> None:
         """Copy the folder of a run into the store as one file, whole or not at all."""
         folder = self.folder(name)
-        with tempfile.NamedTemporaryFile(suffix=".zip") as made:
+        with tempfile.NamedTemporaryFile(suffix=".zip") as made, self._replacing(target) as place:
             with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
                 for path in sorted(folder.rglob("*")):
                     if path.is_file() and path.name != LOCK:
                         archive.write(path, path.relative_to(folder))
             made.flush()
-            with self._replacing(target) as place:
-                self._files.put_file(made.name, place)
+            self._files.put_file(made.name, place)
 
     def _unpack(self, path: str, folder: Path) -> None:
-        """Copy an archive of the store into a folder, whole or not at all."""
+        """Copy an archive of the store into a folder, whole or not at all.
+
+        Raises:
+            RunError: it is damaged.
+        """
         with tempfile.NamedTemporaryFile(suffix=".zip") as copy:
             self._files.get_file(path, copy.name)
             try:
@@ -281,34 +252,7 @@ class RemoteStore(Store):
             except UNREADABLE as error:
                 raise RunError(f"{path} is damaged ({error}); remove it to begin again") from None
 
-    def _relocate(self, folder: Path) -> None:
-        """Name the place that the run's source has on this machine, where it has one."""
-        config = read_json(folder / "config.json")
-        if config["transferred_from"] is not None:
-            config["transferred_from"] = str(self.source(Path(config["transferred_from"]).name))
-            write_json(folder / "config.json", config)
-
 
 def open_store(place: str) -> Store:
-    """Return the store at a path or a URL.
-
-    Raises:
-        MbnError: a URL that fsspec does not know.
-    """
+    """Return the store at a path or a URL."""
     return RemoteStore(place) if "://" in place else Store(str(Path(place).resolve()))
-
-
-def fetch_all(store: RemoteStore, names: Iterable[str], out: Path) -> None:
-    """Copy finished runs into folders of their names in ``out``; those there are left alone."""
-    for name in names:
-        if not RunFolder(out / name).finished:
-            store.fetch(name, out / name)
-
-
-def _read(text: bytes, place: str) -> Note:
-    try:
-        return Note.model_validate_json(text)
-    except ValidationError as error:
-        raise RunError(
-            f"{place} is not a note about a run ({error.errors()[0]['msg']}); remove it"
-        ) from None

@@ -1,8 +1,4 @@
-"""Train one run into a store, on whatever machine: safe to begin again at any time.
-
-Nothing is remembered outside of the store. A run that is finished there is left alone, and one that
-was interrupted resumes from its newest checkpoint.
-"""
+"""Train one run into a store, on whatever machine: safe to begin again at any time."""
 
 from __future__ import annotations
 
@@ -35,11 +31,11 @@ class TrainJob:
     """A run to train, and where it belongs.
 
     Attributes:
-        run: what to train; of ``transferred_from`` only the name counts, of a run in the store.
+        run: what to train; ``transferred_from`` names a run in the store.
         store: the store's path or URL.
         after: the name of a job that has to end before this one begins, or ``None``.
         noted: whether notes about it are written.
-        upload_seconds: to a store elsewhere checkpoints go no more often than so.
+        upload_seconds: least seconds between two copies of checkpoints into a remote store.
         wandb: a project of Weights & Biases to log to as well, or ``None``.
     """
 
@@ -58,13 +54,7 @@ class TrainJob:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The end of work on a run.
-
-    Attributes:
-        name: of the run.
-        state: ``"elsewhere"`` if another process trains it.
-        error: what went wrong, if it is not done.
-    """
+    """The end of work on a run; ``"elsewhere"`` if another process trains it."""
 
     name: str
     state: Literal["done", "diverged", "failed", "elsewhere"]
@@ -72,7 +62,7 @@ class Outcome:
 
 
 def train_in_store(job: TrainJob, report: Callable[[Report], None]) -> Outcome:
-    """Train a run to its end, unless it is there already.
+    """Train a run to its end, unless it is finished in the store; resume an interrupted one.
 
     What would come again (wrong values, a learner that diverges) is an outcome. Everything else is
     raised as an error, for the engine to try again.
@@ -80,38 +70,30 @@ def train_in_store(job: TrainJob, report: Callable[[Report], None]) -> Outcome:
     store, name = open_store(job.store), job.name
     if store.finished([name]):
         return Outcome(name, "done")
-    if not _becomes_free(store.folder(name)):
-        return Outcome(name, "elsewhere", f"{name}: another process trains it")
-    watch = Watch(store, job, report)
-    try:
-        _train(store, job, watch)
-        store.finish(name)
-    except DivergenceError as error:
-        outcome = Outcome(name, "diverged", str(error))
-    except MbnError as error:
-        outcome = Outcome(name, "failed", str(error))
-    except Exception as error:
-        watch.note(state="failed", error=f"{type(error).__name__}: {error}")
-        raise
-    else:
-        outcome = Outcome(name, "done")
-    watch.note(state=outcome.state, error=outcome.error)
-    return outcome
-
-
-def _becomes_free(folder: Path) -> bool:
-    """Return whether no process holds the lock of a run folder any more, after some patience."""
+    folder = store.folder(name)
     try:
         if folder.is_dir():
             FileLock(folder / LOCK, timeout=PATIENCE).acquire().lock.release()
     except Timeout:
-        return False
-    return True
+        return Outcome(name, "elsewhere", f"{name}: another process trains it")
+    watch = Watch(store, job, report)
+    try:
+        _train(store, job, watch, folder)
+        store.finish(name)
+        outcome = Outcome(name, "done")
+    except MbnError as error:
+        diverged = isinstance(error, DivergenceError)
+        outcome = Outcome(name, "diverged" if diverged else "failed", str(error))
+    except Exception as error:
+        watch.note(state="failed", error=f"{type(error).__name__}: {error}")
+        raise
+    watch.note(state=outcome.state, error=outcome.error)
+    return outcome
 
 
-def _train(store: Store, job: TrainJob, watch: Watch) -> None:
-    """Train in the folder that the store says, from the newest checkpoint that it has."""
-    run, source, out = job.run, source_of(job.run), store.folder(job.name)
+def _train(store: Store, job: TrainJob, watch: Watch, out: Path) -> None:
+    """Train in a folder, from the newest checkpoint that the store has."""
+    run, source = job.run, source_of(job.run)
     if source is not None:
         if not store.finished([source]):
             raise RunError(f"{source}, whose policy {run.name} begins with, is not finished")
@@ -130,35 +112,28 @@ def source_of(run: TrainConfig) -> str | None:
 
 
 class Watch:
-    """Listen to a training: pass reports on, keep checkpoints, write notes.
-
-    Args:
-        store: of the run.
-        job: what is trained.
-        listener: receives the reports too.
-    """
+    """Listen to a training: pass reports to ``listener``, keep checkpoints, write notes."""
 
     def __init__(self, store: Store, job: TrainJob, listener: Callable[[Report], None]) -> None:
         self._store, self._job, self._listener = store, job, listener
         self._run = RunFolder(store.folder(job.name))
-        before = store.last_note(job.name) if job.noted else None
+        before = (store.last_note(job.name) if job.noted else None) or Note(attempt=0)
         self._note = Note(
-            state="running",
-            attempt=1 if before is None else before.attempt + 1,
+            attempt=before.attempt + 1,
             machine=platform.node(),
             process=os.getpid(),
-            env_steps=0 if before is None else before.env_steps,
+            env_steps=before.env_steps,
         )
         self.note()
 
     def start(self) -> None:
         """Begin to count: the run is where it is trained."""
         self._kept = self._run.checkpoint
-        self._first_steps = 0 if self._kept is None else int(self._kept.name)
+        self._first_steps = self._run.saved_steps
         self._started_at = self._kept_at = time.monotonic()
 
     def __call__(self, report: Report) -> None:
-        """Follow the training."""
+        """Receive a report."""
         self._listener(report)
         if report.finished:
             return

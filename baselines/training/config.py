@@ -86,11 +86,11 @@ class TrainConfig:
         for name in ("seed", "steps"):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, getattr(protocol, name))
-        counts = {"steps": 1, "evaluate_every": 1, "episodes": 1, "num_envs": 1}
+        least = {"seed": 0, "steps": 1, "evaluate_every": 1, "episodes": 1, "num_envs": 1}
         problems = [
-            f"{name}: must be at least {least} (got {value})"
-            for name, least in {"seed": 0, **counts}.items()
-            if (value := getattr(self, name)) is not None and value < least
+            f"{name}: must be at least {bound} (got {value})"
+            for name, bound in least.items()
+            if (value := getattr(self, name)) is not None and value < bound
         ]
         if self.seed > MOST_SEED:
             problems.append(f"seed: must be at most 2^32 - 1 (got {self.seed})")
@@ -145,12 +145,9 @@ def default_label(algorithm: str, setting: str) -> str:
 
 
 class Budget(NamedTuple):
-    """The env-steps of a run, rounded up.
+    """The env-steps of a run, rounded up to the ``unit`` in words that its algorithm learns from.
 
-    Attributes:
-        env_steps: how many it takes, unless it stops early.
-        unit: what the algorithm learns from, in words.
-        exact: if not, ``env_steps`` is the most that it may take.
+    If it is not ``exact``, ``env_steps`` is the most that the run may take.
     """
 
     env_steps: int
@@ -160,12 +157,9 @@ class Budget(NamedTuple):
 
 @dataclass(frozen=True)
 class Task:
-    """A request with its field loaded and its settings resolved, as a trainer gets it.
+    """A request with its field loaded, as a trainer gets it.
 
-    Attributes:
-        config: the request.
-        field: the field to train on.
-        settings: keyword arguments of the environment: the algorithm's own and the request's.
+    ``settings`` are keyword arguments of the environment: the algorithm's own and the request's.
     """
 
     config: TrainConfig

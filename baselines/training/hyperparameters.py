@@ -1,4 +1,4 @@
-"""Hyperparameters are data: YAML blocks, validated into frozen models."""
+"""Hyperparameters: YAML blocks, validated into frozen models."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Hyperparameters(BaseModel):
     Attributes:
         source: where the numbers come from.
         environment: the algorithm's own settings of the environment.
-        skipped: values of the source that the algorithm has no place for; they have no effect.
+        skipped: values of the source that the algorithm has no argument for; without effect.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -33,11 +33,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_blocks(path: Path) -> dict[str, Any]:
-    """Read a YAML file of named blocks.
-
-    Raises:
-        ConfigError: the file is missing, is no YAML, or is not a mapping of mappings.
-    """
+    """Read a YAML file of named blocks; raise a ConfigError if it is none."""
     try:
         data = path.read_bytes()
         blocks = safe_yaml.parse_yaml(data, str(path), max_scalar=safe_yaml.MAX_TEXT)
@@ -51,11 +47,7 @@ def read_blocks(path: Path) -> dict[str, Any]:
 
 
 def read_block(path: Path, name: str) -> dict[str, Any]:
-    """Read one block of a YAML file.
-
-    Raises:
-        ConfigError: as :func:`read_blocks`, or there is no such block.
-    """
+    """Read one block of a YAML file; raise a ConfigError if there is none."""
     blocks = read_blocks(path)
     if name not in blocks:
         raise ConfigError(str(path), [f"{name}: {unknown('block', name, map(str, blocks))}"])
@@ -64,11 +56,7 @@ def read_block(path: Path, name: str) -> dict[str, Any]:
 
 
 def validate(model: type[Model], values: Mapping[str, Any], source: str) -> Model:
-    """Validate ``values``.
-
-    Raises:
-        ConfigError: naming every unknown or invalid value and what is allowed.
-    """
+    """Validate ``values``; raise a ConfigError that names every wrong one and what is allowed."""
     try:
         return model.model_validate(dict(values))
     except ValidationError as error:

@@ -15,11 +15,11 @@ ENVIRONMENT = "environment"
 def parse(words: Sequence[str]) -> dict[str, Any]:
     """Read ``NAME=VALUE`` words into nested mappings.
 
-    A name goes into depth at its points; a value is JSON, or else the word as it is.
-    ``["model.gamma=0.9", "sharing=full"]`` is ``{"model": {"gamma": 0.9}, "sharing": "full"}``.
+    ``["model.gamma=0.9", "sharing=full"]`` is ``{"model": {"gamma": 0.9}, "sharing": "full"}``: a
+    value is JSON, or else the word as it is.
 
     Raises:
-        ConfigError: naming every word that is not so, or that sets again what another has set.
+        ConfigError: naming every word of another form, and every name that is set twice.
     """
     values: dict[str, Any] = {}
     problems = []
@@ -44,13 +44,14 @@ def parse(words: Sequence[str]) -> dict[str, Any]:
 
 
 def words_of(values: Mapping[str, Any]) -> list[str]:
-    """The words that :func:`parse` reads ``values`` from."""
+    """Return the words that :func:`parse` reads ``values`` from."""
     words = []
     for name, value in values.items():
         if isinstance(value, Mapping) and value:
             words += [f"{name}.{word}" for word in words_of(value)]
         else:
-            words.append(f"{name}={_text(value)}")
+            is_word = isinstance(value, str) and _value(value) == value
+            words.append(f"{name}={value if is_word else json.dumps(value)}")
     return words
 
 
@@ -59,8 +60,3 @@ def _value(text: str) -> Any:
         return json.loads(text)
     except json.JSONDecodeError:
         return text
-
-
-def _text(value: Any) -> str:
-    is_word = isinstance(value, str) and _value(value) == value
-    return value if is_word else json.dumps(value)

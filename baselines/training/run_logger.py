@@ -1,4 +1,4 @@
-"""The log of a training: progress rows, fresh evaluations, policies, the progress bar."""
+"""The log of a training: progress rows, fresh evaluations, policies, checkpoints."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ from baselines.evaluation.policy import TrainedPolicy
 from baselines.runs.files import read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.training.config import Task
-from baselines.training.loggers import Logger, TensorBoard, WeightsAndBiases
+from baselines.training.loggers import Loggers
 from baselines.training.progress_bar import Listener, Report
 
 
 class EpisodeWindow:
     """Training episodes that ended since the last progress row.
 
-    Their mean is optimistic as a measure of a policy, since stuck worlds finish rarely; that is
-    why every result is taken from fresh evaluations instead.
+    Their mean is optimistic, since stuck worlds finish rarely: results are of fresh evaluations.
     """
 
     def __init__(self) -> None:
@@ -36,14 +35,12 @@ class EpisodeWindow:
         self._successes += map(float, successes)
 
     def pop(self) -> dict[str, float]:
-        """Count, mean, range and success rate since the last call; NaN without any episode."""
+        """Return count, mean, range and success rate since the last call; NaN without episodes."""
         returns = np.asarray(self._returns or [np.nan])
+        names = ("mean", "std", "min", "max")
         row = {
             "episodes": float(len(self._returns)),
-            "return_mean": float(returns.mean()),
-            "return_std": float(returns.std()),
-            "return_min": float(returns.min()),
-            "return_max": float(returns.max()),
+            **{f"return_{name}": float(getattr(returns, name)()) for name in names},
             "success_rate": float(np.mean(self._successes or [np.nan])),
         }
         self._returns.clear()
@@ -53,13 +50,9 @@ class EpisodeWindow:
 
 ROW_STEPS = 2048
 """A progress row spans at least so many env-steps, except the last one and one before a fresh
-evaluation: a learner that updates every few steps would otherwise write more than it learns."""
-
-
+evaluation: some learners update every few steps."""
 CHECKPOINT_SECONDS = 600.0
 """A checkpoint is due after every fresh evaluation, and after so many seconds of slow training."""
-
-
 MEAN_ACTION_NAMES = ("return_mean", "success_rate")
 """What the history of evaluations has of those with mean actions, as ``deterministic_...``."""
 
@@ -67,23 +60,25 @@ MEAN_ACTION_NAMES = ("return_mean", "success_rate")
 class Recorder:
     """Records one run in its folder, from the start or from the newest checkpoint there.
 
-    The training clock runs between :meth:`start` and the end, and stands still during evaluations
-    and while files are written, so ``seconds`` are seconds of training alone; ``wall_seconds`` are
-    seconds since the first :meth:`start`, without the time that an interrupted run lay still.
+    The training clock runs from :meth:`start`, but not during evaluations and while files are
+    written: ``seconds`` are seconds of training alone. ``wall_seconds`` are all seconds since the
+    first :meth:`start`, without the time between an interruption and its resumption.
 
     Args:
         folder: the run's folder.
         task: what is trained; evaluations have its field and settings.
-        listener: is told where the run stands after every row.
+        listener: receives the progress after every row.
         wandb: a project of Weights & Biases to log to as well, or ``None``.
 
     Attributes:
         episodes: the training episodes since the last row.
-        checkpoint: the checkpoint that the trainer has to go on from, or ``None``.
+        checkpoint: the checkpoint that the trainer has to resume, or ``None``.
         passed: whether a fresh evaluation met the run's criterion for stopping early; the trainer
             then goes straight to :meth:`finish`.
         checkpoint_due: whether the trainer should call :meth:`save_checkpoint` as soon as it is
             between two updates.
+        scalars: ``scalars(env_steps, values)`` writes numbers to the loggers alone, not to
+            ``progress.csv``.
     """
 
     def __init__(
@@ -97,27 +92,18 @@ class Recorder:
         self._task = task
         self._listener = listener
         self._diagnostics: Mapping[str, float] = {}
-        state: dict[str, Any] = {
-            "env_steps": 0,
-            "seconds": 0.0,
-            "wall_seconds": 0.0,
-            "progress_bytes": 0,
-            "evaluations": [],
-        }
-        if self.checkpoint is not None:
-            state = read_json(self.checkpoint / "recorder.json")
-        self._last_row: int = state["env_steps"]
-        self._seconds: float = state["seconds"]
+        state = read_json(self.checkpoint / "recorder.json") if self.checkpoint else {}
+        self._last_row: int = state.get("env_steps", 0)
+        self._seconds: float = state.get("seconds", 0.0)
         self._saved_at = self._seconds
-        self._wall_seconds: float = state["wall_seconds"]
+        self._wall_seconds: float = state.get("wall_seconds", 0.0)
         self._started_at = 0.0
         self._wall_started_at: float | None = None
-        self._evaluations: list[dict[str, Any]] = state["evaluations"]
-        folder.cut_progress(state["progress_bytes"])
+        self._evaluations: list[dict[str, Any]] = state.get("evaluations", [])
+        folder.cut_progress(state.get("progress_bytes", 0))
         write_json(folder.path / "evaluations.json", self._evaluations)
-        self._loggers: list[Logger] = [TensorBoard(folder, self._last_row)]
-        if wandb is not None:
-            self._loggers.append(WeightsAndBiases(folder, task.config.name, wandb))
+        self._loggers = Loggers(folder, task.config.name, self._last_row, wandb)
+        self.scalars = self._loggers.scalars
 
     def start(self) -> None:
         """Start the training clock: the libraries are imported, the engine is compiled."""
@@ -128,30 +114,34 @@ class Recorder:
     def update(
         self, env_steps: int, policy: TrainedPolicy, diagnostics: Mapping[str, float]
     ) -> None:
-        """Report an update of the learner; takes a fresh evaluation when one is due.
+        """Record an update of the learner; make a fresh evaluation when one is due.
 
-        Args:
-            env_steps: env-steps so far.
-            policy: the current policy.
-            diagnostics: numbers of the learner for ``progress.csv``, the same names every time.
+        ``diagnostics`` are numbers for ``progress.csv``, with the same names every time.
         """
         self._diagnostics = diagnostics
-        every, last = self._task.config.evaluate_every, env_steps >= self._task.config.steps
+        config = self._task.config
+        every, last = config.evaluate_every, env_steps >= config.steps
         evaluation_due = env_steps // every > self._last_row // every and not last
         if env_steps - self._last_row < ROW_STEPS and not evaluation_due:
             return
         self._write_row(env_steps)
         if evaluation_due:
-            number = 1 + len(self._evaluations)
-            sampled = self._fresh(policy, deterministic=False, number=number)
-            mean = self._glance(policy, number)
-            self._note(env_steps, sampled, mean)
-            self.passed = self._passes(sampled, mean)
+            # From fixed starts all episodes with mean actions are the same.
+            several = self._task.settings.get("random_starts", False)
+            sampled, mean = self._evaluate(
+                env_steps,
+                policy,
+                number=1 + len(self._evaluations),
+                mean_episodes=config.episodes if several else 1,
+            )
+            self.passed = config.stop_at is not None and passes(
+                sampled.summary(), mean.summary()["success_rate"], config.stop_at
+            )
         slow = self._seconds - self._saved_at >= CHECKPOINT_SECONDS
         due = self.checkpoint_due or evaluation_due or slow
         self.checkpoint_due = due and not (last or self.passed)
         if not last:
-            self._tell(env_steps)
+            self._report(env_steps)
         self.start()
 
     def save_checkpoint(
@@ -159,14 +149,10 @@ class Recorder:
     ) -> None:
         """Write a checkpoint; no step may have been taken since the last :meth:`update`.
 
-        Args:
-            env_steps: env-steps so far.
-            policy: the current policy.
-            save: writes what the trainer needs to go on into a folder.
+        ``save`` writes what the trainer needs to resume into a folder.
         """
         self._stop()
-        for logger in self._loggers:
-            logger.flush()
+        self._loggers.flush()
         with self._folder.new_checkpoint(env_steps) as folder:
             policy.save(folder / "policy")
             save(folder)
@@ -188,25 +174,18 @@ class Recorder:
             self._write_row(env_steps)
         with self._folder.new_policy() as place:
             policy.save(place)
-        stochastic = self._fresh(policy, deterministic=False, number=0)
-        deterministic = self._fresh(policy, deterministic=True, number=0)
-        self._note(env_steps, stochastic, deterministic)
-        for logger in self._loggers:
-            logger.close()
+        episodes = self._task.config.episodes
+        sampled, mean = self._evaluate(env_steps, policy, number=0, mean_episodes=episodes)
+        self._loggers.close()
         result = {
             "env_steps": env_steps,
             "seconds": self._seconds,
             "wall_seconds": self._wall(),
-            "stochastic": stochastic.to_json(),
-            "deterministic": deterministic.to_json(),
+            "stochastic": sampled.to_json(),
+            "deterministic": mean.to_json(),
         }
         self._folder.finish(result)
-        self._tell(env_steps, finished=True)
-
-    def scalars(self, env_steps: int, values: Mapping[str, float]) -> None:
-        """Write numbers to the loggers alone, not to ``progress.csv``."""
-        for logger in self._loggers:
-            logger.scalars(env_steps, values)
+        self._report(env_steps, finished=True)
 
     def _write_row(self, env_steps: int) -> None:
         """Stop the clock, and write the row of the window since the last one."""
@@ -222,12 +201,25 @@ class Recorder:
         self._seconds += time.perf_counter() - self._started_at
 
     def _wall(self) -> float:
-        """Seconds since the first start."""
+        """Return the seconds since the first start."""
         assert self._wall_started_at is not None
         return self._wall_seconds + time.perf_counter() - self._wall_started_at
 
-    def _note(self, env_steps: int, sampled: Evaluation, mean: Evaluation) -> None:
-        """Append an evaluation, with sampled and with mean actions, to the history."""
+    def _evaluate(
+        self, env_steps: int, policy: TrainedPolicy, *, number: int, mean_episodes: int
+    ) -> tuple[Evaluation, Evaluation]:
+        """Evaluate with sampled and with mean actions, and append both to the history.
+
+        The seed is that of the evaluation's ``number``, in every run the same.
+        """
+
+        def fresh(episodes: int, *, deterministic: bool) -> Evaluation:
+            task, seed = self._task, EVALUATION_SEED + number
+            how: dict[str, Any] = {"episodes": episodes, "seed": seed}
+            return evaluate(policy, task.field, task.settings, deterministic=deterministic, **how)
+
+        sampled = fresh(self._task.config.episodes, deterministic=False)
+        mean = fresh(mean_episodes, deterministic=True)
         entry = {
             "env_steps": env_steps,
             "seconds": self._seconds,
@@ -239,39 +231,9 @@ class Recorder:
         names = ("return_mean", "success_rate", "collision_rate", "rois_visited")
         self.scalars(env_steps, {f"evaluation/{name}": entry[name] for name in names})
         write_json(self._folder.path / "evaluations.json", self._evaluations)
+        return sampled, mean
 
-    def _glance(self, policy: TrainedPolicy, number: int) -> Evaluation:
-        """Evaluate mean actions as cheaply as can be: from fixed starts all episodes are equal."""
-        random_starts = self._task.settings.get("random_starts", False)
-        episodes = self._task.config.episodes if random_starts else 1
-        return self._fresh(policy, deterministic=True, number=number, episodes=episodes)
-
-    def _fresh(
-        self,
-        policy: TrainedPolicy,
-        *,
-        deterministic: bool,
-        number: int,
-        episodes: int | None = None,
-    ) -> Evaluation:
-        """Evaluate with the seed of the evaluation's ``number``; every run has the same seeds."""
-        return evaluate(
-            policy,
-            self._task.field,
-            self._task.settings,
-            episodes=episodes or self._task.config.episodes,
-            deterministic=deterministic,
-            seed=EVALUATION_SEED + number,
-        )
-
-    def _passes(self, sampled: Evaluation, mean: Evaluation) -> bool:
-        """Return whether evaluations meet the run's ``stop_at``."""
-        stop_at = self._task.config.stop_at
-        return stop_at is not None and passes(
-            sampled.summary(), mean.summary()["success_rate"], stop_at
-        )
-
-    def _tell(self, env_steps: int, *, finished: bool = False) -> None:
+    def _report(self, env_steps: int, *, finished: bool = False) -> None:
         last = self._evaluations[-1] if self._evaluations else {}
         self._listener(
             Report(

@@ -32,20 +32,19 @@ def train(
     wandb: str | None = None,
     listener: Listener = lambda report: None,
 ) -> RunFolder:
-    """Train one policy and evaluate it.
+    """Train one policy and evaluate it; everything is checked before the folder is made.
 
-    Everything is checked before the folder is made. The folder is locked during the run. Torch has
-    one thread until the end: the networks are small, and comparisons run one process per core.
+    Torch has one thread meanwhile: the networks are small, and comparisons take a process per core.
 
     Args:
         config: what to train.
         out: the run folder to make.
         command: the exact command, recorded in the folder; by default the equivalent one.
         force: move a folder that is already there aside.
-        resume: continue the interrupted run in ``out``, which must be of the same configuration,
-            from its newest checkpoint. A finished one is left as it is.
+        resume: continue the interrupted run in ``out``, of the same configuration, from its newest
+            checkpoint; leave a finished one.
         wandb: a project of Weights & Biases to log to as well.
-        listener: receives where the run stands.
+        listener: receives the progress.
 
     Raises:
         MbnError: the algorithm, the field, a setting or a hyperparameter is not valid; or ``out``
@@ -68,24 +67,25 @@ def train(
     else:
         algorithm.check(task, hyperparameters)
         claim_folder(out, force=force)
-    run = RunFolder(out)
-    with _one_thread(), _interruption_named(run), _writing_named(run), alone(out, "mbn train"):
-        if resume:
-            folder = RunFolder.resume(out, resolved, task.field, command)
-        else:
-            folder = RunFolder.create(out, resolved, task.field, command)
-        if not folder.finished:
-            with _divergence_named(folder):
-                algorithm.train(task, hyperparameters, Recorder(folder, task, listener, wandb))
-    return folder
+    with _running(RunFolder(out)), alone(out, "mbn train"):
+        begin = RunFolder.resume if resume else RunFolder.create
+        run = begin(out, resolved, task.field, command)
+        if not run.finished:
+            try:
+                algorithm.train(task, hyperparameters, Recorder(run, task, listener, wandb))
+            except ValueError as error:
+                if isinstance(error, MbnError) and not isinstance(error, ActionError):
+                    raise
+                what = str(error).splitlines()[0]
+                raise DivergenceError(
+                    f"{out}: the learner diverged: its numbers are most likely no longer finite; a "
+                    f"smaller learning rate may help ({what})"
+                ) from error
+    return run
 
 
 def notes(config: TrainConfig) -> list[str]:
-    """What a user should know before a run: skipped hyperparameters, and a budget rounded up.
-
-    Raises:
-        MbnError: as :func:`prepare`.
-    """
+    """Return what a user should know before a run: skipped hyperparameters, a rounded budget."""
     task, hyperparameters = prepare(config)
     name, steps = config.algorithm, config.steps
     lines = [
@@ -112,105 +112,57 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
     with collecting(problems):
         make_config(config.environment)
     with collecting(problems):
-        hyperparameters = resolve_hyperparameters(config)
+        hyperparameters: Hyperparameters = find_algorithm(config.algorithm).resolve(
+            config.hyperparameters,
+            setting=config.setting,
+            num_envs=config.num_envs,
+            file=config.hyperparams,
+        )
     if problems:
         raise ConfigError("training", problems)
     settings = {**hyperparameters.environment, **config.environment}
     make_config(settings)
     task = Task(config, load_field(config.field), settings)
-    check_source(task, hyperparameters)
+    if config.transferred_from is not None:
+        _check_source(RunFolder.open(config.transferred_from), task, hyperparameters)
     return task, hyperparameters
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """Give torch one thread, and afterwards as many as before."""
+def _running(run: RunFolder) -> Iterator[None]:
+    """Give torch one thread, and name the run in errors that its user or its disk causes."""
     import torch
 
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
-@contextmanager
-def _interruption_named(folder: RunFolder) -> Iterator[None]:
-    """Say where a run that the user interrupts can be resumed."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        unfinished = folder.unfinished if (folder.path / "config.json").is_file() else None
-        if unfinished is None:
-            raise
-        raise KeyboardInterrupt(f"{folder.path} is {unfinished}; continue with --resume") from None
-
-
-@contextmanager
-def _divergence_named(folder: RunFolder) -> Iterator[None]:
-    """Turn what numbers that are not finite cause in a learner or the engine into one error.
-
-    Raises:
-        DivergenceError: naming the run.
-    """
-    try:
-        yield
-    except ValueError as error:
-        if isinstance(error, MbnError) and not isinstance(error, ActionError):
-            raise
-        what = str(error).splitlines()[0]
-        raise DivergenceError(
-            f"{folder.path}: the learner diverged: its numbers are most likely no longer finite; a "
-            f"smaller learning rate may help ({what})"
-        ) from error
-
-
-@contextmanager
-def _writing_named(folder: RunFolder) -> Iterator[None]:
-    """Turn what a full disk or a folder without permission causes into one error.
-
-    Raises:
-        RunError: naming the run, and where it can be resumed.
-    """
-    hook = threading.excepthook
+    threads, hook = torch.get_num_threads(), threading.excepthook
 
     def quiet(arguments: threading.ExceptHookArgs) -> None:
-        """Say nothing of what TensorBoard's thread passes to its next call, which raises it."""
+        """Say nothing of errors that TensorBoard's thread passes to its next call."""
         if not isinstance(arguments.exc_value, OSError):
             hook(arguments)
 
+    torch.set_num_threads(1)
     threading.excepthook = quiet
     try:
         yield
+    except KeyboardInterrupt:
+        unfinished = run.unfinished if (run.path / "config.json").is_file() else None
+        if unfinished is None:
+            raise
+        raise KeyboardInterrupt(f"{run.path} is {unfinished}; continue with --resume") from None
     except (ConnectionError, InterruptedError):  # not about files
         raise
     except OSError as error:
         raise RunError(
-            f"{folder.path} could not be written to ({error}); what was saved before is as it was: "
-            f"--resume continues from {folder.saved_steps:,} env-steps"
+            f"{run.path} could not be written to ({error}); what was saved before is as it was: "
+            f"--resume continues from {run.saved_steps:,} env-steps"
         ) from error
     finally:
         threading.excepthook = hook
-
-
-def resolve_hyperparameters(config: TrainConfig) -> Hyperparameters:
-    """The hyperparameters of a run: the recorded ones, with those of the request instead.
-
-    Raises:
-        ConfigError: naming every unknown or invalid hyperparameter.
-    """
-    hyperparameters: Hyperparameters = find_algorithm(config.algorithm).resolve(
-        config.hyperparameters,
-        setting=config.setting,
-        num_envs=config.num_envs,
-        file=config.hyperparams,
-    )
-    return hyperparameters
+        torch.set_num_threads(threads)
 
 
 def sizes(theirs: Field, ours: Field) -> dict[str, tuple[Any, Any]]:
-    """By name, what must be equal in two fields for a policy of one to act in the other."""
+    """Return, by name, what a policy of one field needs to be equal in another one."""
     return {
         "robots": (len(theirs.starts), len(ours.starts)),
         "ROIs": (len(theirs.rois), len(ours.rois)),
@@ -218,31 +170,18 @@ def sizes(theirs: Field, ours: Field) -> dict[str, tuple[Any, Any]]:
     }
 
 
-def check_source(task: Task, hyperparameters: Hyperparameters) -> None:
-    """Check that the run that a task begins with, if there is one, fits it.
-
-    Raises:
-        RunError: there is no such run, or it is not finished.
-        ConfigError: naming everything in which it differs.
-    """
-    if task.config.transferred_from is None:
-        return
-    source = RunFolder.open(task.config.transferred_from)
+def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameters) -> None:
+    """Check that the run that a task begins with is finished and fits; raise an error if not."""
     if not source.finished:
         raise RunError(f"{source.path} is not finished; resume it first (--resume)")
-    config, field = source.config, source.field
-    asked = hyperparameters.model_dump(mode="json")
-    recorded = {**config["hyperparameters"], "num_envs": asked["num_envs"]}
+    config, theirs = source.config, source.config["hyperparameters"]
+    asked = hyperparameters.model_dump(mode="json", exclude={"source", "num_envs"})
     environment = make_config(task.settings).model_dump(mode="json")
     compared = {
         "algorithm": (config["algorithm"], task.config.algorithm),
-        **sizes(field, task.field),
+        **sizes(source.field, task.field),
         "environment": (config["environment"], environment),
-        **{
-            f"hyperparameters.{name}": (recorded.get(name), value)
-            for name, value in asked.items()
-            if name != "source"
-        },
+        **{f"hyperparameters.{name}": (theirs.get(name), ours) for name, ours in asked.items()},
     }
     problems = [
         f"{name}: the policy's run has {theirs}, this run {ours}"
@@ -254,12 +193,12 @@ def check_source(task: Task, hyperparameters: Hyperparameters) -> None:
 
 
 def found_anywhere(field: str) -> str:
-    """A field's name, or its path from the root: as another working directory needs it."""
+    """Return a field's name, or its absolute path if it is a file."""
     return str(Path(field).resolve()) if Path(field).is_file() else field
 
 
 def resolve(task: Task, hyperparameters: Hyperparameters) -> Mapping[str, Any]:
-    """The resolved configuration of a run, with every default written out, as JSON values."""
+    """Return the resolved configuration of a run, with every default, as JSON values."""
     paths = {
         name: None if (path := getattr(task.config, name)) is None else str(path.resolve())
         for name in ("hyperparams", "transferred_from")

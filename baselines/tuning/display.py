@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.table import Column
 
+from baselines.console import FittingProgress
 from baselines.tuning.trial import News
 
 
@@ -20,9 +22,10 @@ def tune_display(
     A trial has so many env-``steps``.
     """
     running: dict[int, str] = {}
-    columns = (TextColumn("trials"), BarColumn(bar_width=20), MofNCompleteColumn())
-    words = (TextColumn("{task.fields[running]}"), TimeElapsedColumn())
-    with Progress(*columns, *words, console=console, disable=not console.is_terminal) as progress:
+    bar, elapsed = BarColumn(bar_width=20), TimeElapsedColumn()
+    words = TextColumn("{task.fields[running]}", table_column=Column(overflow="fold"))
+    columns = (TextColumn("trials"), bar, MofNCompleteColumn(), words, elapsed)
+    with FittingProgress(*columns, spare=(bar, elapsed), screen=console) as progress:
         task = progress.add_task("", total=trials, completed=ended, running="")
 
         def show(news: News) -> None:

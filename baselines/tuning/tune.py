@@ -14,8 +14,15 @@ from optuna.trial import TrialState
 
 from baselines.algorithms import find_algorithm
 from baselines.paper.figures import draw_study
-from baselines.runs.differences import differences
-from baselines.runs.files import RunError, alone, claim_folder, read_json, write_json, write_text
+from baselines.runs.files import (
+    RunError,
+    alone,
+    claim_folder,
+    differences,
+    read_json,
+    write_json,
+    write_text,
+)
 from baselines.runs.provenance import write_provenance
 from baselines.sweep.processes import Failure
 from baselines.sweep.run import Engine

@@ -17,6 +17,13 @@ table = Table("a-rather-long-label-0", "text " * 40)
 console().print(table)
 """
 
+NAMES = ("crossq-A-field_01-seed33", "short-sighted-field_03-seed0")
+BARS = f"""
+from baselines.training.progress_bar import Report, progress_bars
+with progress_bars({NAMES}, 1000) as show:
+    show(Report("{NAMES[1]}", 600, True, 842.0, -9_543_760.0, 0.05))
+"""
+
 
 def wide_table() -> Table:
     """Two columns of names, and four of numbers that take 12 columns each."""
@@ -73,3 +80,33 @@ def test_a_table_that_is_too_wide_is_printed_in_blocks() -> None:
         [*names, *(f"number-{k}" for k in range(4))],
         ["ppo", "N", *[number] * 4],
     ]
+
+
+@pytest.mark.parametrize(
+    ("columns", "shown"),
+    [
+        # The name takes 28 columns, then 10, 4, 6, 30 and 7, each after a space.
+        (90, ["━" * 10, "60%", "842/s", "return", "-9,543,760", "success", "5%", "0:00:00"]),
+        (89, ["60%", "842/s", "return", "-9,543,760", "success", "5%", "0:00:00"]),
+        (79, ["60%", "842/s", "return", "-9,543,760", "success", "5%", "0:00:00"]),
+        (78, ["60%", "842/s", "return", "-9,543,760", "success", "5%"]),
+        (70, ["60%", "return", "-9,543,760", "success", "5%"]),
+        (63, ["60%"]),
+    ],
+)
+def test_a_narrow_terminal_leaves_parts_of_progress_out_and_cuts_none(
+    columns: int, shown: list[str]
+) -> None:
+    bars = in_terminal([sys.executable, "-c", BARS], columns)
+    assert "…" not in bars
+    waiting, running = bars.replace("╺", "━").splitlines()[-2:]
+    assert waiting.split()[0] == NAMES[0]
+    assert running.split() == [NAMES[1], *shown]
+
+
+def test_a_name_that_is_too_long_alone_is_folded() -> None:
+    bars = in_terminal([sys.executable, "-c", BARS], columns=20)
+    assert "…" not in bars
+    lines = [line.split() for line in bars.splitlines()[-4:]]
+    assert lines[0][0] + lines[1][0] == NAMES[0]
+    assert lines[2][1] == "60%"

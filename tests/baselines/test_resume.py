@@ -259,7 +259,7 @@ def test_only_the_same_run_can_be_resumed(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         train(replace(config, seed=5, steps=500), stopped.path, resume=True)
     assert [line.split(":")[0] for line in caught.value.problems] == ["seed", "steps"]
-    assert "the run has 0, this command 5" in caught.value.problems[0]
+    assert "recorded is 0, asked for is 5" in caught.value.problems[0]
     with pytest.raises(RunError, match="is not a run folder"):
         train(config, tmp_path / "nothing", resume=True)
     assert stopped.progress.read_bytes() == before

@@ -33,8 +33,7 @@ def test_fields_lists_the_catalogue(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fields"]) == 0
     lines = capsys.readouterr().out.splitlines()
     row = next(line for line in lines if "field_03" in line)
-    cells = [cell.strip() for cell in row.strip("│ ").split("│")]
-    assert cells == ["field_03", "3", "6", "0", "4", "10,800", "17", "159,490"]
+    assert row.split() == ["field_03", "3", "6", "0", "4", "10,800", "17", "159,490"]
     assert sum("field_" in line for line in lines) == 10
 
 

@@ -106,6 +106,15 @@ def test_evaluate_records_its_best_median_and_worst(tmp_path: Path) -> None:
     assert main(command) == 2, "the folder is there already"
 
 
+def test_evaluate_moves_nothing_aside_before_it_has_something_to_write(tmp_path: Path) -> None:
+    old, taken = tmp_path / "old.json", tmp_path / "taken"
+    for path in (old, taken):
+        path.write_text("old")
+    words = ["evaluate", "greedy", "--field", "field_03", "--json", str(old), "--force"]
+    assert main([*words, "--record", str(taken)]) == 2  # the record has to be a folder
+    assert sorted(tmp_path.iterdir()) == [old, taken] and old.read_text() == "old"
+
+
 def test_fields_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "fields.pdf"
     assert main(["fields", "field_03", "field_05", "--figure", str(out)]) == 0
