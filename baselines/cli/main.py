@@ -60,7 +60,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
         signal.signal(signal.SIGTERM, _leave)
-        _run(words)
+        if not words or words[0] in ("-h", "--help"):
+            print(_help())
+        elif words[0] == "--version":
+            print(f"mbn_marl {__version__}")
+        else:
+            read_command(words).run(shlex.join(["mbn", *words]))
     except MbnError as error:
         return _fail(str(error))
     except OSError as error:
@@ -88,15 +93,6 @@ def read_command(words: Sequence[str]) -> Any:
     if name not in COMMANDS:
         raise UsageError(f"{name}: {unknown('command', name, COMMANDS)}")
     return read_options(_command(name), options, f"mbn {name}")
-
-
-def _run(words: list[str]) -> None:
-    if not words or words[0] in ("-h", "--help"):
-        print(_help())
-    elif words[0] == "--version":
-        print(f"mbn_marl {__version__}")
-    else:
-        read_command(words).run(shlex.join(["mbn", *words]))
 
 
 def _command(name: str) -> Any:

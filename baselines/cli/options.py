@@ -8,7 +8,7 @@ import inspect
 import io
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass, replace
 from itertools import pairwise
 from types import NoneType, UnionType
@@ -169,24 +169,23 @@ def _several(info: PrimitiveTypeInfo) -> Reading | None:
 @REGISTRY.primitive_rule
 def _number(info: PrimitiveTypeInfo) -> Reading | None:
     """Read a number; a whole one may be written as 1e6."""
-    if info.type is int:
-        return _numbers(whole_number, "INT", "a whole number, such as 5000 or 1e6")
-    return _numbers(float, "NUMBER", "a number") if info.type is float else None
+    if info.type not in (int, float):
+        return None
+    whole = info.type is int
+    allowed = "a whole number, such as 5000 or 1e6" if whole else "a number"
 
-
-def _numbers(convert: Callable[[str], float], metavar: str, allowed: str) -> Reading:
     def read(words: list[str]) -> float:
         try:
-            return convert(words[0])
+            return whole_number(words[0]) if whole else float(words[0])
         except (ValueError, OverflowError):
             raise ValueError(f"{words[0]!r}; allowed: {allowed}") from None
 
     return PrimitiveConstructorSpec(
         nargs=1,
-        metavar=metavar,
+        metavar="INT" if whole else "NUMBER",
         instance_from_str=read,
         is_instance=lambda value: isinstance(value, int | float),
-        str_from_instance=lambda value: [f"{value:g}" if metavar == "NUMBER" else str(value)],
+        str_from_instance=lambda value: [str(value) if whole else f"{value:g}"],
     )
 
 

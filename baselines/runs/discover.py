@@ -30,7 +30,7 @@ def _inside(path: Path, note: Callable[[str], None], comparisons: bool) -> list[
     """Return the folders of runs at or below ``path``, sorted, but for what is left out."""
     if not path.is_dir():
         raise RunError(f"{path} is not a folder")
-    if is_study(path):
+    if "database" in _config(path):
         raise RunError(f"{path} is a study, and holds no run to report on; draw it with --study")
     folders: list[Path] = []
     left_out: dict[Path, str] = {}
@@ -53,17 +53,12 @@ def _why_left_out(folder: Path, comparisons: bool) -> str | None:
     """Return why what is in ``folder`` is left out; ``None`` if it is not."""
     if moved_aside(folder):
         return "moved aside by --force"
-    if is_study(folder):
-        return "a study; draw it with --study"
     config, is_run = _config(folder), (folder / "field.yaml").is_file()
+    if "database" in config:
+        return "a study; draw it with --study"
     if not is_run and not comparisons and "variants" in config:
         return "a comparison; name it to report on its runs"
     return None
-
-
-def is_study(folder: Path) -> bool:
-    """Return whether ``folder`` is that of a study."""
-    return "database" in _config(folder)
 
 
 def _config(folder: Path) -> Collection[str]:

@@ -156,13 +156,8 @@ class Recorder:
         with self._folder.new_checkpoint(env_steps) as folder:
             policy.save(folder / "policy")
             save(folder)
-            state = {
-                "env_steps": env_steps,
-                "seconds": self._seconds,
-                "wall_seconds": self._wall(),
-                "progress_bytes": self._folder.progress_bytes,
-                "evaluations": self._evaluations,
-            }
+            size = {"progress_bytes": self._folder.progress_bytes}
+            state = {**self._times(env_steps), **size, "evaluations": self._evaluations}
             write_json(folder / "recorder.json", state)
         self.checkpoint_due = False
         self._saved_at = self._seconds
@@ -177,14 +172,8 @@ class Recorder:
         episodes = self._task.config.episodes
         sampled, mean = self._evaluate(env_steps, policy, number=0, mean_episodes=episodes)
         self._loggers.close()
-        result = {
-            "env_steps": env_steps,
-            "seconds": self._seconds,
-            "wall_seconds": self._wall(),
-            "stochastic": sampled.to_json(),
-            "deterministic": mean.to_json(),
-        }
-        self._folder.finish(result)
+        results = {"stochastic": sampled.to_json(), "deterministic": mean.to_json()}
+        self._folder.finish({**self._times(env_steps), **results})
         self._report(env_steps, finished=True)
 
     def _write_row(self, env_steps: int) -> None:
@@ -200,10 +189,11 @@ class Recorder:
         """Stop the training clock."""
         self._seconds += time.perf_counter() - self._started_at
 
-    def _wall(self) -> float:
-        """Return the seconds since the first start."""
+    def _times(self, env_steps: int) -> dict[str, Any]:
+        """Return the env-steps, the seconds of training and those since the first start."""
         assert self._wall_started_at is not None
-        return self._wall_seconds + time.perf_counter() - self._wall_started_at
+        wall = self._wall_seconds + time.perf_counter() - self._wall_started_at
+        return {"env_steps": env_steps, "seconds": self._seconds, "wall_seconds": wall}
 
     def _evaluate(
         self, env_steps: int, policy: TrainedPolicy, *, number: int, mean_episodes: int
@@ -221,9 +211,7 @@ class Recorder:
         sampled = fresh(self._task.config.episodes, deterministic=False)
         mean = fresh(mean_episodes, deterministic=True)
         entry = {
-            "env_steps": env_steps,
-            "seconds": self._seconds,
-            "wall_seconds": self._wall(),
+            **self._times(env_steps),
             **sampled.summary(),
             **{f"deterministic_{name}": mean.summary()[name] for name in MEAN_ACTION_NAMES},
         }
@@ -235,13 +223,6 @@ class Recorder:
 
     def _report(self, env_steps: int, *, finished: bool = False) -> None:
         last = self._evaluations[-1] if self._evaluations else {}
-        self._listener(
-            Report(
-                run=self._task.config.name,
-                env_steps=env_steps,
-                finished=finished,
-                steps_per_second=env_steps / self._seconds if self._seconds else 0.0,
-                return_mean=last.get("return_mean"),
-                success_rate=last.get("success_rate"),
-            )
-        )
+        speed = env_steps / self._seconds if self._seconds else 0.0
+        results = (last.get(name) for name in ("return_mean", "success_rate"))
+        self._listener(Report(self._task.config.name, env_steps, finished, speed, *results))
