@@ -44,7 +44,7 @@ class EpisodeLog:
             config=config.model_copy(update={"n_robots": engine.n_robots}),
             actions=np.array(self._actions, engine.dtype).reshape(*shape, 2),
             positions=np.array(self._positions),
-            visits=self._visits,
+            visits=self._visits.copy(),
             terms=np.array(self._terms, np.float64).reshape(*shape, len(REWARD_TERMS)),
             team_rewards=np.array(self._rewards),
             outcome="collision" if last.collision else "success" if last.success else ended,
@@ -56,9 +56,8 @@ class EpisodeLog:
         """Return positions (n, 2), units, and which ROIs are visited, (m,) bool."""
         state, n = self._engine.state()[0], self._engine.n_robots
         bits = reversed(range(self._engine.n_rois))  # the first ROI is the most significant
-        return state[: 2 * n].reshape(n, 2), np.array(
-            [int(state[-1]) >> bit & 1 for bit in bits], bool
-        )
+        visited = np.array([int(state[-1]) >> bit & 1 for bit in bits], np.bool_)
+        return state[: 2 * n].reshape(n, 2), visited
 
 
 def play(

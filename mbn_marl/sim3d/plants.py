@@ -14,7 +14,7 @@ MOST_PLANTS = 1500
 CORN_HEIGHT = 0.22  # metres: the vehicles fly above it
 LEAF = np.array([[0.0, -0.012, 0.0], [0.0, 0.012, 0.0], [0.07, 0.0, 1.0], [0.16, 0.0, 0.7]])
 """A leaf that points along +x: base, bend and tip; z in heights of the plant."""
-LEAF_FACES = np.array([[0, 1, 2], [0, 2, 1], [1, 3, 2], [1, 2, 3]])  # both sides of each
+LEAF_FACES = np.array([[0, 1, 2], [0, 2, 1], [1, 3, 2], [1, 2, 3]])  # both sides of each triangle
 
 Array = NDArray[np.float64]
 

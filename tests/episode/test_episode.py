@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from mbn_marl import BatchEngine, centralized_env, env, load_field, parallel_env
+from mbn_marl import BatchEngine, Field, centralized_env, env, load_field, parallel_env
 from mbn_marl.config import make_config
 from mbn_marl.engine import REWARD_TERMS
 from mbn_marl.episode import (
@@ -158,8 +158,6 @@ def test_episode_after_episode(autoreset: Any, settings: dict[str, Any]) -> None
 
 def test_what_is_recorded_is_what_happened() -> None:
     """Two robots go for an ROI each, worked out by hand; the third stays."""
-    from mbn_marl import Field
-
     field = Field(
         [(0, 0), (100, 0), (100, 100), (0, 100)],
         rois=[(20.0, 20.0), (60.0, 20.0)],
@@ -179,6 +177,18 @@ def test_what_is_recorded_is_what_happened() -> None:
     assert episode.snapshot(2).team_return == episode.team_return
     with pytest.raises(EpisodeError, match="actions: "):
         play(field, make_config({}), push)
+
+
+@pytest.mark.parametrize(("push", "outcome"), [(1.0, "collision"), (-1.0, "truncated")])
+def test_an_episode_says_how_it_ended(push: float, outcome: str) -> None:
+    """Two robots 10.9 apart: towards each other they are 9.9 apart after a step, less than C."""
+    field = Field([(0, 0), (99, 0), (99, 99), (0, 99)], [(50, 80)], [(40, 20), (50.9, 20)])
+    actions = np.zeros((1, 2, 2))
+    actions[0, :, 0] = push, -push
+    episode = play(field, make_config({"max_steps": 1}), actions)
+    assert episode.outcome == outcome
+    assert episode.snapshot(1).collision == (outcome == "collision")
+    assert play(field, make_config({"max_steps": 1}), actions[:0]).outcome == "unfinished"
 
 
 def test_an_episode_that_starts_outside_is_named() -> None:
