@@ -21,17 +21,16 @@ SUBJECTS = {
     "population": ("studies.population", "Population", "the best policies within a time"),
     "planning": ("planning", "Planning", "proofs and plans for the ten fields and random ones"),
     "grid": ("grid", "GridCosts", "what the schedulers of `mbn grid` cost"),
-    "capacity": ("capacity", "Capacity", "how long the paper's grid takes on many machines"),
+    "capacity": ("grid", "Capacity", "how long the paper's grid takes on many machines"),
     "gpu": ("gpu", "Gpu", "the engine on CUDA"),
-    "kills": ("reliability.kills", "Kills", "trainings killed at random moments and resumed"),
-    "corruption": ("reliability.corruption", "Corruption", "damaged files"),
+    "kills": ("reliability.runs", "Kills", "trainings killed at random moments and resumed"),
+    "corruption": ("reliability.runs", "Corruption", "damaged files"),
     "endurance": ("reliability.endurance", "Endurance", "a billion env-steps with resets"),
     "fuzz": ("reliability.fuzz", "Fuzz", "input that nobody meant"),
 }
 """For each subject its module, its class, and what it measures."""
 USAGE = "usage: python -m benchmarks SUBJECT [options]    (SUBJECT --help lists the options)\n\n"
 USAGE += "\n".join(f"  {name:<12}{about}" for name, (*_, about) in SUBJECTS.items())
-FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -48,13 +47,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if subject not in SUBJECTS:
             raise UsageError(f"{subject}: {unknown('subject', subject, SUBJECTS)}")
         benchmark: Any = read_options(benchmark_class(subject), options, f"{PROGRAM} {subject}")
-        return 0 if benchmark.run(f"{PROGRAM} {shlex.join(words)}") else FAILED
+        return 0 if benchmark.run(f"{PROGRAM} {shlex.join(words)}") else 1
     except (MbnError, OSError) as error:
         print(f"benchmarks: error: {error}", file=sys.stderr)
-        return WRONG_INPUT
+        return 2
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        return INTERRUPTED
+        return 130
 
 
 def benchmark_class(subject: str) -> Any:

@@ -15,14 +15,13 @@ import numpy as np
 import torch
 
 from baselines.compare.text_table import TextTable
-from benchmarks.report import Advance, Benchmark, Findings, Measurement
+from benchmarks.report import Advance, Benchmark, Findings, Measurement, number
 from mbn_marl import BatchEngine
 from mbn_marl.errors import MbnError
 
 COPY_BYTES = 2**30
 TARGET_RATE, TARGET_RATIO = 2000.0, 0.5
-GRAPH_STEPS = 16
-"""Steps in the graph; each has random actions of its own."""
+GRAPH_STEPS = 16  # each has random actions of its own
 
 
 @dataclass(frozen=True)
@@ -60,11 +59,7 @@ class Gpu(Benchmark):
         best = max(size["graph_rate"] for size in sizes)
         ratio = max(size["ratio_to_copy"] for size in sizes)
         device = torch.cuda.get_device_name()
-        forms = ("{:.0f}", "{:,.0f}", "{:,.0f}", "{:.0f}", "{:.2f}")
-        lines = tuple(
-            tuple(form.format(value) for form, value in zip(forms, size.values(), strict=True))
-            for size in sizes
-        )
+        lines = tuple(tuple(map(number, size.values())) for size in sizes)
         headings = ("worlds", "eager, env-steps/s", "graph, env-steps/s", "GB/s", "of a copy")
         return Findings(
             f"{device}, {self.field}, random actions",
@@ -109,35 +104,33 @@ def copy_rate() -> float:
 def necessary_bytes(engine: BatchEngine) -> int:
     """Return the bytes that a step has to read and write for one world.
 
-    State and filter words (one per robot) are read and written, actions are read, and observations,
-    rewards, flags, events and the trail's new entries are written.
+    State and filter words are read and written, actions read, outputs and trail entries written.
     """
     backend, worlds, n = engine._backend, engine.num_worlds, engine.n_robots
     out = backend.output
     changed = sum(array.nbytes for array in backend.now)
     written = sum(array.nbytes for array in out) - out.final_observations.nbytes
-    real = engine.dtype.itemsize
-    actions, trail, filters, words, pending = 2 * n * real, 2 * n * real, 2 * 8 * n, 8, 1
+    actions = trail = 2 * n * engine.dtype.itemsize
+    filters, words, pending = 2 * 8 * n, 8, 1
     return int((2 * changed + written) / worlds) + actions + trail + filters + words + pending
 
 
 def check_against_the_cpu(options: Gpu) -> None:
     """Step both engines alike; every output has to be the same, bit for bit."""
     settings: dict[str, Any] = {"num_worlds": 2**options.least, "seed": 3, "random_starts": True}
+    wanted: tuple[Any, ...]
+    found: tuple[Any, ...]
     cpu = BatchEngine(options.field, **settings)
     gpu = BatchEngine(options.field, device="cuda", **settings)
-    pairs: list[tuple[str, Any, Any]] = [("observations", cpu.reset(), gpu.reset())]
-    names = ("observations", "rewards", "terminated", "truncated")
-    for t in range(options.check_steps):
-        actions = cpu.sample_actions()
-        results = gpu.step(torch.from_numpy(actions).cuda())
-        pairs += zip(names, cpu.step(actions), results, strict=True)
-        pairs += [("team rewards", cpu.team_rewards, gpu.team_rewards)]
-        pairs += [("state", cpu.state(), gpu.state())]
-        for name, expected, tensor in pairs:
-            if not np.array_equal(torch.as_tensor(tensor).cpu().numpy(), expected):
+    names = ("observations", "rewards", "terminated", "truncated", "team rewards", "state")
+    wanted, found = (cpu.reset(),), (gpu.reset(),)
+    for t in range(options.check_steps + 1):
+        for name, one, other in zip(names, wanted, found, strict=False):
+            if not np.array_equal(torch.as_tensor(other).cpu().numpy(), one):
                 raise MbnError(f"step {t}: {name} differ from the CPU's; nothing was measured")
-        pairs = []
+        actions = cpu.sample_actions()
+        wanted = *cpu.step(actions), cpu.team_rewards, cpu.state()
+        found = *gpu.step(torch.from_numpy(actions).cuda()), gpu.team_rewards, gpu.state()
 
 
 def measure(options: Gpu, worlds: int, copy: float) -> dict[str, float]:

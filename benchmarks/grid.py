@@ -1,32 +1,41 @@
-"""The costs of many runs: the scheduler's share, and how well workers add up."""
+"""What many runs cost: the schedulers' share, how workers add up, the capacity of machines."""
 
 from __future__ import annotations
 
+import heapq
 import logging
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 from typing import Any, ClassVar
 
+from baselines.compare.text_table import TextTable
 from baselines.sweep.processes import LocalEngine
 from baselines.sweep.ray_cluster import RayEngine
 from baselines.sweep.run import Engine, Sweep
 from baselines.sweep.spec import GridSpec, runs_of
+from baselines.sweep.status import duration
 from baselines.sweep.store import open_store
-from baselines.sweep.worker import TrainJob, Watch
+from baselines.sweep.worker import TrainJob, Watch, source_of
+from baselines.training.config import TrainConfig
 from benchmarks.report import Advance, Benchmark, Findings, Measurement
 
 EMPTY, CELLS = 1000, 4  # cells that train nothing, and that train
 WORKERS = 2
-NODE: dict[str, Any] = {
-    "num_cpus": WORKERS,
-    "object_store_memory": 80 * 2**20,
-    "include_dashboard": False,
-}
+Job = tuple[str, str | None, float]  # a name, that of the job to wait for, and seconds
+SPEEDS = {"a2c": 835.0, "ppo": 1039.0, "trpo": 1084.0, "ars": 4229.0, "crossq": 10.0, "tqc": 50.0}
+"""Env-steps per second of training on one core of a machine of two (Intel Xeon): harmonic means
+over the runs of 1 M env-steps behind docs/results/paper.md; CrossQ and TQC, which were not run to
+their end, as that page has them."""
+CORES, MACHINES = 2, (1, 16, 256)  # cores of a machine, and how many machines
+CAPTION = (
+    f"Machines have {CORES} cores and train as many runs at a time; runs begin in the order of the "
+    "grid, those under C when the one that they start from is done."
+)
 
 
 @dataclass(frozen=True)
@@ -67,9 +76,9 @@ class GridCosts(Benchmark):
 
 
 def _overhead(engine: str, workers: int, seconds: float) -> Measurement:
-    what = f"{EMPTY:,} cells that train nothing; what they note in the store included"
     name = f"{engine}: per cell, {workers} at a time"
-    return Measurement(name, 1000.0 * seconds / EMPTY, "ms", note=what)
+    note = f"{EMPTY:,} cells that train nothing; what they note in the store included"
+    return Measurement(name, 1000.0 * seconds / EMPTY, "ms", note=note)
 
 
 def claim_and_leave(job: TrainJob, report: Callable[[Any], None]) -> None:
@@ -100,7 +109,12 @@ def _on_ray() -> Measurement:
         return Measurement("ray: per cell", None, "ms", note="not installed")
     import ray
 
-    ray.init(**NODE, log_to_driver=False, logging_level=logging.ERROR)
+    quiet: dict[str, Any] = {
+        "include_dashboard": False,
+        "log_to_driver": False,
+        "logging_level": logging.ERROR,
+    }
+    ray.init(num_cpus=WORKERS, object_store_memory=80 * 2**20, **quiet)
     try:
         return _overhead("ray", WORKERS, _empty(RayEngine(), WORKERS))
     finally:
@@ -117,3 +131,46 @@ def _train(steps: int, workers: int, advance: Advance) -> tuple[float, float]:
         wall = perf_counter() - wall
     advance()
     return wall, sum(after[2:4]) - sum(before[2:4])  # of child processes that have ended
+
+
+def makespan(jobs: Iterable[Job], workers: int) -> float:
+    """Return the seconds that ``workers`` side by side take for jobs, in this order."""
+    waiting, done = list(jobs), set[str | None]([None])
+    running: list[tuple[float, str]] = []
+    now = 0.0
+    while waiting or running:
+        ready = (job for job in waiting if job[1] in done)
+        job = next(ready, None) if len(running) < workers else None
+        if job is None:
+            now, name = heapq.heappop(running)
+            done.add(name)
+        else:
+            waiting.remove(job)
+            heapq.heappush(running, (now + job[2], job[0]))
+    return now
+
+
+def jobs_of(runs: Iterable[TrainConfig]) -> list[Job]:
+    """Return runs as jobs, with their seconds on one core."""
+    return [(run.name, source_of(run), run.steps / SPEEDS[run.algorithm]) for run in runs]
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """Print how long the paper's grid takes on so many machines."""
+
+    def run(self, command: str) -> bool:
+        """Print the table as Markdown."""
+        lines = []
+        for count, name in ((6, "all six"), (4, "without CrossQ and TQC")):
+            for seeds in (1, 10):
+                axes = {"algorithms": [*SPEEDS][:count], "settings": ["A", "B", "C"]}
+                values = {"store": "runs", **axes, "seeds": list(range(seeds))}
+                jobs = jobs_of(runs_of(GridSpec.model_validate(values)))
+                hours = sum(seconds for _, _, seconds in jobs) / 3600
+                times = (duration(makespan(jobs, CORES * machines)) for machines in MACHINES)
+                label = f"{name}, {seeds} seed{'' if seeds == 1 else 's'}"
+                lines.append((label, str(len(jobs)), f"{hours:,.0f}", *times))
+        headings = ("grid", "runs", "core hours", *(f"on {n}" for n in MACHINES))
+        print(TextTable(CAPTION, headings, tuple(lines)).markdown())
+        return True

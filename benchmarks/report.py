@@ -22,9 +22,8 @@ from baselines.runs.provenance import versions
 
 Advance = Callable[[], object]
 """Called after each stage of a benchmark."""
-STAT = Path("/proc/stat")
-ALLOWED = 0.1
-"""Cores that others may use before a result is doubtful."""
+STAT, CPU = Path("/proc/stat"), Path("/proc/cpuinfo")
+ALLOWED = 0.1  # cores that others may use before a result is doubtful
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Measurement:
         """Return whether the target is met; ``None`` without a figure or a target."""
         if self.value is None or self.target is None:
             return None
-        return self.value >= self.target if self.at_least else self.value <= self.target
+        return bool(self.value >= self.target if self.at_least else self.value <= self.target)
 
     def to_json(self) -> dict[str, Any]:
         """Return the line as JSON values; never is ``None``."""
@@ -56,13 +55,8 @@ class Measurement:
         value = "never" if self.value == math.inf else value
         bound = ">=" if self.at_least else "<="
         target = "-" if self.target is None else f"{bound} {number(self.target)}"
-        return (
-            self.name,
-            value,
-            target,
-            {True: "met", False: "missed", None: "-"}[self.met],
-            self.note,
-        )
+        verdict = {True: "met", False: "missed", None: "-"}[self.met]
+        return self.name, value, target, verdict, self.note
 
 
 def number(value: float) -> str:
@@ -110,11 +104,7 @@ class Benchmark:
         raise NotImplementedError
 
     def run(self, command: str) -> bool:
-        """Measure with a progress bar, print the tables, write JSON and the figure.
-
-        Raises:
-            RunError: the folder holds something already, and ``force`` is not set.
-        """
+        """Measure with a progress bar, print the tables, write JSON and the figure."""
         folder = claim_folder(self.folder, force=self.force)
         screen, began, others = console(), perf_counter(), OtherLoad()
         with Progress(console=screen, transient=True) as progress:
@@ -168,10 +158,9 @@ class OtherLoad:
 
 def _others() -> float | None:
     """Seconds that cores have worked (or were withheld) but not for us or our ended children."""
-    try:
-        words = STAT.read_text(encoding="utf-8").splitlines()[0].split()
-    except OSError:
+    if not STAT.exists():
         return None
+    words = STAT.read_text(encoding="utf-8").splitlines()[0].split()
     user, nice, system, _idle, _waiting, *stolen = map(int, words[1:9])  # the rest counts twice
     busy = user + nice + system + sum(stolen)
     return busy / os.sysconf("SC_CLK_TCK") - sum(os.times()[:4])
@@ -182,8 +171,7 @@ def describe_machine() -> dict[str, Any]:
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    cpu = Path("/proc/cpuinfo")
-    text = cpu.read_text(encoding="utf-8") if cpu.exists() else ""
+    text = CPU.read_text(encoding="utf-8") if CPU.exists() else ""
     model = re.search(r"^model name\s*: *(.+)", text, re.MULTILINE)
     name = model[1] if model else platform.processor() or platform.machine()
     return {"processor": name, "cores": cores, "memory_gib": memory, **versions("vmas", "mpe2")}

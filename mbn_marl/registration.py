@@ -26,15 +26,8 @@ def register_environments() -> None:
             vector_entry_point="mbn_marl.adapters.gymnasium:CentralizedVectorEnv",
             kwargs={"field": name},
         )
-        pettingzoo.register(
-            "parallel",
-            environment_id(name),
-            entry_point="mbn_marl.navigation_v0:parallel_env",
-            kwargs={"field": name},
-        )
-        pettingzoo.register(
-            "aec",
-            environment_id(name),
-            entry_point="mbn_marl.navigation_v0:env",
-            kwargs={"field": name},
-        )
+        for form, function in (("parallel", "parallel_env"), ("aec", "env")):
+            entry = f"mbn_marl.navigation_v0:{function}"
+            pettingzoo.register(
+                form, environment_id(name), entry_point=entry, kwargs={"field": name}
+            )

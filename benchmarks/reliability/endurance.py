@@ -25,9 +25,10 @@ ROUNDING = 0.01  # units; positions are float32
 WARM_UP = 0.02  # share of the steps before memory is measured for the first time
 
 
-def resident() -> int:
-    """Return the resident memory of this process, in bytes."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+def resident() -> float:
+    """Return the resident memory of this process, in MiB."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
 
 
 def problems(engine: BatchEngine, worlds: list[int]) -> list[str]:
@@ -79,7 +80,7 @@ class Endurance:
         engine.reset()
         calls = -(-self.env_steps // self.worlds)
         every = max(1, calls // LOOKS)
-        episodes, looks, before = 0, 0, 0
+        episodes, looks, before = 0, 0, 0.0
         broken: list[str] = []
         started = time.perf_counter()
         for call in range(calls):
@@ -93,15 +94,14 @@ class Endurance:
             if call == int(WARM_UP * calls):
                 before = resident()
             if call % (every * LOOKS // 20) == 0:
-                memory = f"{resident() / 2**20:.1f} MiB"
-                print(f"{call * self.worlds:,}: {memory}", file=sys.stderr, flush=True)
+                print(f"{call * self.worlds:,}: {resident():.1f} MiB", file=sys.stderr, flush=True)
         seconds, after = time.perf_counter() - started, resident()
         growth, steps = after / before - 1.0, calls * self.worlds
         lines = (
             ("env-steps", f"{steps:,}"),
             ("episodes that ended", f"{episodes:,}"),
             ("seconds", f"{seconds:,.0f} ({steps / seconds / 1e6:.1f} M env-steps/s)"),
-            ("memory", f"{before / 2**20:.1f} MiB, then {after / 2**20:.1f} ({growth:+.2%})"),
+            ("memory", f"{before:.1f} MiB, then {after:.1f} ({growth:+.2%})"),
             ("looks", f"{looks:,} at all worlds, {looks * WORLDS:,} at one"),
             ("broken", ", ".join(dict.fromkeys(broken)) or "nothing"),
         )

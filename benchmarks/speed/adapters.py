@@ -11,16 +11,8 @@ from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 
 from benchmarks.report import Measurement
+from benchmarks.speed import timing
 from benchmarks.speed.peers import mpe2_cases
-from benchmarks.speed.timing import (
-    SETS,
-    Budget,
-    Case,
-    cycling_case,
-    engine_case,
-    interleaved,
-    random_case,
-)
 from mbn_marl import BatchEngine, parallel_env
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.adapters.torchrl import NavigationEnv
@@ -30,12 +22,12 @@ STEPS_PER_COLLECTION = 16
 ROWS = 256
 
 
-def measure_pettingzoo(budget: Budget) -> list[Measurement]:
+def measure_pettingzoo(budget: timing.Budget) -> list[Measurement]:
     """Measure one world stepped with dicts, against MPE2 ``simple_spread`` if it is installed."""
     env, rng = parallel_env(FIELD), np.random.default_rng(0)
     sets = [
         {agent: rng.uniform(-1, 1, 2).astype(np.float32) for agent in env.possible_agents}
-        for _ in range(SETS)
+        for _ in range(timing.SETS)
     ]
     env.reset(seed=0)
 
@@ -45,35 +37,35 @@ def measure_pettingzoo(budget: Budget) -> list[Measurement]:
             env.reset()
 
     mpe2 = mpe2_cases()
-    timings = interleaved([cycling_case("own", sets, step), *mpe2], budget)
+    timings = timing.interleaved([timing.cycling_case("own", sets, step), *mpe2], budget)
     own, times, note = timings["own"], None, "needs mpe2: pip install 'mbn-marl[bench]'"
     if mpe2:
         other = timings[mpe2[0].name]
-        times, note = own.times_faster_than(other), f"MPE2: {other.median * 1e6:.0f} us"
+        times, note = (other / own).median(), f"MPE2: {other.median() * 1e6:.0f} us"
     resets = "with the resets between"
     against = "PettingZoo step against MPE2 simple_spread"
     return [
-        Measurement("PettingZoo step, one world", own.median * 1e6, "us", 15.0, False, resets),
+        Measurement("PettingZoo step, one world", own.median() * 1e6, "us", 15.0, False, resets),
         Measurement(against, times, "x", 10.0, note=note),
     ]
 
 
-def measure_sb3(budget: Budget) -> list[Measurement]:
+def measure_sb3(budget: timing.Budget) -> list[Measurement]:
     """Measure how much longer ``CentralizedVecEnv`` takes than the engine in it."""
     env = CentralizedVecEnv(FIELD, ROWS)
     env.reset()
     cases = [
-        engine_case("engine", BatchEngine(FIELD, ROWS), budget.warm_up),
-        random_case("SB3", (ROWS, env.engine.n_robots, 2), env.step, ROWS, budget.warm_up),
+        timing.engine_case("engine", BatchEngine(FIELD, ROWS), budget.warm_up),
+        timing.random_case("SB3", (ROWS, env.engine.n_robots, 2), env.step, ROWS, budget.warm_up),
     ]
-    timings = interleaved(cases, budget)
-    over = timings["SB3"].longer_than(timings["engine"]) * 1e6
-    note = f"per world-step; the engine takes {timings['engine'].median * 1e6:.2f} us"
+    timings = timing.interleaved(cases, budget)
+    over = (timings["SB3"] - timings["engine"]).median() * 1e6
+    note = f"per world-step; the engine takes {timings['engine'].median() * 1e6:.2f} us"
     name = f"SB3 CentralizedVecEnv over the engine, {ROWS} worlds"
     return [Measurement(name, over, "us", 1.0, False, note)]
 
 
-def measure_torchrl(budget: Budget) -> list[Measurement]:
+def measure_torchrl(budget: timing.Budget) -> list[Measurement]:
     """Measure ``NavigationEnv`` against an empty environment, under a random policy."""
     title = f"TorchRL NavigationEnv collected, {budget.worlds:,} worlds, of an empty env's rate"
     env = NavigationEnv(FIELD, budget.worlds)
@@ -84,30 +76,27 @@ def measure_torchrl(budget: Budget) -> list[Measurement]:
     own = _collector_case("own", env)
     own.run(budget.warm_up // STEPS_PER_COLLECTION)
     cases = [own, *(_collector_case(name, one) for name, one in empty.items())]
-    timings = interleaved(cases, budget)
+    timings = timing.interleaved(cases, budget)
     rows = []
     for name in empty:
-        percent = 100 * timings["own"].times_faster_than(timings[name])
-        rates = [timings[case].rate / 1e6 for case in ("own", name)]
-        note = f"{rates[0]:.2f} M against {rates[1]:.2f} M env-steps/s"
+        percent = 100 * (timings[name] / timings["own"]).median()
+        rates = 1e-6 / timings.median()
+        note = f"{rates['own']:.2f} M against {rates[name]:.2f} M env-steps/s"
         rows.append(Measurement(f"{title} ({name})", percent, "%", 70.0, note=note))
     return rows
 
 
-def _collector_case(name: str, env: Any) -> Case:
+def _collector_case(name: str, env: Any) -> timing.Case:
     """Rollouts of random actions by TorchRL's collector, in seconds per env-step."""
     frames = env.batch_size[0] * STEPS_PER_COLLECTION
     rollouts = iter(Collector(env, None, frames_per_batch=frames, total_frames=-1))
-    return Case(name, lambda calls: [next(rollouts) for _ in range(calls)], frames)
+    return timing.Case(name, lambda calls: [next(rollouts) for _ in range(calls)], frames)
 
 
 class EmptyEnv(EnvBase):  # type: ignore[misc]
-    """Does nothing but return tensors of zeros: what TorchRL itself costs.
+    """Has the specs of another environment, and returns zeros: what TorchRL itself costs.
 
-    Args:
-        like: an environment with the same specs, with batch size (W,).
-        ending: whether one world, each in its turn, ends at every step, so that TorchRL has to
-            reset it; otherwise none ever does.
+    With ``ending``, one world, each in its turn, ends at every step, and TorchRL resets it.
     """
 
     def __init__(self, like: EnvBase, *, ending: bool) -> None:

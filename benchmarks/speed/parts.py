@@ -102,10 +102,7 @@ def step_parts_of_ranges(store, actions, last, cuts):  # type: ignore[no-untyped
 
 
 def partial_step(engine: BatchEngine, last: int) -> Callable[[Any], None]:
-    """Reset an engine with released rules; return a step of its worlds up to a part.
-
-    The step takes actions (W, n, 2), unchecked; ``last`` is an index of ``PARTS``.
-    """
+    """Reset an engine with released rules; return a step up to ``PARTS[last]``, unchecked."""
     engine.reset()
     backend = cpu_backend(engine)
     return lambda actions: step_parts_of_ranges(backend.store, actions, last, backend.threads.cuts)

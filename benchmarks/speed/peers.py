@@ -19,7 +19,6 @@ from mbn_marl import load_field
 ROOT = Path(__file__).parents[2]
 ROBOTS = 3
 VMAS_WORLDS = (1024, 4096, 16_384, 65_536)
-NEVER = 10**9
 
 
 def plain_case() -> Case:
@@ -55,22 +54,22 @@ def oracle_module() -> Any:
 
 def vmas_cases() -> list[Case]:
     """VMAS ``simple_spread`` with three agents, a case per batch size, in seconds per env-step."""
-    return [_vmas_case(worlds) for worlds in VMAS_WORLDS] if find_spec("vmas") else []
-
-
-def _vmas_case(worlds: int) -> Case:
+    if not find_spec("vmas"):
+        return []
     import torch
     import vmas
 
     options = {"device": "cpu", "continuous_actions": True, "seed": 0, "n_agents": ROBOTS}
-    env = vmas.make_env("simple_spread", num_envs=worlds, **options)
-    env.reset()
-    generator = torch.Generator().manual_seed(0)
-    sets = [
-        [torch.rand((worlds, 2), generator=generator) * 2 - 1 for _ in range(ROBOTS)]
-        for _ in range(4)
-    ]
-    return cycling_case(f"VMAS simple_spread, {worlds:,} worlds", sets, env.step, worlds)
+    cases = []
+    for worlds in VMAS_WORLDS:
+        env = vmas.make_env("simple_spread", num_envs=worlds, **options)
+        env.reset()
+        generator = torch.Generator().manual_seed(0)
+        drawn = torch.rand((4, ROBOTS, worlds, 2), generator=generator) * 2 - 1
+        sets = [list(actions) for actions in drawn]
+        name = f"VMAS simple_spread, {worlds:,} worlds"
+        cases.append(cycling_case(name, sets, env.step, worlds))
+    return cases
 
 
 def mpe2_cases() -> list[Case]:
@@ -79,7 +78,7 @@ def mpe2_cases() -> list[Case]:
         return []
     from mpe2 import simple_spread_v3
 
-    env = simple_spread_v3.parallel_env(N=ROBOTS, max_cycles=NEVER, continuous_actions=True)
+    env = simple_spread_v3.parallel_env(N=ROBOTS, max_cycles=10**9, continuous_actions=True)
     env.reset(seed=0)
     space = env.action_space(env.agents[0])
     rng = np.random.default_rng(0)

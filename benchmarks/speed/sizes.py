@@ -20,10 +20,8 @@ SIZES = {
     "ROIs": (1, 2, 4, 8, 16, 24),
     "edges": (3, 4, 8, 16, 32, 64),
 }
-WARM_UP = 100
-"""Steps before timing, at most: 64 robots on long trails would fill the memory."""
-CENTRE, RADIUS = 500.0, 490.0
-APART = 25.0
+WARM_UP = 100  # steps before, at most: 64 robots on long trails would fill the memory
+CENTRE, RADIUS, APART = 500.0, 490.0, 25.0  # units
 
 
 @dataclass(frozen=True)
@@ -42,16 +40,12 @@ def measure_sizes(
     """Measure a curve for each quantity, the others as in a field of the catalogue (``USUAL``)."""
     curves = []
     for quantity, counts in sizes.items():
-        cases = [
-            engine_case(
-                str(count),
-                BatchEngine(make_field(**{**USUAL, quantity: count}), budget.sized_worlds),
-                min(budget.warm_up, WARM_UP),
-            )
-            for count in counts
-        ]
-        timings = interleaved(cases, budget)
-        costs = tuple(1e9 * timings[str(count)].median for count in counts)
+        fields = [make_field(**{**USUAL, quantity: count}) for count in counts]
+        engines = [BatchEngine(field, budget.sized_worlds) for field in fields]
+        warm_up = min(budget.warm_up, WARM_UP)
+        pairs = zip(counts, engines, strict=True)
+        cases = [engine_case(str(count), engine, warm_up) for count, engine in pairs]
+        costs = tuple((1e9 * interleaved(cases, budget).median()).tolist())
         curves.append(Curve(quantity, counts, costs, _growth(quantity, counts, costs)))
         advance()
     return curves
@@ -72,14 +66,9 @@ def _circle(count: int, radius: float) -> NDArray[np.float64]:
 
 
 def _growth(quantity: str, counts: tuple[int, ...], costs: tuple[float, ...]) -> str:
-    """Fit the law that the passes follow: each loops over robots, and over ROIs, edges or pairs.
-
-    Least squares on relative errors, so that small sizes count as much as large ones.
-    """
-    n = np.array(counts, float)
-    laws = [np.ones_like(n), n] + ([n * n] if quantity == "robots" else [])
-    design = np.stack(laws, axis=1) / np.array(costs)[:, None]
-    fitted = np.linalg.lstsq(design, np.ones_like(n))[0]
+    """Fit the law that the passes follow, by least squares on relative errors."""
+    laws = np.vander(counts, 3 if quantity == "robots" else 2, increasing=True)
+    fitted = np.linalg.lstsq(laws / np.array(costs)[:, None], np.ones(len(counts)))[0]
     terms = [f"{fitted[0]:.3g}", f"{fitted[1]:.3g} {quantity}"]
     terms += [f"{coefficient:.3g} {quantity}^2" for coefficient in fitted[2:]]
     return f"about {' + '.join(terms)} ns"

@@ -9,13 +9,13 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from mbn_marl import BatchEngine
 from mbn_marl.engine.cpu import CpuBackend
 
-SETS = 64
-"""Steps for which actions are drawn at a time; longer turns use them again."""
+Step = Callable[[Any], object]
+SETS = 64  # steps for which actions are drawn at a time; longer turns use them again
 
 
 @dataclass(frozen=True)
@@ -41,40 +41,17 @@ class Case:
     prepare: Callable[[int], object] = lambda calls: None  # before the clock starts
 
 
-@dataclass(frozen=True)
-class Timing:
-    """Seconds per unit of one case, (rounds,)."""
+def interleaved(cases: Sequence[Case], budget: Budget) -> pd.DataFrame:
+    """Time all cases, round by round; return seconds per unit, a column for the name of each case.
 
-    seconds: NDArray[np.float64]
-
-    @property
-    def median(self) -> float:
-        """Median seconds per unit."""
-        return float(np.median(self.seconds))
-
-    @property
-    def rate(self) -> float:
-        """Units per second."""
-        return 1.0 / self.median
-
-    def times_faster_than(self, other: Timing) -> float:
-        """Median of the ratios of turns that followed each other, so that drift cancels."""
-        return float(np.median(other.seconds / self.seconds))
-
-    def longer_than(self, other: Timing) -> float:
-        """Median of the differences of such turns, in seconds per unit."""
-        return float(np.median(self.seconds - other.seconds))
-
-
-def interleaved(cases: Sequence[Case], budget: Budget) -> dict[str, Timing]:
-    """Time all cases, round by round; return a timing for the name of each case."""
+    Ratios and differences of turns that followed each other cancel drift.
+    """
     turns = [(case, _calls_per_turn(case, budget.seconds)) for case in cases]
-    seconds = [
-        [_time(case, calls) / (calls * case.units) for case, calls in turns]
+    rounds = (
+        {case.name: _time(case, calls) / (calls * case.units) for case, calls in turns}
         for _ in range(budget.rounds)
-    ]
-    columns = zip(cases, np.transpose(seconds), strict=True)
-    return {case.name: Timing(samples) for case, samples in columns}
+    )
+    return pd.DataFrame(rounds)
 
 
 def _time(case: Case, calls: int) -> float:
@@ -95,11 +72,7 @@ def _calls_per_turn(case: Case, seconds: float) -> int:
 
 
 def random_case(
-    name: str,
-    shape: tuple[int, ...],
-    step: Callable[[Any], object],
-    units: float,
-    warm_up: int = 0,
+    name: str, shape: tuple[int, ...], step: Step, units: float, warm_up: int = 0
 ) -> Case:
     """Steps with uniform random actions of that shape in [-1, 1), float32, after ``warm_up``."""
     rng = np.random.default_rng(0)
@@ -119,9 +92,7 @@ def random_case(
     return Case(name, run, units, draw)
 
 
-def cycling_case(
-    name: str, sets: Iterable[Any], step: Callable[[Any], object], units: float = 1.0
-) -> Case:
+def cycling_case(name: str, sets: Iterable[Any], step: Step, units: float = 1.0) -> Case:
     """Steps with each of the sets of actions in turn, again and again."""
     actions = cycle(sets)
 

@@ -23,7 +23,7 @@ from baselines.compare.variants import read_variants
 from baselines.evaluation import intervals as statistics
 from baselines.paper import published
 from baselines.runs.files import write_json, write_text
-from benchmarks.capacity import makespan
+from benchmarks.grid import makespan
 from benchmarks.report import Benchmark, Measurement, measurement_table
 from mbn_marl.field import catalogue_names
 
@@ -76,24 +76,14 @@ class Study(Benchmark):
     """Resume what is in the folder, as `mbn compare` does."""
 
     def config(self) -> CompareConfig:
-        """Return the comparison.
-
-        Raises:
-            MbnError: as :class:`~baselines.compare.config.CompareConfig`.
-        """
+        """Return the comparison; errors as those of ``CompareConfig``."""
         variants = read_variants(Path(__file__).with_name(f"{self.name}.yaml"))
         return CompareConfig(variants, self.fields, self.seeds, self.steps, 32_768, 100)
 
     def run(self, command: str) -> bool:
         """Train what is missing, print and write the comparison."""
-        results = train_and_compare(
-            self.config(),
-            self.folder,
-            command=command,
-            processes=self.processes,
-            force=self.force,
-            resume=self.resume,
-        )
+        options = {name: getattr(self, name) for name in ("processes", "force", "resume")}
+        results = train_and_compare(self.config(), self.folder, command=command, **options)
         print(f"written to {self.folder}: comparison.md, comparison.json, figures, runs")
         self.conclude(results)
         return True
@@ -146,34 +136,17 @@ def target_rows(results: Results, processes: int) -> list[Measurement]:
         makespan([(str(place), None, time) for place, time in seconds.items()], processes)
         for _, seconds in runs.seconds.groupby(number)
     ]
-    at_a_time = f"{processes} at a time"
+    worst, until_all = float(runs.env_steps.max()), float(median(by_seed))
+    wall = sum(record.final("wall_seconds") for record in records) / processes
+    fields, note = len(lines), f"{processes} at a time"
+    all_pass = f"{setting}: until {fields} fields pass, one seed each, wall time"
     return [
         count_row(f"{setting}: final policies that pass", runs.passed, 1.0),
-        Measurement(
-            f"{setting}: until a run passes, worst run",
-            float(runs.env_steps.max()),
-            "env-steps",
-            BUDGET,
-            at_least=False,
-        ),
-        Measurement(
-            f"{setting}: until {len(lines)} fields pass, one seed each, wall time",
-            float(median(by_seed)),
-            "s",
-            18.0 * len(lines),
-            False,
-            f"{at_a_time}, median over seeds",
-        ),
+        Measurement(f"{setting}: until a run passes, worst run", worst, "env-steps", BUDGET, False),
+        Measurement(all_pass, until_all, "s", 18 * fields, False, f"{note}, median over seeds"),
         count_row(f"{setting}: fields, median return within 0.5 % of the optimum", near, 1.0),
         *best_rows(setting, lines),
-        Measurement(
-            f"{setting}: wall time of all runs",
-            sum(record.final("wall_seconds") for record in records) / processes,
-            "s",
-            180.0 * len(lines),
-            False,
-            at_a_time,
-        ),
+        Measurement(f"{setting}: wall time of all runs", wall, "s", 180.0 * fields, False, note),
     ]
 
 
@@ -187,17 +160,14 @@ def write_targets(results: Results, rows: Sequence[Measurement], out: Path) -> N
         label: shown_table(shown[shown.label == label], COLUMNS, FIELD_CAPTION)
         for label in results.labels
     }
-    write_study(out, "learning", rows, lines, tables)
+    write_study(out / "learning.md", rows, lines, tables)
 
 
 def first_pass(record: RunRecord) -> tuple[float, float]:
-    """Return env-steps and wall seconds to the first fresh evaluation that passes, or infinity.
-
-    Wall time is from the start of training, evaluations included.
-    """
+    """Return env-steps and wall seconds to the first fresh evaluation that passes, or infinity."""
     for entry in record.evaluations:
         if statistics.passes(entry, entry["deterministic_success_rate"]):
-            return entry["env_steps"], entry["wall_seconds"]
+            return float(entry["env_steps"]), float(entry["wall_seconds"])
     return math.inf, math.inf
 
 
@@ -216,8 +186,7 @@ def paper_best(field: str) -> float | None:
 def run_table(records: Iterable[RunRecord]) -> pd.DataFrame:
     """Return a row for each run: when it first passed, its final evaluation, its best return.
 
-    ``optimum`` is the proved best return of its field, ``paper_best`` the best over the paper's
-    algorithms and settings; NaN where unknown.
+    ``optimum`` (proved) and ``paper_best`` are the best returns of its field; NaN where unknown.
     """
     rows = []
     for record in records:
@@ -230,8 +199,8 @@ def run_table(records: Iterable[RunRecord]) -> pd.DataFrame:
                 "field": record.field.name,
                 "run": record.run.path.name,
                 "passed": statistics.passes(sampled, mean_success),
-                "env_steps": float(env_steps),
-                "seconds": float(seconds),
+                "env_steps": env_steps,
+                "seconds": seconds,
                 "return_mean": sampled["return_mean"],
                 "success_rate": sampled["success_rate"],
                 "deterministic": record.final("deterministic", "return_mean"),
@@ -263,14 +232,10 @@ def field_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 def best_rows(label: str, lines: pd.DataFrame) -> list[Measurement]:
     """Compare the best return of each field with the paper's and with the optimum."""
-    best = lines.deterministic_best
+    best, title = lines.deterministic_best, f"{label}: fields, best return"
     return [
-        count_row(
-            f"{label}: fields, best return at or above the paper's", best >= lines.paper_best, 0.8
-        ),
-        count_row(
-            f"{label}: fields, best return is the proved optimum", best == lines.optimum, 0.5
-        ),
+        count_row(f"{title} at or above the paper's", best >= lines.paper_best, 0.8),
+        count_row(f"{title} is the proved optimum", best == lines.optimum, 0.5),
     ]
 
 
@@ -297,17 +262,12 @@ def shown_table(
 
 
 def write_study(
-    folder: Path,
-    name: str,
-    rows: Sequence[Measurement],
-    lines: pd.DataFrame,
-    tables: Mapping[str, TextTable],
+    path: Path, rows: Sequence[Measurement], lines: pd.DataFrame, tables: Mapping[str, TextTable]
 ) -> None:
-    """Write the targets and what the fields reached: NAME.json, and tables in NAME.md."""
+    """Write the targets and what the fields reached: tables in ``path``, all in JSON beside it."""
     fields = json.loads(lines.to_json(orient="records", double_precision=15))  # never is null
-    write_json(
-        folder / f"{name}.json", {"targets": [row.to_json() for row in rows], "fields": fields}
-    )
+    targets = [row.to_json() for row in rows]
+    write_json(path.with_suffix(".json"), {"targets": targets, "fields": fields})
     parts = {"Targets": measurement_table(rows, CAPTION), **tables}
-    pages = [f"# {name.capitalize()}", *(part.markdown(title) for title, part in parts.items())]
-    write_text(folder / f"{name}.md", "\n\n".join(pages) + "\n")
+    pages = [f"# {path.stem.capitalize()}", *(part.markdown(name) for name, part in parts.items())]
+    write_text(path, "\n\n".join(pages) + "\n")

@@ -17,19 +17,9 @@ from baselines.sweep.processes import LocalEngine
 from baselines.sweep.run import train_runs
 from baselines.sweep.worker import Outcome
 from baselines.training.config import TrainConfig
-from baselines.training.progress_bar import Listener, print_finished
+from baselines.training.progress_bar import print_finished
 from benchmarks.report import Benchmark, Measurement, measurement_table
-from benchmarks.studies.learning import (
-    STEPS,
-    WHOLE,
-    Learning,
-    best_return,
-    best_rows,
-    field_table,
-    run_table,
-    shown_table,
-    write_study,
-)
+from benchmarks.studies import learning
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import catalogue_names
 
@@ -38,17 +28,15 @@ CAPTION = (
     "best of any fresh evaluation, on the way or at the end. Each field in turn got another seed, "
     "until a run reached the proved optimum, or the time left was too short for another run."
 )
-
-
 COLUMNS = {
     "field": ("field", "{}"),
     "best run": ("run", "{}"),
-    "runs": ("runs", WHOLE),
-    "median": ("deterministic_median", WHOLE),
-    "best": ("deterministic_best", WHOLE),
+    "runs": ("runs", learning.WHOLE),
+    "median": ("deterministic_median", learning.WHOLE),
+    "best": ("deterministic_best", learning.WHOLE),
     "below": ("below", "{:.2%}"),
-    "optimum": ("optimum", WHOLE),
-    "paper's best": ("paper_best", WHOLE),
+    "optimum": ("optimum", learning.WHOLE),
+    "paper's best": ("paper_best", learning.WHOLE),
 }
 
 
@@ -60,7 +48,7 @@ class Population(Benchmark):
 
     fields: tuple[str, ...] = tuple(catalogue_names())
     """Names of `mbn fields`, or paths."""
-    steps: int = STEPS
+    steps: int = learning.STEPS
     """Env-steps of every run."""
     minutes: float = 30.0
     """For all fields together, by the clock on the wall."""
@@ -69,12 +57,12 @@ class Population(Benchmark):
 
     def training(self, field: str, seed: int) -> TrainConfig:
         """Return a run in the recorded setting."""
-        (run,) = Learning(fields=(field,), seeds=(seed,), steps=self.steps).config().runs()
+        (run,) = learning.Learning(fields=(field,), seeds=(seed,), steps=self.steps).config().runs()
         return run
 
     def run(self, command: str) -> bool:
         """Train, then print and write the best of each field."""
-        rows, table = train_population(self, command, print_finished)
+        rows, table = train_population(self, command)
         measurement_table(rows).print("targets")
         table.print("fields")
         print(f"written to {self.folder}: population.md, population.json, runs")
@@ -83,17 +71,11 @@ class Population(Benchmark):
 
 @dataclass
 class Board:
-    """The progress of the population.
+    """The progress of the population."""
 
-    Attributes:
-        begun: runs begun on each field; the next one's seed.
-        solved: fields on which a run reached the proved optimum.
-        slowest: seconds that the longest run took.
-    """
-
-    begun: dict[str, int]
-    solved: set[str] = field(default_factory=set)
-    slowest: float = 0.0
+    begun: dict[str, int]  # runs begun on each field; the next one's seed
+    solved: set[str] = field(default_factory=set)  # fields whose proved optimum was reached
+    slowest: float = 0.0  # seconds that the longest run took
 
     def take(self, deadline: float) -> tuple[str, int] | None:
         """Return the next field and seed: of the fields not solved, the one with fewest runs.
@@ -102,11 +84,9 @@ class Board:
         than the longest run took; every field gets one run in any case.
         """
         unsolved = [name for name in self.begun if name not in self.solved]
-        if not unsolved:
-            return None
-        name = min(unsolved, key=self.begun.__getitem__)
-        seed = self.begun[name]
-        if seed > 0 and time.time() + self.slowest > deadline:
+        name = min(unsolved, key=self.begun.__getitem__, default="")
+        seed = self.begun.get(name, 0)
+        if not unsolved or (seed > 0 and time.time() + self.slowest > deadline):
             return None
         self.begun[name] += 1
         return name, seed
@@ -114,29 +94,19 @@ class Board:
     def enter(self, name: str, result: RunRecord, seconds: float) -> None:
         """Enter a finished run on a field."""
         self.slowest = max(self.slowest, seconds)
-        if best_return(result) == result.optimum:
+        if learning.best_return(result) == result.optimum:
             self.solved.add(name)
 
 
-def train_population(
-    config: Population, command: str, listener: Listener
-) -> tuple[list[Measurement], TextTable]:
+def train_population(config: Population, command: str) -> tuple[list[Measurement], TextTable]:
     """Train seeds 0, 1, 2 ... on every field in turn, and write what the best of them reached.
 
-    Proved optima say when a field is done, and nothing else: no run learns from them.
-
-    Args:
-        config: what to train; its folder gets ``population.md``, ``population.json`` and the runs.
-        command: the exact command, recorded there.
-        listener: receives where the runs stand.
-
-    Returns:
-        The targets, with what was reached, and a table of the fields.
+    Proved optima say when a field is done, and nothing else: no run learns from them. Return the
+    targets, with what was reached, and a table of the fields.
 
     Raises:
         ConfigError: a number is out of range, a field is given twice or is not valid.
-        RunError: the folder holds something already, or a field has no run that finished.
-        MbnError: a run failed.
+        RunError: the folder holds something, a run failed, or all on a field diverged.
     """
     problems = []
     if not config.minutes > 0.0:
@@ -144,7 +114,7 @@ def train_population(
     with collecting(problems):
         engine = LocalEngine(config.processes)
     with collecting(problems):
-        Learning(fields=config.fields, seeds=(0,), steps=config.steps).config()
+        learning.Learning(fields=config.fields, seeds=(0,), steps=config.steps).config()
     if problems:
         raise ConfigError("population", problems)
     out = claim_folder(config.folder, force=config.force)
@@ -169,7 +139,7 @@ def train_population(
     with alone(out, command):
         write_json(out / "config.json", {**asdict(config), "out": str(out)})
         write_provenance(out, command)
-        train_runs(runs(), str(out), engine, listener=listener, ended=enter)
+        train_runs(runs(), str(out), engine, listener=print_finished, ended=enter)
     seconds = time.time() - started
     records = []
     for name, count in board.begun.items():
@@ -178,12 +148,13 @@ def train_population(
         if not finished:
             raise RunError(f"{out}: no run on {name} finished: all {count} diverged")
         records += finished
-    trained = run_table(records)
-    lines = field_table(trained)
+    trained = learning.run_table(records)
+    lines = learning.field_table(trained)
     lines["run"] = trained.run[trained.groupby("field", sort=False).best.idxmax()].to_numpy()
     lines["below"] = 1.0 - lines.deterministic_best / lines.optimum
     limit, note = 60.0 * config.minutes, f"{config.processes} at a time"
     wall = Measurement("population: wall time of all runs", seconds, "s", limit, False, note)
-    rows, table = [*best_rows("population", lines), wall], shown_table(lines, COLUMNS, CAPTION, 2)
-    write_study(out, "population", rows, lines, {"Fields": table})
+    rows = [*learning.best_rows("population", lines), wall]
+    table = learning.shown_table(lines, COLUMNS, CAPTION, 2)
+    learning.write_study(out / "population.md", rows, lines, {"Fields": table})
     return rows, table

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, Unpack
+from collections.abc import Sequence
+from typing import Any, Literal, Unpack, cast
 
 import gymnasium
 import numpy as np
@@ -22,12 +22,6 @@ from mbn_marl.render.viewer import RENDER_SIZE
 
 State = NDArray[Any]
 Actions = NDArray[np.float32]
-
-ENGINE_AUTORESET: Mapping[AutoresetMode, Literal["same_step", "next_step", "disabled"]] = {
-    AutoresetMode.SAME_STEP: "same_step",
-    AutoresetMode.NEXT_STEP: "next_step",
-    AutoresetMode.DISABLED: "disabled",
-}
 
 
 class CentralizedEnv(OneWorld, gymnasium.Env[State, Actions]):
@@ -145,19 +139,15 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
     ) -> None:
         self._viewer = LazyViewer(render_mode, ("rgb_array",), render_size)
         self.render_mode = render_mode
-        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self.autoreset_mode = mode = _autoreset_mode(autoreset_mode)
         self.metadata = {
             "render_modes": ["rgb_array"],
             "render_fps": RENDER_FPS,
-            "autoreset_mode": self.autoreset_mode,
+            "autoreset_mode": mode,
         }
+        engine_mode = cast(Literal["same_step", "next_step", "disabled"], mode.name.lower())
         self.engine = engine = BatchEngine(
-            field,
-            num_envs,
-            autoreset=ENGINE_AUTORESET[self.autoreset_mode],
-            threads=threads,
-            n_robots=n_robots,
-            **settings,
+            field, num_envs, autoreset=engine_mode, threads=threads, n_robots=n_robots, **settings
         )
         self._infos = Infos(engine)
         self.num_envs = num_envs
@@ -212,9 +202,8 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         """
         engine = self.engine
         _, _, terminated, truncated = engine.step(actions)
-        infos = self._step_infos(terminated | truncated)
         copies = (engine.team_rewards.copy(), terminated.copy(), truncated.copy())
-        return engine.state(), *copies, infos
+        return engine.state(), *copies, self._step_infos(terminated | truncated)
 
     def render(self) -> tuple[Any, ...] | None:
         """Return a frame of every world, ``(height, width, 3)`` uint8; ``None`` without a mode."""
@@ -244,9 +233,10 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         if self.autoreset_mode is not AutoresetMode.SAME_STEP or not ended.any():
             return self._by_key(rows, everywhere)
         states = np.full(self.num_envs, None, object)
-        final_state = self.engine.final_state()
-        for world in np.flatnonzero(ended):
-            states[world] = final_state[world]
+        for world, state in zip(
+            np.flatnonzero(ended), self.engine.final_state()[ended], strict=True
+        ):
+            states[world] = state
         return {
             **self._by_key(np.where(ended[:, None], list(NOTHING.values()), rows), everywhere),
             "final_obs": states,
@@ -271,7 +261,7 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def _as_actions(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.floating[Any]]:
-    """Return the actions as a float array; raise an ActionError for another shape."""
+    """Check that the actions have ``shape``, and return them as a float array."""
     try:
         array = np.asarray(actions)
         floats = array if array.dtype.kind == "f" else array.astype(np.float64)

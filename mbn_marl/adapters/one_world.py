@@ -23,13 +23,6 @@ class OneWorld:
         engine: the engine; read it, but let only the environment step and reset it.
         state_space: the box of :meth:`state`.
         render_mode: ``"human"``, ``"rgb_array"`` or ``None``.
-
-    Raises:
-        FieldError: listing every problem with the field.
-        ConfigError: listing every problem with the settings.
-
-    Source:
-        Choton, Woods, Hsu, section 3: the state.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as in Gymnasium and PettingZoo
@@ -46,9 +39,7 @@ class OneWorld:
     ) -> None:
         self.render_mode = render_mode
         self._viewer = LazyViewer(render_mode, self.metadata["render_modes"], render_size)
-        self.engine = engine = BatchEngine(
-            field, num_worlds=1, autoreset=False, threads=1, **settings
-        )
+        self.engine = engine = BatchEngine(field, 1, autoreset=False, threads=1, **settings)
         self.state_space = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
         self._infos = Infos(engine)
         self._started = False
@@ -87,9 +78,8 @@ class OneWorld:
     def _move(self, actions: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[Any], bool, bool]:
         """Step with actions ``(n, 2)``.
 
-        Returns:
-            Fresh observations ``(n, obs_size)``, rewards ``(n,)`` that the next step overwrites,
-            terminated and truncated.
+        Return fresh observations ``(n, obs_size)``, rewards ``(n,)`` that the next step overwrites,
+        terminated and truncated.
         """
         observations, rewards, terminated, truncated = self.engine.step(actions[None])
         self._show()

@@ -16,19 +16,14 @@ from mbn_marl.adapters.infos import NOTHING
 from mbn_marl.adapters.one_world import OneWorld
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import FieldLike
-from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
+from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError, unknown
 from mbn_marl.render.viewer import RENDER_SIZE
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32]
 Info = dict[str, float]
-StepResult = tuple[
-    dict[str, Observation],
-    dict[str, float],
-    dict[str, bool],
-    dict[str, bool],
-    dict[str, Info],
-]
+Flags = dict[str, bool]
+StepResult = tuple[dict[str, Observation], dict[str, float], Flags, Flags, dict[str, Info]]
 
 
 class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
@@ -82,21 +77,20 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
                 raise ConfigError("environment", ["max_cycles: is max_steps, give only one"])
             settings["max_steps"] = max_cycles
         super().__init__(field, render_mode, render_size, n_robots=n_robots, **settings)
-        engine = self.engine
-        self.possible_agents = [f"robot_{index}" for index in range(engine.n_robots)]
+        self.possible_agents = [f"robot_{index}" for index in range(self.engine.n_robots)]
         self.agents: list[str] = []
+        bounds = self.engine.observation_low, self.engine.observation_high
         self.observation_spaces = {
-            agent: spaces.Box(engine.observation_low, engine.observation_high, dtype=np.float32)
-            for agent in self.possible_agents
+            agent: spaces.Box(*bounds, dtype=np.float32) for agent in self.possible_agents
         }
         self.action_spaces = {
             agent: spaces.Box(-1.0, 1.0, (2,), np.float32) for agent in self.possible_agents
         }
 
     def observation_space(self, agent: str) -> spaces.Space[Observation]:
-        """Return the space of ``agent``'s observations, ``(obs_size,)`` float32.
+        """Return the space of ``agent``'s observations, ``(obs_size,)`` float32, always the same.
 
-        It is always the same object, with bounds in the units of ``engine.observation_table``.
+        Its bounds are in the units of ``engine.observation_table``.
 
         Raises:
             MbnError: there is no such agent.
@@ -165,8 +159,7 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
 
     def _check_known(self, agent: str) -> None:
         if agent not in self.possible_agents:
-            known = ", ".join(self.possible_agents)
-            raise MbnError(f"unknown agent {agent!r}; known: {known}")
+            raise MbnError(f"{agent!r}: {unknown('agent', str(agent), self.possible_agents)}")
 
     def _step_without_agents(self, actions: Mapping[str, ArrayLike]) -> StepResult:
         if not self._started:
@@ -180,11 +173,11 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         agents = self.possible_agents
         try:
             stacked = np.array([actions[agent] for agent in agents], self.engine.dtype)
+            if stacked.shape == (len(agents), 2) and len(actions) == len(agents):
+                return stacked
         except (LookupError, TypeError, ValueError):
-            raise ActionError(self._problem(actions)) from None
-        if stacked.shape != (len(agents), 2) or len(actions) != len(agents):
-            raise ActionError(self._problem(actions))
-        return stacked
+            pass
+        raise ActionError(self._problem(actions))
 
     def _problem(self, actions: object) -> str:
         if not isinstance(actions, Mapping):

@@ -1,8 +1,4 @@
-"""Stable-Baselines3: the engine's worlds as one native ``VecEnv``.
-
-:class:`CentralizedVecEnv` shows the single MDP (one row per world), :class:`SharedPolicyVecEnv`
-the decentralised form with a policy shared by all robots (one row per robot of each world).
-Worlds step together in one compiled call: no subprocesses, no wrapper per world.
+"""Stable-Baselines3: the engine's worlds as one native ``VecEnv``, stepped in one compiled call.
 
 The infos follow Stable-Baselines3's conventions. A row has
 
@@ -16,7 +12,7 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Unpack
 
 import gymnasium
@@ -62,6 +58,7 @@ class NavigationVecEnv(VecEnv):
     """
 
     render_mode: str | None = None
+    _return: str  # the metric that is a row's return
 
     def __init__(
         self,
@@ -100,10 +97,6 @@ class NavigationVecEnv(VecEnv):
     @abstractmethod
     def _by_row(self, metric: NDArray[Any]) -> NDArray[Any]:
         """Return a value for each row, from a metric ``(num_worlds,)`` or ``(num_worlds, n)``."""
-
-    @abstractmethod
-    def _returns(self, metrics: dict[str, NDArray[Any]]) -> NDArray[Any]:
-        """Return the return of each row's episode."""
 
     def reset(self) -> NDArray[Any]:
         """Start a new episode in every world.
@@ -160,14 +153,11 @@ class NavigationVecEnv(VecEnv):
         self, infos: list[dict[str, Any]], ended: NDArray[np.intp], timeouts: NDArray[np.bool_]
     ) -> None:
         """Fill the infos of the rows whose episode has just ended."""
-        metrics = self.engine.metrics()
+        metrics = {name: self._by_row(one) for name, one in self.engine.metrics().items()}
+        returns = metrics[self._return][ended].tolist()
+        del metrics["return_"]
+        columns = {name: metric[ended].tolist() for name, metric in metrics.items()}
         observations = self._final_observations()[ended]
-        columns = {
-            name: self._by_row(metric)[ended].tolist()
-            for name, metric in metrics.items()
-            if name != "return_"
-        }
-        returns = self._returns(metrics)[ended].tolist()
         seconds = round(time.time() - self._start_time, 6)
         for index, row in enumerate(ended.tolist()):
             info = infos[row]
@@ -232,9 +222,8 @@ class NavigationVecEnv(VecEnv):
         """
         return [wrapper_class is Monitor] * len(self._rows(indices))
 
-    def _rows(self, indices: VecEnvIndices) -> Sequence[int]:
-        rows: Iterable[int] = self._get_indices(indices)
-        return list(rows)
+    def _rows(self, indices: VecEnvIndices) -> list[int]:
+        return list(self._get_indices(indices))
 
 
 class CentralizedVecEnv(NavigationVecEnv):
@@ -246,6 +235,8 @@ class CentralizedVecEnv(NavigationVecEnv):
 
     There are ``num_envs`` worlds; other arguments and errors as :class:`NavigationVecEnv`.
     """
+
+    _return = "episode_return"
 
     def __init__(
         self,
@@ -275,9 +266,6 @@ class CentralizedVecEnv(NavigationVecEnv):
     def _by_row(self, metric: NDArray[Any]) -> NDArray[Any]:
         return metric if metric.ndim == 1 else metric.sum(axis=1)
 
-    def _returns(self, metrics: dict[str, NDArray[Any]]) -> NDArray[Any]:
-        return metrics["episode_return"]
-
 
 class SharedPolicyVecEnv(NavigationVecEnv):
     """The decentralised form with one policy for all robots: a row is a robot of a world.
@@ -291,11 +279,13 @@ class SharedPolicyVecEnv(NavigationVecEnv):
     All arguments and errors as :class:`NavigationVecEnv`.
     """
 
+    _return = "return_"
+
     def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
         engine = self.engine
         bounds = engine.observation_low, engine.observation_high
-        observations = spaces.Box(*bounds, dtype=np.float32)
-        return engine.n_robots, observations, spaces.Box(-1.0, 1.0, (2,), np.float32)
+        actions = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        return engine.n_robots, spaces.Box(*bounds, dtype=np.float32), actions
 
     def _observations(self, observations: NDArray[np.float32]) -> NDArray[Any]:
         return observations.reshape(self.num_envs, -1).copy()
@@ -308,6 +298,3 @@ class SharedPolicyVecEnv(NavigationVecEnv):
 
     def _by_row(self, metric: NDArray[Any]) -> NDArray[Any]:
         return np.repeat(metric, self._rows_per_world) if metric.ndim == 1 else metric.reshape(-1)
-
-    def _returns(self, metrics: dict[str, NDArray[Any]]) -> NDArray[Any]:
-        return metrics["return_"].reshape(-1)

@@ -14,11 +14,8 @@ from typing import Any, TypeGuard
 from mbn_marl.errors import FieldError, unknown
 from mbn_marl.field.field import Field
 
-UNITS = 10.0
-"""Arena units per unit of these files."""
-
+UNITS = 10.0  # arena units per unit of these files
 DEFAULT_GRID = 100
-
 _KEYS = {"field": "vertices", "init_positions": "starts", "infected_locations": "rois"}
 _PLACES = {ours: theirs for theirs, ours in _KEYS.items()} | {"arena": "grid_size"}
 
@@ -30,11 +27,9 @@ def is_field_set(document: object) -> TypeGuard[Mapping[str, Any]]:
 
 def is_collection(document: object) -> TypeGuard[Mapping[str, Any]]:
     """Return whether ``document`` is a mapping of names to sets."""
-    return (
-        isinstance(document, Mapping)
-        and len(document) > 0
-        and all(is_field_set(entry) for entry in document.values())
-    )
+    if not isinstance(document, Mapping) or not document:
+        return False
+    return all(map(is_field_set, document.values()))
 
 
 def field_from_set(document: Mapping[str, Any], source: str, name: str) -> Field:

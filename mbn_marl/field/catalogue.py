@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from importlib.resources import files
+from pathlib import Path
 
 _FOLDER = files("envs_catalog")
 
 
 def catalogue_names() -> list[str]:
     """Return the names of the catalogue's fields, sorted."""
-    suffix = ".yaml"
-    return sorted(
-        entry.name.removesuffix(suffix)
-        for entry in _FOLDER.iterdir()
-        if entry.name.endswith(suffix)
-    )
+    names = (Path(entry.name) for entry in _FOLDER.iterdir())
+    return sorted(name.stem for name in names if name.suffix == ".yaml")
 
 
 def catalogue_file(name: str) -> bytes:

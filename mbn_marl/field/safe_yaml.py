@@ -11,15 +11,10 @@ from yaml.constructor import BaseConstructor, ConstructorError, SafeConstructor
 
 from mbn_marl.errors import FieldError
 
-MAX_BYTES = 64 * 1024
-"""Twice the size of the largest field allowed."""
-
+MAX_BYTES = 64 * 1024  # twice the size of the largest field allowed
 MAX_DEPTH = 12
-MAX_SCALAR = 200
-"""The longest word or number; huge integers are slow to handle."""
-
-MAX_TEXT = 4000
-"""The longest text in files with sentences."""
+MAX_SCALAR = 200  # the longest word or number; huge integers are slow to handle
+MAX_TEXT = 4000  # the longest text in files with sentences
 
 _Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 

@@ -22,13 +22,7 @@ from pydantic import BaseModel, ConfigDict, SkipValidation
 from pydantic import Field as Described
 
 from mbn_marl.config import MAX_ROBOTS, MAX_ROIS
-from mbn_marl.field.limits import (
-    MAX_COORDINATE,
-    MAX_HOLES,
-    MAX_NAME,
-    MAX_VERTICES,
-    NAME_PATTERN,
-)
+from mbn_marl.field.limits import MAX_COORDINATE, MAX_HOLES, MAX_NAME, MAX_VERTICES, NAME_PATTERN
 
 FORMAT = "mbn-field/1"
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -18,29 +17,23 @@ import shapely
 from mbn_marl.field.geometry import FieldPoints, Point, PointList
 from mbn_marl.field.limits import SAFETY_DISTANCE
 
-
-@dataclass(frozen=True)
-class _Shapes:
-    """The rings as polygons, ``None`` for one that is not simple."""
-
-    outline: shapely.Polygon | None
-    holes: list[shapely.Polygon | None]
+Rings = list[tuple[PointList, shapely.Polygon | None]]
+"""Rings with their polygons, ``None`` for one that is not simple."""
 
 
 def find_problems(points: FieldPoints) -> list[str]:
     """Return every problem of the readable part of a field, one line each, with its place."""
-    shapes = _Shapes(_simple(points.outline), [_simple(hole) for hole in points.holes])
-    rings = [points.outline, *points.holes]
+    outline, *holes = rings = [(ring, _simple(ring)) for ring in (points.outline, *points.holes)]
     problems: list[str] = []
-    for entries in (*rings, points.rois, points.starts):
+    for entries in (points.outline, *points.holes, points.rois, points.starts):
         problems.extend(_duplicates(entries))
         problems.extend(_outside_arena(entries, points.arena))
-    for ring, polygon in zip(rings, [shapes.outline, *shapes.holes], strict=True):
+    for ring, polygon in rings:
         if polygon is None:
             problems.extend(_crossings(ring))
-    problems.extend(_misplaced_holes(points.holes, shapes))
+    problems.extend(_misplaced_holes(outline[1], holes))
     for entries in (points.rois, points.starts):
-        problems.extend(_outside_field(entries, points.holes, shapes))
+        problems.extend(_outside_field(entries, outline[1], holes))
     problems.extend(_crowded_starts(points.starts))
     return problems
 
@@ -93,23 +86,25 @@ def _crossings(ring: PointList) -> Iterator[str]:
     yield f"{ring.label}: crosses or touches itself: {edge(a)} meets {edge(b)}{others}"
 
 
-def _misplaced_holes(holes: list[PointList], shapes: _Shapes) -> Iterator[str]:
-    sound = [(ring, hole) for ring, hole in zip(holes, shapes.holes, strict=True) if hole]
-    if shapes.outline is not None:
+def _misplaced_holes(outline: shapely.Polygon | None, holes: Rings) -> Iterator[str]:
+    sound = [(ring, hole) for ring, hole in holes if hole]
+    if outline is not None:
         for ring, hole in sound:
-            if not shapely.contains_properly(shapes.outline, hole):
+            if not shapely.contains_properly(outline, hole):
                 yield f"{ring.label}: a hole must lie inside the field without touching its outline"
     for (ring_a, hole_a), (ring_b, hole_b) in combinations(sound, 2):
         if shapely.intersects(hole_a, hole_b):
             yield f"{ring_b.label}: touches or overlaps {ring_a.label}"
 
 
-def _outside_field(points: PointList, holes: list[PointList], shapes: _Shapes) -> Iterator[str]:
+def _outside_field(
+    points: PointList, outline: shapely.Polygon | None, holes: Rings
+) -> Iterator[str]:
     for k, coordinates in enumerate(points.points):
         point = shapely.Point(coordinates)
-        if shapes.outline is not None and not shapely.covers(shapes.outline, point):
+        if outline is not None and not shapely.covers(outline, point):
             yield f"{points.place(k)}: {coordinates} is outside the field"
-        for ring, hole in zip(holes, shapes.holes, strict=True):
+        for ring, hole in holes:
             if hole is not None and shapely.contains(hole, point):
                 yield f"{points.place(k)}: {coordinates} is inside {ring.label}"
 

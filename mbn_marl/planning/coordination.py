@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbn_marl.planning.motion import PAIR_ROOM, Separation, solve_motion
 from mbn_marl.planning.problem import Floats, Problem
@@ -42,14 +41,16 @@ def coordinate(
         motion = solve_motion(problem, steps, visits, places, list(separations.values()))
         if motion is None:
             return None
+        paths, actions = motion
         for grid in GRIDS:
-            playback = player.replay(snap(motion.actions, grid))
+            whole = np.round(actions)
+            snapped = np.where(np.abs(actions - whole) <= grid, whole, actions)
+            playback = player.replay(snapped.astype(np.float32))
             if playback.clean:
                 return playback
-        close = list(close_pairs(problem, motion.paths, random))
+        close = list(close_pairs(problem, paths, random))
         if (problem.convex and not close) or time.monotonic() > deadline:
             return None
-        paths = motion.paths
         separations.update({(pair.i, pair.j, pair.step): pair for pair in close})
     return None
 
@@ -58,12 +59,6 @@ def _padded(start: Floats, route: Route, steps: int) -> Floats:
     """Return (steps, 2): the route's path, then its last point."""
     path = np.concatenate([start[None], route.visits.path])[: steps + 1]
     return np.concatenate([path[1:], np.repeat(path[-1:], steps + 1 - len(path), axis=0)])
-
-
-def snap(actions: NDArray[np.float32], grid: float) -> NDArray[np.float32]:
-    """Return the actions, those within ``grid`` of a whole number rounded to it."""
-    whole = np.round(actions)
-    return np.where(np.abs(actions - whole) <= grid, whole, actions).astype(np.float32)
 
 
 def close_pairs(

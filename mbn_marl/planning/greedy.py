@@ -59,12 +59,12 @@ class Greedy:
             self.problem = self.problem.with_wind(velocities, self.from_rest)
             self.from_rest = None
         plans = [self._coast(i, positions[i], velocities[i]) for i in range(self.problem.n)]
-        actions = np.zeros((self.problem.n, 2), np.float32)
+        actions, top = np.zeros((self.problem.n, 2), np.float32), self.problem.config.v_clip
         for i in range(self.problem.n):
             others = plans[:i] + plans[i + 1 :]
             for wanted in self._wishes(i, positions[i], velocities[i], visited):
                 change = self._within_force(i, wanted - velocities[i])
-                velocity = self._limited(velocities[i] + change)
+                velocity = np.clip(velocities[i] + change, -top, top)
                 position = positions[i] + velocity * self.problem.config.tau
                 path = np.concatenate([position[None], self._coast(i, position, velocity)])
                 if self._free(path, others):
@@ -110,15 +110,11 @@ class Greedy:
         force, wind = self.problem.forces[i], self.problem.wind
         return np.clip(change, wind - force, wind + force)
 
-    def _limited(self, velocity: Floats) -> Floats:
-        top = self.problem.config.v_clip
-        return np.clip(velocity, -top, top)
-
     def _coast(self, i: int, position: Floats, velocity: Floats) -> Floats:
         """Return (k, 2): robot i's positions while it brakes; the last one is where it rests."""
-        path = []
+        path, top = [], self.problem.config.v_clip
         for _ in range(LONGEST_BRAKE):
-            velocity = self._limited(velocity + self._within_force(i, -velocity))
+            velocity = np.clip(velocity + self._within_force(i, -velocity), -top, top)
             position = position + velocity * self.problem.config.tau
             path.append(position)
             if not velocity.any():

@@ -5,6 +5,7 @@ Sets of ROIs are bit masks: ROI j is the bit ``1 << j``.
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -102,13 +103,8 @@ def roadmap_legs(problem: Problem, roadmap: Roadmap, radius: float, most: int) -
 
 def _least(meets: Callable[[int], bool], most: int) -> int:
     """Return the least count in [0, most] from which the monotone ``meets`` holds, or NEVER."""
-    if not meets(most):
-        return NEVER
-    low, high = -1, most
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if meets(middle) else (middle, high)
-    return high
+    least = bisect.bisect_left(range(most + 1), True, key=meets)
+    return least if least <= most else NEVER
 
 
 def set_bounds(legs: Legs) -> tuple[Ints, Ints]:

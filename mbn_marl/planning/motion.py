@@ -44,23 +44,16 @@ class Separation:
     normal: tuple[float, float]
 
 
-@dataclass(frozen=True)
-class TeamMotion:
-    """A solution."""
-
-    paths: Floats  # (n, T, 2), positions after each step, units
-    actions: NDArray[np.float32]  # (T, n, 2) in [-1, 1]
-
-
 def solve_motion(
     problem: Problem,
     steps: int,
     visits: Sequence[Sequence[tuple[int, int]]],
     places: Sequence[Sequence[HalfPlanes]],
     separations: Sequence[Separation],
-) -> TeamMotion | None:
+) -> tuple[Floats, NDArray[np.float32]] | None:
     """Return the motions of least effort in ``steps`` steps, or ``None`` if the solver failed.
 
+    They are (n, T, 2), the positions after each step, units, and (T, n, 2), actions in [-1, 1].
     ``visits`` has for each robot pairs of a step (1 to T) and the ROI to visit then; ``places`` has
     for each robot and step the convex set to be in; a single set is for all steps.
     """
@@ -164,17 +157,14 @@ class _ConicProgram:
         x = np.array(solution.x)
         return x if np.all(np.isfinite(x)) else None
 
-    def motion(self, x: Floats) -> TeamMotion:
+    def motion(self, x: Floats) -> tuple[Floats, NDArray[np.float32]]:
         """Return the solution as paths and actions."""
         problem, n, steps = self.problem, self.problem.n, self.steps
         offsets = x[: self.rooms].reshape(n, 2, steps).transpose(0, 2, 1)
         changes = np.stack([self.change @ x[self._span(i)] for i in range(n)])
         forces = changes.reshape(n, 2, steps) / problem.config.tau - problem.wind[:, None]
-        actions = forces / problem.forces[:, :, None]
-        return TeamMotion(
-            paths=problem.starts[:, None] + offsets,
-            actions=np.clip(actions.transpose(2, 0, 1), -1.0, 1.0).astype(np.float32),
-        )
+        actions = (forces / problem.forces[:, :, None]).transpose(2, 0, 1)
+        return problem.starts[:, None] + offsets, np.clip(actions, -1.0, 1.0).astype(np.float32)
 
     def _cost(self) -> tuple[Sparse, Floats]:
         """Return the quadratic and linear cost: effort about a small random drift, and prices."""

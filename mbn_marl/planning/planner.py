@@ -110,7 +110,18 @@ def plan(field: FieldLike, *, time_limit: float = 60.0, **settings: Unpack[Setti
     if part is problem:
         most = problem.config.max_steps if best is None else len(best.actions) - 1
         best = _search(problem, player, team, most, began + time_limit) or best
-    return _result(problem, team.bound, best, time.monotonic() - began)
+    nothing = np.zeros((0, problem.n, 2), np.float32)
+    return Plan(
+        field=problem.field,
+        makespan=len(best.actions) if best else None,
+        makespan_lower_bound=team.bound,
+        actions=best.actions if best else nothing,
+        return_=best.return_ if best else None,
+        assignment=best.assignment if best else ((),) * problem.n,
+        visit_steps=best.visit_steps if best else (),
+        trail=best.trail if best else problem.starts[None],
+        seconds=time.monotonic() - began,
+    )
 
 
 def _hardest(problem: Problem) -> Problem:
@@ -213,22 +224,3 @@ def plan_greedily(problem: Problem, player: Player, deadline: float) -> Playback
     greedy = Greedy(problem, problem.starts)
     playback = player.play(lambda *seen: None if time.monotonic() > deadline else greedy.act(*seen))
     return playback if playback.clean else None
-
-
-def _result(problem: Problem, bound: int, best: Playback | None, seconds: float) -> Plan:
-    n = problem.n
-    nothing = Playback(
-        np.zeros((0, n, 2), np.float32), False, 0.0, problem.starts[None], ((),) * n, ()
-    )
-    episode = best or nothing
-    return Plan(
-        field=problem.field,
-        makespan=len(best.actions) if best else None,
-        makespan_lower_bound=bound,
-        actions=episode.actions,
-        return_=best.return_ if best else None,
-        assignment=episode.assignment,
-        visit_steps=episode.visit_steps,
-        trail=episode.trail,
-        seconds=seconds,
-    )

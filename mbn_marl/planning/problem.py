@@ -124,12 +124,7 @@ def make_problem(field: Field, config: NavigationConfig) -> Problem:
     wind = np.array(config.wind_increment())
     forces = np.array([[config.f_max / mass] * 2 for mass in masses])
     drives = tuple(
-        Drive(
-            rise=_pair(np.maximum(force + wind, 0.0)),
-            fall=_pair(np.maximum(force - wind, 0.0)),
-            top=config.v_clip,
-            tau=config.tau,
-        )
+        Drive(_pair(force + wind), _pair(force - wind), config.v_clip, config.tau)
         for force in forces
     )
     return Problem(
@@ -153,8 +148,9 @@ def half_planes(convex: shapely.Polygon) -> tuple[Floats, Floats]:
     return normals, np.einsum("ij,ij->i", normals, ring)
 
 
-def _pair(values: Floats) -> tuple[float, float]:
-    return float(values[0]), float(values[1])
+def _pair(rates: Floats) -> tuple[float, float]:
+    x, y = np.maximum(rates, 0.0).tolist()
+    return x, y
 
 
 def reach_from_rest(rise: float, top: float, tau: float, steps: int) -> float:

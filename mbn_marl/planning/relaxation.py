@@ -145,10 +145,10 @@ class Relaxation:
         """Return the first rows: times, velocities, the field, the simplest cuts."""
         rows = []
         for k, disc in enumerate(self.discs):
-            base, before = PER_STOP * k, PER_STOP * (k - 1)
+            base, before, least = PER_STOP * k, PER_STOP * (k - 1), windows.least[k]
             if k:
                 times = (before + TIME, base + TIME)
-                rows.append(Cut(times, (1.0, -1.0), float(-windows.least[k])))
+                rows.append(Cut(times, (1.0, -1.0), float(-least)))
                 rows.append(Cut(times, (-1.0, 1.0), float(windows.most[k])))
             for axis in (0, 1):
                 for sign in (1.0, -1.0):
@@ -158,7 +158,7 @@ class Relaxation:
                         columns += [before + VX + axis, before + TIME]
                         values += [-sign, rate]
                     rows.append(Cut(tuple(columns), tuple(values), 0.0))
-                    for a, b in _first_pairs(windows.least[k]):
+                    for a, b in {(0, 0), (least, 0), (least - least // 2, least // 2)}:
                         rows.append(self._reach(k, axis, sign, a, b, windows.last[k]))
             for normal, offset in zip(self.region.normals, self.region.offsets, strict=True):
                 if disc.radius is None or normal @ disc.centre + disc.radius > offset:
@@ -228,11 +228,6 @@ def velocities(drive: Drive, axis: int, length: int, v: float, w: float) -> tupl
     most = np.minimum(np.minimum(v + rise * s, w + fall * (length - s)), top)
     least = np.maximum(np.maximum(v - fall * s, w - rise * (length - s)), -top)
     return least, most
-
-
-def _first_pairs(least: int) -> set[tuple[int, int]]:
-    half = least // 2
-    return {(0, 0), (least, 0), (least - half, half)}
 
 
 def _tightest(v: float, w: float, rise: float, fall: float, top: float, n: int) -> tuple[int, int]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine import BatchEngine, Snapshot
+from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.planning.problem import Floats, Problem
 
@@ -66,7 +66,9 @@ class Player:
             ended = bool(terminated[0] or truncated[0])
             now = engine.snapshot()
             for j in np.flatnonzero(now.visited & ~seen.visited).tolist():
-                visits[_visitor(now, j)].append(j)
+                apart = now.positions - now.field.rois[j].astype(now.positions.dtype)
+                near = (apart**2).sum(axis=1) <= now.roi_radius**2
+                visits[int(np.argmax(near))].append(j)  # the first robot within reach
                 steps.append(now.step)
             seen = now
         return Playback(
@@ -77,9 +79,3 @@ class Player:
             assignment=tuple(map(tuple, visits)),
             visit_steps=tuple(steps),
         )
-
-
-def _visitor(seen: Snapshot, j: int) -> int:
-    """Return the first robot within reach of ROI j."""
-    apart = seen.positions - seen.field.rois[j].astype(seen.positions.dtype)
-    return int(np.argmax((apart**2).sum(axis=1) <= seen.roi_radius**2))

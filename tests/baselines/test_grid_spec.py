@@ -10,7 +10,7 @@ import yaml
 
 from baselines.cli import main
 from baselines.sweep.spec import read_spec, runs_of
-from benchmarks import capacity
+from benchmarks import grid
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from tests.support.grids import TINY, spec_of
@@ -155,9 +155,9 @@ def test_a_field_that_a_policy_does_not_fit_is_named(tmp_path: Path) -> None:
 
 
 def test_capacity_counts_what_has_to_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(capacity, "SPEEDS", {"a2c": 2.0})
+    monkeypatch.setattr(grid, "SPEEDS", {"a2c": 2.0})
     budget = {"steps": 20}
-    chain = capacity.jobs_of(runs_of(spec_of("runs", settings=["C"], budget=budget)))
-    assert [capacity.makespan(chain, workers) for workers in (1, 5)] == [20.0, 20.0]
-    three = capacity.jobs_of(runs_of(spec_of("runs", seeds=[0, 1, 2], budget=budget)))
-    assert [capacity.makespan(three, workers) for workers in (1, 2, 3)] == [30.0, 20.0, 10.0]
+    chain = grid.jobs_of(runs_of(spec_of("runs", settings=["C"], budget=budget)))
+    assert [grid.makespan(chain, workers) for workers in (1, 5)] == [20.0, 20.0]
+    three = grid.jobs_of(runs_of(spec_of("runs", seeds=[0, 1, 2], budget=budget)))
+    assert [grid.makespan(three, workers) for workers in (1, 2, 3)] == [30.0, 20.0, 10.0]

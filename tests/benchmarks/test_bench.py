@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.image import imread
 from rich.console import Console
@@ -23,10 +24,11 @@ from benchmarks.report import (
     describe_machine,
     print_findings,
 )
-from benchmarks.speed.measure import Speed, measure_speed
+from benchmarks.speed.adapters import measure_sb3, measure_torchrl
+from benchmarks.speed.measure import Speed
 from benchmarks.speed.parts import OBSERVATIONS, PARTS, REWARDS, partial_step
 from benchmarks.speed.sizes import SIZES, USUAL, make_field, measure_sizes
-from benchmarks.speed.timing import Budget, Case, Timing, interleaved
+from benchmarks.speed.timing import Budget, Case, interleaved
 from mbn_marl import BatchEngine, load_field
 
 TINY = Budget(
@@ -41,7 +43,8 @@ def findings() -> Findings:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("benchmarks.speed.peers.VMAS_WORLDS", (8,))
         patch.setattr("benchmarks.speed.adapters.ROWS", 4)
-        measured = measure_speed(TINY, lambda: stages.append(None))
+        patch.setattr(Speed, "budget", TINY)
+        measured = Speed().measure(lambda: stages.append(None))
     assert len(stages) == Speed.stages
     return measured
 
@@ -49,11 +52,16 @@ def findings() -> Findings:
 # -- the harness -----------------------------------------------------------------------------------
 
 
-def test_medians_and_ratios_by_hand() -> None:
-    fast, slow = Timing(np.array([1.0, 2.0, 30.0])), Timing(np.array([4.0, 10.0, 60.0]))
-    assert (fast.median, fast.rate) == (2.0, 0.5)
-    assert fast.times_faster_than(slow) == 4.0  # of 4, 5, 2
-    assert slow.longer_than(fast) == 8.0  # of 3, 8, 30
+def test_ratios_are_medians_over_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    fast, slow = [1e-6, 2e-6, 30e-6], [4e-6, 10e-6, 60e-6]
+    columns = {"own": slow, "never ending": fast, "a world ends each step": slow}
+    turns = pd.DataFrame({"engine": fast, "SB3": slow, **columns})
+    monkeypatch.setattr("benchmarks.speed.timing.interleaved", lambda cases, budget: turns)
+    (over,) = measure_sb3(TINY)
+    assert over.value == pytest.approx(8.0)  # us: of 3, 8, 30
+    never, each = measure_torchrl(TINY)
+    assert never.value == pytest.approx(25.0)  # %: of 1/4, 1/5, 1/2
+    assert each.value == pytest.approx(100.0)
 
 
 def test_cases_take_turns_and_prepare_first() -> None:
@@ -69,10 +77,7 @@ def test_cases_take_turns_and_prepare_first() -> None:
     timings = interleaved(cases, Budget(rounds=2, seconds=0.0))
     turn = [f"{what} {name} 1" for name in "ab" for what in ("prepare", "run")]
     assert turns[-8:] == 2 * turn
-    assert {name: timing.seconds.shape for name, timing in timings.items()} == {
-        "a": (2,),
-        "b": (2,),
-    }
+    assert list(timings) == ["a", "b"] and timings.shape == (2, 2)
 
 
 def test_seconds_are_per_unit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,7 +88,7 @@ def test_seconds_are_per_unit(monkeypatch: pytest.MonkeyPatch) -> None:
         clock["now"] += 0.5 * calls
 
     timing = interleaved([Case("a", run, units=10.0)], Budget(rounds=3, seconds=4.0))["a"]
-    assert timing.seconds.tolist() == [0.05] * 3
+    assert timing.tolist() == [0.05] * 3
     assert clock["now"] == 0.5 * (1 + 1 + 2 + 3 * 8)  # warm-up, calibration, three turns of 4 s
 
 
@@ -159,9 +164,9 @@ def test_usual_sizes_are_the_catalogues() -> None:
 def test_growth_is_the_law_that_made_the_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     costs = {"robots": lambda n: 7 + 5 * n + 2 * n * n, "ROIs": lambda n: 3 + 4 * n}
 
-    def timings(cases: list[Case], budget: Budget) -> dict[str, Timing]:
+    def timings(cases: list[Case], budget: Budget) -> pd.DataFrame:
         law = costs["robots" if len(cases) == 3 else "ROIs"]
-        return {case.name: Timing(np.array([1e-9 * law(int(case.name))])) for case in cases}
+        return pd.DataFrame({case.name: [1e-9 * law(int(case.name))] for case in cases})
 
     monkeypatch.setattr("benchmarks.speed.sizes.interleaved", timings)
     sizes = {"robots": (1, 2, 5), "ROIs": (1, 24)}

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 
-from benchmarks.planning import Attempt, study_planning, target_rows
+import pytest
+
+from benchmarks.planning import Attempt, Planning, target_rows
 
 
-def test_the_study_counts_what_was_proved() -> None:
+def test_the_study_counts_what_was_proved(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[None] = []
-    found = study_planning(lambda: seen.append(None), convex=2, winding=1)
+    monkeypatch.setattr("benchmarks.planning.CONVEX", 2)
+    monkeypatch.setattr("benchmarks.planning.WINDING", 1)
+    found = Planning().measure(lambda: seen.append(None))
     rows, instances = found.measurements, found.details
     assert len(seen) == 13
     assert [len(instances[name]) for name in ("catalogue", "convex", "winding")] == [10, 2, 1]

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from baselines.runs.files import read_json, seal, write_json
 from baselines.training.train import prepare
-from benchmarks.reliability import corruption, endurance
+from benchmarks.reliability import endurance, runs
 from benchmarks.reliability import fuzz as fuzzing
 from benchmarks.speed.timing import cpu_backend
 from mbn_marl import BatchEngine
@@ -35,13 +35,13 @@ def test_damaged_copies_are_counted(tmp_path: Path) -> None:
         write_json(folder / f"{number}.json", {"number": number})
     seal(folder)
     files = tuple(Path(f"{number}.json") for number in range(3))
-    subject = corruption.Subject("sealed", folder, files, partial(_read_all, files))
-    count = corruption.try_copies(subject, 20, scratch, Random(0))
+    subject = runs.Subject("sealed", folder, files, partial(_read_all, files))
+    count = runs.try_copies(subject, 20, scratch, Random(0))
     assert count == Counter(copies=20, refused=20)
     unchecked = replace(subject, read=lambda copy: [(copy / file).read_bytes() for file in files])
-    assert corruption.try_copies(unchecked, 5, scratch, Random(0))["read wrongly"] == 5
+    assert runs.try_copies(unchecked, 5, scratch, Random(0))["read wrongly"] == 5
     careless = replace(subject, read=lambda copy: [_careless(copy / file) for file in files])
-    assert corruption.try_copies(careless, 20, scratch, Random(0))["crashed"] > 0
+    assert runs.try_copies(careless, 20, scratch, Random(0))["crashed"] > 0
 
 
 def _read_all(files: tuple[Path, ...], folder: Path) -> list[object]:

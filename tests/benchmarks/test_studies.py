@@ -15,7 +15,7 @@ from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
 from baselines.training.train import prepare, resolve
 from benchmarks.__main__ import main
-from benchmarks.capacity import makespan
+from benchmarks.grid import makespan
 from benchmarks.studies.learning import (
     Ablations,
     Learning,
