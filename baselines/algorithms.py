@@ -66,14 +66,8 @@ class Algorithm:
     ) -> Any:
         """Return the hyperparameters of a setting: the recorded ones with ``overrides``.
 
-        Args:
-            overrides: values by name, instead of the recorded ones.
-            setting: one of :attr:`settings`.
-            num_envs: worlds side by side, instead of the recorded number.
-            file: a YAML file whose block of the setting replaces the recorded one.
-
-        Raises:
-            ConfigError: naming every unknown or invalid hyperparameter.
+        ``num_envs`` replaces the number of worlds side by side, and the block of the setting in the
+        YAML ``file`` the recorded block. A ConfigError names every wrong hyperparameter.
         """
         load = self._module("config").load
         return load(self.name, setting, overrides, num_envs=num_envs, file=file)

@@ -112,11 +112,7 @@ class Plan:
 
 
 def write_optimum(path: Path, found: FoundPlan) -> None:
-    """Write a proved optimum into a field file; all else in it stays as it is.
-
-    Raises:
-        ConfigError: the file is not a block of YAML whose field the plan is of.
-    """
+    """Write a proved optimum into a field file, which has to be a block of YAML."""
     from mbn_marl.errors import ConfigError, FieldError
     from mbn_marl.field import load_field
     from mbn_marl.files import replacing

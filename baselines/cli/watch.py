@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 
 @dataclass(frozen=True)
 class _Window:
-    """What both commands take."""
+    """The options of both commands."""
 
     source: Positional[Annotated[str, arg(metavar="FIELD|RUN")]]
     """A name of `mbn fields`, a field file, the folder of a run, or zoo:NAME."""

@@ -116,7 +116,7 @@ def read_json(path: Path) -> Any:
 
     Raises:
         RunError: the file is missing or is not JSON.
-        DamageError: it does not have the checksum that its folder lists.
+        DamageError: see :func:`~baselines.runs.checksums.check`.
     """
     try:
         check(path)
@@ -168,7 +168,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 UNREADABLE = (OSError, ValueError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error)
-"""What Python's and NumPy's readers raise for archives that are damaged."""
+"""The errors of Python's and NumPy's readers for damaged archives."""
 
 
 def _check_members(path: Path) -> None:

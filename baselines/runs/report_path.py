@@ -11,12 +11,7 @@ from mbn_marl.files import check_free, claim_file
 
 @dataclass(frozen=True)
 class Place:
-    """Where a report goes.
-
-    Attributes:
-        page: the Markdown page.
-        folder: everything else.
-    """
+    """The Markdown page of a report, and the folder of everything else."""
 
     page: Path
     folder: Path
@@ -32,11 +27,7 @@ class Place:
         return cls(out / page, out)
 
     def claim(self, *, force: bool) -> None:
-        """Make the folder.
-
-        Raises:
-            MbnError: something is there already and ``force``, which moves it aside, is not set.
-        """
+        """Make the folder; with ``force`` move what is there aside, or else raise an MbnError."""
         beside = self.page.parent != self.folder
         if beside:
             check_free(self.page, force=force)

@@ -16,11 +16,7 @@ from mbn_marl.files import replacing
 
 
 def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Write tensors by name, atomically.
-
-    Raises:
-        OSError: they cannot be written.
-    """
+    """Write tensors by name, atomically; raise an OSError if that fails."""
     with replacing(path) as temporary:
         try:
             whole = {name: tensor.contiguous() for name, tensor in tensors.items()}

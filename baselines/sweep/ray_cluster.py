@@ -89,11 +89,7 @@ def _result_of(ref: Any) -> tuple[list[Any], Any]:
 
 @contextmanager
 def connected(address: str | None) -> Iterator[None]:
-    """Use the Ray cluster at ``address``, or the one that this process is connected to.
-
-    Raises:
-        MbnError: there is no cluster, or it runs another Ray or Python.
-    """
+    """Use a Ray cluster, if this process has none; raise an MbnError if it cannot be reached."""
     import ray
 
     if ray.is_initialized():

@@ -67,10 +67,7 @@ def train_runs(
         upload_seconds: least seconds between two copies of checkpoints into a remote store.
         wandb: a project of Weights & Biases to log to as well.
         listener: receives the progress of the runs.
-        ended: receives how each run ended.
-
-    Returns:
-        How each run ended, by its name.
+        ended: receives how each run ended; all ends are returned, by the run's name.
     """
     outcomes: dict[str, Outcome] = {}
     drawn: set[str | None] = set()
@@ -138,11 +135,7 @@ class Sweep:
         return [run.name for run in self.runs]
 
     def left(self) -> list[TrainConfig]:
-        """Return the runs that are not finished.
-
-        Raises:
-            ConfigError: a finished run is of another configuration than the grid asks for.
-        """
+        """Return the runs to do; raise a ConfigError if a finished one is of another grid."""
         finished = self.store.finished(self.names)
         problems = []
         for run in (run for run in self.runs if run.name in finished):

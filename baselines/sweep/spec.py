@@ -133,10 +133,8 @@ def read_spec(path: Path) -> GridSpec:
 def runs_of(spec: GridSpec) -> list[TrainConfig]:
     """Return the checked runs of a grid, each after the one that it begins with.
 
-    Runs under A that those under C begin with are among them; ``transferred_from`` names them.
-
-    Raises:
-        ConfigError: naming everything that does not fit together.
+    Runs under A that those under C begin with are among them; ``transferred_from`` names them. A
+    ConfigError names everything that does not fit together.
     """
     if problems := _problems(spec):
         raise ConfigError("grid", problems)

@@ -52,11 +52,7 @@ class Status:
 
     @classmethod
     def of(cls, sweep: Sweep) -> Status:
-        """Read the store.
-
-        Raises:
-            RunError: a note there cannot be read.
-        """
+        """Read the store; raise a RunError if a note there cannot be read."""
         notes, finished = sweep.store.notes(), sweep.store.finished(sweep.names)
 
         def standing(name: str) -> Standing:

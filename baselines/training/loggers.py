@@ -21,14 +21,10 @@ class Loggers:
     There an interrupted run continues in the same one, whose id is in the folder's ``wandb.json``;
     what is repeated since the checkpoint is not logged twice, since steps only go up.
 
-    Args:
-        folder: the run's folder.
-        name: of the run.
-        env_steps: where the run begins or resumes; later events in the folder are hidden.
-        project: of Weights & Biases, or ``None``.
+    Events in the folder after ``env_steps``, where the run begins or resumes, are hidden.
 
     Raises:
-        ConfigError: the package of Weights & Biases is not installed.
+        ConfigError: a project is named, and the package of Weights & Biases is not installed.
     """
 
     def __init__(self, folder: RunFolder, name: str, env_steps: int, project: str | None) -> None:
@@ -65,11 +61,7 @@ class Loggers:
 
 
 def find_wandb() -> ModuleType:
-    """Return the library of Weights & Biases.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
+    """Return the library of Weights & Biases; raise a ConfigError if it is not installed."""
     try:
         return import_module("wandb")
     except ImportError:

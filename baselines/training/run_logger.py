@@ -54,21 +54,18 @@ evaluation: some learners update every few steps."""
 CHECKPOINT_SECONDS = 600.0
 """A checkpoint is due after every fresh evaluation, and after so many seconds of slow training."""
 MEAN_ACTION_NAMES = ("return_mean", "success_rate")
-"""What the history of evaluations has of those with mean actions, as ``deterministic_...``."""
+"""The numbers that the history has of evaluations with mean actions, as ``deterministic_...``."""
 
 
 class Recorder:
-    """Records one run in its folder, from the start or from the newest checkpoint there.
+    """Records the run of a task in its folder, from the start or from the newest checkpoint.
+
+    Evaluations have the task's field and settings; ``listener`` receives the progress after every
+    row; ``wandb`` is a project of Weights & Biases to log to as well.
 
     The training clock runs from :meth:`start`, but not during evaluations and while files are
     written: ``seconds`` are seconds of training alone. ``wall_seconds`` are all seconds since the
     first :meth:`start`, without the time between an interruption and its resumption.
-
-    Args:
-        folder: the run's folder.
-        task: what is trained; evaluations have its field and settings.
-        listener: receives the progress after every row.
-        wandb: a project of Weights & Biases to log to as well, or ``None``.
 
     Attributes:
         episodes: the training episodes since the last row.

@@ -103,11 +103,7 @@ def notes(config: TrainConfig) -> list[str]:
 
 
 def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
-    """Load and resolve what a trainer gets; nothing is made yet.
-
-    Raises:
-        MbnError: the field, a setting, a hyperparameter or the run to begin with is not valid.
-    """
+    """Load and resolve what a trainer gets; raise an MbnError if any of it is not valid."""
     problems: list[str] = []
     with collecting(problems):
         make_config(config.environment)

@@ -281,7 +281,7 @@ def test_importances_need_enough_finished_trials(tmp_path: Path) -> None:
         (["ppo", "--trials", "0"], "trials: "),
         (["ppo", "--processes", "0"], "processes: "),
         (["ppo", "--resume"], "is not the folder of a study"),
-        (["ppo", "--resume", "--force"], "--force moves aside"),
+        (["ppo", "--resume", "--force"], "force and resume: "),
     ],
 )
 def test_wrong_input_is_one_clear_message(
