@@ -7,7 +7,6 @@ on them and evaluates it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +15,7 @@ import torch
 import tyro
 from numpy.typing import NDArray
 from torch import nn
+from tyro.conf import Positional
 
 from baselines.evaluation.evaluate import evaluate
 from baselines.runs.files import read_arrays
@@ -79,26 +79,24 @@ def clone(
     return policy
 
 
-@dataclass(frozen=True)
-class Clone:
-    """Train on demonstrations, evaluate, print the result."""
+def main(
+    demonstrations: Positional[Path],
+    field: Positional[str],
+    updates: int = 3000,
+    episodes: int = 20,
+) -> None:
+    """Train on demonstrations, evaluate, print the result.
 
-    demonstrations: tyro.conf.Positional[Path]
-    """The file of `mbn plan --export`."""
-    field: tyro.conf.Positional[str]
-    """The field of the demonstrations."""
-    updates: int = 3000
-    """Steps of the optimiser, each on 256 samples."""
-    episodes: int = 20
-    """Episodes of the evaluation."""
-
-
-def main(asked: Clone) -> None:
-    """Run the example."""
-    arrays, field = read_arrays(asked.demonstrations), load_field(asked.field)
-    policy = clone(arrays["observations"], arrays["actions"], updates=asked.updates)
-    result = evaluate(policy, field, {}, episodes=asked.episodes, deterministic=True).summary()
-    gap = optimality_gap(result["return_mean"], optimal_return(field))
+    Args:
+        demonstrations: the file of `mbn plan --export`.
+        field: the field of the demonstrations.
+        updates: steps of the optimiser, each on 256 samples.
+        episodes: episodes of the evaluation.
+    """
+    arrays, place = read_arrays(demonstrations), load_field(field)
+    policy = clone(arrays["observations"], arrays["actions"], updates=updates)
+    result = evaluate(policy, place, {}, episodes=episodes, deterministic=True).summary()
+    gap = optimality_gap(result["return_mean"], optimal_return(place))
     print(
         f"success {result['success_rate']:.0%}, return {result['return_mean']:,.0f}, "
         f"makespan {result['makespan']}, gap {'unknown' if gap is None else f'{gap:.2%}'}"
@@ -106,4 +104,4 @@ def main(asked: Clone) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Clone))
+    tyro.cli(main)

@@ -23,12 +23,7 @@ Controller = Greedy | Tracker
 
 
 class ControllerPolicy:
-    """A deterministic controller for each world; worlds with equal starts share one.
-
-    Args:
-        problem: the instance.
-        begin: makes the controller of an episode that starts at positions (n, 2).
-    """
+    """A controller for each world, which ``begin`` makes of its starts (n, 2); equal ones share."""
 
     observes: Literal["observations", "state"] = "state"
     samples = False

@@ -19,15 +19,9 @@ def record_demonstrations(
 ) -> dict[str, NDArray[Any]]:
     """Record episodes of the planner in closed loop, one after the other.
 
-    Noise disturbs the robots' actions, but the planner's own actions are recorded, so that a
-    learner sees how to return to the plan.
-
-    Args:
-        plan: the plan to follow, with a makespan.
-        settings: of the environment that the plan was made for.
-        episodes: their number (> 0).
-        noise: standard deviation of the noise on the actions (>= 0).
-        seed: of the noise.
+    Noise disturbs the robots' actions (normal, with standard deviation ``noise`` >= 0), but the
+    planner's own actions are recorded, so that a learner sees how to return to the plan. The
+    settings are those that the plan was made for; it must have a makespan.
 
     Returns:
         With K steps in all: ``observations`` (K, n, obs_size) float32 and ``states`` (K, 4n+1)

@@ -11,8 +11,7 @@ from tyro.conf import arg
 from tyro.constructors import PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from baselines.cli.options import REGISTRY, Reading, check_options
-from baselines.compare.config import CompareConfig
-from baselines.compare.variants import Variant, parse_variant, read_variants
+from baselines.compare.variants import CompareConfig, Variant, parse_variant, read_variants
 from mbn_marl.errors import ConfigError
 
 if TYPE_CHECKING:

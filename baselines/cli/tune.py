@@ -54,9 +54,8 @@ class Tune:
         from baselines.console import console
         from baselines.sweep.run import make_engine
         from baselines.tuning.display import tune_display
-        from baselines.tuning.space import Space
         from baselines.tuning.study import ended, open_study
-        from baselines.tuning.trial import TuneConfig
+        from baselines.tuning.trial import Space, TuneConfig
         from baselines.tuning.tune import tune
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}

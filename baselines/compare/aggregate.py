@@ -29,10 +29,7 @@ class Estimate(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """A performance profile, (k,) each: the share of runs above each threshold, and its band.
-
-    With one seed a field the band's ends are the share itself.
-    """
+    """The share of runs above each threshold and its band (k,); one seed gives it no width."""
 
     share: FloatArray
     low: FloatArray

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from pandas import DataFrame
 
 from baselines.compare.records import RunRecord
 from baselines.compare.summary import THRESHOLDS, Comparison
@@ -52,10 +53,8 @@ def draw_learning_curves(
 
 
 def _curve(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
-    steps, returns = zip(
-        *((entry["env_steps"], entry["return_mean"]) for entry in record.evaluations), strict=True
-    )
-    return np.asarray(steps), np.asarray(returns)
+    history = DataFrame(record.evaluations)
+    return history.env_steps.to_numpy(), history.return_mean.to_numpy()
 
 
 def ranked(records: Iterable[RunRecord]) -> list[RunRecord]:

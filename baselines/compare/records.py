@@ -116,10 +116,8 @@ def ordered(algorithms: Mapping[str, str]) -> dict[str, int]:
 
     Algorithms are in the order of the registry, and labels of one algorithm in their own order. The
     first label of an algorithm has the algorithm's place in the registry as its look, so that it
-    looks the same in every report; each further one has the next look that is free.
-
-    Returns:
-        The number of each label's look, for ``mbn_marl.render.style.series``, in order.
+    looks the same in every report; each further one has the next look that is free. Looks are
+    numbered as for ``mbn_marl.render.style.series``.
     """
     places = {label: list(ALGORITHMS).index(name) for label, name in algorithms.items()}
     free = (look for look in itertools.count() if look not in places.values())

@@ -21,12 +21,6 @@ from mbn_marl.files import claim_file, replacing
 from mbn_marl.render.figures import save
 
 PAGE = "comparison.md"
-STATISTICS = {
-    "Aggregates": "aggregates.png",
-    "Performance profiles": "profiles.png",
-    "Probability of improvement": "improvement.png",
-}
-"""Files of the figures over all fields, by title."""
 
 
 def report_comparison(
@@ -69,18 +63,14 @@ def is_page(out: Path) -> bool:
 
 
 def write_comparison(results: Results, place: Place) -> Comparison:
-    """Write the page with the tables, and its folder.
-
-    That has ``comparison.json`` with every number, ``table.csv`` with a row for every label and
-    field, and the figures.
-    """
+    """Write the page with the tables, and in its folder every number, the rows, the figures."""
     comparison, out = summarise(results), place.folder
     write_json(out / "comparison.json", comparison.to_json())
     write_text(out / "table.csv", comparison.csv())
     pictures = {}
     for title, figure in draw_statistics(comparison).items():
-        save(figure, out / STATISTICS[title])
-        pictures[title] = STATISTICS[title]
+        name = pictures[title] = f"{title.lower().split()[-1]}.png"
+        save(figure, out / name)
     for field in results.fields:
         name = pictures[f"Learning curves, {field}"] = f"learning_curves_{field}.png"
         save(draw_learning_curves(results.of_field(field), results.looks), out / name)

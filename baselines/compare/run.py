@@ -4,17 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from baselines.compare.config import CompareConfig
 from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
-from baselines.runs.files import (
-    RunError,
-    alone,
-    claim_folder,
-    differences,
-    read_json,
-    write_json,
-)
+from baselines.compare.variants import CompareConfig
+from baselines.runs.files import RunError, alone, claim_folder, differences, read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.provenance import write_provenance
 from baselines.sweep.processes import LocalEngine
@@ -46,9 +39,8 @@ def train_all_runs(
     Raises:
         RunError: ``out`` already holds something, or another process compares there, or a run
             failed, or every label has one that diverged.
-        ConfigError: with ``resume``, naming every entry of the configuration that differs.
-        MbnError: a hyperparameter or a setting of a variant is not valid, or Weights & Biases is
-            asked for and not installed.
+        ConfigError: naming all that is not valid, or with ``resume`` all that differs.
+        MbnError: Weights & Biases is asked for and not installed.
     """
     if wandb is not None:
         find_wandb()

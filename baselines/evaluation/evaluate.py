@@ -94,17 +94,11 @@ def evaluate(
     record: Iterable[int] = (),
     source: str = "",
 ) -> Evaluation:
-    """Run ``episodes`` fresh episodes side by side, one world each.
+    """Run ``episodes`` fresh episodes (> 0) side by side, one world each.
 
-    Args:
-        policy: what acts; it sees the engine's observation or state, as it says.
-        field: catalogue name, path or field.
-        settings: settings of the environment (:class:`mbn_marl.config.NavigationConfig`).
-        episodes: how many (> 0).
-        deterministic: take the mean action instead of a sampled one.
-        seed: of the worlds and of the sampled actions.
-        record: the worlds, from 0, whose episodes are recorded.
-        source: the policy's name in these.
+    The settings are those of :class:`mbn_marl.config.NavigationConfig`. ``deterministic`` takes the
+    mean action instead of a sampled one; the seed is that of the worlds and of sampled actions.
+    The episodes of the worlds in ``record`` (from 0) are recorded, the policy is their ``source``.
 
     Raises:
         ConfigError: the policy was trained for other observations, see :func:`roll_out`.
@@ -137,9 +131,8 @@ def roll_out(
     Sampled actions come from torch's generator, which is seeded, and at the end put back.
 
     Raises:
-        ConfigError: naming everything in which the field differs from the one that a loaded policy
-            was trained in: the number of robots or ROIs and, for a policy that acts on the robots'
-            own observations, their kind and what they are scaled by.
+        ConfigError: naming all that a loaded policy was trained with otherwise: robots, ROIs and,
+            if it acts on the robots' own observations, their kind and what they are scaled by.
     """
     _check_fits(policy, engine)
     observations = engine.reset()

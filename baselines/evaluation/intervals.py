@@ -20,11 +20,8 @@ def passes(
 ) -> bool:
     """Return whether a fresh evaluation says that a policy does its task.
 
-    Args:
-        sampled: summary of the episodes with sampled actions: their ``return_mean`` has to be at
-            least ``threshold``, their ``success_rate`` at least 0.99.
-        mean_success_rate: share of the episodes with mean actions that succeed: all have to.
-        threshold: of the mean true return.
+    In the summary of the episodes with sampled actions, ``return_mean`` has to be at least
+    ``threshold`` and ``success_rate`` at least 0.99; with mean actions all have to succeed.
     """
     return bool(
         sampled["return_mean"] >= threshold
@@ -41,8 +38,8 @@ class Interval(NamedTuple):
     high: float | None
 
 
-def mean_interval(values: Sequence[float], *, confidence: float = 0.95) -> Interval:
-    """Mean and percentile-bootstrap interval (10 000 resamples, fixed generator).
+def mean_interval(values: Sequence[float]) -> Interval:
+    """Mean and 95 % percentile-bootstrap interval (10 000 resamples, fixed generator).
 
     With a handful of seeds the interval is narrow for what it claims; it lies within
     ``[min(values), max(values)]`` by construction.
@@ -61,7 +58,6 @@ def mean_interval(values: Sequence[float], *, confidence: float = 0.95) -> Inter
     bounds = stats.bootstrap(
         (sample,),
         np.mean,
-        confidence_level=confidence,
         n_resamples=10_000,
         method="percentile",
         rng=np.random.default_rng(0),
@@ -69,8 +65,8 @@ def mean_interval(values: Sequence[float], *, confidence: float = 0.95) -> Inter
     return Interval(mean, float(bounds.low), float(bounds.high))
 
 
-def share_interval(outcomes: Sequence[bool], *, confidence: float = 0.95) -> Interval:
-    """The share of ``True`` with Wilson's interval, for independent outcomes.
+def share_interval(outcomes: Sequence[bool]) -> Interval:
+    """The share of ``True`` with Wilson's 95 % interval, for independent outcomes.
 
     Raises:
         ValueError: ``outcomes`` is empty.
@@ -78,7 +74,7 @@ def share_interval(outcomes: Sequence[bool], *, confidence: float = 0.95) -> Int
     if not outcomes:
         raise ValueError("a share needs at least one outcome")
     test = stats.binomtest(sum(outcomes), len(outcomes))
-    bounds = test.proportion_ci(confidence, method="wilson")
+    bounds = test.proportion_ci(method="wilson")
     return Interval(sum(outcomes) / len(outcomes), float(bounds.low), float(bounds.high))
 
 

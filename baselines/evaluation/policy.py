@@ -24,11 +24,9 @@ class Policy(Protocol):
     observes: Literal["observations", "state"]
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """Actions (worlds, n, 2); the engine clips them to [-1, 1].
+        """Actions (worlds, n, 2) for what ``observes`` names; the engine clips them to [-1, 1].
 
-        Args:
-            seen: what ``observes`` names.
-            deterministic: take the mean action; otherwise sample from torch's generator.
+        They are the mean ones if ``deterministic``, otherwise sampled from torch's generator.
         """
         ...
 

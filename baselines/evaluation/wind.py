@@ -106,8 +106,7 @@ def with_intervals(evaluation: Evaluation, *, one_episode: bool) -> dict[str, An
     """An evaluation as JSON values, with 95 % intervals over its episodes.
 
     ``success_interval`` is Wilson's; ``return_interval`` and ``makespan_interval`` are bootstrap
-    intervals of the mean, the latter over successful episodes and ``None`` without any. With
-    ``one_episode``, a deterministic one, there is none.
+    intervals of the mean, the latter over successful episodes. ``one_episode`` has none.
     """
     makespans = evaluation.makespans
     intervals = {
@@ -125,10 +124,6 @@ def with_intervals(evaluation: Evaluation, *, one_episode: bool) -> dict[str, An
 
 
 def write_panels(episodes: Mapping[str, Episode], path: Path) -> None:
-    """Draw episodes side by side.
-
-    Raises:
-        MbnError: ``path`` does not end in png, pdf or svg.
-    """
+    """Draw episodes side by side; raise MbnError unless ``path`` ends in png, pdf or svg."""
     lasts = {name: episode.snapshot(episode.steps) for name, episode in episodes.items()}
     figures.save(figures.trajectory_panels(lasts), path)

@@ -87,8 +87,7 @@ def draw_study(folder: Path) -> Figure:
     try:
         table = pandas.read_csv(folder / "trials.csv")
         rows = table[table.return_mean.notna() & (table.state != "fail")]
-        pruned = rows.state != "complete"
-        trials = [*map(StudyTrial, rows.trial, rows.return_mean, pruned)]
+        trials = [*map(StudyTrial, rows.trial, rows.return_mean, rows.state != "complete")]
         importances = json.loads((folder / "importances.json").read_text())
     except (OSError, ValueError, AttributeError) as error:
         raise RunError(

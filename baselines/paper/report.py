@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from baselines.algorithms import SETTINGS, Setting
 from baselines.compare.text_table import DASH
 from baselines.paper import figures, glance, published
-from baselines.paper.tables import ALGORITHMS, MISSING, PaperTable, paper_tables, write_csv
+from baselines.paper.tables import ALGORITHMS, FIELDS, MISSING, PaperTable, paper_tables, write_csv
 from baselines.paper.trainings import Trainings, find_trainings
 from baselines.runs.files import read_text, write_text
 from baselines.runs.provenance import write_provenance
@@ -46,7 +46,12 @@ def write_report(
     preface = "" if notes is None else read_text(notes).strip()
     trainings = find_trainings(paths, note)
     tables = paper_tables(trainings)
-    drawn = _draw(trainings, study)
+    drawn = {
+        **{f"curves_{name}": figures.learning_curves(trainings, name) for name in SETTINGS},
+        **{f"A_against_{name}": figures.against(trainings, "A", name) for name in OTHERS},
+        "optuna": None if study is None else figures.draw_study(study),
+        "fields": figures.overview(),
+    }
     place = Place.of(out, "paper.md")
     place.claim(force=force)
     for name, figure in drawn.items():
@@ -60,16 +65,6 @@ def write_report(
     write_provenance(place.folder, command)
     write_text(place.page, _page(trainings, tables, drawn, place, command, preface))
     return place
-
-
-def _draw(trainings: Trainings, study: Path | None) -> dict[str, Figure | None]:
-    """Draw every figure by its file's name; ``None`` for one that no run has anything for."""
-    return {
-        **{f"curves_{name}": figures.learning_curves(trainings, name) for name in SETTINGS},
-        **{f"A_against_{name}": figures.against(trainings, "A", name) for name in OTHERS},
-        "optuna": None if study is None else figures.draw_study(study),
-        "fields": figures.overview(),
-    }
 
 
 def _page(
@@ -88,8 +83,7 @@ def _page(
         return f"{title}:\n\n![{title}]({place.link(f'{name}.png')})"
 
     join = "\n\n".join
-    of_algorithms = [table for table in tables if table.kind is ALGORITHMS]
-    of_fields = [table for table in tables if table.kind is not ALGORITHMS]
+    shown = [(table.kind, table.text().markdown()) for table in tables]
     page = Template((files(__package__) / "page.md").read_text(encoding="utf-8")).substitute(
         notes=preface,
         source=published.SOURCE,
@@ -99,8 +93,8 @@ def _page(
         dash=DASH,
         files=", ".join(f"[{name}]({place.link(name)})" for name in FILES),
         coverage=glance.coverage(trainings).markdown(),
-        algorithms=join(table.text().markdown() for table in of_algorithms),
-        ranking=glance.ranking(of_algorithms).markdown(),
+        algorithms=join(text for kind, text in shown if kind is ALGORITHMS),
+        ranking=glance.ranking(tables).markdown(),
         reached=glance.reached(trainings).markdown(),
         success=glance.success(trainings).markdown(),
         curves=join(
@@ -108,7 +102,7 @@ def _page(
         ),
         against=join(picture(f"A_against_{name}", f"Setting A against {name}") for name in OTHERS),
         study=picture("optuna", "History of the study and importance of each hyperparameter"),
-        fields=join(table.text().markdown() for table in of_fields),
+        fields=join(text for kind, text in shown if kind is FIELDS),
         overview=picture("fields", "The ten fields, each to a scale of its own"),
         commands="\n".join(trainings.runs.command),
     )

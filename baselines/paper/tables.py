@@ -55,15 +55,10 @@ SAMPLES = (
 
 
 class Kind(NamedTuple):
-    """What a table has a row for.
+    """What a table has a ``row`` for, also the name of its files, in the plural.
 
-    Attributes:
-        row: what a row is; also the name of the table's files, in the plural.
-        title: of the table.
-        unit: one unit of the numbers, in reward units; the paper has one for each kind.
-        unit_name: that in words.
-        digits: after the point, as in the paper.
-        in_paper: (row, setting) -> the paper's numbers.
+    Its ``unit``, in reward units, and ``digits`` are the paper's, whose numbers ``in_paper`` gives
+    by (row, setting).
     """
 
     row: Literal["algorithm", "field"]
@@ -102,13 +97,10 @@ COLUMNS = [
 
 @dataclass(frozen=True)
 class PaperTable:
-    """A table in reward units.
+    """A table in reward units, with our numbers over a ``sample``.
 
-    Attributes:
-        kind: what it has a row for, and how it shows its numbers.
-        sample: what our numbers are taken over.
-        cells: a row for each (row, setting, source), a column for each of ``STATISTICS``; NaN where
-            there is nothing.
+    ``cells`` has a row for each (row, setting, source), a column for each of ``STATISTICS``; NaN
+    where there is nothing.
     """
 
     kind: Kind

@@ -38,8 +38,7 @@ class Trainings:
             moving mean reached the threshold, NaN for never), ``success_rate`` and ``return_mean``
             of the final evaluation with sampled actions (NaN while it is not finished),
             ``finished`` and the exact ``command``.
-        rows: the rows of :func:`read_progress` in which or before which an episode ended, with the
-            cell and the seed of their run.
+        rows: those of :func:`read_progress` since the first episode, with cell and seed of the run.
         fields: the field of each name in ``runs``.
     """
 
@@ -74,7 +73,7 @@ def find_trainings(
     runs, rows = [], []
     for record in records:
         progress = read_progress(record.run.progress)
-        cell = dict(zip([*CELL, "seed"], _place(record), strict=True))
+        cell = _cell(record)
         final = record.evaluation["stochastic"] if record.run.finished else {}
         runs.append(
             {
@@ -90,7 +89,7 @@ def find_trainings(
     return Trainings(
         DataFrame(runs).astype({"success_rate": float, "return_mean": float}),
         pandas.concat(rows, ignore_index=True),
-        {_field_name(record): record.field for record in records},
+        {_cell(record)["field"]: record.field for record in records},
     )
 
 
@@ -98,7 +97,7 @@ def _one_of_each(records: Sequence[RunRecord], note: Callable[[str], None]) -> l
     """One run for each cell and seed."""
     chosen: dict[tuple[Any, ...], RunRecord] = {}
     for one in sorted(records, key=lambda record: not record.run.finished):
-        other = chosen.setdefault(_place(one), one)
+        other = chosen.setdefault(tuple(_cell(one).values()), one)
         if other is one:
             continue
         if one.run.finished or not other.run.finished:
@@ -107,22 +106,16 @@ def _one_of_each(records: Sequence[RunRecord], note: Callable[[str], None]) -> l
                 "and seed; give one of them"
             )
         note(f"left out: {one.run.path}, unfinished; {other.run.path} is the same, finished")
-    return [record for record in records if chosen[_place(record)] is record]
+    return [record for record in records if record in chosen.values()]
 
 
-def _place(record: RunRecord) -> tuple[Any, ...]:
-    """The cell and the seed."""
-    config = record.config
-    return config["algorithm"], config["setting"], _field_name(record), config["seed"]
-
-
-def _field_name(record: RunRecord) -> str:
-    """A catalogue name as it is; for a file its name, marked if the catalogue has it too."""
-    field = record.config["field"]
-    if field in catalogue_names():
-        return str(field)
-    name = Path(field).stem
-    return f"{name} (file)" if name in catalogue_names() else name
+def _cell(record: RunRecord) -> dict[str, Any]:
+    """The cell and the seed; a file's field has its name, marked if the catalogue has it too."""
+    cell = {name: record.config[name] for name in (*CELL, "seed")}
+    if cell["field"] not in catalogue_names():
+        name = Path(cell["field"]).stem
+        cell["field"] = f"{name} (file)" if name in catalogue_names() else name
+    return cell
 
 
 def _known_first(known: Iterable[str], found: Iterable[str]) -> list[str]:

@@ -31,10 +31,11 @@ CLASSES = {
 }
 FILES = {"ppo-supersuit": "ppo-shared"}
 """Whose hyperparameters an algorithm has, if not its own."""
-RESERVED = ("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
-"""Arguments that the learner sets."""
-OBJECTS = ("action_noise", "rollout_buffer_class", "replay_buffer_class")
-"""Arguments that are objects or classes, which no file can hold."""
+RESERVED = (
+    *("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model"),
+    *("action_noise", "rollout_buffer_class", "replay_buffer_class"),
+)
+"""Arguments that the learner sets, and objects and classes, which no file can hold."""
 _COUNT, _SHARE, _AMOUNT = (1, math.inf), (0, 1), (0, math.inf)
 RANGES: Mapping[str, tuple[float, float]] = {
     **dict.fromkeys(("n_steps", "batch_size", "n_epochs", "buffer_size", "train_freq"), _COUNT),
@@ -112,8 +113,7 @@ def load(
     name = "A" if setting == "C" and file is None else setting
     place = f"hyperparameters of {algorithm}" if file is None else str(file)
     block = read_block(file or FOLDER / f"{FILES.get(algorithm, algorithm)}.yaml", name)
-    given = {"num_envs": num_envs} if num_envs is not None else {}
-    values = {**block, **overrides, **given}
+    values = {**block, **overrides, **({} if num_envs is None else {"num_envs": num_envs})}
     if isinstance(block.get("model"), dict) and isinstance(overrides.get("model"), dict):
         values["model"] = {**block["model"], **overrides["model"]}
     config = validate(SB3Config, values, place)
@@ -138,11 +138,7 @@ def load(
 def accepted_arguments(algorithm: str) -> dict[str, Any]:
     """The names that ``model`` may have, with their types in the library's class."""
     parameters = inspect.signature(algorithm_class(algorithm)).parameters
-    return {
-        name: parameter.annotation
-        for name, parameter in parameters.items()
-        if name not in (*RESERVED, *OBJECTS)
-    }
+    return {name: one.annotation for name, one in parameters.items() if name not in RESERVED}
 
 
 def model_arguments(config: SB3Config) -> dict[str, Any]:

@@ -73,9 +73,8 @@ def engine_rows(task: Task, num_worlds: int) -> VecEnv:
 def supersuit_rows(task: Task, num_worlds: int) -> VecEnv:
     """The rows of :func:`engine_rows` from copies of one PettingZoo environment, stepped in turn.
 
-    SuperSuit cannot seed them, so the one environment is seeded before it is copied: a run can be
-    repeated, but with ``random_starts`` all worlds draw the same starts. It does not report time
-    limits either: the learner takes them for terminations.
+    SuperSuit cannot seed them, so the one is seeded before it is copied: with ``random_starts``
+    all worlds draw the same starts. To the learner, its time limits are terminations.
     """
     from supersuit import concat_vec_envs_v1, pettingzoo_env_to_vec_env_v1
 

@@ -80,7 +80,7 @@ class Learner:
         }
         seen = {name: array for name in SEEN if (array := getattr(model, name)) is not None}
         write_arrays(folder / WORLDS, {**worlds, **seen}, compress=True)
-        if (buffer := self._replay) is not None:
+        if (buffer := getattr(model, "replay_buffer", None)) is not None:
             filled = buffer.buffer_size if buffer.full else buffer.pos
             arrays = {name: array[:filled] for name, array in _transitions(buffer).items()}
             place = {"pos": np.array(buffer.pos), "full": np.array(buffer.full)}
@@ -116,7 +116,7 @@ class Learner:
         for number, engine in enumerate(engines(self._env)):
             own = [key for key in arrays if key.startswith(f"{number}/")]
             engine.load_state({key.partition("/")[2]: arrays[key] for key in own})
-        if (buffer := self._replay) is not None:
+        if (buffer := getattr(model, "replay_buffer", None)) is not None:
             saved = read_arrays(checkpoint / REPLAY)
             for name, array in _transitions(buffer).items():
                 array[: len(saved[name])] = saved[name]
@@ -127,12 +127,6 @@ class Learner:
             getattr(model, name).extend(counters[name])
         model.action_space.np_random.bit_generator.state = counters["actions"]
         restore_generators(counters["generators"])
-
-    @property
-    def _replay(self) -> ReplayBuffer | None:
-        """The replay buffer; ``None`` of an algorithm without one."""
-        buffer: ReplayBuffer | None = getattr(self.model, "replay_buffer", None)
-        return buffer
 
 
 def _transitions(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:

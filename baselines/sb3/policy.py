@@ -31,12 +31,7 @@ FIRST_SHAPE = {"algorithm": "ppo-shared", "policy": "MlpPolicy", "action_shape":
 class Normalization:
     """How ``VecNormalize`` treats an observation: ``clip((x - mean) / sqrt(var + epsilon))``.
 
-    Attributes:
-        mean: (size,) running mean; of the centralised form's state size is 4n+1.
-        variance: (size,) running variance.
-        count: how many observations they are of.
-        epsilon: keeps the division finite.
-        clip: bound of the result.
+    The running mean and variance, (size,) each, are of ``count`` observations.
     """
 
     mean: np.ndarray
@@ -80,12 +75,9 @@ class Normalization:
 class SB3Policy:
     """One policy for the whole team, on the paper's state; or one for every robot's observation.
 
-    Args:
-        network: the library's policy.
-        shape: the algorithm's name, the library's name of the policy and its arguments, and the
-            sizes of observation and action (JSON values).
-        normalization: of what it sees; ``None`` if it sees that raw.
-        model: the learner whose policy this is, saved too; ``None`` for a loaded policy.
+    Its ``shape`` (JSON values) has the algorithm's name, the library's name of the policy and its
+    arguments, and the sizes of observation and action. A ``model`` is the learner whose policy this
+    is, and is saved too.
     """
 
     def __init__(
@@ -157,17 +149,13 @@ def put_into(model: Any, folder: Path) -> None:
     """
     _check_version(folder, LEARNER)
     weights, learned = read_tensors(folder / WEIGHTS), read_tensors(folder / LEARNER)
-    parts: dict[str, dict[str, torch.Tensor]] = {}
-    for key, tensor in learned.items():
-        part, _, name = key.rpartition("/")
-        parts.setdefault(part, {})[name] = tensor
-    optimizers = {
-        name: with_moments(state, parts.get(name, {}))
-        for name, state in model.get_parameters().items()
-        if name != "policy"
-    }
+    parameters = model.get_parameters()
+    for part, state in parameters.items():
+        own = [key for key in learned if key.startswith(f"{part}/")]
+        moments = {key.rpartition("/")[2]: learned[key] for key in own}
+        parameters[part] = weights if part == "policy" else with_moments(state, moments)
     try:
-        model.set_parameters({"policy": weights, **optimizers}, device=model.device)
+        model.set_parameters(parameters, device=model.device)
         if "log_ent_coef" in learned:
             model.log_ent_coef.data.copy_(learned["log_ent_coef"])
         model._n_updates = int(learned["updates"])

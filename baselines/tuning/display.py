@@ -17,10 +17,7 @@ from baselines.tuning.trial import News
 def tune_display(
     trials: int, ended: int, steps: int, console: Console
 ) -> Iterator[Callable[[News], None]]:
-    """Show one bar for a study of ``trials``, so many of them ``ended``, and a line for each end.
-
-    A trial has so many env-``steps``.
-    """
+    """Show a bar for a study of so many trials, some of them ``ended``, of ``steps`` each."""
     running: dict[int, str] = {}
     bar, elapsed = BarColumn(bar_width=20), TimeElapsedColumn()
     words = TextColumn("{task.fields[running]}", table_column=Column(overflow="fold"))

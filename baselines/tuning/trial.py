@@ -1,28 +1,72 @@
-"""The trials of a study: claimed, trained, pruned."""
+"""The trials of a study: their search space, and how they are claimed, trained, pruned."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from optuna import Trial, TrialPruned
 from optuna.pruners import MedianPruner
 from optuna.samplers import TPESampler
 from optuna.trial import TrialState
 
+from baselines.algorithms import find_algorithm
+from baselines.paper import published
 from baselines.runs.folder import RunFolder
+from baselines.sb3.config import accepted_arguments
 from baselines.training.config import MOST_SEED, DivergenceError, TrainConfig
 from baselines.training.progress_bar import Report
 from baselines.training.train import train
-from baselines.tuning.space import Space
 from baselines.tuning.study import DIVERGED, load_study
+from mbn_marl.errors import MbnError
 
+LOGARITHMIC = {"learning_rate"}
+"""Drawn so that each decade is as likely; the paper does not say how it drew."""
 BASE: Literal["A"] = "A"
 """The setting whose other hyperparameters the trials have."""
 TOKEN = "job"
 """The attribute of a trial that says which job runs it."""
+
+
+class Space(NamedTuple):
+    """The hyperparameters that are tuned for an algorithm.
+
+    Attributes:
+        ranges: the lowest and the highest value of each, in the paper's order.
+        skipped: what the paper tuned but the library's class does not take.
+    """
+
+    ranges: dict[str, tuple[float, float]]
+    skipped: tuple[str, ...]
+
+    @classmethod
+    def of(cls, algorithm: str) -> Space:
+        """The paper's space for ``algorithm``.
+
+        Raises:
+            MbnError: the paper did not tune it; the message lists what it tuned.
+        """
+        find_algorithm(algorithm)
+        if algorithm not in published.ALGORITHMS:
+            known = ", ".join(published.ALGORITHMS)
+            raise MbnError(f"{algorithm} has no ranges to tune it in; those that have: {known}")
+        ranges, accepted = published.tuning_ranges(algorithm), accepted_arguments(algorithm)
+        return cls(
+            {name: ends for name, ends in ranges.items() if name in accepted},
+            tuple(name for name in ranges if name not in accepted),
+        )
+
+    def suggest(self, trial: Trial) -> dict[str, Any]:
+        """A value for each hyperparameter; one whose ends are whole numbers above 1 is whole."""
+        values: dict[str, float] = {}
+        for name, (low, high) in self.ranges.items():
+            if low > 1 and low % 1 == high % 1 == 0:
+                values[name] = trial.suggest_int(name, int(low), int(high))
+            else:
+                values[name] = trial.suggest_float(name, low, high, log=name in LOGARITHMIC)
+        return values
 
 
 @dataclass(frozen=True)
@@ -56,15 +100,7 @@ class TuneConfig:
 
 @dataclass(frozen=True)
 class News:
-    """The progress of a trial.
-
-    Attributes:
-        number: the trial's number.
-        values: its hyperparameters.
-        state: what it does, or how it ended.
-        env_steps: env-steps it has taken.
-        return_mean: its last or final return, if there was one.
-    """
+    """The progress of a trial: its number, its hyperparameters, and how far it came."""
 
     number: int
     values: dict[str, Any]
@@ -75,13 +111,9 @@ class News:
 
 @dataclass(frozen=True)
 class TrialJob:
-    """One trial of the study in ``folder`` to run.
+    """One trial of the study in ``folder`` to run; a job begun again knows its lost trial by name.
 
-    Attributes:
-        database: the URL of the one that keeps the trials; ``None`` for the journal in ``folder``.
-        command: the exact command, recorded in the trial's run folder.
-        name: of this job alone; when it is begun again elsewhere, it knows its lost trial by it.
-        after: no job has to wait for another.
+    ``database`` is the URL of one that keeps the trials, or ``None`` for the journal in ``folder``.
     """
 
     config: TuneConfig
@@ -89,7 +121,7 @@ class TrialJob:
     database: str | None
     command: str
     name: str
-    after: None = None
+    after: None = None  # no job has to wait for another
 
 
 def run_trial(job: TrialJob, listener: Callable[[News], None]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
 import yaml
@@ -97,7 +96,7 @@ def _stop_at_a_failure(job: TrialJob, result: Failure | None) -> None:
 
 
 def _write_results(study: Study, config: TuneConfig, folder: Path) -> Path:
-    """Write the table, the figure and the file for setting B."""
+    """Write the table, the figure and the file for setting B: setting A's with the tuned values."""
     write_text(folder / "trials.csv", trials_csv(study))
     write_json(folder / "importances.json", dict(importances(study)))
     if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
@@ -107,13 +106,6 @@ def _write_results(study: Study, config: TuneConfig, folder: Path) -> Path:
         )
     save(draw_study(folder), folder / "study.png")
     path = folder / f"{config.algorithm}.yaml"
-    text = yaml.safe_dump({"B": _block(study, config)}, sort_keys=False, width=100)
-    write_text(path, text)
-    return path
-
-
-def _block(study: Study, config: TuneConfig) -> dict[str, Any]:
-    """Return the best values as the block of setting B: setting A's with the tuned ones."""
     best = study.best_trial
     hyperparameters = find_algorithm(config.algorithm).resolve(
         {"model": best.params}, setting=BASE, num_envs=config.num_envs
@@ -123,5 +115,7 @@ def _block(study: Study, config: TuneConfig) -> dict[str, Any]:
         f"{config.field} with {config.steps:,} env-steps a trial; mean return of "
         f"{config.episodes} fresh episodes {best.value:,.0f}"
     )
-    values: dict[str, Any] = hyperparameters.model_dump(mode="json", exclude={"skipped"})
-    return {**values, "source": source}
+    values = hyperparameters.model_dump(mode="json", exclude={"skipped"})
+    block = {"B": {**values, "source": source}}
+    write_text(path, yaml.safe_dump(block, sort_keys=False, width=100))
+    return path

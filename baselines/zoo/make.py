@@ -43,6 +43,10 @@ from them; `card.json` has the versions it ran with.
 
 {optimum}
 """
+ROW = (
+    "| {actions} | {return_mean:,.0f} | {return_min:,.0f} | {return_max:,.0f} "
+    "| {success_rate:.1%} | {collision_rate:.1%} | {length} |"
+)
 
 
 def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
@@ -122,12 +126,6 @@ def readme(card: Mapping[str, Any]) -> str:
 
 
 def _row(summary: Mapping[str, Any]) -> str:
-    makespan = summary["makespan"]
-    cells = (
-        "mean" if summary["deterministic"] else "sampled",
-        *(f"{summary[f'return_{name}']:,.0f}" for name in ("mean", "min", "max")),
-        f"{summary['success_rate']:.1%}",
-        f"{summary['collision_rate']:.1%}",
-        "-" if makespan is None else f"{makespan:.1f}",
-    )
-    return f"| {' | '.join(cells)} |"
+    length = "-" if summary["makespan"] is None else f"{summary['makespan']:.1f}"
+    actions = "mean" if summary["deterministic"] else "sampled"
+    return ROW.format(actions=actions, length=length, **summary)

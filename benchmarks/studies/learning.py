@@ -15,11 +15,10 @@ from typing import Any, ClassVar
 import pandas as pd
 
 from baselines.cli.compare import train_and_compare
-from baselines.compare.config import CompareConfig
 from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
 from baselines.compare.text_table import TextTable
-from baselines.compare.variants import read_variants
+from baselines.compare.variants import CompareConfig, read_variants
 from baselines.evaluation import intervals as statistics
 from baselines.paper import published
 from baselines.runs.files import write_json, write_text

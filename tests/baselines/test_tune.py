@@ -22,9 +22,8 @@ from baselines.runs.files import RunError, seal, write_json
 from baselines.sweep.processes import LocalEngine
 from baselines.training.config import DivergenceError
 from baselines.tuning import trial as trials_module
-from baselines.tuning.space import Space
 from baselines.tuning.study import begin_study, importances, open_study
-from baselines.tuning.trial import News, TrialJob, TuneConfig, run_trial
+from baselines.tuning.trial import News, Space, TrialJob, TuneConfig, run_trial
 from baselines.tuning.tune import tune
 from mbn_marl.errors import ConfigError
 

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from baselines.compare.config import CompareConfig
 from baselines.compare.records import RunRecord
-from baselines.compare.variants import Variant
+from baselines.compare.variants import CompareConfig, Variant
 from baselines.runs.files import write_json
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import NavigationConfig
