@@ -30,7 +30,7 @@ from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 
-CATALOGUE = Path(__file__).parents[2] / "envs_catalog"
+CATALOGUE = Path(__file__).parents[3] / "envs_catalog"
 NAMES = [name for name, entry in ALGORITHMS.items() if "A" in entry.settings]
 PAPER: dict[str, dict[str, float]] = {
     "a2c": {"gamma": 0.974, "gae_lambda": 0.938, "learning_rate": 0.0007, "vf_coef": 0.632,

@@ -19,7 +19,7 @@ from baselines.zoo.entries import FOLDER, entry_names, read_card
 from baselines.zoo.make import LARGEST, make_entry, plain_command, readme
 from mbn_marl.field import catalogue_names, load_field, save_field
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
