@@ -1,4 +1,4 @@
-"""What many runs cost: the schedulers' share, how workers add up, the capacity of machines."""
+"""The cost of many runs: the schedulers' share, how workers add up, the capacity of machines."""
 
 from __future__ import annotations
 

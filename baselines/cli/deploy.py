@@ -26,7 +26,7 @@ class Deploy:
     field: tuple[str, ...] = ()
     """Names of `mbn fields`, or field files; by default that of the run or of zoo:NAME."""
     sim: Literal["mujoco", "coppeliasim", "plane"] = "mujoco"
-    """What simulates the vehicles; plane is the environment's own point mass."""
+    """The simulator of the vehicles; plane is the environment's own point mass."""
     vehicle: Literal["quadrotor", "balancer"] = "quadrotor"
     """In MuJoCo."""
     wind: tuple[float, float] = (0.0, 0.0)
@@ -51,7 +51,7 @@ class Deploy:
     video: Path | None = None
     """Film the first deployment in MuJoCo: an .mp4 file, at twice the speed."""
     camera: Literal["field", "top", "chase"] = "field"
-    """What the film is seen from: across the field, from above, or behind robot 0."""
+    """The camera: across the field, from above, or behind robot 0."""
     figure: Path | None = None
     """Draw the paths to this .png, .pdf or .svg file: a panel for each wind and simulator with
     --wind-speeds, else with --compare a panel for each field."""

@@ -31,7 +31,7 @@ class Transfer:
     num_envs: int | None = None
     """Worlds stepped side by side; by default 1."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """What the networks run on."""
+    """The device of the networks."""
     evaluate_every: int = 32_768
     """Env-steps between two fresh evaluations; after each one a checkpoint is written."""
     episodes: int = 100

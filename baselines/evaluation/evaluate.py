@@ -196,7 +196,7 @@ def _check_fits(policy: Policy, engine: BatchEngine) -> None:
 
 
 def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
-    """What the numbers of an observation depend on."""
+    """The settings that an observation's numbers depend on."""
     sizes = {
         "robots": config.n_robots or len(field.starts),
         "ROIs": len(field.rois),

@@ -100,7 +100,7 @@ def _per_cell(trainings: Trainings, caption: str, shown: Callable[[DataFrame], s
 
 
 def _words(runs: DataFrame, keys: list[str], shown: Callable[[DataFrame], str]) -> DataFrame:
-    """What is shown for each group of runs; the last key makes the columns."""
+    """The statistic of each group of runs; the last key makes the columns."""
     return runs.groupby(keys).apply(shown, include_groups=False).unstack()
 
 

@@ -21,7 +21,7 @@ MISSING = "missing"
 
 
 class Sample(NamedTuple):
-    """What the numbers here are taken over: in words, for a label, and how."""
+    """The evaluations that a number is taken over: in words, for a label, and how."""
 
     name: str
     label: str
@@ -55,7 +55,7 @@ SAMPLES = (
 
 
 class Kind(NamedTuple):
-    """What a table has a ``row`` for, also the name of its files, in the plural.
+    """The subject of a table's ``row``; in the plural, the name of its files.
 
     Its ``unit``, in reward units, and ``digits`` are the paper's, whose numbers ``in_paper`` gives
     by (row, setting).

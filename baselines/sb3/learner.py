@@ -23,7 +23,7 @@ WORLDS = "worlds.npz"
 REPLAY = "replay.npz"
 COUNTERS = "counters.json"
 SEEN = ("_last_obs", "_last_original_obs", "_last_episode_starts")
-"""What a learner keeps of the worlds' last step."""
+"""The entries of the worlds' last step that a learner keeps."""
 COUNTED = ("num_timesteps", "_episode_num")
 LOGGED = ("ep_info_buffer", "ep_success_buffer")
 

@@ -24,7 +24,7 @@ WEIGHTS = "policy.safetensors"
 SHAPE = "policy.json"
 LEARNER = "learner.safetensors"
 FIRST_SHAPE = {"algorithm": "ppo-shared", "policy": "MlpPolicy", "action_shape": [2]}
-"""What ``policy.json`` did not say when shared-policy PPO alone had one."""
+"""Entries that ``policy.json`` lacked when only shared-policy PPO had one."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class SB3Policy:
 
 
 def _learned(model: Any) -> dict[str, torch.Tensor]:
-    """What a learner has learned beside its policy: optimisers, entropy coefficient, updates."""
+    """The learner's state beside its policy: optimisers, entropy coefficient, updates."""
     tensors = {
         f"{name}/{key}": moment
         for name, state in model.get_parameters().items()

@@ -24,7 +24,7 @@ REFUSALS = (
     *(ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError),
     *(RuntimeError, TypeError, ValueError),
 )
-"""What the library and torch raise for arguments that make no learner."""
+"""The errors of the library and torch for arguments that make no learner."""
 
 
 class Reporter(BaseCallback):

@@ -20,7 +20,7 @@ def entry_names() -> list[str]:
 
 
 def read_card(name: str) -> dict[str, Any]:
-    """What is known of an entry: see :func:`baselines.zoo.make.make_card`."""
+    """The facts of an entry: see :func:`baselines.zoo.make.make_card`."""
     card: dict[str, Any] = read_json(FOLDER / name / CARD)
     return card
 

@@ -181,7 +181,7 @@ WORK = (
     "baselines.demo.interactive.play",
     "mbn_marl.planning.plan",
 )
-"""What takes long once its input is checked: it raises an error instead."""
+"""Functions that take long once their input is checked: they raise an error instead."""
 NAMES = [*NavigationConfig.model_fields, "unknown"]
 SETTINGS = st.dictionaries(st.sampled_from(NAMES), VALUES, max_size=4)
 KNOWN = ("entropy", "hidden", "num_worlds", "model.gamma", "model.learning_rate", "num_envs")

@@ -1,1 +1,1 @@
-"""What the documentation site makes from the code: tables, and the check of the docstrings."""
+"""Parts of the documentation site made from the code: tables, and the check of docstrings."""

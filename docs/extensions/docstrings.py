@@ -99,7 +99,7 @@ class Public:
 
     @property
     def function(self) -> Function:
-        """What is called: the function, or the class's ``__init__``."""
+        """The callable: the function, or the class's ``__init__``."""
         return self.value.__init__ if inspect.isclass(self.value) else self.value
 
 
@@ -134,7 +134,7 @@ def _members(public: Public) -> Iterator[Public]:
 
 
 def find_problems(public: Public) -> list[str]:
-    """What the docstring of a public name lacks, one line each."""
+    """Return what the docstring of a public name lacks, one line each."""
     if not public.text:
         return ["has no docstring"]
     document = parse(public.text)
@@ -182,7 +182,7 @@ def _arguments(public: Public) -> dict[str, str]:
 
 
 def _return_problems(public: Public, document: Docstring) -> Iterator[str]:
-    """What comes back is described; arrays with shape and unit."""
+    """Check that returned values are described; arrays with shape and unit."""
     if inspect.isclass(public.value) or _refers_to_another(public):
         return
     if TYPE_LIKE.search(public.text):
@@ -225,7 +225,7 @@ def _refers_to_another(public: Public) -> bool:
 
 
 def _source_problems(public: Public) -> Iterator[str]:
-    """What speaks of the paper says where in it, by itself or in the docstring of its class."""
+    """Check that text about the paper says where in it, here or in the class's docstring."""
     texts = [public.text, inspect.getdoc(public.owner) or ""]
     if PAPER.search(public.text) and not any("\nSource:" in text for text in texts):
         yield "source: speaks of the paper without a section 'Source:'"

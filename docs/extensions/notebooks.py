@@ -40,7 +40,7 @@ def run(path: Path) -> NotebookNode:
 
 
 def texts(notebook: NotebookNode) -> list[list[str]]:
-    """What each code cell prints and returns, as text; nothing for cells tagged ``varies``."""
+    """The output of each code cell as text; nothing for cells tagged ``varies``."""
     cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
     return [
         []

@@ -88,7 +88,7 @@ class _Caller:
         return raised_by(value, owner, self.seen)
 
     def _named(self, node: ast.expr | None) -> Any:
-        """What a name or a method of ``self`` stands for, if that can be seen."""
+        """The object that a name or a method of ``self`` refers to, if that can be seen."""
         match node:
             case ast.Name(id=name):
                 return self.function.__globals__.get(name, getattr(builtins, name, None))

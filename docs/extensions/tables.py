@@ -71,7 +71,7 @@ def _runs(table: Sequence[Entry]) -> Iterator[list[str]]:
 
 
 def _subject(name: str) -> str:
-    """What an entry is about: ``other_1`` of ``other_1_dx``, ``own`` of ``own_x``."""
+    """The subject of an entry: ``other_1`` of ``other_1_dx``, ``own`` of ``own_x``."""
     return name.rsplit("_", 1)[0]
 
 

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 
 class Listener(Protocol):
-    """Is told of everything that happens to the worlds of an engine, after it has happened."""
+    """Receives every reset and step of an engine's worlds, after it has happened."""
 
     def was_reset(self, mask: Any) -> None:
         """The worlds of a mask (W,) bool, or all if it is ``None``, have another state."""

@@ -138,7 +138,7 @@ def test_out_of_time_the_interval_is_marked() -> None:
 
 
 def test_the_time_limit_holds_where_greed_gets_nowhere() -> None:
-    # Blown into a wall for good, the greedy controller goes on until the end of the episode.
+    # Blown into a wall for good, the greedy controller continues until the end of the episode.
     found = plan("field_01", wind=(0.55, 0.0), max_steps=4000, time_limit=1.0)
     assert found.makespan is None
     assert found.makespan_lower_bound > 30
