@@ -88,10 +88,10 @@ class NavigationConfig(Checked):
         reward_sharing: ``"individual"`` (each robot its own share; the shares sum to the team's
             reward) or ``"team"`` (every robot gets the team's reward).
         dynamics: how robots move: ``"point_mass"``, see ``engine.mdp.dynamics``.
-        observation: ``"relative"``, ``"state"``, ``"local"`` or ``"lidar"``, see
-            ``engine.mdp.observations``.
+        observation: ``"relative"``, ``"state"``, ``"local"``, ``"lidar"`` or ``"lidar_local"``,
+            see ``engine.mdp.observations``.
         one_hot: append the robot's index as a one-hot vector to its observation.
-        sensing_radius: how far ``"local"`` and ``"lidar"`` see, in units.
+        sensing_radius: how far ``"local"``, ``"lidar"`` and ``"lidar_local"`` see, in units.
         wind: ``(v_a, beta_a)``: speed in units/step per step, angle in degrees from +x.
         max_steps: T_max; reaching it truncates the episode.
         dtype: precision of the simulation, ``"float32"`` or ``"float64"``.
@@ -115,7 +115,7 @@ class NavigationConfig(Checked):
     reward: RewardProfile = REWARD_PROFILES["released"]
     reward_sharing: Literal["individual", "team"] = "individual"
     dynamics: Literal["point_mass"] = "point_mass"
-    observation: Literal["relative", "state", "local", "lidar"] = "relative"
+    observation: Literal["relative", "state", "local", "lidar", "lidar_local"] = "relative"
     one_hot: bool = False
     sensing_radius: Positive = 100.0
     wind: tuple[NonNegative, Finite] = (0.0, 0.0)
@@ -155,7 +155,7 @@ class FixedSettings(TypedDict, total=False):
     reward: str | RewardProfile
     reward_sharing: Literal["individual", "team"]
     dynamics: Literal["point_mass"]
-    observation: Literal["relative", "state", "local", "lidar"]
+    observation: Literal["relative", "state", "local", "lidar", "lidar_local"]
     one_hot: bool
     sensing_radius: float
     wind: tuple[float, float]

@@ -203,7 +203,7 @@ def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
         "arena": tuple(map(float, field.arena)),
         **{name: getattr(config, name) for name in ("observation", "one_hot", "v_clip")},
     }
-    if config.observation in ("local", "lidar"):
+    if config.observation in ("local", "lidar", "lidar_local"):
         sizes["sensing_radius"] = config.sensing_radius
     elif config.observation == "state":
         del sizes["arena"], sizes["v_clip"]

@@ -59,7 +59,7 @@ def check_sights(outcome: Outcome, oracle: Oracle, dtype: str, missing: int = 0)
     """
     for robot, observation in enumerate(outcome.observations):
         low = high = oracle.observe(robot, missing)
-        if oracle.observation == "lidar" and dtype == "float32":
+        if oracle.observation.startswith("lidar") and dtype == "float32":
             corners = [(dx, dy) for dx in (-DOUBT, DOUBT) for dy in (-DOUBT, DOUBT)]
             views = [low, *(oracle.observe(robot, missing, corner) for corner in corners)]
             low, high = np.min(views, axis=0), np.max(views, axis=0)
@@ -248,7 +248,7 @@ def test_a_robot_on_the_ground_of_another(reward: str) -> None:
     assert revisits == [[False, True], [False, False]]
 
 
-@pytest.mark.parametrize("observation", ["relative", "lidar"])
+@pytest.mark.parametrize("observation", ["relative", "lidar", "lidar_local"])
 def test_fields_of_one_batch_are_each_the_field_alone(observation: str) -> None:
     rng = np.random.default_rng(5)
     fields = [

@@ -92,7 +92,9 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     return made
 
 
-@pytest.mark.parametrize("settings", [{}, {"reward": "formal"}, {"observation": "lidar"}], ids=str)
+@pytest.mark.parametrize(
+    "settings", [{}, {"reward": "formal"}, {"observation": "lidar_local"}], ids=str
+)
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_the_kernels_compile_for_a_gpu(
     dtype: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch

@@ -234,7 +234,7 @@ BAD_SETTINGS: dict[str, tuple[dict[str, Any], list[str]]] = {
     "unknown sharing": ({"reward_sharing": "all"}, ["reward_sharing", "individual", "team"]),
     "unknown observation": (
         {"observation": "pixels"},
-        ["observation", "relative", "state", "local", "lidar"],
+        ["observation", "relative", "state", "local", "lidar", "lidar_local"],
     ),
     "unknown dtype": ({"dtype": "float16"}, ["dtype", "float32", "float64"]),
     "no steps": ({"max_steps": 0}, ["max_steps", "1"]),

@@ -1,4 +1,4 @@
-"""The observation ``lidar``, worked out by hand; ``test_forms`` compares it with the oracle."""
+"""``lidar`` and ``lidar_local``, worked out by hand; ``test_forms`` has the oracle compare them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def seen(
     field: Field | list[Field], *forces: tuple[float, float], world: int = 0, **settings: Any
 ) -> dict[str, float]:
     """The first robot's observation, by name, after steps with these forces."""
-    engine = BatchEngine(field, 2, observation="lidar", threads=1, **settings)
+    engine = BatchEngine(field, 2, threads=1, **{"observation": "lidar", **settings})
     observations = engine.reset()
     for force in forces:
         observations = engine.step(np.full((2, engine.n_robots, 2), force, np.float32))[0]
@@ -163,6 +163,32 @@ def test_padding_is_not_seen(dtype: Any) -> None:
     assert padding == [alone["roi_0_dx"], alone["roi_0_ux"], 1.0] * 5
     other = seen([full, plain], *steps, world=0, **options)
     assert other == seen(full, *steps, **options)
+
+
+@PRECISIONS
+@pytest.mark.parametrize(
+    ("radius", "other", "roi"), [(50.0, True, True), (49.9, False, True), (9.9, False, False)]
+)
+def test_local_hides_what_is_beyond_the_radius(
+    radius: float, other: bool, roi: bool, dtype: Any
+) -> None:
+    field = field_of((20.0, 50.0), rois=[(26.0, 58.0)], starts=[(20.0, 50.0), (50.0, 90.0)])
+    options = {"sensing_radius": radius, "dtype": dtype}
+    whole = seen(field, **options)
+    local = seen(field, observation="lidar_local", **options)
+    hidden = {name for name in whole if local[name] != whole[name]}
+    of_roi = {"roi_0_dx", "roi_0_dy", "roi_0_ux", "roi_0_uy"}
+    expected = (set() if other else {"other_1_dx", "other_1_dy"}) | (set() if roi else of_roi)
+    assert hidden == expected and all(local[name] == 0.0 for name in hidden)
+
+
+def test_a_radius_beyond_the_arena_sees_everything_on_its_diagonal() -> None:
+    field = field_of((20.0, 50.0), rois=[(26.0, 58.0)], starts=[(20.0, 50.0), (50.0, 90.0)])
+    diagonal = float(np.hypot(*field.arena))
+    far = seen(field, observation="lidar_local", sensing_radius=1e4)
+    assert far == seen(field, sensing_radius=diagonal)
+    assert far["ray_0"] == pytest.approx(80.0 / diagonal)
+    assert far["other_1_near"] == pytest.approx(1.0 - 50.0 / diagonal)
 
 
 def test_names_are_those_of_the_space() -> None:

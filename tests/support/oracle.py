@@ -214,38 +214,39 @@ class Oracle:
             half = np.array([self.width, self.height]) / 2
             low_x, low_y, high_x, high_y = self.polygon.bounds
             middle = np.array([low_x + high_x, low_y + high_y]) / 2
-            centre = middle if self.observation == "lidar" else half
+            lidar = self.observation in ("lidar", "lidar_local")
+            reach = min(self.sensing_radius, math.hypot(self.width, self.height))
+            centre = middle if lidar else half
             seen = [(me.position - centre) / half, me.velocity / self.v_clip]
             for other in others:
                 turn = (other.velocity - me.velocity) / (2 * self.v_clip)
                 seen += self._sight(other.position - me.position, turn)
-                if self.observation == "lidar":
+                if lidar:
                     distance = math.dist(other.position, me.position)
-                    seen.append([max(0.0, 1.0 - distance / self.sensing_radius)])
+                    seen.append([max(0.0, 1.0 - distance / reach)])
             for roi, visited in rois:
                 offset = np.array(roi) - me.position
-                seen += self._sight(offset)
-                if self.observation == "lidar":
-                    seen.append(offset / (math.hypot(*offset) + 1.0))
-                seen.append([visited])
-            if self.observation == "lidar":
-                seen.append(self._walls(me, self.masses[i]))
+                direction = [offset / (math.hypot(*offset) + 1.0)] if lidar else []
+                seen += [*self._sight(offset, *direction), np.array([visited])]
+            if lidar:
+                seen.append(self._walls(me, self.masses[i], reach))
         if self.one_hot:
             seen.append(np.eye(self.n)[i])
         return np.concatenate(seen).astype(np.float32)
 
     def _sight(self, offset: NDArray[Any], *more: NDArray[Any]) -> list[NDArray[Any]]:
-        """Something at an offset, in arenas; ``local`` flags it, or blanks what is too far."""
+        """Something at an offset, in arenas; blank if too far, which ``local`` flags."""
         entries = [offset / np.array([self.width, self.height]), *more]
-        if self.observation != "local":
+        if self.observation not in ("local", "lidar_local"):
             return entries
         near = math.hypot(*offset) <= self.sensing_radius
-        return [np.array([near]), *(near * entry for entry in entries)]
+        flag = [np.array([near])] if self.observation == "local" else []
+        return [*flag, *(near * entry for entry in entries)]
 
-    def _walls(self, me: Robot, mass: Any) -> list[float]:
+    def _walls(self, me: Robot, mass: Any, reach: float) -> list[float]:
         """The entries of ``lidar`` about the walls."""
         axes = [(self.f_max / mass, wind) for wind in (self.wind_x, self.wind_y)]
-        senses = WallSenses(self.polygon, float(self.v_clip), float(self.tau), self.sensing_radius)
+        senses = WallSenses(self.polygon, float(self.v_clip), float(self.tau), reach)
         return senses.entries(me.position.astype(float), me.velocity.astype(float), axes)
 
     def metrics(self) -> dict[str, Any]:

@@ -127,7 +127,7 @@ def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
     "settings",
     [
         {"field": ["field_01", "field_02"], "observation": "local", "one_hot": True},
-        {"field": ["field_05", "field_09"], "observation": "lidar"},
+        {"field": ["field_05", "field_09"], "observation": "lidar_local"},
         {"reward": "formal", "observation": "state", "n_robots": 2},
         {"reward_sharing": "team", "mass": (1.0, 1.5, 2.0), "f_max": 3.0},
     ],

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mbn_marl import Field
 from mbn_marl.config import RewardProfile
+from mbn_marl.engine.mdp.observations import OBSERVATIONS
 from tests.support.oracle import Oracle
 
 BEHAVIOURS = ("seek", "uniform", "lattice", "push", "still")
@@ -51,7 +52,7 @@ def worlds(draw: st.DrawFn, n: int, rules: Literal["released", "formal"]) -> Wor
         "roi_radius": draw(st.sampled_from([10.0, 30.0])),
         "safety_distance": draw(st.sampled_from([APART, 3.0])),
         "max_steps": draw(st.sampled_from([40, 7, 1000])),
-        "observation": draw(st.sampled_from(["relative", "local", "state", "lidar"])),
+        "observation": draw(st.sampled_from([*OBSERVATIONS])),
         "sensing_radius": draw(st.sampled_from([60.0, 17.3])),
         "one_hot": draw(st.booleans()),
     }

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp.containment import cross_edge
@@ -23,6 +24,11 @@ ROUNDING = np.float32(1e-6)
 S = math.sqrt(0.5)
 RAYS = np.array([[1, S, 0, -S, -1, -S, 0, S], [0, S, 1, S, 0, -S, -1, -S]])
 """The directions of the rays, (2, 8): unit vectors, counter-clockwise from +x."""
+
+
+def rays_of(radius: float, arena: tuple[float, float]) -> NDArray[np.float64]:
+    """The rays (2, 8), units: as long as the sensing radius, or the arena's diagonal if shorter."""
+    return RAYS * min(radius, math.hypot(*arena))
 
 
 @compiled

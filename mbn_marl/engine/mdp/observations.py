@@ -1,8 +1,8 @@
 """A robot's observation: a table of entries for each kind, and the function that writes them.
 
-Entries are float32 and bounded. ``relative``, ``local`` and ``lidar`` are scaled to [-1, 1] by the
-arena, the speed limit and the sensing radius; ``state`` is the paper's vector in raw units with the
-own robot first. The visit bits of the ROIs are shared by the team in all of them.
+Entries are float32 and bounded: scaled to [-1, 1] by the arena, the speed limit and the sensing
+radius, but for ``state``, the paper's vector in raw units with the own robot first. The visit bits
+of the ROIs are shared by the team in all of them.
 
 Source: Choton, Woods, Hsu, section 3 (``state``); the others are this package's (mdp.md, "What a
 robot sees").
@@ -21,8 +21,14 @@ from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.visits import visit_code, within
 from mbn_marl.engine.scalars import FIRST, clip, column
 
-RELATIVE, STATE, LOCAL, LIDAR = 0, 1, 2, 3
-OBSERVATIONS = {"relative": RELATIVE, "state": STATE, "local": LOCAL, "lidar": LIDAR}
+RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL = range(5)
+OBSERVATIONS = {
+    "relative": RELATIVE,
+    "state": STATE,
+    "local": LOCAL,
+    "lidar": LIDAR,
+    "lidar_local": LIDAR_LOCAL,
+}
 
 Row = tuple[str, float, float, str]
 
@@ -61,7 +67,7 @@ def observation_table(
 
 def _scaled_rows(n: int, m: int, observation: str) -> list[Row]:
     """The entries of ``relative``, and what ``local`` and ``lidar`` add to them."""
-    flags, lidar_only = observation == "local", observation == "lidar"
+    flags, lidar_only = observation == "local", observation in ("lidar", "lidar_local")
     centre = "the field's centre" if lidar_only else "its centre"
     velocity, radii = "speed limits", "sensing radii"
     rows = [(f"own_{a}", -1.0, 1.0, f"half arenas from {centre}") for a in "xy"]
@@ -143,29 +149,33 @@ def put_roi(p, g, ep, lo, hi, i, j, tile, k):
 
 
 @compiled
-def hide(p, near, column, tile, k, entries):
-    """``local``: flag presence in entry k, and blank the ``entries`` after it if not ``near``."""
-    seen = p.one if near else p.zero
-    tile[k, column] = seen
-    for entry in range(k + 1, k + 1 + entries):
+def hide(p, dx, dy, column, tile, k, end):
+    """Blank entries k to end - 1 beyond the sensing radius; return 1 within it, else 0."""
+    seen = p.one if within(dx, dy, p.sensing_squared) else p.zero
+    for entry in range(k, end):
         tile[entry, column] *= seen
+    return seen
 
 
 @compiled
-def hide_other(p, ep, lo, hi, i, j, tile, k):
-    """``local``: hide robot j where it is beyond the sensing radius."""
+def hide_other(p, ep, lo, hi, i, j, tile, k, flag):
+    """Hide robot j, whose entries begin at k, where it is far; the flag before them says so."""
     for w in range(lo, hi):
         dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
-        hide(p, within(dx, dy, p.sensing_squared), w - lo, tile, k, 4)
+        seen = hide(p, dx, dy, w - lo, tile, k, k + 4)
+        if flag:
+            tile[k - 1, w - lo] = seen
 
 
 @compiled
-def hide_roi(p, g, ep, lo, hi, i, j, tile, k):
-    """``local``: hide where ROI j is beyond the sensing radius; its visit bit stays."""
+def hide_roi(p, g, ep, lo, hi, i, j, tile, k, end, flag):
+    """Hide ROI j, in entries k to end - 1, where it is far; its visit bit, after them, stays."""
     for w in range(lo, hi):
         f = column(g, w)
         dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
-        hide(p, within(dx, dy, p.sensing_squared), w - lo, tile, k, 2)
+        seen = hide(p, dx, dy, w - lo, tile, k, end)
+        if flag:
+            tile[k - 1, w - lo] = seen
 
 
 @compiled
@@ -178,12 +188,12 @@ def put_relative(p, g, ep, lo, hi, i, tile):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k + flag)
             if flag:
-                hide_other(p, ep, lo, hi, i, j, tile, k)
+                hide_other(p, ep, lo, hi, i, j, tile, k + 1, True)
             k += flag + 4
     for j in range(g.rois.shape[1]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k + flag)
         if flag:
-            hide_roi(p, g, ep, lo, hi, i, j, tile, k)
+            hide_roi(p, g, ep, lo, hi, i, j, tile, k + 1, k + 3, True)
         k += flag + 3
     return k
 
@@ -201,17 +211,22 @@ def put_centred(p, g, ep, lo, hi, i, tile):
 
 @compiled
 def put_lidar(p, g, rays, ep, lo, hi, i, tile):
-    """The entries of ``lidar`` for robot i; how many there are."""
+    """The entries of ``lidar`` and ``lidar_local`` for robot i; how many there are."""
+    local = p.observation == LIDAR_LOCAL
     put_centred(p, g, ep, lo, hi, i, tile)
     k = 4
     for j in range(ep.x.shape[0]):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k)
             lidar.put_near(p, rays, ep, lo, hi, i, j, tile, k + 4)
+            if local:
+                hide_other(p, ep, lo, hi, i, j, tile, k, False)
             k += 5
     for j in range(g.rois.shape[1]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k)
         lidar.put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)
+        if local:
+            hide_roi(p, g, ep, lo, hi, i, j, tile, k, k + 4, False)
         k += 5
     lidar.put_rays(p, g, rays, ep, lo, hi, i, tile, k)
     k += rays.shape[1]
