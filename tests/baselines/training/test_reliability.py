@@ -54,7 +54,9 @@ def test_a_full_disk_leaves_the_checkpoint_before(name: str, size: int, tmp_path
 def test_the_second_process_is_told_of_the_first(tmp_path: Path) -> None:
     code = (
         "import sys, pathlib; from baselines.runs.files import alone\n"
-        f"with alone(pathlib.Path({str(tmp_path)!r}), 'mbn train'): print('on'); sys.stdin.read()"
+        f"with alone(pathlib.Path({str(tmp_path)!r}), 'mbn train'):\n"
+        "    print('on', flush=True)\n"
+        "    sys.stdin.read()"
     )
     first = subprocess.Popen(
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
