@@ -53,9 +53,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0, 2 for wrong input (one message, no traceback), 130 after Ctrl-C, 1 if
         nobody reads the output any more.
-
-    Raises:
-        SystemExit: after ``--help`` of a command.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
@@ -66,13 +63,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"mbn_marl {__version__}")
         else:
             read_command(words).run(shlex.join(["mbn", *words]))
+    except SystemExit as end:  # after the help of a command, or rich's own if nobody reads
+        if end.code:
+            return READER_LEFT
     except MbnError as error:
         return _fail(str(error))
     except OSError as error:
         if isinstance(error, BrokenPipeError) and _reader_left(probe="\n"):
             return READER_LEFT
-        places = [str(name) for name in (error.filename, error.filename2) if name is not None]
-        return _fail(f"{' -> '.join(places)}: {error.strerror}" if places else str(error))
+        return _fail(_with_places(error))
     except ImportError as error:
         package = (error.name or "").split(".")[0]
         if package in ("", *OWN_PACKAGES):
@@ -110,6 +109,12 @@ def _help() -> str:
             summary, WIDTH, initial_indent=f"  {name:10}", subsequent_indent=" " * 12
         )
     return "\n".join([*lines, "", "mbn COMMAND --help: its options; mbn --version: the version"])
+
+
+def _with_places(error: OSError) -> str:
+    """Return the message of a system's error, which begins with the files concerned."""
+    places = [str(name) for name in (error.filename, error.filename2) if name is not None]
+    return f"{' -> '.join(places)}: {error.strerror}" if places else str(error)
 
 
 def _fail(message: str) -> int:

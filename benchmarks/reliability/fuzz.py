@@ -158,10 +158,7 @@ def command_line(words: list[str]) -> None:
     """Run ``mbn``, up to where the hours of work would begin."""
     heard = io.StringIO()
     with contextlib.redirect_stdout(heard), contextlib.redirect_stderr(heard):
-        try:
-            code = mbn(words)
-        except SystemExit as error:
-            code = 2 if error.code else 0
+        code = mbn(words)
     if code not in (0, 2):
         raise RuntimeError(f"exit code {code}")
     if "Traceback" in heard.getvalue():

@@ -167,7 +167,7 @@ def test_panels_show_every_episode() -> None:
         len([a for a in axes.texts if a.get_text().startswith("wind")]) for axes in figure.axes
     ]
     assert arrows == [0, 1, 1, 1]
-    with pytest.raises(MbnError, match="at least one episode"):
+    with pytest.raises(MbnError, match="panels"):
         figures.trajectory_panels({})
 
 
