@@ -64,8 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             read_command(words).run(shlex.join(["mbn", *words]))
     except SystemExit as end:  # after the help of a command, or rich's own if nobody reads
-        if end.code:
-            return READER_LEFT
+        return READER_LEFT * bool(end.code or _reader_left())
     except MbnError as error:
         return _fail(str(error))
     except OSError as error:
@@ -81,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         print(f"interrupted{': ' if error.args else ''}{error}", file=sys.stderr)
         return INTERRUPTED
-    return READER_LEFT if _reader_left() else 0
+    return READER_LEFT * _reader_left()
 
 
 def read_command(words: Sequence[str]) -> Any:
