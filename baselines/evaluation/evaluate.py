@@ -14,6 +14,7 @@ from baselines.evaluation.intervals import mean_of_known
 from baselines.evaluation.policy import Origin, Policy, RandomPolicy
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
+from mbn_marl.engine.mdp.observations import WITH_RADIUS
 from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
@@ -203,7 +204,7 @@ def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
         "arena": tuple(map(float, field.arena)),
         **{name: getattr(config, name) for name in ("observation", "one_hot", "v_clip")},
     }
-    if config.observation in ("local", "lidar", "lidar_local"):
+    if config.observation in WITH_RADIUS:
         sizes["sensing_radius"] = config.sensing_radius
     elif config.observation == "state":
         del sizes["arena"], sizes["v_clip"]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.lidar import rays_of
+from mbn_marl.engine.mdp.observations import WITH_RAYS
 from mbn_marl.engine.mdp.revisits import ODD_LINES, filter_size
 from mbn_marl.field import Field
 
@@ -124,7 +125,7 @@ def make_geometry(
         own_field = np.arange(worlds) % count
         tables = tuple(np.take(table, own_field, axis=-1) for table in tables)
     masses = np.broadcast_to(np.asarray(config.mass, real), (n,)).copy()
-    has_rays = config.observation in ("lidar", "lidar_local")
+    has_rays = config.observation in WITH_RAYS
     rays = rays_of(config.sensing_radius, fields[0].arena) if has_rays else np.zeros(0)
     return Geometry._make([*tables, masses, rays.astype(real)])
 

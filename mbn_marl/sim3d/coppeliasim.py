@@ -100,7 +100,7 @@ class CoppeliaSimulator(Simulator):
         """Simulate one step of the MDP: as many steps of CoppeliaSim as it lasts.
 
         Raises:
-            SimulatorError: also if the simulation was stopped or paused by hand in this step or
+            SimulatorError: also if the simulation was stopped or paused manually in this step or
                 before it.
         """
         link = self._running()

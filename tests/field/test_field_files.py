@@ -248,7 +248,7 @@ class TestHostileFiles:
         started = time.process_time()
         with pytest.raises(FieldError):
             load_field(path)
-        assert time.process_time() - started < 10.0  # what hangs takes minutes
+        assert time.process_time() - started < 3.0
 
     @settings(max_examples=150, deadline=None)
     @given(text=st.text(max_size=400))

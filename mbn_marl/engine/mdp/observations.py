@@ -29,6 +29,9 @@ OBSERVATIONS = {
     "lidar": LIDAR,
     "lidar_local": LIDAR_LOCAL,
 }
+WITH_RAYS = ("lidar", "lidar_local")
+WITH_RADIUS = ("local", *WITH_RAYS)
+"""The observations that depend on the sensing radius."""
 
 Row = tuple[str, float, float, str]
 
@@ -67,7 +70,7 @@ def observation_table(
 
 def _scaled_rows(n: int, m: int, observation: str) -> list[Row]:
     """The entries of ``relative``, and what ``local`` and ``lidar`` add to them."""
-    flags, lidar_only = observation == "local", observation in ("lidar", "lidar_local")
+    flags, lidar_only = observation == "local", observation in WITH_RAYS
     centre = "the field's centre" if lidar_only else "its centre"
     velocity, radii = "speed limits", "sensing radii"
     rows = [(f"own_{a}", -1.0, 1.0, f"half arenas from {centre}") for a in "xy"]

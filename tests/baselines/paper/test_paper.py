@@ -20,6 +20,7 @@ from baselines.runs.files import RunError, write_json
 from baselines.runs.folder import RunFolder
 from mbn_marl.field import load_field, save_field
 from mbn_marl.optimum import optimal_return
+from tests.baselines.conftest import Refusal
 
 NOTHING = (0, np.nan, np.nan, np.nan, np.nan)
 Row = tuple[float, float, float, float, float]
@@ -317,11 +318,7 @@ def test_latex_escapes_what_it_has_to() -> None:
     ],
 )
 def test_wrong_input_is_one_clear_message(
-    arguments: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    arguments: list[str], message: str, tmp_path: Path, refusal: Refusal
 ) -> None:
     for name in ("runs", "copy", "old"):
         run = make_run(tmp_path / name, [(1, 0, 0, 0, 0)])
@@ -329,10 +326,7 @@ def test_wrong_input_is_one_clear_message(
             write_json(run / "config.json", {"algorithm": "ppo", "field": "field_01", "seed": 0})
     (tmp_path / "empty").mkdir()
     (tmp_path / "latin.md").write_bytes("très".encode("latin-1"))
-    monkeypatch.chdir(tmp_path)
-    assert main(["report", *arguments, "-o", "out"]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("mbn: error: ") and message in error
+    assert message in refusal(["report", *arguments, "-o", "out"])
     assert not (tmp_path / "out").exists()
 
 

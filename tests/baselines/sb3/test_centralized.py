@@ -29,6 +29,7 @@ from baselines.training.train import notes, train
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
+from tests.baselines.conftest import Refusal
 
 CATALOGUE = Path(__file__).parents[3] / "envs_catalog"
 NAMES = [name for name, entry in ALGORITHMS.items() if "A" in entry.settings]
@@ -297,19 +298,12 @@ def test_targets_are_looked_at_before_the_source_is_trained(
     ],
 )
 def test_wrong_input_is_one_clear_message(
-    arguments: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    arguments: list[str], message: str, tmp_path: Path, refusal: Refusal
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     whole = load_field("field_02")
     two = Field(vertices=whole.vertices, rois=whole.rois, starts=whole.starts[:2])
     save_field(two, tmp_path / "two.yaml")
-    assert main(arguments) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("mbn: error: ") and message in error and "Traceback" not in error
+    assert message in refusal(arguments)
     assert [path.name for path in tmp_path.iterdir()] == ["two.yaml"]
 
 

@@ -49,9 +49,11 @@ def test_the_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
     assert [between((3.0, 1.0), share) for share in (-1, 0, 0.25, 1, 2)] == [3, 3, 2.5, 1, 1]
 
 
-@pytest.mark.parametrize(("sharing", "told"), [("full", False), ("full+id", True), ("none", False)])
-def test_full_id_tells_the_network_which_robot_it_is(sharing: str, told: bool) -> None:
-    assert load("mappo", "N", {"sharing": sharing}).environment["one_hot"] is told
+@pytest.mark.parametrize(
+    ("sharing", "one_hot"), [("full", False), ("full+id", True), ("none", False)]
+)
+def test_full_id_tells_the_network_which_robot_it_is(sharing: str, one_hot: bool) -> None:
+    assert load("mappo", "N", {"sharing": sharing}).environment["one_hot"] is one_hot
 
 
 def test_an_unknown_sharing_is_refused() -> None:

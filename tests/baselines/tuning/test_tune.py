@@ -26,6 +26,7 @@ from baselines.tuning.study import begin_study, importances, open_study
 from baselines.tuning.trial import News, Space, TrialJob, TuneConfig, run_trial
 from baselines.tuning.tune import tune
 from mbn_marl.errors import ConfigError
+from tests.baselines.conftest import Refusal
 
 TINY = ("--field", "field_03", "--steps", "20", "--evaluate-every", "20", "--episodes", "1")
 CONFIG = TuneConfig("a2c", "field_03", 33, 20, 20, 1, 1)
@@ -284,16 +285,9 @@ def test_importances_need_enough_finished_trials(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_input_is_one_clear_message(
-    arguments: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    arguments: list[str], message: str, tmp_path: Path, refusal: Refusal
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["tune", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("mbn: error: ") and message in error
+    assert message in refusal(["tune", *arguments])
     assert not list(tmp_path.iterdir())
 
 

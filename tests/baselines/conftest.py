@@ -1,0 +1,28 @@
+"""Fixtures of the tests of baselines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from baselines.cli import main
+
+Refusal = Callable[[Sequence[str]], str]
+
+
+@pytest.fixture
+def refusal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Refusal:
+    """Run ``mbn`` in the temporary folder; it has to refuse, without a traceback; its message."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(words: Sequence[str]) -> str:
+        assert main(words) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("mbn: error: ") and "Traceback" not in error
+        return error
+
+    return run
