@@ -15,9 +15,7 @@ PROGRAM = "python -m benchmarks"
 
 SUBJECTS = {
     "speed": ("speed.measure", "Speed", "engine and adapters, against a plain loop and peers"),
-    "learning": ("studies.learning", "Learning", "one setting on all ten fields"),
-    "sharing": ("studies.learning", "Sharing", "the ways to share parameters"),
-    "ablations": ("studies.learning", "Ablations", "what the recorded setting is made of"),
+    "study": ("studies.learning", "Study", "comparisons of learning, benchmarks/studies/*.yaml"),
     "population": ("studies.population", "Population", "the best policies within a time"),
     "planning": ("planning", "Planning", "proofs and plans for the ten fields and random ones"),
     "grid": ("grid", "GridCosts", "what the schedulers of `mbn grid` cost"),

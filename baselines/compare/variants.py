@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -69,9 +69,14 @@ def read_variants(path: Path) -> tuple[Variant, ...]:
     Raises:
         ConfigError: the file cannot be read, or naming every value of a block that is not valid.
     """
+    return labelled(read_blocks(path), str(path))
+
+
+def labelled(blocks: Mapping[str, Any], place: str) -> tuple[Variant, ...]:
+    """Return the variants of ``blocks`` by label; errors as :func:`read_variants`."""
     return tuple(
-        validate(Variant, {**block, "label": str(label)}, f"{path}: {label}")
-        for label, block in read_blocks(path).items()
+        validate(Variant, {**block, "label": str(label)}, f"{place}: {label}")
+        for label, block in blocks.items()
     )
 
 

@@ -10,21 +10,26 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import pandas as pd
+from pydantic import BaseModel, ConfigDict
+from tyro.conf import Positional
 
 from baselines.cli.compare import train_and_compare
 from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
 from baselines.compare.text_table import TextTable
-from baselines.compare.variants import CompareConfig, read_variants
+from baselines.compare.variants import CompareConfig, labelled
 from baselines.evaluation import intervals as statistics
 from baselines.paper import published
 from baselines.runs.files import write_json, write_text
+from baselines.training.hyperparameters import validate
 from benchmarks.grid import makespan
 from benchmarks.report import Benchmark, Measurement, measurement_table
-from mbn_marl.field import catalogue_names
+from mbn_marl.field import catalogue_names, safe_yaml
+
+StudyName = Literal["ablations", "forms", "learning", "reward", "sensing", "sharing", "teams"]
 
 STEPS = 1_441_792  # env-steps of a run
 NEAR = 0.005  # how far below the optimum a return may be to count as near it
@@ -59,68 +64,81 @@ COLUMNS = {
 }
 
 
-@dataclass(frozen=True)
-class Study(Benchmark):
-    """Compare the variants in a YAML file of this folder, with the name of the study."""
+class Plan(BaseModel):
+    """A study, as its YAML file in this folder has it.
+
+    Attributes:
+        fields: names of `mbn fields`, or paths.
+        seeds: one run for each variant, field and seed; 100 and up, where nothing was tuned.
+        steps: env-steps of every run.
+        evaluate_every: env-steps between two fresh evaluations.
+        targets: whether to hold the first variant against the targets of the recorded setting.
+        variants: by label, the values of :class:`~baselines.compare.variants.Variant`.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     fields: tuple[str, ...] = tuple(catalogue_names())
-    """Names of `mbn fields`, or paths."""
-    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
-    """One run for each variant, field and seed."""
+    seeds: tuple[int, ...]
     steps: int = STEPS
-    """Env-steps of every run."""
+    evaluate_every: int = 65_536
+    targets: bool = False
+    variants: dict[str, dict[str, Any]]
+
+    @classmethod
+    def read(cls, path: Path) -> Plan:
+        """Read a study; raise a ConfigError that names all that is not valid."""
+        values: Any = safe_yaml.parse_yaml(path.read_bytes(), str(path))
+        return validate(cls, values, str(path))
+
+
+@dataclass(frozen=True)
+class Study(Benchmark):
+    """Train and compare the variants of a study, a YAML file in benchmarks/studies."""
+
+    name: ClassVar[str] = "study"
+
+    study: Positional[StudyName] = "forms"
+    """The name of the file."""
+    fields: tuple[str, ...] = ()
+    """Names of `mbn fields`, or paths; by default the study's."""
+    seeds: tuple[int, ...] = ()
+    """One run for each variant, field and seed; by default the study's."""
+    steps: int | None = None
+    """Env-steps of every run; by default the study's."""
     processes: int = os.cpu_count() or 1
     """Runs at a time, each on one core."""
     resume: bool = False
     """Resume what is in the folder, as `mbn compare` does."""
 
+    @property
+    def folder(self) -> Path:
+        """Return the folder to write."""
+        return self.out or Path(f"runs/bench-{self.study}")
+
+    @property
+    def plan(self) -> Plan:
+        """Return the study, with the options in it."""
+        given = {name: getattr(self, name) for name in ("fields", "seeds", "steps")}
+        plan = Plan.read(Path(__file__).with_name(f"{self.study}.yaml"))
+        return plan.model_copy(update={name: value for name, value in given.items() if value})
+
     def config(self) -> CompareConfig:
         """Return the comparison; errors as those of ``CompareConfig``."""
-        variants = read_variants(Path(__file__).with_name(f"{self.name}.yaml"))
-        return CompareConfig(variants, self.fields, self.seeds, self.steps, 32_768, 100)
+        plan = self.plan
+        variants = labelled(plan.variants, self.study)
+        return CompareConfig(variants, plan.fields, plan.seeds, plan.steps, plan.evaluate_every)
 
     def run(self, command: str) -> bool:
-        """Train what is missing, print and write the comparison."""
+        """Train what is missing, print and write the comparison, and the targets if it has any."""
         options = {name: getattr(self, name) for name in ("processes", "force", "resume")}
         results = train_and_compare(self.config(), self.folder, command=command, **options)
         print(f"written to {self.folder}: comparison.md, comparison.json, figures, runs")
-        self.conclude(results)
+        if self.plan.targets:
+            rows = target_rows(results, self.processes)
+            measurement_table(rows, CAPTION).print("targets")
+            write_targets(results, rows, self.folder)
         return True
-
-    def conclude(self, results: Results) -> None:
-        """Add what a study has besides the comparison."""
-
-
-@dataclass(frozen=True)
-class Learning(Study):
-    """Train the recorded setting on all ten fields, against its targets."""
-
-    name: ClassVar[str] = "learning"
-
-    def conclude(self, results: Results) -> None:
-        """Add the targets."""
-        rows = target_rows(results, self.processes)
-        measurement_table(rows, CAPTION).print("targets")
-        write_targets(results, rows, self.folder)
-
-
-@dataclass(frozen=True)
-class Sharing(Study):
-    """Compare the ways to share parameters."""
-
-    name: ClassVar[str] = "sharing"
-
-
-@dataclass(frozen=True)
-class Ablations(Study):
-    """Leave one thing at a time out of the recorded setting."""
-
-    name: ClassVar[str] = "ablations"
-
-    fields: tuple[str, ...] = ("field_02", "field_10")
-    """Names of `mbn fields`, or paths."""
-    seeds: tuple[int, ...] = (0, 1, 2)
-    """One run for each variant, field and seed."""
 
 
 def target_rows(results: Results, processes: int) -> list[Measurement]:

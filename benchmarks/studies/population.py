@@ -57,7 +57,8 @@ class Population(Benchmark):
 
     def training(self, field: str, seed: int) -> TrainConfig:
         """Return a run in the recorded setting."""
-        (run,) = learning.Learning(fields=(field,), seeds=(seed,), steps=self.steps).config().runs()
+        study = learning.Study(study="learning", fields=(field,), seeds=(seed,), steps=self.steps)
+        (run,) = study.config().runs()
         return run
 
     def run(self, command: str) -> bool:
@@ -114,7 +115,7 @@ def train_population(config: Population, command: str) -> tuple[list[Measurement
     with collecting(problems):
         engine = LocalEngine(config.processes)
     with collecting(problems):
-        learning.Learning(fields=config.fields, seeds=(0,), steps=config.steps).config()
+        learning.Study(study="learning", fields=config.fields, steps=config.steps).config()
     if problems:
         raise ConfigError("population", problems)
     out = claim_folder(config.folder, force=config.force)

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
@@ -16,11 +16,10 @@ from baselines.compare.results import Results
 from baselines.training.train import prepare, resolve
 from benchmarks.__main__ import main
 from benchmarks.grid import makespan
+from benchmarks.studies import learning
 from benchmarks.studies.learning import (
-    Ablations,
-    Learning,
-    Sharing,
     Study,
+    StudyName,
     best_return,
     field_table,
     paper_best,
@@ -170,39 +169,34 @@ def test_the_papers_best_are_its_largest_numbers() -> None:
     assert paper_best("own") is None
 
 
-@pytest.mark.parametrize(("study", "fields"), [(Learning(), 10), (Sharing(), 10), (Ablations(), 2)])
-def test_a_study_can_be_trained(study: Study, fields: int) -> None:
-    config = study.config()
-    assert len(config.fields) == fields and config.seeds == study.seeds
-    for run in config.runs()[: len(config.variants)]:
-        assert resolve(*prepare(run))["label"] == run.label
+@pytest.mark.parametrize("name", get_args(StudyName))
+def test_a_study_can_be_trained_and_its_variants_differ(name: StudyName) -> None:
+    config = Study(study=name).config()
+    assert min(config.seeds) >= 100  # no seed that was looked at while tuning
+    runs = config.runs()[: len(config.variants)]
+    resolved = [resolve(*prepare(run)) for run in runs]
+    assert [found["label"] for found in resolved] == [run.label for run in runs]
+    parts = [(one["algorithm"], one["hyperparameters"], one["environment"]) for one in resolved]
+    assert all(part not in parts[:index] for index, part in enumerate(parts))
 
 
-def test_the_variants_of_sharing_are_five() -> None:
-    labels = [variant.name for variant in Sharing().config().variants]
-    assert labels == ["full", "full+id", "none", "ppo-shared", "ppo-supersuit"]
+def test_every_study_has_a_name() -> None:
+    files = Path(learning.__file__).parent.glob("*.yaml")
+    assert sorted(path.stem for path in files) == sorted(get_args(StudyName))
 
 
 def test_the_benchmark_of_learning_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("benchmarks.studies.learning.read_variants", lambda path: CONFIG.variants)
+    monkeypatch.setattr(learning, "labelled", lambda blocks, place: CONFIG.variants)
     monkeypatch.setattr("baselines.compare.report.write_animation", lambda episode, path: None)
     out = tmp_path / "bench"
     size = ("--fields", "field_03", "--seeds", "0", "--steps", "1", "--processes", "1")
-    assert main(["learning", *size, "--out", str(out)]) == 0
+    assert main(["study", "learning", *size, "--out", str(out)]) == 0
     assert "mappo-tiny: final policies that pass" in capsys.readouterr().out
     assert (out / "learning.md").is_file() and (out / "comparison.md").is_file()
     stored = json.loads((out / "learning.json").read_text())
     assert [row["value"] for row in stored["targets"][:3]] == [0, None, None]
-
-
-def test_every_variant_of_the_ablations_differs_from_the_recorded_setting() -> None:
-    runs = Ablations(fields=("field_03",), seeds=(0,)).config().runs()
-    resolved = [resolve(*prepare(run)) for run in runs]
-    parts = [(found["hyperparameters"], found["environment"]) for found in resolved]
-    assert resolved[0]["label"] == "recorded"
-    assert all(part not in parts[:index] for index, part in enumerate(parts))
 
 
 def test_a_population_takes_the_unsolved_field_with_the_fewest_runs(tmp_path: Path) -> None:
