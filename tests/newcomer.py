@@ -9,19 +9,15 @@ table runs again in a terminal of 80 columns, where no number or label may be br
 
 from __future__ import annotations
 
-import fcntl
 import os
-import pty
 import re
 import shlex
 import shutil
-import struct
 import subprocess
 import sys
 import tempfile
-import termios
 import venv
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
@@ -36,6 +32,7 @@ from tests.support.pages import (
     write_file,
     write_own_files,
 )
+from tests.support.terminal import in_terminal
 from tests.support.wheel import build_wheel
 
 WIDTH = 80
@@ -43,7 +40,6 @@ LONGEST = 600.0
 """Seconds that a command may take."""
 PAGES_AT_A_TIME = 2
 RULE = re.compile("[─━═╌]{3}")
-CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b\][^\x07]*\x07")
 WRONG = ("mbn nonsense", "mbn evaluate nobody", "mbn train ppo field_99", "mbn plan missing.yaml")
 """Command lines that are answered with a message and exit code 2."""
 
@@ -81,26 +77,6 @@ def broken_words(whole: str, narrow: str) -> Iterator[str]:
         yield next(line for line in narrow.splitlines() if "…" in line).strip()
 
 
-def in_a_terminal(words: Sequence[str], folder: Path, environment: Mapping[str, str]) -> str:
-    """Run a command in a pseudo-terminal of 80 columns, and return what it shows."""
-    main, side = pty.openpty()
-    fcntl.ioctl(side, termios.TIOCSWINSZ, struct.pack("HHHH", 50, WIDTH, 0, 0))
-    done = subprocess.Popen(
-        words, cwd=folder, env=environment, stdin=side, stdout=side, stderr=subprocess.STDOUT
-    )
-    os.close(side)
-    shown = b""
-    try:
-        while part := os.read(main, 1 << 16):
-            shown += part
-    except OSError:  # the other side is closed
-        pass
-    os.close(main)
-    assert done.wait(LONGEST) == 0, f"in a terminal, exit code {done.returncode}"
-    text = CONTROL.sub("", shown.decode("utf-8"))
-    return "\n".join(line.rsplit("\r", 1)[-1] for line in text.replace("\r\n", "\n").split("\n"))
-
-
 class Newcomer:
     """Someone who has installed the wheel into an environment of their own.
 
@@ -119,7 +95,6 @@ class Newcomer:
             "XDG_CONFIG_HOME": str(folder / "config"),
             "SDL_VIDEODRIVER": "dummy",  # a window that nobody sees
             "OMP_NUM_THREADS": "1",
-            "TERM": "xterm-256color",
             "PYTHONIOENCODING": "utf-8",
         }
 
@@ -152,7 +127,7 @@ class Newcomer:
             before = shutil.copytree(folder, Path(other) / "before", symlinks=True)
             whole = self.run(words, folder)
             if RULE.search(whole):
-                narrow = in_a_terminal(words, before, self._environment)
+                narrow = in_terminal(words, WIDTH, folder=before, environment=self._environment)
                 broken = [*broken_words(whole, narrow)]
                 assert not broken, f"broken at {WIDTH} columns: {broken}\n{narrow}"
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import pytest
 
-from tests.newcomer import WIDTH, broken_words, in_a_terminal
+from tests.newcomer import WIDTH, broken_words
+from tests.support.terminal import in_terminal
 
 WHOLE = """
  algo        return  seconds
@@ -32,7 +32,6 @@ def test_broken_words(narrow: str, broken: list[str]) -> None:
     assert [*broken_words(WHOLE, narrow)] == broken
 
 
-def test_a_terminal_has_80_columns(tmp_path: Path) -> None:
-    code = "import os; print(os.get_terminal_size().columns, '\\x1b[1mbold\\x1b[0m')"
-    shown = in_a_terminal([sys.executable, "-c", code], tmp_path, {})
-    assert shown == f"{WIDTH} bold\n"
+def test_a_terminal_has_80_columns() -> None:
+    code = "import os; print('lost\\r', os.get_terminal_size().columns, '\\x1b[1mbold\\x1b[0m')"
+    assert in_terminal([sys.executable, "-c", code]) == f" {WIDTH} bold\n"

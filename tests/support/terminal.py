@@ -2,30 +2,48 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import pty
 import re
+import struct
 import subprocess
-from collections.abc import Sequence
+import termios
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
-ESCAPES = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
+CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b\][^\x07]*\x07")
 
 
-def in_terminal(command: Sequence[str], columns: int = 80, code: int = 0) -> str:
-    """What ``command`` writes to a terminal so many columns wide, without colours.
+def in_terminal(
+    command: Sequence[str],
+    columns: int = 80,
+    *,
+    folder: Path | None = None,
+    environment: Mapping[str, str] = os.environ,
+) -> str:
+    """Return what ``command`` leaves on a terminal so many columns wide, without colours.
 
-    It has to end with the exit status ``code``.
+    It has to succeed.
     """
     leader, follower = pty.openpty()
-    environment = {**os.environ, "COLUMNS": str(columns), "TERM": "xterm"}
-    process = subprocess.Popen(command, stdout=follower, stderr=follower, env=environment)
+    fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
+    process = subprocess.Popen(
+        command,
+        cwd=folder,
+        env={**environment, "COLUMNS": str(columns), "TERM": "xterm-256color"},
+        stdin=follower,
+        stdout=follower,
+        stderr=follower,
+    )
     os.close(follower)
     written = b""
     try:
-        while block := os.read(leader, 4096):
+        while block := os.read(leader, 1 << 16):
             written += block
     except OSError:  # the other end is closed
         pass
     os.close(leader)
-    assert process.wait() == code, written.decode()
-    return ESCAPES.sub("", written.decode()).replace("\r\n", "\n")
+    text = CONTROL.sub("", written.decode("utf-8")).replace("\r\n", "\n")
+    assert process.wait() == 0, f"in a terminal, exit code {process.returncode}: {text[-2000:]}"
+    return "\n".join(line.rsplit("\r", 1)[-1] for line in text.split("\n"))
