@@ -18,7 +18,11 @@ def environment_id(field_name: str) -> str:
 
 
 def register_environments() -> None:
-    """Register every catalogue field, centralised in Gymnasium, decentralised in PettingZoo."""
+    """Register every catalogue field, centralised in Gymnasium, decentralised in PettingZoo.
+
+    PettingZoo has a registry from 1.27 on.
+    """
+    forms = {"parallel": "parallel_env", "aec": "env"} if hasattr(pettingzoo, "register") else {}
     for name in catalogue_names():
         gymnasium.register(
             environment_id(name),
@@ -26,7 +30,7 @@ def register_environments() -> None:
             vector_entry_point="mbn_marl.adapters.gymnasium:CentralizedVectorEnv",
             kwargs={"field": name},
         )
-        for form, function in (("parallel", "parallel_env"), ("aec", "env")):
+        for form, function in forms.items():
             entry = f"mbn_marl.navigation_v0:{function}"
             pettingzoo.register(
                 form, environment_id(name), entry_point=entry, kwargs={"field": name}

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any, Literal, Unpack, cast
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.adapters.infos import INFO_KEYS, NOTHING, Infos
-from mbn_marl.adapters.one_world import OneWorld
+from mbn_marl.adapters.one_world import OneWorld, rename_max_steps
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike
@@ -24,7 +26,25 @@ State = NDArray[Any]
 Actions = NDArray[np.float32]
 
 
-class CentralizedEnv(OneWorld, gymnasium.Env[State, Actions]):
+class _WithSpec:
+    """Adds the time limit to the spec that ``gymnasium.make`` and ``make_vec`` give."""
+
+    engine: BatchEngine
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How the environment was made; ``max_episode_steps`` is its own time limit."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = copy.copy(spec)
+        if self._spec is not None:
+            self._spec.max_episode_steps = self.engine.config.max_steps
+
+
+class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
     """The single MDP of the paper. ``centralized_env`` is this class under its usual name.
 
     ============  ==================================================================================
@@ -58,6 +78,8 @@ class CentralizedEnv(OneWorld, gymnasium.Env[State, Actions]):
         render_size: tuple[int, int] = RENDER_SIZE,
         **settings: Unpack[FixedSettings],
     ) -> None:
+        if "frameskip" in settings:  # TorchRL's GymEnv tries it, and expects the error of Python
+            raise TypeError("CentralizedEnv() got an unexpected keyword argument 'frameskip'")
         super().__init__(field, render_mode, render_size, n_robots=n_robots, **settings)
         self.observation_space = self.state_space
         self.action_space = spaces.Box(-1.0, 1.0, (self.engine.n_robots, 2), np.float32)
@@ -99,7 +121,7 @@ class CentralizedEnv(OneWorld, gymnasium.Env[State, Actions]):
         return self.state(), float(self.engine.team_rewards[0]), terminated, truncated, info
 
 
-class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
+class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
     """Many worlds of the single MDP in one engine; ``gymnasium.make_vec`` makes it.
 
     Spaces, rewards and infos are those of :class:`CentralizedEnv` with a first axis of worlds. The
@@ -116,7 +138,9 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         n_robots: team size; ``None`` uses all the field's starts.
         render_mode: ``"rgb_array"`` or ``None``.
         render_size: width and height of a frame, pixels, each at least 200.
-        autoreset_mode: Gymnasium's mode or its value, also in ``metadata["autoreset_mode"]``.
+        autoreset_mode: Gymnasium's mode or its value, also in ``metadata["autoreset_mode"]``; by
+            default ``NEXT_STEP``, as Gymnasium's own vectors.
+        max_episode_steps: Gymnasium's name of ``max_steps``; give only one of the two.
         threads: threads of the engine; ``None`` lets it choose.
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
@@ -133,10 +157,12 @@ class CentralizedVectorEnv(VectorEnv[State, Actions, NDArray[Any]]):
         *,
         render_mode: str | None = None,
         render_size: tuple[int, int] = RENDER_SIZE,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
         threads: int | None = None,
         **settings: Unpack[FixedSettings],
     ) -> None:
+        rename_max_steps("max_episode_steps", max_episode_steps, settings)
         self._viewer = LazyViewer(render_mode, ("rgb_array",), render_size)
         self.render_mode = render_mode
         self.autoreset_mode = mode = _autoreset_mode(autoreset_mode)

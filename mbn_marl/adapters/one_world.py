@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from mbn_marl.adapters.infos import Infos
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
-from mbn_marl.config import Settings
+from mbn_marl.config import FixedSettings, Settings
 from mbn_marl.engine import BatchEngine, FieldLike
-from mbn_marl.errors import StepError
+from mbn_marl.errors import ConfigError, StepError
 from mbn_marl.optimum import optimal_return
 
 
@@ -88,3 +88,15 @@ class OneWorld:
     def _show(self) -> None:
         if self.render_mode == "human":
             self._viewer.draw(self.engine)
+
+
+def rename_max_steps(name: str, value: int | None, settings: FixedSettings) -> None:
+    """Put ``value`` into ``settings`` as ``max_steps``, which another library calls ``name``.
+
+    Raises:
+        ConfigError: both are given.
+    """
+    if value is not None:
+        if "max_steps" in settings:
+            raise ConfigError("environment", [f"{name}: is max_steps, give only one"])
+        settings["max_steps"] = value

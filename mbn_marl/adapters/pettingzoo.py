@@ -7,16 +7,17 @@ from typing import Any, Unpack
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils.seeding import np_random
 from numpy.typing import ArrayLike, NDArray
 from pettingzoo import ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from mbn_marl.adapters.infos import NOTHING
-from mbn_marl.adapters.one_world import OneWorld
+from mbn_marl.adapters.one_world import OneWorld, rename_max_steps
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import FieldLike
-from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError, unknown
+from mbn_marl.errors import ActionError, MbnError, StepError, unknown
 from mbn_marl.render.viewer import RENDER_SIZE
 
 Observation = NDArray[np.float32]
@@ -48,6 +49,10 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         max_cycles: PettingZoo's name of ``max_steps``; give only one of the two.
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
+    Attributes:
+        np_random: a generator for wrappers, restarted by the seed; the environment itself draws
+            nothing from it.
+
     Raises:
         FieldError: listing every problem with the field.
         ConfigError: listing every problem with the settings.
@@ -72,13 +77,11 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         max_cycles: int | None = None,
         **settings: Unpack[FixedSettings],
     ) -> None:
-        if max_cycles is not None:
-            if "max_steps" in settings:
-                raise ConfigError("environment", ["max_cycles: is max_steps, give only one"])
-            settings["max_steps"] = max_cycles
+        rename_max_steps("max_cycles", max_cycles, settings)
         super().__init__(field, render_mode, render_size, n_robots=n_robots, **settings)
         self.possible_agents = [f"robot_{index}" for index in range(self.engine.n_robots)]
         self.agents: list[str] = []
+        self.np_random, _ = np_random(0)
         bounds = self.engine.observation_low, self.engine.observation_high
         self.observation_spaces = {
             agent: spaces.Box(*bounds, dtype=np.float32) for agent in self.possible_agents
@@ -125,6 +128,8 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
             ConfigError: the seed is not allowed.
         """
         observations = self._start(seed)
+        if seed is not None:
+            self.np_random, _ = np_random(seed)
         self.agents = list(self.possible_agents)
         infos = {agent: dict(NOTHING) for agent in self.agents}
         return dict(zip(self.agents, observations, strict=True)), infos

@@ -23,6 +23,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
+from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.errors import ActionError, MbnError, StepError
@@ -47,6 +48,7 @@ class NavigationVecEnv(VecEnv):
         num_worlds: number of worlds.
         seed: of all worlds, until ``seed()`` gives another.
         threads: of the engine; ``None`` takes as many as there are cores.
+        render_mode: ``"rgb_array"`` draws the world of row 0, or ``None``.
         **settings: the fields of ``NavigationConfig``.
 
     Attributes:
@@ -57,7 +59,6 @@ class NavigationVecEnv(VecEnv):
         ConfigError: a setting is not valid.
     """
 
-    render_mode: str | None = None
     _return: str  # the metric that is a row's return
 
     def __init__(
@@ -67,8 +68,11 @@ class NavigationVecEnv(VecEnv):
         *,
         seed: int = 0,
         threads: int | None = None,
+        render_mode: str | None = None,
         **settings: Unpack[Settings],
     ) -> None:
+        self._viewer = LazyViewer(render_mode, ("rgb_array",))
+        self.render_mode = render_mode
         self.engine = BatchEngine(
             field, num_worlds, seed=seed, autoreset="same_step", threads=threads, **settings
         )
@@ -77,6 +81,7 @@ class NavigationVecEnv(VecEnv):
         self._start_time = time.time()
         rows = self.engine.num_worlds * self._rows_per_world
         super().__init__(rows, observation_space, action_space)
+        self.metadata: dict[str, Any] = {**self.metadata, "render_fps": RENDER_FPS}
 
     @abstractmethod
     def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
@@ -167,8 +172,16 @@ class NavigationVecEnv(VecEnv):
             info["is_success"] = bool(info["success"])
             info["episode"] = {"r": returns[index], "l": info["steps"], "t": seconds}
 
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """Return the frame of row 0's world alone, ``(height, width, 3)`` uint8.
+
+        :meth:`render` and ``VecVideoRecorder`` use it.
+        """
+        return [self._viewer.draw(self.engine)]
+
     def close(self) -> None:
-        """Do nothing: the engine only uses memory."""
+        """Release the viewer; the engine only uses memory."""
+        self._viewer.close()
 
     def snapshot(self, row: int) -> Snapshot:
         """Return the current snapshot of the world of ``row``, see ``BatchEngine.snapshot``."""
@@ -245,9 +258,11 @@ class CentralizedVecEnv(NavigationVecEnv):
         *,
         seed: int = 0,
         threads: int | None = None,
+        render_mode: str | None = None,
         **settings: Unpack[Settings],
     ) -> None:
-        super().__init__(field, num_envs, seed=seed, threads=threads, **settings)
+        how: dict[str, Any] = {"seed": seed, "threads": threads, "render_mode": render_mode}
+        super().__init__(field, num_envs, **how, **settings)
 
     def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
         engine = self.engine

@@ -221,7 +221,7 @@ class TestVector:
         assert isinstance(envs, CentralizedVectorEnv)
         assert envs.engine.num_worlds == envs.num_envs == 5
         assert envs.engine.field.name == "field_06"
-        assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+        assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
         assert envs.observation_space.shape == (5, 13)
         assert envs.action_space.shape == (5, 3, 2)
         states, _ = envs.reset(seed=1)
@@ -257,7 +257,9 @@ class TestVector:
         assert truncations > 10
 
     def test_same_step_final_state_by_hand(self, lane):
-        envs = CentralizedVectorEnv(2, lane, f_max=30.0, v_clip=30.0, dtype="float64")
+        mode = AutoresetMode.SAME_STEP
+        settings = {"f_max": 30.0, "v_clip": 30.0, "dtype": "float64"}
+        envs = CentralizedVectorEnv(2, lane, autoreset_mode=mode, **settings)
         envs.reset()
         actions = np.zeros((2, 1, 2))
         actions[1, 0, 0] = 1.0
