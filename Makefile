@@ -9,7 +9,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 
-.PHONY: demo quick test lint docs pages clean
+.PHONY: demo quick test ruff mypy pytest docs pages clean
 .DELETE_ON_ERROR:
 
 .venv/installed: pyproject.toml constraints.txt
@@ -23,17 +23,22 @@ demo: .venv/installed
 	$(BIN)/mbn compare --algos ppo mappo ippo --fields field_03 --seeds 0 1 2 --steps 655360 \
 		--out runs/demo --force
 
-lint: .venv/installed
+ruff: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+mypy: ruff
 	$(BIN)/mypy
+
+pytest: ruff
+	$(BIN)/pytest -n 2
 
 quick: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/pytest -n 2 -m "not slow"
 
-test: lint
-	$(BIN)/pytest -n 2
+test:
+	$(MAKE) -j2 mypy pytest
 
 docs: .venv/installed
 	$(BIN)/sphinx-build -q -W --keep-going -d build/doctrees docs build/docs

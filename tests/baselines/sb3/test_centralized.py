@@ -51,8 +51,9 @@ def test_every_setting_trains_from_the_command_line(
 ) -> None:
     def run(setting: str, field: str, *options: str) -> dict[str, Any]:
         out = tmp_path / setting
-        tiny = ("--steps", "105", "--episodes", "1", "--out", str(out))
-        assert main(["train", name, field, "--setting", setting, *tiny, *options]) == 0
+        tiny = ("--steps", "105", "--episodes", "1", "--set", "environment.max_steps=50")
+        command = ["train", name, field, "--setting", setting, "--out", str(out), *tiny, *options]
+        assert main(command) == 0
         config: dict[str, Any] = json.loads((out / "config.json").read_text())
         with (out / "progress.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
@@ -204,6 +205,8 @@ def test_candidates_side_by_side_return_what_they_return_alone(policy: str) -> N
 @pytest.mark.parametrize("name", NAMES)
 def test_a_transferred_learner_begins_with_the_sources_policy(name: str, tmp_path: Path) -> None:
     small = {"num_envs": 1, "environment": {"max_steps": 20}}
+    if name in ("ppo", "trpo"):
+        small["model"] = {"n_steps": 64, "batch_size": 64}
     if name in ("crossq", "tqc"):
         small["model"] = {"policy_kwargs": {"net_arch": [8]}, "batch_size": 8}
     config = TrainConfig(name, "field_01", "A", steps=120, episodes=1, hyperparameters=small)
