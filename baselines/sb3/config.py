@@ -8,11 +8,12 @@ from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from baselines.training.hyperparameters import Hyperparameters, read_block, validate
+from baselines.training.aids import Count, TrainingAids
+from baselines.training.hyperparameters import read_block, validate
 from mbn_marl.errors import ConfigError, unknown
 
 if TYPE_CHECKING:
@@ -57,23 +58,32 @@ TUNED_IN_PAPER = (
 """The paper tuned these, some for algorithms without such an argument: there they are skipped, and
 the run says so. Any other name that the library's class does not take is an error."""
 
+OFFERED: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(
+        ("action_repeat", "roi_radius", "episode_steps"), ("a2c", "ppo", "trpo", "ppo-shared")
+    ),
+    "joint_observation": ("a2c", "ppo", "trpo", "ars", "crossq", "tqc"),
+}
+"""The algorithms that offer a hyperparameter, where not all do."""
 
-class SB3Config(Hyperparameters):
+
+class SB3Config(TrainingAids):
     """A setting of one algorithm. The defaults are setting A: the library's, on raw numbers.
 
     Attributes:
         num_envs: worlds stepped side by side.
-        normalize_observation: the learner sees the state normalised by its running mean and
+        normalize_observation: the learner sees what it observes normalised by its running mean and
             variance, or raw.
-        reward_scale: the learner sees the reward times this.
+        joint_observation: a centralised learner observes what all robots do, side by side, or the
+            paper's state.
         policy: the library's name of the policy.
         model: arguments of the library's class; ``{from: a, to: b}`` for a number falls linearly
             over training.
     """
 
-    num_envs: Annotated[int, Field(ge=1)] = 1
+    num_envs: Count = 1
     normalize_observation: bool = False
-    reward_scale: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] = 1.0
+    joint_observation: bool = False
     policy: str = "MlpPolicy"
     model: dict[str, Any] = Field(default_factory=dict)
 
@@ -123,6 +133,11 @@ def load(
     problems = [
         f"model.{name}: {unknown('name', name, sorted(accepted))}"
         for name in sorted(set(foreign) - set(TUNED_IN_PAPER))
+    ]
+    problems += [
+        f"{name}: allowed for {', '.join(OFFERED[name])}, not for {algorithm}"
+        for name in config.model_dump(include=set(OFFERED), exclude_defaults=True)
+        if algorithm not in OFFERED[name]
     ]
     problems += [
         f"model.{name}: {problem} (got {value!r:.80})"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from baselines.sb3.config import SB3Config
+from baselines.training.aids import RoiCurriculum
 from baselines.training.config import Task
 from baselines.training.run_logger import EpisodeWindow
 from mbn_marl.adapters.pettingzoo import NavigationParallelEnv, StepResult
@@ -51,6 +52,45 @@ class LearnersView(VecEnvWrapper):
         return observations, rewards * self._scale, dones, infos
 
 
+class ShrinkingRois(VecEnvWrapper):
+    """Worlds whose ROIs change size as a curriculum says; then new episodes begin in all of them.
+
+    To the learner, episodes that run at that moment are truncated: values are bootstrapped.
+
+    Attributes:
+        curriculum: it counts each row's episodes.
+        every: the size may change after so many steps: the rollout of an on-policy learner.
+    """
+
+    def __init__(
+        self, make: Callable[[float], VecEnv], curriculum: RoiCurriculum, every: int = 1
+    ) -> None:
+        self._make, self.curriculum, self.every, self._steps = make, curriculum, every, 0
+        super().__init__(make(curriculum.radius))
+
+    def reset(self) -> VecEnvObs:
+        """Reset the worlds."""
+        return self.venv.reset()
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Finish the step; change the size of the ROIs when it is time."""
+        observations: Any
+        observations, rewards, dones, infos = self.venv.step_wait()
+        self.curriculum.add([infos[row]["success"] for row in np.flatnonzero(dones)])
+        self._steps += 1
+        if self._steps % self.every == 0 and self.curriculum.move():
+            for row in np.flatnonzero(~dones):
+                cut = {"TimeLimit.truncated": True, "terminal_observation": observations[row]}
+                infos[row].update(cut)
+            observations, dones = self.begin(self.curriculum), np.ones_like(dones)
+        return observations, rewards, dones, infos
+
+    def begin(self, curriculum: RoiCurriculum) -> VecEnvObs:
+        """Begin new episodes with ROIs of the size that ``curriculum`` says."""
+        self.curriculum, self.venv = curriculum, self._make(curriculum.radius)
+        return self.venv.reset()
+
+
 class TeamReturn(BaseParallelWrapper):  # type: ignore[misc]  # the library ships no types
     """Adds the team's return to an episode's last infos: SuperSuit resets in the same call."""
 
@@ -64,13 +104,17 @@ class TeamReturn(BaseParallelWrapper):  # type: ignore[misc]  # the library ship
         return result
 
 
-def engine_rows(task: Task, num_worlds: int) -> VecEnv:
+def engine_rows(task: Task, hyperparameters: SB3Config, radius: float) -> VecEnv:
     """All worlds in one batch: a row for each, or row ``w * n + i`` for robot i of world w."""
-    kind = SharedPolicyVecEnv if task.config.algorithm == "ppo-shared" else CentralizedVecEnv
-    return kind(task.field, num_worlds, seed=task.config.seed, threads=1, **task.settings)
+    how: dict[str, Any] = {"seed": task.config.seed, "threads": 1}
+    how |= hyperparameters.in_training(task.settings, radius)
+    if task.config.algorithm == "ppo-shared":
+        return SharedPolicyVecEnv(task.field, hyperparameters.num_envs, **how)
+    how["joint_observation"] = hyperparameters.joint_observation
+    return CentralizedVecEnv(task.field, hyperparameters.num_envs, **how)
 
 
-def supersuit_rows(task: Task, num_worlds: int) -> VecEnv:
+def supersuit_rows(task: Task, hyperparameters: SB3Config, _: float) -> VecEnv:
     """The rows of :func:`engine_rows` from copies of one PettingZoo environment, stepped in turn.
 
     SuperSuit cannot seed them, so the one is seeded before it is copied: with ``random_starts``
@@ -81,18 +125,26 @@ def supersuit_rows(task: Task, num_worlds: int) -> VecEnv:
     env = NavigationParallelEnv(task.field, **task.settings)
     env.reset(seed=task.config.seed)
     rows = pettingzoo_env_to_vec_env_v1(TeamReturn(env))
-    worlds: VecEnv = concat_vec_envs_v1(rows, num_worlds, base_class="stable_baselines3")
+    worlds: VecEnv = concat_vec_envs_v1(
+        rows, hyperparameters.num_envs, base_class="stable_baselines3"
+    )
     return worlds
 
 
 def make_env(task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> VecEnv:
     """The worlds of training, as the learner sees them."""
-    make = supersuit_rows if task.config.algorithm == "ppo-supersuit" else engine_rows
-    worlds = make(task, hyperparameters.num_envs)
-    stride = worlds.num_envs // hyperparameters.num_envs
+    rows = supersuit_rows if task.config.algorithm == "ppo-supersuit" else engine_rows
+
+    def make(radius: float) -> VecEnv:
+        worlds = rows(task, hyperparameters, radius)
+        stride = worlds.num_envs // hyperparameters.num_envs
+        return LearnersView(worlds, hyperparameters.reward_scale, episodes, stride)
+
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The `render_mode` attribute")  # SuperSuit hides it
-        env = LearnersView(worlds, hyperparameters.reward_scale, episodes, stride)
+        env = make(1.0)
+        if hyperparameters.roi_radius > 1.0:
+            env = ShrinkingRois(make, hyperparameters.curriculum(window=env.num_envs))
         normalized = hyperparameters.normalize_observation
         return VecNormalize(env, norm_reward=False) if normalized else env
 

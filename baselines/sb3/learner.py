@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import unwrap_vec_wrapper
 
 from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.rng_state import restore_generators, save_generators
 from baselines.sb3.config import SB3Config, algorithm_class, model_arguments
-from baselines.sb3.envs import engines, make_env
+from baselines.sb3.envs import ShrinkingRois, engines, make_env
 from baselines.sb3.policy import SHAPE, Normalization, SB3Policy, put_into
+from baselines.training.aids import RoiCurriculum
 from baselines.training.config import Task
 from baselines.training.run_logger import EpisodeWindow
 
@@ -36,11 +40,12 @@ class Learner:
     Attributes:
         model: the library's object.
         stride: rows of a world: the library counts a step of each.
+        repeat: env-steps of a decision: the library counts those too, see :meth:`count_repeats`.
     """
 
     def __init__(self, task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> None:
         config = task.config
-        self._algorithm = config.algorithm
+        self._algorithm, self._steps, self._aids = config.algorithm, config.steps, hyperparameters
         self._env = make_env(task, hyperparameters, episodes)
         self.stride = self._env.num_envs // hyperparameters.num_envs
         set_random_seed(config.seed, using_cuda=config.device == "cuda")
@@ -51,11 +56,33 @@ class Learner:
             device=config.device,
             **model_arguments(hyperparameters),
         )
+        self.repeat, self._gamma = 1, getattr(self.model, "gamma", 1.0)
+        self._rois = unwrap_vec_wrapper(self._env, ShrinkingRois)
+        if self._rois is not None:
+            assert isinstance(self.model, OnPolicyAlgorithm)  # no other offers it
+            self._rois.every = self.model.n_steps
 
     @property
     def env_steps(self) -> int:
         """The env-steps so far."""
         return int(self.model.num_timesteps) // self.stride
+
+    @property
+    def diagnostics(self) -> dict[str, float]:
+        """Numbers for a progress row."""
+        return {} if self._rois is None else {"roi_radius": self._rois.curriculum.radius}
+
+    def begin_rollout(self) -> None:
+        """Set the env-steps of the next rollout's decisions, and the discount of a decision."""
+        if self._aids.action_repeat == (1, 1):
+            return
+        self.repeat = self._aids.repeat_at(self.env_steps / self._steps)
+        self._env.set_attr("action_repeat", self.repeat)
+        self.model.gamma = self.model.rollout_buffer.gamma = self._gamma**self.repeat
+
+    def count_repeats(self) -> None:
+        """Count the env-steps of a decision that the library does not: all but the first."""
+        self.model.num_timesteps += (self.repeat - 1) * self._env.num_envs
 
     @property
     def policy(self) -> SB3Policy:
@@ -94,6 +121,7 @@ class Learner:
             "ep_success_buffer": list(map(float, model.ep_success_buffer)),
             "actions": model.action_space.np_random.bit_generator.state,
             "generators": save_generators(),
+            "curriculum": None if self._rois is None else asdict(self._rois.curriculum),
         }
         write_json(folder / COUNTERS, counters)
 
@@ -113,6 +141,8 @@ class Learner:
         arrays, counters = read_arrays(checkpoint / WORLDS), read_json(checkpoint / COUNTERS)
         for name in SEEN:
             setattr(model, name, arrays.get(name))
+        if self._rois is not None:
+            self._rois.begin(RoiCurriculum(**counters["curriculum"]))
         for number, engine in enumerate(engines(self._env)):
             own = [key for key in arrays if key.startswith(f"{number}/")]
             engine.load_state({key.partition("/")[2]: arrays[key] for key in own})

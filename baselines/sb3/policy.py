@@ -73,7 +73,7 @@ class Normalization:
 
 
 class SB3Policy:
-    """One policy for the whole team, on the paper's state; or one for every robot's observation.
+    """One policy for every robot's observation, or for the team's, or for the paper's state.
 
     Its ``shape`` (JSON values) has the algorithm's name, the library's name of the policy and its
     arguments, and the sizes of observation and action. A ``model`` is the learner whose policy this
@@ -89,9 +89,8 @@ class SB3Policy:
     ) -> None:
         self.network, self.shape, self._model = network, shape, model
         self.normalization = normalization
-        self.observes: Literal["observations", "state"] = (
-            "observations" if list(shape["action_shape"]) == [2] else "state"
-        )
+        is_state = shape["obs_size"] == 2 * np.prod(shape["action_shape"]) + 1  # 4n + 1
+        self.observes: Literal["observations", "state"] = "state" if is_state else "observations"
 
     @classmethod
     def of(cls, model: BaseAlgorithm, algorithm: str) -> Self:
@@ -114,7 +113,7 @@ class SB3Policy:
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         """Actions (worlds, n, 2) for states (worlds, 4n+1) or observations (worlds, n, size)."""
-        rows = seen.reshape(-1, seen.shape[-1])
+        rows = seen.reshape(-1, self.shape["obs_size"])
         rows = rows if self.normalization is None else self.normalization(rows)
         actions, _ = self.network.predict(rows, deterministic=deterministic)
         return actions.reshape(len(seen), -1, 2)

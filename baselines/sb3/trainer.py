@@ -41,12 +41,15 @@ class Reporter(BaseCallback):
         if self._recorder.checkpoint_due:
             learner = self._learner
             self._recorder.save_checkpoint(learner.env_steps, learner.policy, learner.save)
+        self._learner.begin_rollout()
 
     def _on_step(self) -> bool:
+        self._learner.count_repeats()
         return not self._recorder.passed
 
     def _on_rollout_end(self) -> None:
-        self._recorder.update(self._learner.env_steps, self._learner.policy, {})
+        learner = self._learner
+        self._recorder.update(learner.env_steps, learner.policy, learner.diagnostics)
 
 
 class ToRecorder(KVWriter):
@@ -122,5 +125,5 @@ def budget(task: Task, hyperparameters: SB3Config) -> Budget:
         longest = episodes * make_config(task.settings).max_steps
         return Budget(steps - 1 + longest, f"updates from {episodes} whole episodes", exact=False)
     length = model["n_steps"] if issubclass(library, OnPolicyAlgorithm) else model["train_freq"]
-    rounded = math.ceil(steps / (length * worlds)) * length * worlds
+    rounded = hyperparameters.rounded_up(steps, length * worlds)
     return Budget(rounded, f"rollouts of {length} steps in {worlds} worlds")

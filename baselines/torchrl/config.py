@@ -9,17 +9,13 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from baselines.torchrl.networks import Actor, Critic, Sharing
-from baselines.training.hyperparameters import Hyperparameters, read_block, read_blocks, validate
+from baselines.training.aids import Count, Positive, Share, TrainingAids, between
+from baselines.training.hyperparameters import read_block, read_blocks, validate
 
 SOURCE = Path(__file__).with_name("hyperparameters.yaml")
 
-Count = Annotated[int, Field(ge=1)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Until = Annotated[float, Field(gt=0.0, le=1.0)]
 
-
-class MultiAgentPPOConfig(Hyperparameters):
+class MultiAgentPPOConfig(TrainingAids):
     """Everything about the learner. A pair ``(a, b)`` is interpolated linearly over training.
 
     Attributes:
@@ -41,14 +37,6 @@ class MultiAgentPPOConfig(Hyperparameters):
             one per axis; actions outside [-1, 1] are clipped by the engine).
         log_std_cap: upper limit of it: the first value until ``log_std_cap_from`` (a share of
             training), then falling linearly to the second.
-        reward_scale: the learner sees the reward times this.
-        action_repeat: env-steps that a decision lasts, from and to, falling linearly (rounded)
-            over ``action_repeat_until`` of training. Evaluations always decide at every step.
-        roi_radius: how many times as large ROIs are at first in training, 1 for no curriculum.
-        roi_stages: the stages from there to the true size; each begins with new episodes.
-        roi_success: ``bounds`` of :class:`~baselines.torchrl.curriculum.RoiCurriculum`.
-        episode_steps: training episodes are truncated after so many env-steps, if not before;
-            evaluations are not.
     """
 
     actor: Actor
@@ -69,13 +57,6 @@ class MultiAgentPPOConfig(Hyperparameters):
     log_std_start: float
     log_std_cap: tuple[float, float]
     log_std_cap_from: Annotated[float, Field(ge=0.0, lt=1.0)]
-    reward_scale: Positive
-    action_repeat: tuple[Count, Count]
-    action_repeat_until: Until
-    roi_radius: Annotated[float, Field(ge=1.0, allow_inf_nan=False)]
-    roi_stages: Count
-    roi_success: tuple[Share, Share]
-    episode_steps: Count
 
     @property
     def decisions(self) -> int:
@@ -86,16 +67,6 @@ class MultiAgentPPOConfig(Hyperparameters):
         """The upper limit of log-std at ``progress``, the share of training done, in [0, 1]."""
         falling = (progress - self.log_std_cap_from) / (1.0 - self.log_std_cap_from)
         return between(self.log_std_cap, falling)
-
-    def repeat_at(self, progress: float) -> int:
-        """The env-steps of a decision at ``progress``, in [0, 1]."""
-        return round(between(self.action_repeat, progress / self.action_repeat_until))
-
-
-def between(ends: tuple[float, float], share: float) -> float:
-    """Interpolate: the number a ``share``, cut to [0, 1], of the way from one end to the other."""
-    start, end = ends
-    return start + (end - start) * min(1.0, max(0.0, share))
 
 
 def load(

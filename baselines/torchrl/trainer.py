@@ -19,14 +19,13 @@ from torchrl.objectives.value import MultiAgentGAE
 from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
 from baselines.runs.rng_state import restore_generators, save_generators
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
-from baselines.torchrl.config import MultiAgentPPOConfig, between
-from baselines.torchrl.curriculum import RoiCurriculum
+from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
 from baselines.torchrl.policy import TeamPolicy
+from baselines.training.aids import RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
 from mbn_marl.adapters.torchrl import NavigationEnv
-from mbn_marl.config import make_config
 
 NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
 WORLDS, COUNTERS = "worlds.npz", "counters.json"
@@ -41,9 +40,7 @@ def train(task: Task, hyperparameters: MultiAgentPPOConfig, recorder: Recorder) 
 
 def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
     """How many env-steps a run takes, rounded up to whole rollouts."""
-    asked, env_steps = task.config.steps, 0
-    while env_steps < asked:
-        env_steps += hyperparameters.decisions * hyperparameters.repeat_at(env_steps / asked)
+    env_steps = hyperparameters.rounded_up(task.config.steps, hyperparameters.decisions)
     steps, worlds = hyperparameters.rollout_steps, hyperparameters.num_worlds
     return Budget(env_steps, f"rollouts of {steps} decisions in {worlds} worlds")
 
@@ -54,9 +51,7 @@ class Trainer:
     def __init__(self, task: Task, config: MultiAgentPPOConfig, recorder: Recorder) -> None:
         torch.manual_seed(task.config.seed)
         self.task, self.config, self.recorder = task, config, recorder
-        self.curriculum = RoiCurriculum(
-            config.roi_radius, config.roi_stages, config.roi_success, window=config.num_worlds
-        )
+        self.curriculum = config.curriculum(window=config.num_worlds)
         env = self._make_env()
         shape = TeamShape(
             env.engine.obs_size, env.n_agents, config.hidden, config.sharing, config.actor
@@ -95,7 +90,7 @@ class Trainer:
 
     def _make_env(self) -> NavigationEnv:
         """Return worlds at the start of their episodes, with ROIs of the current size."""
-        config, settings = self.task.config, make_config(self.task.settings)
+        config = self.task.config
         return NavigationEnv(
             self.task.field,
             self.config.num_worlds,
@@ -105,11 +100,7 @@ class Trainer:
             state=False,
             team_reward=self.config.actor == "centralized",
             metrics=("success", "episode_return"),
-            **{
-                **self.task.settings,
-                "roi_radius": settings.roi_radius * self.curriculum.radius,
-                "max_steps": min(settings.max_steps, self.config.episode_steps),
-            },
+            **self.config.in_training(self.task.settings, self.curriculum.radius),
         )
 
     def _collect_from(self, env: NavigationEnv) -> None:

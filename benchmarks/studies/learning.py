@@ -29,7 +29,9 @@ from benchmarks.grid import makespan
 from benchmarks.report import Benchmark, Measurement, measurement_table
 from mbn_marl.field import catalogue_names, safe_yaml
 
-StudyName = Literal["ablations", "forms", "learning", "reward", "sensing", "sharing", "teams"]
+StudyName = Literal[
+    "ablations", "aids", "forms", "learning", "reward", "sensing", "sharing", "teams"
+]
 
 STEPS = 1_441_792  # env-steps of a run
 NEAR = 0.005  # how far below the optimum a return may be to count as near it

@@ -26,7 +26,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, FieldLike
-from mbn_marl.errors import ActionError, MbnError, StepError
+from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 
 if TYPE_CHECKING:
     from mbn_marl.engine import Snapshot
@@ -49,14 +49,17 @@ class NavigationVecEnv(VecEnv):
         seed: of all worlds, until ``seed()`` gives another.
         threads: of the engine; ``None`` takes as many as there are cores.
         render_mode: ``"rgb_array"`` draws the world of row 0, or ``None``.
+        action_repeat: env-steps of a step (>= 1), all with the same action; rewards add up. A world
+            that ends rests until the step is over. ``set_attr("action_repeat", k)`` changes it.
         **settings: the fields of ``NavigationConfig``.
 
     Attributes:
         engine: the engine; read it, but let only this object step and reset it.
+        action_repeat: as given.
 
     Raises:
         FieldError: the field is not valid.
-        ConfigError: a setting is not valid.
+        ConfigError: a setting or ``action_repeat`` is not valid.
     """
 
     _return: str  # the metric that is a row's return
@@ -69,12 +72,17 @@ class NavigationVecEnv(VecEnv):
         seed: int = 0,
         threads: int | None = None,
         render_mode: str | None = None,
+        action_repeat: int = 1,
         **settings: Unpack[Settings],
     ) -> None:
+        if action_repeat < 1:
+            problem = f"action_repeat: must be at least 1 (got {action_repeat})"
+            raise ConfigError(type(self).__name__, [problem])
+        self.action_repeat = action_repeat
         self._viewer = LazyViewer(render_mode, ("rgb_array",))
         self.render_mode = render_mode
         self.engine = BatchEngine(
-            field, num_worlds, seed=seed, autoreset="same_step", threads=threads, **settings
+            field, num_worlds, seed=seed, autoreset="disabled", threads=threads, **settings
         )
         self._rows_per_world, observation_space, action_space = self._row()
         self._actions: NDArray[Any] | None = None
@@ -87,13 +95,9 @@ class NavigationVecEnv(VecEnv):
     def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
         """Return the rows of a world, and the observation and action space of a row."""
 
-    @abstractmethod
     def _observations(self, observations: NDArray[np.float32]) -> NDArray[Any]:
         """Return fresh observations by row, from the engine's ``(num_worlds, n, obs_size)``."""
-
-    @abstractmethod
-    def _final_observations(self) -> NDArray[Any]:
-        """Return the last observations of the episodes that have just ended, by row."""
+        return observations.reshape(self.num_envs, -1).copy()
 
     @abstractmethod
     def _rewards(self, rewards: NDArray[Any]) -> NDArray[np.float32]:
@@ -132,7 +136,7 @@ class NavigationVecEnv(VecEnv):
         self._actions = np.reshape(actions, (engine.num_worlds, engine.n_robots, 2))
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Step every world; worlds that end are reset at once.
+        """Step every world ``action_repeat`` times; worlds that end are reset at once.
 
         Returns:
             Observations, rewards float32 ``(num_envs,)``, dones bool ``(num_envs,)`` and infos, all
@@ -146,28 +150,40 @@ class NavigationVecEnv(VecEnv):
         if self._actions is None:
             raise StepError("step_wait: no actions; call step_async(actions) after a reset first")
         actions, self._actions = self._actions, None
-        observations, rewards, terminated, truncated = self.engine.step(actions)
+        engine, rewards = self.engine, np.zeros(self.num_envs, np.float32)
         infos: list[dict[str, Any]] = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
-        dones = np.repeat(terminated | truncated, self._rows_per_world)
-        if dones.any():
-            timeouts = np.repeat(truncated & ~terminated, self._rows_per_world)
-            self._close_episodes(infos, np.flatnonzero(dones), timeouts)
-        return self._observations(observations), self._rewards(rewards), dones, infos
+        ended = np.zeros(engine.num_worlds, np.bool_)
+        for number in range(self.action_repeat):
+            running = ~ended if number else None
+            observations, own, terminated, truncated = engine.step(actions, running)
+            rewards += self._rewards(own)
+            if (ending := terminated | truncated).any():
+                self._close_episodes(infos, ending, truncated & ~terminated, observations)
+                ended |= ending
+        if ended.any():
+            observations = engine.reset_worlds(ended)
+        dones = np.repeat(ended, self._rows_per_world)
+        return self._observations(observations), rewards, dones, infos
 
     def _close_episodes(
-        self, infos: list[dict[str, Any]], ended: NDArray[np.intp], timeouts: NDArray[np.bool_]
+        self,
+        infos: list[dict[str, Any]],
+        ending: NDArray[np.bool_],
+        timeouts: NDArray[np.bool_],
+        last: NDArray[np.float32],
     ) -> None:
-        """Fill the infos of the rows whose episode has just ended."""
+        """Fill the infos of the worlds whose episode has just ended, before they are reset."""
+        ended = np.flatnonzero(np.repeat(ending, self._rows_per_world))
         metrics = {name: self._by_row(one) for name, one in self.engine.metrics().items()}
         returns = metrics[self._return][ended].tolist()
         del metrics["return_"]
         columns = {name: metric[ended].tolist() for name, metric in metrics.items()}
-        observations = self._final_observations()[ended]
+        observations = self._observations(last)[ended]
         seconds = round(time.time() - self._start_time, 6)
         for index, row in enumerate(ended.tolist()):
             info = infos[row]
             info.update((name, column[index]) for name, column in columns.items())
-            info["TimeLimit.truncated"] = bool(timeouts[row])
+            info["TimeLimit.truncated"] = bool(timeouts[row // self._rows_per_world])
             info["terminal_observation"] = observations[index]
             info["is_success"] = bool(info["success"])
             info["episode"] = {"r": returns[index], "l": info["steps"], "t": seconds}
@@ -243,8 +259,9 @@ class CentralizedVecEnv(NavigationVecEnv):
     """The centralised single MDP, batched: a row is a world.
 
     Observation ``(4n+1,)`` in the engine's dtype (all positions, all velocities, the visit code, in
-    raw units: wrap it in a ``VecNormalize`` for learning), action ``(n, 2)`` in [-1, 1], reward the
-    team's.
+    raw units: wrap it in a ``VecNormalize`` for learning), or with ``joint_observation`` the
+    observations of all robots side by side, ``(n * obs_size,)`` float32; action ``(n, 2)`` in
+    [-1, 1], reward the team's.
 
     There are ``num_envs`` worlds; other arguments and errors as :class:`NavigationVecEnv`.
     """
@@ -259,21 +276,25 @@ class CentralizedVecEnv(NavigationVecEnv):
         seed: int = 0,
         threads: int | None = None,
         render_mode: str | None = None,
+        action_repeat: int = 1,
+        joint_observation: bool = False,
         **settings: Unpack[Settings],
     ) -> None:
+        self._joint = joint_observation
         how: dict[str, Any] = {"seed": seed, "threads": threads, "render_mode": render_mode}
+        how["action_repeat"] = action_repeat
         super().__init__(field, num_envs, **how, **settings)
 
     def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
-        engine = self.engine
-        states = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
-        return 1, states, spaces.Box(-1.0, 1.0, (engine.n_robots, 2), np.float32)
+        engine, n = self.engine, self.engine.n_robots
+        seen = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
+        if self._joint:
+            bounds = np.tile(engine.observation_low, n), np.tile(engine.observation_high, n)
+            seen = spaces.Box(*bounds, dtype=np.float32)
+        return 1, seen, spaces.Box(-1.0, 1.0, (n, 2), np.float32)
 
     def _observations(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        return self.engine.state()
-
-    def _final_observations(self) -> NDArray[Any]:
-        return self.engine.final_state()
+        return super()._observations(observations) if self._joint else self.engine.state()
 
     def _rewards(self, rewards: NDArray[Any]) -> NDArray[np.float32]:
         return self.engine.team_rewards.astype(np.float32)
@@ -301,12 +322,6 @@ class SharedPolicyVecEnv(NavigationVecEnv):
         bounds = engine.observation_low, engine.observation_high
         actions = spaces.Box(-1.0, 1.0, (2,), np.float32)
         return engine.n_robots, spaces.Box(*bounds, dtype=np.float32), actions
-
-    def _observations(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        return observations.reshape(self.num_envs, -1).copy()
-
-    def _final_observations(self) -> NDArray[Any]:
-        return self.engine.final_observations.reshape(self.num_envs, -1)
 
     def _rewards(self, rewards: NDArray[Any]) -> NDArray[np.float32]:
         return rewards.reshape(-1).astype(np.float32)

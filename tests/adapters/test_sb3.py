@@ -274,3 +274,73 @@ def test_off_policy_algorithms_take_the_joint_action(algorithm: type[SAC]) -> No
     # Time limits must not stop the bootstrapping.
     buffer = model.replay_buffer
     assert buffer.timeouts[9].all() and buffer.dones[9].all() and buffer.dones.sum() == 2
+
+
+@BOTH
+def test_a_repeated_action_is_several_steps_that_stop_at_the_end(
+    kind: type[NavigationVecEnv],
+) -> None:
+    """Against an environment that is stepped by hand: sums until the end, then a new episode."""
+    env = kind("field_03", WORLDS, seed=5, action_repeat=3, **LIVELY)
+    engine = BatchEngine("field_03", WORLDS, seed=5, autoreset="disabled", **LIVELY)
+    env.reset(), engine.reset()
+    middle = 0
+    for number, actions in enumerate(forces(env, 30)):
+        repeat = 3 if number < 15 else 2
+        env.set_attr("action_repeat", repeat)
+        observations, rewards, dones, infos = env.step(actions)
+        expected, running = np.zeros(env.num_envs), np.ones(WORLDS, bool)
+        for step in range(repeat):
+            last, own, terminated, truncated = engine.step(
+                actions.reshape(WORLDS, ROBOTS, 2), running
+            )
+            single = engine.team_rewards if kind is CentralizedVecEnv else own.reshape(-1)
+            expected += single
+            ended = terminated | truncated
+            assert not (ended & ~running).any()
+            check_final_infos(env, infos, by_row(env, ended), engine.metrics())
+            last = observed(env, engine, last)
+            for row in np.flatnonzero(by_row(env, ended)):
+                np.testing.assert_array_equal(infos[row]["terminal_observation"], last[row])
+                timeout = (truncated & ~terminated)[row * WORLDS // env.num_envs]
+                assert infos[row]["TimeLimit.truncated"] == timeout
+            running &= ~ended
+            middle += int(ended.sum()) if step < repeat - 1 else 0
+        np.testing.assert_array_equal(dones, by_row(env, ~running))
+        np.testing.assert_allclose(rewards, expected, rtol=1e-6)
+        following = engine.reset_worlds(~running)
+        np.testing.assert_array_equal(observations, observed(env, engine, following))
+    assert middle > 5
+
+
+def test_standing_still_for_three_repeats_costs_three_steps() -> None:
+    env = CentralizedVecEnv("field_03", 2, roi_radius=0.0, max_steps=5, action_repeat=3)
+    env.reset()
+    still = np.zeros((2, ROBOTS, 2), np.float32)
+    # r_s for the first step of each robot, then r_m; the second decision ends after two steps.
+    (_, first, early, _), (_, second, late, infos) = env.step(still), env.step(still)
+    assert (first.tolist(), second.tolist()) == ([-630.0] * 2, [-600.0] * 2)
+    assert not early.any() and late.all()
+    assert [info["episode"]["l"] for info in infos] == [5, 5]
+    with pytest.raises(ConfigError, match=r"action_repeat: must be at least 1 \(got 0\)"):
+        CentralizedVecEnv("field_03", 2, action_repeat=0)
+
+
+def test_a_central_learner_can_see_what_all_robots_see() -> None:
+    settings: dict[str, Any] = {"observation": "lidar", "seed": 5, **LIVELY}
+    joint = CentralizedVecEnv("field_03", WORLDS, joint_observation=True, **settings)
+    robots = SharedPolicyVecEnv("field_03", WORLDS, **settings)
+    size = ROBOTS * robots.engine.obs_size
+    assert joint.observation_space.shape == (size,)
+    np.testing.assert_array_equal(joint.reset(), robots.reset().reshape(WORLDS, size))
+    ended = 0
+    for actions in forces(joint):
+        seen, _, dones, infos = joint.step(actions)
+        theirs, _, _, others = robots.step(actions.reshape(-1, 2))
+        np.testing.assert_array_equal(seen, theirs.reshape(WORLDS, size))
+        assert all(joint.observation_space.contains(row) for row in seen)
+        for row in np.flatnonzero(dones):
+            last = [one["terminal_observation"] for one in others[ROBOTS * row :][:ROBOTS]]
+            np.testing.assert_array_equal(infos[row]["terminal_observation"], np.concatenate(last))
+            ended += 1
+    assert ended > 0

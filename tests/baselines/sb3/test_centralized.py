@@ -120,7 +120,7 @@ def test_what_the_paper_tuned_is_taken_or_skipped(name: str) -> None:
         ("A: {}\n", "N: unknown block; known: A"),
         ("N: [1, 2]\n", "must be a mapping from names of blocks to mappings"),
         ("N: {num_envs: 0}\n", "num_envs: Input should be greater than or equal to 1"),
-        ("N: {worlds: 1}\n", "worlds: unknown name; known: source, environment, skipped, num_envs"),
+        ("N: {worlds: 1}\n", "worlds: unknown name; known: source, environment, skipped, reward"),
         ("N: {model: {tau: 0.1}}\n", r"model.tau: unknown name; known: batch_size"),
         ("N: {model: 3}\n", "model: Input should be a valid dictionary"),
         (

@@ -1,4 +1,4 @@
-"""The multi-agent trainer: hyperparameters, curriculum, TorchRL's parts, targets, early stop."""
+"""The multi-agent trainer: hyperparameters, aids, TorchRL's parts, targets, early stop."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
 from baselines.torchrl import trainer
-from baselines.torchrl.config import between, load
-from baselines.torchrl.curriculum import RoiCurriculum
+from baselines.torchrl.config import load
 from baselines.torchrl.networks import Key
 from baselines.training.config import TrainConfig
 from baselines.training.train import train
@@ -24,11 +23,6 @@ from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, save_field
 
 # Hyperparameters
-
-
-def test_action_repeat_falls_to_its_second_value() -> None:
-    config = load("mappo", "N", {"action_repeat": [4, 1], "action_repeat_until": 0.5})
-    assert [config.repeat_at(share) for share in (0.0, 0.25, 0.4, 0.5, 1.0)] == [4, 2, 2, 1, 1]
 
 
 def test_the_algorithms_differ_by_what_actor_and_critic_see_alone() -> None:
@@ -46,7 +40,6 @@ def test_the_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
     changes = {"log_std_cap": [0.5, -1.5], "log_std_cap_from": 0.5}
     config = load("mappo", "N", changes)
     assert [config.cap_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == [0.5, 0.5, -0.5, -1.5]
-    assert [between((3.0, 1.0), share) for share in (-1, 0, 0.25, 1, 2)] == [3, 3, 2.5, 1, 1]
 
 
 @pytest.mark.parametrize(
@@ -61,26 +54,7 @@ def test_an_unknown_sharing_is_refused() -> None:
         load("ippo", "N", {"sharing": "some"})
 
 
-# The curriculum
-
-
-def test_rois_shrink_when_the_team_succeeds_and_grow_when_it_fails() -> None:
-    curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
-    sizes, moves = [], []
-    none, all_of_them, half = [0, 0, 0, 0, 0], [1, 1, 1, 1], [1, 1, 0, 0]
-    windows = ([1, 1, 1, 0], [1, 0], [1, 1], half, none, *[all_of_them] * 3)
-    for successes in windows:
-        curriculum.add(successes)
-        moves.append(curriculum.move())
-        sizes.append(curriculum.radius)
-    assert sizes == pytest.approx([4.0, 4.0, 2.0, 2.0, 4.0, 2.0, 1.0, 1.0])
-    assert moves == [True, False, True, False, True, True, True, False]
-
-
-def test_rois_never_grow_beyond_their_first_size() -> None:
-    curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
-    curriculum.add([0, 0, 0, 0])
-    assert not curriculum.move() and curriculum.radius == 8.0
+# The aids
 
 
 SMALL = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8], "action_repeat": [1, 1]}

@@ -35,6 +35,9 @@ from tests.support.runs import interrupted, recorded, same_policies
 SMALL = {"policy_kwargs": {"net_arch": [8]}}
 REPLAY = {**SMALL, "learning_starts": 100, "batch_size": 16, "buffer_size": 150}
 """The buffer is full and the warm-up is over when the run is interrupted."""
+AIDS = {"roi_radius": 4.0, "action_repeat": [2, 1], "action_repeat_until": 0.5}
+AIDED = ("trpo", "ppo-shared")
+"""Those of Stable-Baselines3 with aids; ROIs shrink before and after the interruption."""
 MODELS: dict[str, dict[str, Any]] = {
     "a2c": SMALL,
     "ppo": {**SMALL, "n_steps": 32, "batch_size": 32, "learning_rate": {"from": 0.01, "to": 0.001}},
@@ -51,13 +54,15 @@ def _config(name: str, **changes: Any) -> TrainConfig:
     """A run of a few updates with a checkpoint on the way."""
     if ALGORITHMS[name].package == "torchrl":
         small = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8]}
-        small |= {"roi_radius": 4.0, "action_repeat": [2, 1], "action_repeat_until": 0.5}
+        small |= AIDS
         config = TrainConfig(name, "field_03", steps=320, evaluate_every=128, episodes=2)
         return replace(config, hyperparameters=small, **changes)
     envs = 1 if name == "ars" else 2
     hyperparameters = {"num_envs": envs, "model": MODELS[name]}
     if name != "ars":
         hyperparameters["policy"] = "MlpPolicy"
+    if name in AIDED:
+        hyperparameters |= {**AIDS, "roi_stages": 3, "roi_success": [0.0, 0.0]}
     return TrainConfig(
         name,
         "field_03",
@@ -85,6 +90,9 @@ def test_a_resumed_run_equals_an_uninterrupted_one(name: str, tmp_path: Path) ->
     resumed = train(config, stopped.path, resume=True)
     history = json.loads((resumed.path / "resumed.json").read_text())
     assert 0 < history[0]["env_steps"] < config.steps
+    if name in AIDED:
+        sizes = [row["roi_radius"] for row in recorded(resumed)["rows"]]
+        assert len(set(sizes)) == len(sizes) == 3 and sizes[-1] == "1"
     _assert_equal(resumed, whole)
     assert not (resumed.path / "checkpoints").exists()
 
@@ -111,6 +119,7 @@ def _wait_for_checkpoint(folder: Path, process: subprocess.Popen[str]) -> None:
     [
         ("tqc", signal.SIGKILL, -9, "--steps 1600 --evaluate-every 400 --num-envs 2"),
         ("mappo", signal.SIGKILL, -9, "--steps 3000 --evaluate-every 500 --num-envs 2"),
+        ("ppo-shared", signal.SIGKILL, -9, "--steps 4000 --evaluate-every 500 --num-envs 2"),
         ("a2c", signal.SIGTERM, 130, "--steps 4000 --evaluate-every 800 --setting A"),
     ],
 )
@@ -123,6 +132,9 @@ def test_a_killed_process_is_resumed(
         hyperparams = tmp_path / "small.yaml"
         hyperparams.write_text(yaml.safe_dump({"N": block}))
         arguments += ["--hyperparams", str(hyperparams)]
+    elif name == "ppo-shared":
+        arguments += ["--set", "action_repeat=[4,1]", "roi_radius=5.0", "roi_success=[0.0,0.0]"]
+        arguments += ["episode_steps=50", "model.n_steps=32", "model.batch_size=64"]
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     assert main([*arguments, "--out", str(whole)]) == 0
     again = [*arguments, "--out", str(killed)]
