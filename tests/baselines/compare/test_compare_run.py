@@ -52,22 +52,29 @@ def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.M
     assert summarise(again).to_json() == summarise(results).to_json()
 
 
+WILD = {**TINY, "learning_rate": [1e30, 1e30], "max_grad_norm": 1e30}
+
+
+def compare_variants(folder: Path, processes: int, **hyperparameters: dict[str, Any]) -> int:
+    """Run ``mbn compare`` on variants of ``mappo``, two seeds each; return the exit code."""
+    variants = folder / "variants.yaml"
+    blocks = {
+        label: {"algorithm": "mappo", "hyperparameters": values}
+        for label, values in hyperparameters.items()
+    }
+    variants.write_text(json.dumps(blocks))
+    budget = "--seeds 0 1 --steps 320 --evaluate-every 320 --episodes 1"
+    where = ["--out", str(folder / "out"), "--variants", str(variants)]
+    return main(["compare", *where, "--processes", str(processes), *budget.split()])
+
+
 @pytest.mark.parametrize("processes", [1, 2])
 def test_a_learner_that_breaks_down_stops_its_own_run_alone(
     processes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     monkeypatch.setattr("baselines.compare.report.write_animation", lambda episode, path: None)
-    out, variants = tmp_path / "out", tmp_path / "variants.yaml"
-    wild = {**TINY, "learning_rate": [1e30, 1e30], "max_grad_norm": 1e30}
-    blocks = {
-        "wild": {"algorithm": "mappo", "hyperparameters": wild},
-        "tame": {"algorithm": "mappo", "hyperparameters": dict(TINY)},
-    }
-    variants.write_text(json.dumps(blocks))
-    budget = "--seeds 0 1 --steps 320 --evaluate-every 320 --episodes 1"
-    where = ["--out", str(out), "--variants", str(variants), "--processes", str(processes)]
-    command = ["compare", *where, *budget.split()]
-    assert main(command) == 2
+    out = tmp_path / "out"
+    assert compare_variants(tmp_path, processes, wild=WILD, tame=TINY) == 2
     told = capsys.readouterr()
     for seed in (0, 1):
         said = f"{out / f'wild-field_03-seed{seed}'}: the learner diverged"
@@ -77,10 +84,11 @@ def test_a_learner_that_breaks_down_stops_its_own_run_alone(
     assert {row["label"] for row in found["rows"]} == {"tame"}
     assert set(found["broken_runs"]) == {"wild-field_03-seed0", "wild-field_03-seed1"}
 
-    alone = json.dumps({"wild": blocks["wild"]})
-    variants.write_text(alone)
-    command[2] = str(tmp_path / "alone")
-    assert main(command) == 2
+
+def test_where_every_learner_breaks_down_nothing_is_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert compare_variants(tmp_path, 1, wild=WILD) == 2
     assert "nothing is left to compare" in capsys.readouterr().err
 
 
