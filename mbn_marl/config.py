@@ -7,7 +7,15 @@ import reprlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    field_validator,
+)
 
 from mbn_marl.errors import ConfigError, unknown
 
@@ -22,6 +30,27 @@ _SHORT.maxstring = _SHORT.maxother = 80
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
+
+_ONE, _EACH = "for all", "for each"
+"""Marks of a setting's two forms, one value for all robots or one per robot; not in messages."""
+
+
+def _form(value: object) -> str:
+    return _EACH if isinstance(value, tuple | list) else _ONE
+
+
+def _for_each(kind: Any) -> Any:
+    """The type of a setting that is one value of a ``kind`` for all robots, or a tuple of them."""
+    several = Annotated[tuple[kind, ...], Field(min_length=1, max_length=MAX_ROBOTS), Tag(_EACH)]
+    return Annotated[Annotated[kind, Tag(_ONE)] | several, Discriminator(_form)]
+
+
+if TYPE_CHECKING:
+    DynamicsOfEach = Dynamics | tuple[Dynamics, ...]
+    PositiveOfEach = float | tuple[float, ...]
+else:
+    DynamicsOfEach, PositiveOfEach = map(_for_each, (Dynamics, Positive))
 
 
 class Checked(BaseModel):
@@ -87,7 +116,8 @@ class NavigationConfig(Checked):
         reward: the name of a reward profile, or a :class:`RewardProfile`.
         reward_sharing: ``"individual"`` (each robot its own share; the shares sum to the team's
             reward) or ``"team"`` (every robot gets the team's reward).
-        dynamics: how robots move: ``"point_mass"``, see ``engine.mdp.dynamics``.
+        dynamics: how robots move: ``"point_mass"``, ``"holonomic"``, ``"unicycle"`` or
+            ``"bicycle"`` (mdp.md, "Dynamics"); one name for all robots or one per robot.
         observation: ``"relative"``, ``"state"``, ``"local"``, ``"lidar"`` or ``"lidar_local"``,
             see ``engine.mdp.observations``.
         one_hot: append the robot's index as a one-hot vector to its observation.
@@ -95,10 +125,15 @@ class NavigationConfig(Checked):
         wind: ``(v_a, beta_a)``: speed in units/step per step, angle in degrees from +x.
         max_steps: T_max; reaching it truncates the episode.
         dtype: precision of the simulation, ``"float32"`` or ``"float64"``.
-        f_max: force of a full-scale action, mass x units/step^2.
-        v_clip: per-axis speed limit, units/step.
+        f_max: force of a full-scale action, mass x units/step^2, > 0; one number for all robots
+            or one per robot.
+        v_clip: speed limit, units/step, > 0, per axis, or along the heading of a robot that has
+            one; one number for all robots or one per robot.
         tau: time of one step.
         mass: M_i, one number for all robots or one per robot, > 0.
+        turn_max: the most that a unicycle turns, rad/step, > 0 and at most pi.
+        wheelbase: distance of a bicycle's axles, units, > 0.
+        steer_max: the most that a bicycle steers, rad, > 0 and at most 1.5.
         safety_distance: C; two robots closer than this (strictly) have collided, in units.
         roi_radius: rho; an ROI within this distance of a robot is visited, in units.
         random_starts: start at random points of the field, at least C apart, instead of the
@@ -114,17 +149,20 @@ class NavigationConfig(Checked):
     n_robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] | None = None
     reward: RewardProfile = REWARD_PROFILES["released"]
     reward_sharing: Literal["individual", "team"] = "individual"
-    dynamics: Literal["point_mass"] = "point_mass"
+    dynamics: DynamicsOfEach = "point_mass"
     observation: Literal["relative", "state", "local", "lidar", "lidar_local"] = "relative"
     one_hot: bool = False
     sensing_radius: Positive = 100.0
     wind: tuple[NonNegative, Finite] = (0.0, 0.0)
     max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     dtype: Literal["float32", "float64"] = "float32"
-    f_max: Positive = 0.5
-    v_clip: Positive = 5.0
+    f_max: PositiveOfEach = 0.5
+    v_clip: PositiveOfEach = 5.0
     tau: Positive = 1.0
-    mass: Positive | tuple[Positive, ...] = 1.0
+    mass: PositiveOfEach = 1.0
+    turn_max: Annotated[float, Field(gt=0.0, le=math.pi)] = 0.3
+    wheelbase: Positive = 4.0
+    steer_max: Annotated[float, Field(gt=0.0, le=1.5)] = 0.5
     safety_distance: NonNegative = 10.0
     roi_radius: NonNegative = 10.0
     random_starts: bool = False
@@ -143,6 +181,17 @@ class NavigationConfig(Checked):
             return REWARD_PROFILES[value]
         return value
 
+    def of_each(self, name: str, n: int) -> tuple[Any, ...]:
+        """The values of the setting ``name`` for the robots of a team of ``n``."""
+        value = getattr(self, name)
+        return value if isinstance(value, tuple) else (value,) * n
+
+    @property
+    def top_speed(self) -> float:
+        """The highest speed limit of a robot, units/step."""
+        limits: tuple[float, ...] = self.of_each("v_clip", 1)
+        return max(limits)
+
     def wind_increment(self) -> tuple[float, float]:
         """The velocity that the wind adds in one step, ``(x, y)`` in units/step."""
         speed, angle = self.wind
@@ -154,17 +203,20 @@ class FixedSettings(TypedDict, total=False):
 
     reward: str | RewardProfile
     reward_sharing: Literal["individual", "team"]
-    dynamics: Literal["point_mass"]
+    dynamics: Dynamics | tuple[Dynamics, ...]
     observation: Literal["relative", "state", "local", "lidar", "lidar_local"]
     one_hot: bool
     sensing_radius: float
     wind: tuple[float, float]
     max_steps: int
     dtype: Literal["float32", "float64"]
-    f_max: float
-    v_clip: float
+    f_max: float | tuple[float, ...]
+    v_clip: float | tuple[float, ...]
     tau: float
     mass: float | tuple[float, ...]
+    turn_max: float
+    wheelbase: float
+    steer_max: float
     safety_distance: float
     roi_radius: float
     random_starts: bool
@@ -194,7 +246,8 @@ def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
     """
     lines = []
     for problem in error.errors():
-        place = ".".join(map(str, problem["loc"])) or model.__name__
+        path = [part for part in problem["loc"] if part not in (_ONE, _EACH)]
+        place = ".".join(map(str, path)) or model.__name__
         cause = problem.get("ctx", {}).get("error")
         if isinstance(cause, ConfigError):  # of a part that is a model
             lines += [f"{place}.{line}" for line in cause.problems]

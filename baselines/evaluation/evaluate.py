@@ -14,6 +14,7 @@ from baselines.evaluation.intervals import mean_of_known
 from baselines.evaluation.policy import Origin, Policy, RandomPolicy
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
+from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.observations import WITH_RADIUS
 from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.errors import ConfigError
@@ -189,7 +190,7 @@ def _check_fits(policy: Policy, engine: BatchEngine) -> None:
     ours, theirs = _sizes(*trained), _sizes(engine.field, engine.config)
     problems = [
         f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
-        for name in (("robots", "ROIs") if policy.observes == "state" else ours)
+        for name in (("robots", "ROIs", "headings") if policy.observes == "state" else ours)
         if ours[name] != theirs[name]
     ]
     if problems:
@@ -202,7 +203,9 @@ def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
         "robots": config.n_robots or len(field.starts),
         "ROIs": len(field.rois),
         "arena": tuple(map(float, field.arena)),
-        **{name: getattr(config, name) for name in ("observation", "one_hot", "v_clip")},
+        "headings": count_headings(config.of_each("dynamics", 1)) > 0,
+        "v_clip": config.top_speed,
+        **{name: getattr(config, name) for name in ("observation", "one_hot")},
     }
     if config.observation in WITH_RADIUS:
         sizes["sensing_radius"] = config.sensing_radius

@@ -106,6 +106,7 @@ def draw_trajectories(episode: Episode, title: str | None = None) -> Figure:
         visited=last.visited,
         collision=last.collision,
         wind=last.wind,
+        headings=last.headings,
         roi_radius=last.roi_radius,
         title=title,
     )

@@ -46,7 +46,7 @@ def facts(engine: BatchEngine, world: int) -> Iterator[tuple[str, bool]]:
     ground = Polygon(seen.field.vertices, seen.field.holes).buffer(ROUNDING)
     yield "inside the field", bool(contains_xy(ground, seen.trail.reshape(-1, 2)).all())
     yield "the trail ends here", bool((seen.trail[-1] == seen.positions).all())
-    yield "speed limit", bool((np.abs(seen.velocities) <= config.v_clip).all())
+    yield "speed limit", bool((np.abs(seen.velocities) <= config.top_speed).all())
     first, second = np.triu_indices(engine.n_robots, 1)
     apart = np.linalg.norm(seen.positions[first] - seen.positions[second], axis=-1)
     near = bool((apart < config.safety_distance).any())

@@ -46,7 +46,7 @@ SHAPE = re.compile(r"\([\w.*+ -]{1,25},(?:[\w.*+ -]{1,25},?)*\)")
 """Such as ``(W, n, 2)``, ``(4n + 1,)``, ``(num_envs, *action_space.shape)``."""
 
 UNIT = re.compile(
-    r"\b(units?|steps?|degrees|seconds|mass|rewards?|flags?|bool|uint8)\b"
+    r"\b(units?|steps?|degrees|radians|seconds|mass|rewards?|flags?|bool|uint8)\b"
     r"|\[-?[\d.]+, [\w^. -]+[\])]|[<>]=? ?\d"
 )
 """A unit, or a range such as ``[-1, 1]`` or ``> 0``."""

@@ -54,6 +54,9 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
     info          flat and numeric, see :mod:`mbn_marl.adapters.infos`
     ============  ==================================================================================
 
+    That is for point masses; other ``dynamics`` read the action in their own way, and if a robot
+    has a heading, the state is ``(5n+1,)``, with headings in radians before the visit code.
+
     Args:
         field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`.
         n_robots: team size; the first starts of the field are used; ``None`` uses all of them.

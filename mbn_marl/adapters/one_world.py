@@ -52,6 +52,8 @@ class OneWorld:
     def state(self) -> NDArray[Any]:
         """Return the paper's state, ``(4n+1,)`` in the engine's dtype, raw units, a fresh array.
 
+        It is ``(5n+1,)``, with headings before the visit code, if a robot has a heading.
+
         Raises:
             StepError: before the first reset.
         """

@@ -259,9 +259,9 @@ class CentralizedVecEnv(NavigationVecEnv):
     """The centralised single MDP, batched: a row is a world.
 
     Observation ``(4n+1,)`` in the engine's dtype (all positions, all velocities, the visit code, in
-    raw units: wrap it in a ``VecNormalize`` for learning), or with ``joint_observation`` the
-    observations of all robots side by side, ``(n * obs_size,)`` float32; action ``(n, 2)`` in
-    [-1, 1], reward the team's.
+    raw units: wrap it in a ``VecNormalize`` for learning; ``(5n+1,)`` with headings before the
+    visit code if a robot has one), or with ``joint_observation`` the observations of all robots
+    side by side, ``(n * obs_size,)`` float32; action ``(n, 2)`` in [-1, 1], reward the team's.
 
     There are ``num_envs`` worlds; other arguments and errors as :class:`NavigationVecEnv`.
     """

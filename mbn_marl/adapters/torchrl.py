@@ -53,6 +53,7 @@ class NavigationEnv(EnvBase):
     ``"terminated"``, ``"truncated"``, ``"done"``  ``(W, 1)``       bool
     =============================================  ===============  =======  ==============
 
+    - ``"state"`` is ``(W, 5n + 1)``, with headings before the visit code, if a robot has a heading.
     - ``terminated`` is success or collision, ``truncated`` is the step limit, ``done`` is either.
       The robots of a world end together, so these are at the root, as in TorchRL's VMAS
       environments; a loss on the robots' rewards wants them expanded to ``(W, n, 1)``.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
@@ -48,7 +49,7 @@ class BackendSpec:
     @property
     def actions_shape(self) -> tuple[int, int, int]:
         """The shape of an action, (W, n, 2)."""
-        return self.num_worlds, self.geometry.masses.size, 2
+        return self.num_worlds, self.geometry.robots.shape[1], 2
 
 
 class Backend(ABC):
@@ -108,9 +109,19 @@ class Backend(ABC):
     def states(self, *, final: bool) -> Array:
         """See ``BatchEngine.state`` and ``BatchEngine.final_state``."""
         worlds, n, _ = self.spec.actions_shape
-        rows: Array = self._empty((worlds, 4 * n + 1), self._real)
+        size = 4 * n + self.now.heading.shape[0] + 1
+        rows: Array = self._empty((worlds, size), self._real)
         self._write_states(self.final if final else self.now, rows)
         return rows
+
+    def headings(self, world: int) -> NDArray[Any]:
+        """The robots' headings in a world, (n,), radians; NaN for those without one."""
+        now, none = self.now, np.full(self.spec.actions_shape[1], np.nan, self.spec.config.dtype)
+        if not now.heading.shape[0]:
+            return none
+        parts = (self.host(part[:, world]) for part in (now.heading, now.cos, now.sin))
+        heading, cos, sin = parts
+        return np.where((cos != 0) | (sin != 0), heading, none)
 
     def draw_actions(self) -> Array:
         """The seed's next random actions, a fresh array."""

@@ -16,6 +16,7 @@ from mbn_marl.engine.constants import make_record
 from mbn_marl.engine.cpu import CpuBackend
 from mbn_marl.engine.kernels import MEASURES
 from mbn_marl.engine.listener import Listener
+from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.engine.mdp.rewards import COLLISION, REWARD_TERMS, SUCCESS
 from mbn_marl.engine.snapshot import Snapshot
@@ -138,19 +139,20 @@ class BatchEngine:
 
     @property
     def state_low(self) -> Array:
-        """Lower bounds of :meth:`state`, (4n + 1,) real, raw units."""
+        """Lower bounds of :meth:`state`, (size,) real, raw units."""
         return -self._state_bound(0.0, 0.0)
 
     @property
     def state_high(self) -> Array:
-        """Upper bounds of :meth:`state`, (4n + 1,) real, raw units."""
+        """Upper bounds of :meth:`state`, (size,) real, raw units."""
         return self._state_bound(1.0, float(2**self.n_rois - 1))
 
     def _state_bound(self, arena: float, code: float) -> Array:
         n = self.n_robots
         positions = np.tile(self.field.arena, n) * arena
-        speeds = np.full(2 * n, self.config.v_clip)
-        return np.concatenate([positions, speeds, [code]]).astype(self.dtype)
+        speeds = np.full(2 * n, self.config.top_speed)
+        headings = np.full(count_headings(self.config.of_each("dynamics", n)), np.pi)
+        return np.concatenate([positions, speeds, headings, [code]]).astype(self.dtype)
 
     # -- the cycle: reset, step --------------------------------------------------------------------
 
@@ -253,12 +255,13 @@ class BatchEngine:
         """The paper's state of every world now, (W, 4n + 1) real, raw units, a fresh array.
 
         All positions ``x1, y1, x2, y2, ...``, then all velocities, then the visit code, whose most
-        significant bit is the first ROI.
+        significant bit is the first ROI. If a robot of the team has a heading, all headings come
+        before the visit code, in radians, 0 for robots without one: (W, 5n + 1).
         """
         return self._backend.states(final=False)
 
     def final_state(self) -> Array:
-        """:meth:`state` at the end of the last finished episodes, (W, 4n + 1) real, raw units.
+        """:meth:`state` at the end of the last finished episodes, (W, size) real, raw units.
 
         With autoreset same-step only.
         """
@@ -365,6 +368,7 @@ class BatchEngine:
             positions=np.stack([host(now.x[:, world]), host(now.y[:, world])], axis=-1),
             velocities=np.stack([host(now.vx[:, world]), host(now.vy[:, world])], axis=-1),
             visited=(visited & bits) != 0,
+            headings=backend.headings(world),
             trail=host(memory.trail[world, : (steps + 1) * self.n_robots]).reshape(
                 -1, self.n_robots, 2
             ),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig, RewardProfile
 from mbn_marl.engine.jit import generated
-from mbn_marl.engine.mdp.dynamics import DYNAMICS, count_headings
+from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.observations import OBSERVATIONS
 from mbn_marl.engine.mdp.rewards import RULES
 
@@ -27,8 +27,11 @@ class Constants(NamedTuple):
     zero: float
     one: float
     tau: float
-    f_max: float
-    v_clip: float
+    top_speed: float  # the highest speed limit of a robot
+    pi: float
+    turn_max: float
+    wheelbase: float
+    steer_max: float
     wind_x: float  # velocity that the wind adds in a step
     wind_y: float
     arena_x: float
@@ -47,7 +50,6 @@ class Constants(NamedTuple):
     per_speed: float
     per_speed_range: float
     max_steps: int
-    dynamics: int
     headings: int
     rules: int
     team_sharing: int
@@ -75,6 +77,7 @@ def make_record(
         **{name: getattr(config, name, None) for name in Constants._fields},
         "zero": 0.0,
         "one": 1.0,
+        "pi": np.pi,
         "wind_x": wind_x,
         "wind_y": wind_y,
         "arena_x": width,
@@ -90,10 +93,9 @@ def make_record(
         "per_arena_y": _reciprocal(height, real),
         "per_half_arena_x": _reciprocal(width / 2, real),
         "per_half_arena_y": _reciprocal(height / 2, real),
-        "per_speed": _reciprocal(config.v_clip, real),
-        "per_speed_range": _reciprocal(2 * config.v_clip, real),
-        "dynamics": DYNAMICS[config.dynamics],
-        "headings": count_headings(config.dynamics, n),
+        "per_speed": _reciprocal(config.top_speed, real),
+        "per_speed_range": _reciprocal(2 * config.top_speed, real),
+        "headings": count_headings(config.of_each("dynamics", n)),
         "rules": RULES[config.reward.rules],
         "team_sharing": config.reward_sharing == "team",
         "observation": OBSERVATIONS[config.observation],

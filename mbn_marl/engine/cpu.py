@@ -122,9 +122,10 @@ class CpuBackend(Backend):
     def _connect(self) -> None:
         super()._connect()
         self.threads = WorldThreads(self.spec.num_worlds, self.spec.threads)
-        self.store = self.store_with(self.spec.constants)
+        self.store = self.store_with(self.spec.geometry.robots)
 
-    def store_with(self, constants: NDArray[Any]) -> Store:
-        """The arrays as the kernels take them, with these constants of the MDP, (1,)."""
+    def store_with(self, robots: Array) -> Store:
+        """The arrays as the kernels take them, with these numbers of the robots, (3, n)."""
+        geometry = self.spec.geometry._replace(robots=robots)
         worlds = self.memory, self.now, self.final, self.output
-        return Store(constants, self.spec.geometry, *worlds)
+        return Store(self.spec.constants, geometry, *worlds)

@@ -99,7 +99,15 @@ def _view_of(kind: Any, index: str, given: tuple[str, ...] = (), **places: str) 
 TABLE = "[:, :, w:end]"
 RESULTS = ("rewards", "team_rewards", "terminated", "truncated", "events", "outcomes")
 geometry_of = _view_of(
-    Geometry, ":, w:end", edges=TABLE, rois=TABLE, starts=TABLE, codes="[w:end]", masses="", rays=""
+    Geometry,
+    ":, w:end",
+    edges=TABLE,
+    rois=TABLE,
+    starts=TABLE,
+    codes="[w:end]",
+    robots="",
+    kinds="",
+    rays="",
 )
 memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="")
 episode_of = _view_of(Episode, ":, w:end", MOTION, team_return="[w:end]")
@@ -165,7 +173,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
         events = cuda.local.array((n, 1), np.int32)
         outcomes = cuda.local.array(1, np.int32)
         rewards = cuda.local.array((1, n), real)
-        reals = cuda.local.array((7, 1), real)
+        reals = cuda.local.array((10, 1), real)
         flags = cuda.local.array((4, 1), np.bool_)
         seen = cuda.local.array(1, np.int32)
         keys = cuda.local.array((2, n, 1), np.uint64)
@@ -174,7 +182,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
         f = column(g, w)
         own = geometry_of(g, f, f + ONE)
         memory = memory_of(mem, w, end, x.view(bits), y.view(bits))
-        given = output_of(out, w, end, rewards, reals[6], flags[2], flags[3], events, outcomes)
+        given = output_of(out, w, end, rewards, reals[9], flags[2], flags[3], events, outcomes)
         to = scratch_of(reals, seen, flags, keys, mine)
         if is_world:
             copy_motion(now, w, one, ZERO, n, 0)
@@ -234,7 +242,7 @@ def states(g, episode, rows):
     """As ``kernels.write_states``, of one of the episodes, with ``rows`` in a tuple of one."""
     w = np.uint64(cuda.grid(1))
     if w < episode.steps.shape[0]:
-        put_state(g, episode, w, w + ONE, 0, rows[0][w : w + ONE].T)
+        put_state(g, episode, w, w + ONE, rows[0][w : w + ONE].T)
 
 
 def draw(mem, rows):

@@ -106,10 +106,10 @@ def write_infos(store, rows):
 
 @entry_point
 def write_states(store, final, states):
-    """Write the paper's vector of every world, (W, 4n + 1)."""
+    """Write the paper's vector of every world, (W, size)."""
     episode = store.final if final else store.now
     hi = np.uint64(states.shape[0])
-    put_state(store.geometry, episode, FIRST, hi, 0, states.T)
+    put_state(store.geometry, episode, FIRST, hi, states.T)
 
 
 @compiled

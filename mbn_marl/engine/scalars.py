@@ -7,6 +7,7 @@ import numpy as np
 from mbn_marl.engine.jit import compiled
 
 FIRST = np.uint64(0)
+HALF, MANY = np.float32(0.5), np.float32(1e6)
 
 
 @compiled

@@ -21,6 +21,7 @@ class Snapshot:
         field: the field of this world.
         positions: (n, 2), units, in the engine's dtype.
         velocities: (n, 2), units/step.
+        headings: (n,), radians in [-pi, pi); NaN for a robot that has none.
         visited: (m,) bool, whether each ROI has been visited in this episode.
         trail: (step + 1, n, 2), units: the positions of every robot since the reset, the reset
             first, the current ones last.
@@ -39,6 +40,7 @@ class Snapshot:
     field: Field
     positions: FloatArray
     velocities: FloatArray
+    headings: FloatArray
     visited: NDArray[np.bool_]
     trail: FloatArray
     step: int

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.mdp.dynamics import count_headings
+from mbn_marl.engine.mdp.dynamics import DYNAMICS, LIMITS, POINT_MASS, count_headings
 from mbn_marl.engine.mdp.lidar import rays_of
 from mbn_marl.engine.mdp.observations import WITH_RAYS
 from mbn_marl.engine.mdp.revisits import ODD_LINES, filter_size
@@ -25,7 +25,7 @@ Array = NDArray[Any]
 
 
 class Geometry(NamedTuple):
-    """The field of all worlds, or each world's own, padded to common sizes; the robots' masses."""
+    """The field of all worlds, or each world's own, padded to common sizes; the robots."""
 
     edges: Array  # (4, E, F) real: ax, ay, bx, by, the field on the left; padding: a single vertex
     rois: Array  # (2, m, F) real
@@ -33,7 +33,8 @@ class Geometry(NamedTuple):
     roi_bits: Array  # (m, F) int32: the bit of each ROI in the visit code, first ROI highest
     codes: Array  # (F,) int32: the visit code with all ROIs visited; bits above it are padding
     boxes: Array  # (4, F) real: lowest x, lowest y, width and height of each field
-    masses: Array  # (n,) real
+    robots: Array  # (3, n) real: see dynamics.LIMITS
+    kinds: Array  # (n,) int32: dynamics; (0, 0) if all are point masses, the others left out
     rays: Array  # (2, 8) real: lidar's rays, units; (0,) without it, whose code is then left out
 
 
@@ -52,7 +53,13 @@ class Episode(NamedTuple):
     team_return: Array  # (W,) float64
     visited: Array  # (W,) int32: the visit code, and padding ROIs set from the start
     steps: Array  # (W,) int32
-    heading: Array  # (n, W) real, radians; (0, W) if the dynamics has none
+    heading: Array  # (n, W) real, radians; (0, W) if no robot of the team has one
+    cos: Array  # (n, W) real: of the heading, 0 for a robot without one; (0, W) likewise
+    sin: Array
+
+
+HEADING = ("heading", "cos", "sin")
+"""The parts of an episode that only teams with headings have."""
 
 
 class Memory(NamedTuple):
@@ -63,7 +70,7 @@ class Memory(NamedTuple):
     trail: Array  # (W, (T + 1) n, 2) real: positions, entry step * n + robot, the start first
     trail_bits: Array  # (W, (T + 1) n, 2) uint: the bits of trail, the same memory
     trail_key: Array  # (W, (T + 1) n) uint64: the first 64 bits of each trail entry
-    trail_velocity: Array  # (W, (T + 1) n, 2) real; formal rules only, else (W, 0, 2)
+    trail_velocity: Array  # (W, (T + 1) n, 2) real, 3 with the heading; formal rules, else 0
     trail_code: Array  # (W, T + 1) int32: visit codes; formal rules only, else (W, 0)
     words: Array  # (W,) uint64: how many words of the filter are in use
     filter: Array  # (W, words) uint64: the Bloom filter in front of the trail
@@ -124,10 +131,13 @@ def make_geometry(
     if count > 1:
         own_field = np.arange(worlds) % count
         tables = tuple(np.take(table, own_field, axis=-1) for table in tables)
-    masses = np.broadcast_to(np.asarray(config.mass, real), (n,)).copy()
+    robots = np.array([config.of_each(name, n) for name in LIMITS], real)
+    kinds = np.array([DYNAMICS[name] for name in config.of_each("dynamics", n)], np.int32)
+    if (kinds == POINT_MASS).all():
+        kinds = np.zeros((0, 0), np.int32)
     has_rays = config.observation in WITH_RAYS
     rays = rays_of(config.sensing_radius, fields[0].arena) if has_rays else np.zeros(0)
-    return Geometry._make([*tables, masses, rays.astype(real)])
+    return Geometry._make([*tables, robots, kinds, rays.astype(real)])
 
 
 def _directed_edges(field: Field) -> Array:
@@ -142,7 +152,9 @@ def _directed_edges(field: Field) -> Array:
 def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType = np) -> Episode:
     """Zeroed episode arrays; ``xp`` is numpy or torch, which puts them on its default device."""
     robots, real = (n, worlds), getattr(xp, config.dtype)
+    headings = (count_headings(config.of_each("dynamics", n)), worlds)
     reals = {name: xp.zeros(robots, dtype=real) for name in Episode._fields[:7]}
+    reals |= {name: xp.zeros(headings, dtype=real) for name in HEADING}
     return Episode(
         **reals,
         wall_hits=xp.zeros(robots, dtype=xp.int32),
@@ -150,7 +162,6 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
         team_return=xp.zeros(worlds, dtype=xp.float64),
         visited=xp.zeros(worlds, dtype=xp.int32),
         steps=xp.zeros(worlds, dtype=xp.int32),
-        heading=xp.zeros((count_headings(config.dynamics, n), worlds), dtype=real),
     )
 
 
@@ -161,6 +172,7 @@ def make_memory(
     real = getattr(xp, config.dtype)
     length = config.max_steps + 1
     formal = config.reward.rules == "formal"
+    motion = 3 if now.heading.shape[0] else 2
     words = filter_size(length * (1 if formal else n)) + ODD_LINES
     trail = xp.zeros((worlds, length * n, 2), dtype=real)
     memory = Memory(
@@ -169,7 +181,7 @@ def make_memory(
         trail=trail,
         trail_bits=trail,
         trail_key=trail,
-        trail_velocity=xp.zeros((worlds, length * n * formal, 2), dtype=real),
+        trail_velocity=xp.zeros((worlds, length * n * formal, motion), dtype=real),
         trail_code=xp.zeros((worlds, length * formal), dtype=xp.int32),
         words=xp.zeros(worlds, dtype=xp.uint64),
         filter=xp.zeros((worlds, words), dtype=xp.uint64),

@@ -21,7 +21,7 @@ from mbn_marl.engine.jit import compiled, entry_point
 from mbn_marl.engine.mdp import revisits, rewards
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import cross_edge
-from mbn_marl.engine.mdp.dynamics import propose_move
+from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.termination import is_terminated, is_truncated
 from mbn_marl.engine.mdp.visits import all_visited, visit_code, within
@@ -42,6 +42,9 @@ class Scratch(NamedTuple):
     y: Any
     vx: Any
     vy: Any
+    heading: Any  # real: the heading there, its cosine and its sine, if the robot has one
+    cos: Any
+    sin: Any
     own: Any  # real: the robots' own rewards, summed
     share: Any  # real: a robot's reward
     seen: Any  # int32: see containment.cross_edge
@@ -55,14 +58,15 @@ class Scratch(NamedTuple):
 @compiled
 def scratch_of(reals, seen, flags, keys, tile):
     """The scratch in these arrays."""
-    move, sums = (reals[0], reals[1], reals[2], reals[3]), (reals[4], reals[5])
-    return Scratch(*move, *sums, seen, flags[0], flags[1], keys[0], keys[1], tile)
+    move, ahead = (reals[0], reals[1], reals[2], reals[3]), (reals[4], reals[5], reals[6])
+    sums, filters = (reals[7], reals[8]), (flags[0], flags[1], keys[0], keys[1])
+    return Scratch(*move, *ahead, *sums, seen, *filters, tile)
 
 
 @compiled
 def make_scratch(size, n, entries, real):
     """Scratch for a block of at most ``size`` worlds whose observations have ``entries``."""
-    reals = np.empty((6, size), real)
+    reals = np.empty((9, size), real)
     flags = np.empty((2, size), np.bool_)
     keys = np.empty((2, n, size), np.uint64)
     tile = np.empty((entries, size), np.float32)
@@ -289,6 +293,7 @@ def move_robots(p, g, mem, now, out, to, actions, lo, hi):
         propose_move(p, g, now, to, actions, i, lo, hi)
         test_containment(g, to, lo, hi)
         stop_at_walls(p, now, out, to, i, lo, hi)
+        keep_heading(g.kinds, now, to, i, lo, hi)
         mark_visits(p, g, now, out, i, lo, hi)
     if p.rules == rewards.RELEASED:
         record_positions(mem, now, lo, hi)

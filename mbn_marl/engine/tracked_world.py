@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.engine import step
 from mbn_marl.engine.batch import BatchEngine
-from mbn_marl.engine.constants import make_record, unpack
+from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.cpu import CpuBackend
 from mbn_marl.engine.jit import entry_point
-from mbn_marl.engine.mdp.dynamics import propose_move
+from mbn_marl.engine.mdp.dynamics import V_CLIP, keep_heading, propose_move
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
 from mbn_marl.engine.scalars import clip, select
@@ -68,10 +68,9 @@ class TrackedWorld:
             allowed = "allowed: one world on the CPU, autoreset disabled"
             raise MbnError(f"engine: {engine.num_worlds} worlds on {engine.device}; {allowed}")
         self.engine, self._backend = engine, backend
-        limit = min(engine.config.v_clip, speed_limit or np.inf)
-        config = engine.config.model_copy(update={"v_clip": limit})
-        limited = make_record(config, engine.n_robots, engine.field.arena, engine.autoreset)
-        self._chooser = backend.store_with(limited)
+        robots = backend.spec.geometry.robots.copy()
+        robots[V_CLIP] = np.minimum(robots[V_CLIP], speed_limit or np.inf)
+        self._chooser = backend.store_with(robots)
         self._allowed = np.ones(engine.n_robots, np.bool_)
 
     def command(self, actions: ArrayLike) -> Command:
@@ -125,6 +124,7 @@ def choose_velocities(store, actions, velocities, allowed):
     for i in range(n):
         propose_move(p, g, now, to, actions, i, LO, HI)
         step.test_containment(g, to, LO, HI)
+        keep_heading(g.kinds, now, to, i, LO, HI)
         inside = to.seen[0] != 0
         allowed[i] = inside
         velocities[0, i, 0] = select(inside, to.vx[0], p.zero)
@@ -140,8 +140,9 @@ def take_positions(store, positions, velocities, allowed):
     to = step.make_scratch(HI, n, out.observations.shape[2], now.x.dtype)
     for i in range(n):
         to.x[0], to.y[0] = positions[0, i, 0], positions[0, i, 1]
-        to.vx[0] = clip(velocities[0, i, 0], -p.v_clip, p.v_clip)
-        to.vy[0] = clip(velocities[0, i, 1], -p.v_clip, p.v_clip)
+        v_clip = g.robots[V_CLIP, i]
+        to.vx[0] = clip(velocities[0, i, 0], -v_clip, v_clip)
+        to.vy[0] = clip(velocities[0, i, 1], -v_clip, v_clip)
         step.test_containment(g, to, LO, HI)
         stayed = allowed[i] & (to.seen[0] != 0)
         to.seen[0] = INSIDE

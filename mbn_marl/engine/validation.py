@@ -11,6 +11,7 @@ from shapely import Point
 
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.constants import AUTORESET_MODES
+from mbn_marl.engine.mdp.dynamics import LIMITS
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
@@ -56,8 +57,9 @@ def check_setup(
         problems.append(f"num_worlds: {num_worlds!r}; allowed: an integer of at least 1")
     if threads is not None and not _positive(threads):
         problems.append(f"threads: {threads!r}; allowed: None or an integer of at least 1")
-    if isinstance(config.mass, tuple) and len(config.mass) != n:
-        problems.append(f"mass: {len(config.mass)} values; allowed: one number, or {n} of them")
+    for name in ("dynamics", *LIMITS):
+        if (count := len(config.of_each(name, n))) != n:
+            problems.append(f"{name}: {count} values; allowed: one for all robots, or {n} of them")
     if not fields:
         problems.append("field: an empty sequence; allowed: at least one field")
     if starts is not None and (wrong := _given_starts_problems(starts, config, n)):

@@ -28,6 +28,8 @@ class Episode:
         config: the configuration with the team size.
         actions: (T, n, 2), in [-1, 1], in the engine's dtype.
         positions: (T + 1, n, 2), units, from the reset on, in the engine's dtype.
+        headings: (T + 1, n), radians in [-pi, pi), in the engine's dtype; NaN for a robot that has
+            none.
         visits: (m,) int32, the step in which each ROI was visited, from 1 on; 0 for never.
         terms: (T, n, terms) float64, each robot's own reward by term, ordered as ``REWARD_TERMS``.
         team_rewards: (T,) float64, the centralised reward of each step.
@@ -40,6 +42,7 @@ class Episode:
     config: NavigationConfig
     actions: Array
     positions: Array
+    headings: Array
     visits: NDArray[np.int32]
     terms: NDArray[np.float64]
     team_rewards: NDArray[np.float64]
@@ -77,6 +80,7 @@ class Episode:
             field=self.field,
             positions=trail[-1],
             velocities=(trail[-1] - trail[-2]) / config.tau if step else np.zeros_like(trail[0]),
+            headings=self.headings[step],
             visited=(self.visits > 0) & (self.visits <= step),
             trail=trail,
             step=step,

@@ -111,6 +111,10 @@ class EpisodeFile(_Strict):
         description="The step in which each ROI was visited, from 1 on; null for never."
     )
     positions: PackedArray = Field(description="(T + 1, n, 2), units, from the reset on.")
+    headings: PackedArray | None = Field(
+        default=None,
+        description="(T + 1, n), radians, NaN for a robot without one; null if none has.",
+    )
     actions: PackedArray = Field(description="(T, n, 2), in [-1, 1].")
     rewards: Rewards
 
@@ -174,6 +178,7 @@ def is_episode_file(path: str | Path) -> bool:
 def to_file(episode: Episode) -> EpisodeFile:
     """Return the content of the file of ``episode``."""
     robots, team = CodedArray.pack(episode.terms), CodedArray.pack(episode.team_rewards)
+    missing = np.isnan(episode.headings)
     return EpisodeFile(
         format=FORMAT,
         version=__version__,
@@ -188,6 +193,7 @@ def to_file(episode: Episode) -> EpisodeFile:
         config=episode.config.model_dump(mode="json", exclude={"wind"}),
         visits=[int(step) or None for step in episode.visits],
         positions=PackedArray.pack(episode.positions),
+        headings=None if missing.all() else PackedArray.pack(episode.headings),
         actions=PackedArray.pack(episode.actions),
         rewards=Rewards(terms=list(REWARD_TERMS), robots=robots, team=team),
     )
@@ -206,6 +212,8 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         "rewards.robots": (content.rewards.robots, (steps, robots, len(terms))),
         "rewards.team": (content.rewards.team, (steps,)),
     }
+    turning = content.headings
+    packed |= {} if turning is None else {"headings": (turning, (steps + 1, robots))}
     for part, (array, shape) in packed.items():
         try:
             found = arrays[part] = array.unpack()
@@ -214,7 +222,8 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
             continue
         if found.shape != shape:
             problems.append(f"{part}: shape {found.shape}; allowed: {shape}")
-        exact = found.dtype == config.dtype and np.isfinite(found).all()
+        wrong = np.isinf(found) if part == "headings" else ~np.isfinite(found)
+        exact = found.dtype == config.dtype and not wrong.any()
         if not (exact or part.startswith("rewards")):
             problems.append(f"{part}: allowed: finite numbers, {config.dtype} as in config")
     if len(set(terms)) < len(terms) or not set(terms) <= set(known):
@@ -234,6 +243,7 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         config=config,
         actions=arrays["actions"],
         positions=arrays["positions"],
+        headings=arrays.get("headings", np.full((steps + 1, robots), np.nan, config.dtype)),
         visits=np.array([step or 0 for step in content.visits], np.int32),
         terms=own_terms,
         team_rewards=arrays["rewards.team"],

@@ -19,6 +19,7 @@ class EpisodeLog:
         self._engine = engine
         self._visits = np.zeros(engine.n_rois, np.int32)
         self._positions = [self._state()[0]]
+        self._headings = [engine.snapshot().headings]
         self._actions: list[Array] = []
         self._terms: list[Array] = []
         self._rewards: list[float] = []
@@ -27,6 +28,7 @@ class EpisodeLog:
         """Log the engine's last step, with ``actions`` (n, 2); return the ROIs visited in it."""
         positions, visited = self._state()
         self._positions.append(positions)
+        self._headings.append(self._engine.snapshot().headings)
         self._actions.append(np.clip(actions, -1, 1).astype(self._engine.dtype))
         self._terms.append(self._engine.reward_terms()[0].astype(np.float64))
         self._rewards.append(float(self._engine.team_rewards[0]))
@@ -44,6 +46,7 @@ class EpisodeLog:
             config=config.model_copy(update={"n_robots": engine.n_robots}),
             actions=np.array(self._actions, engine.dtype).reshape(*shape, 2),
             positions=np.array(self._positions),
+            headings=np.array(self._headings),
             visits=self._visits.copy(),
             terms=np.array(self._terms, np.float64).reshape(*shape, len(REWARD_TERMS)),
             team_rewards=np.array(self._rewards),
@@ -120,11 +123,12 @@ def check_episode(episode: Episode, name: str = "episode") -> None:
         again = play(episode.field, episode.config, episode.actions, starts=episode.positions[0])
     except ProblemsError as error:
         raise EpisodeError(name, error.problems) from None
-    for what in ("positions", "terms", "team_rewards"):
+    for what in ("positions", "headings", "terms", "team_rewards"):
         ours, theirs = getattr(episode, what), getattr(again, what)
-        if not np.array_equal(ours, theirs):
+        same = (ours == theirs) | (np.isnan(ours) & np.isnan(theirs))
+        if not same.all():
             late = len(theirs) - episode.steps
-            step = int(np.argmax((ours != theirs).reshape(len(ours), -1).any(axis=1))) + 1 - late
+            step = int(np.argmax((~same).reshape(len(ours), -1).any(axis=1))) + 1 - late
             problem = f"{what}: the engine gives others from step {step} on; it does not replay"
             raise EpisodeError(name, [problem])
     for what in ("visits", "outcome"):

@@ -59,8 +59,9 @@ class Greedy:
             self.problem = self.problem.with_wind(velocities, self.from_rest)
             self.from_rest = None
         plans = [self._coast(i, positions[i], velocities[i]) for i in range(self.problem.n)]
-        actions, top = np.zeros((self.problem.n, 2), np.float32), self.problem.config.v_clip
+        actions = np.zeros((self.problem.n, 2), np.float32)
         for i in range(self.problem.n):
+            top = self.problem.drives[i].top
             others = plans[:i] + plans[i + 1 :]
             for wanted in self._wishes(i, positions[i], velocities[i], visited):
                 change = self._within_force(i, wanted - velocities[i])
@@ -101,7 +102,7 @@ class Greedy:
         brake = np.maximum(self.problem.forces[i] - np.abs(self.problem.wind), 1e-3)
         far = np.abs(offset) / tau
         speed = 0.5 * (np.sqrt(brake**2 + 8.0 * brake * far) - brake)
-        speed = np.minimum(speed, self.problem.config.v_clip)
+        speed = np.minimum(speed, self.problem.drives[i].top)
         scale = np.min(speed[far > 1e-9] / far[far > 1e-9], initial=1.0)
         return np.asarray(offset / tau * scale)
 
@@ -112,7 +113,7 @@ class Greedy:
 
     def _coast(self, i: int, position: Floats, velocity: Floats) -> Floats:
         """Return (k, 2): robot i's positions while it brakes; the last one is where it rests."""
-        path, top = [], self.problem.config.v_clip
+        path, top = [], self.problem.drives[i].top
         for _ in range(LONGEST_BRAKE):
             velocity = np.clip(velocity + self._within_force(i, -velocity), -top, top)
             position = position + velocity * self.problem.config.tau

@@ -47,7 +47,7 @@ def proved_legs(problem: Problem, slack: float, most: int) -> Legs:
 def _free_legs(problem: Problem, slack: float, most: int) -> Legs:
     """Return least steps without walls."""
     radius = problem.config.roi_radius + slack
-    stride = problem.config.v_clip * problem.config.tau
+    stride = problem.config.top_speed * problem.config.tau
     first = np.empty((problem.n, problem.m), np.int64)
     between = np.zeros((problem.m, problem.m), np.int64)
     for j, roi in enumerate(problem.rois):
@@ -90,11 +90,13 @@ def roadmap_legs(problem: Problem, roadmap: Roadmap, radius: float, most: int) -
         for j in range(m):
             far = roadmap.lengths[i, n + j] - radius
 
-            def reaches(steps: int, far: float = far, rate: float = rate) -> bool:
-                return far <= reach_from_rest(rate, config.v_clip, config.tau, steps)
+            def reaches(
+                steps: int, far: float = far, rate: float = rate, top: float = drive.top
+            ) -> bool:
+                return far <= reach_from_rest(rate, top, config.tau, steps)
 
             first[i, j] = max(_least(reaches, most), 1)
-    stride = config.v_clip * config.tau
+    stride = config.top_speed * config.tau
     steps = np.ceil((roadmap.lengths[n : n + m, n : n + m] - 2.0 * radius) / stride - 1e-9)
     between = np.where(steps <= most, np.maximum(steps, 0.0), NEVER).astype(np.int64)
     np.fill_diagonal(between, 0)
@@ -130,7 +132,7 @@ def _steppable(problem: Problem, slack: float) -> shapely.Geometry:
     of one of them. The ROIs' discs are included, so that each disc is one place.
     """
     config = problem.config
-    half = math.hypot(0.5, 0.5) * config.v_clip * config.tau + slack
+    half = math.hypot(0.5, 0.5) * config.top_speed * config.tau + slack
     grown = problem.field.polygon.buffer(half, join_style="mitre")
     outer = (config.roi_radius + slack) / math.cos(math.pi / 16.0)
     discs = shapely.buffer(shapely.points(problem.rois), outer, quad_segs=4)

@@ -88,7 +88,7 @@ class _ConicProgram:
         A wind that is stronger than the force leaves a robot at the speed limit at its speed.
         """
         problem, tau = self.problem, self.problem.config.tau
-        top = np.full(self.block, problem.config.v_clip * tau)
+        top = np.full(self.block, problem.drives[i].top * tau)
         force = np.repeat(problem.forces[i], self.steps) * tau
         push = np.repeat(problem.wind, self.steps) * tau
         for rows, limits in (

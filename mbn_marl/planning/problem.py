@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
+from mbn_marl.engine.mdp.dynamics import LIMITS
 from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
@@ -98,17 +99,18 @@ class Problem:
         velocity acts in all later steps. The tests of field and discs add less than ten roundings
         of a position. A bound with this allowance also holds for the engine in float32.
         """
-        drive = self.drives[0]
-        velocity = 3.0 * (drive.top + float(np.abs(self.wind).max())) * FLOAT32
+        config = self.config
+        velocity = 3.0 * (config.top_speed + float(np.abs(self.wind).max())) * FLOAT32
         position = float(self.field.vertices.max()) * FLOAT32
-        return (steps + 10) * position + 0.5 * steps * (steps + 1) * velocity * drive.tau + 1e-5
+        return (steps + 10) * position + 0.5 * steps * (steps + 1) * velocity * config.tau + 1e-5
 
 
 def make_problem(field: Field, config: NavigationConfig) -> Problem:
     """Return the instance of a field and a configuration.
 
     Raises:
-        ConfigError: the field has too few starts, or the starts are random.
+        ConfigError: the field has too few starts, the starts are random, or a robot is no point
+            mass.
     """
     n = config.n_robots or len(field.starts)
     problems = []
@@ -116,16 +118,22 @@ def make_problem(field: Field, config: NavigationConfig) -> Problem:
         problems.append(f"n_robots: {field.name} has {len(field.starts)} starts, not {n}")
     if config.random_starts:
         problems.append("random_starts: allowed: False; a plan is for the field's own starts")
-    masses = config.mass if isinstance(config.mass, tuple) else (config.mass,) * n
-    if len(masses) != n:
-        problems.append(f"mass: expected {n} numbers, one per robot, got {len(masses)}")
+    others = sorted(set(config.of_each("dynamics", n)) - {"point_mass"})
+    if others:
+        known = "allowed: 'point_mass'; for others no plan is made, and no bound is known"
+        problems.append(f"dynamics: {', '.join(map(repr, others))}; {known}")
+    limits = {name: config.of_each(name, n) for name in LIMITS}
+    for name, values in limits.items():
+        if len(values) != n:
+            problems.append(f"{name}: expected {n} numbers, one per robot, got {len(values)}")
     if problems:
         raise ConfigError("plan", problems)
     wind = np.array(config.wind_increment())
-    forces = np.array([[config.f_max / mass] * 2 for mass in masses])
+    rates = [force / mass for force, mass in zip(limits["f_max"], limits["mass"], strict=True)]
+    forces = np.array([[rate] * 2 for rate in rates])
     drives = tuple(
-        Drive(_pair(force + wind), _pair(force - wind), config.v_clip, config.tau)
-        for force in forces
+        Drive(_pair(force + wind), _pair(force - wind), top, config.tau)
+        for force, top in zip(forces, limits["v_clip"], strict=True)
     )
     return Problem(
         field=field,

@@ -68,6 +68,7 @@ def trajectory_figure(
     visited: NDArray[np.bool_] | None = None,
     collision: bool = False,
     wind: tuple[float, float] = (0.0, 0.0),
+    headings: NDArray[Any] | None = None,
     roi_radius: float = maps.ROI_RADIUS,
     title: str | None = None,
 ) -> Figure:
@@ -82,6 +83,8 @@ def trajectory_figure(
         visited: (m,) bool, the ROIs that were visited; ``None`` if that is not known.
         collision: whether the episode ended in one; the closest pair is marked.
         wind: ``(v_x, v_y)``, units/step per step; an arrow points that way unless it is 0.
+        headings: (n,), radians: where the robots face at the end, NaN for a robot without a
+            heading; ``None`` if none has one.
         roi_radius: rho, units.
         title: above the figure; ``None`` for the name of the field.
 
@@ -93,7 +96,7 @@ def trajectory_figure(
         raise MbnError(f"trails: the shape has to be (steps + 1, robots, 2), not {trails.shape}")
     figure, axes = _canvas(field, field.name if title is None else title)
     maps.draw_field(axes, field, visited=visited, roi_radius=roi_radius)
-    maps.draw_trails(axes, trails)
+    maps.draw_trails(axes, trails, headings)
     handles = [maps.roi_handle()] + ([] if visited is None else [maps.roi_handle(visited=True)])
     handles.append(maps.robot_handle("start", ms=5, mfc=style.WHITE))
     handles.append(maps.robot_handle("end of robot i"))
@@ -121,7 +124,7 @@ def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = 3) -> Fig
     figure, grid = _panels("panels", len(lasts), columns, _PANEL_WIDTH, tall + _TITLES)
     for axes, (title, last) in zip(grid, lasts.items(), strict=True):
         _draw_place(axes, last, f"{title}\n{_long_outcome(last)}", numbered=True)
-        maps.draw_trails(axes, last.trail)
+        maps.draw_trails(axes, last.trail, last.headings)
         if last.collision:
             maps.mark_collision(axes, last.trail[-1])
     return figure

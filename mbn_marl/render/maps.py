@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from matplotlib.text import OffsetFrom
+from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 from shapely.geometry.polygon import orient
 
@@ -24,6 +26,7 @@ _ARROW = {
     **dict.fromkeys(("shrinkA", "shrinkB"), 0),
     **{"arrowstyle": "-|>", "mutation_scale": 11, "lw": 1.6, "color": style.WIND},
 }
+_NOSE = Path([(1.0, 0.0), (0.3, 0.4), (0.3, -0.4), (1.0, 0.0)], closed=True)
 _BORDER = 0.06
 """Empty border round a field, as a share of its larger side."""
 
@@ -103,21 +106,33 @@ def replace_ticks(axes: Axes, field: Field) -> None:
     axes.annotate(text, end, (3, 0), textcoords="offset points", va="center", fontsize=7)
 
 
-def draw_trails(axes: Axes, trails: NDArray[Any]) -> None:
-    """Draw the paths of one episode, (t + 1, n, 2) in units."""
+def draw_trails(axes: Axes, trails: NDArray[Any], headings: NDArray[Any] | None = None) -> None:
+    """Draw the paths of one episode, (t + 1, n, 2) in units, and the last ``headings``, (n,)."""
     for index in range(trails.shape[1]):
         colour = style.robot_colour(index)
         x, y = trails[:, index].T
         axes.plot(x, y, color=colour, lw=0.8, zorder=3)
         axes.plot(x, y, ".", color=colour, ms=3.6, mew=0, zorder=3)
         axes.plot(x[:1], y[:1], "o", color=colour, mfc=style.WHITE, ms=5, mew=1.3, zorder=3.5)
-    draw_robots(axes, trails[-1])
+    draw_robots(axes, trails[-1], headings=headings)
 
 
-def draw_robots(axes: Axes, positions: NDArray[Any], size: float = 9.5) -> None:
-    """Draw robots at ``positions`` (n, 2), units, as numbered discs, ``size`` points wide."""
+def draw_robots(
+    axes: Axes,
+    positions: NDArray[Any],
+    size: float = 9.5,
+    headings: NDArray[Any] | None = None,
+) -> None:
+    """Draw robots at ``positions`` (n, 2), units, as numbered discs, ``size`` points wide.
+
+    A point sticks out of a disc the way that the robot faces: ``headings`` (n,) are in radians, and
+    NaN for robots that have none.
+    """
     for index, (x, y) in enumerate(positions.tolist()):
         colour = style.robot_colour(index)
+        if headings is not None and np.isfinite(headings[index]):
+            nose = MarkerStyle(_NOSE, transform=Affine2D().rotate(float(headings[index])))
+            axes.plot([x], [y], ls="none", marker=nose, color=colour, ms=2 * size, mew=0, zorder=4)
         axes.plot([x], [y], "o", color=colour, ms=size, mec=style.WHITE, mew=0.8, zorder=4)
         axes.annotate(
             str(index),

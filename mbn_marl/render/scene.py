@@ -54,6 +54,9 @@ class Scene:
         for centre, visited in zip(self._roi_pixels, snapshot.visited, strict=True):
             _stamp(self._frame, self._rois[bool(visited)], centre)
         centres = self._view.to_pixels(snapshot.positions)
+        for index, heading in enumerate(snapshot.headings.tolist()):
+            if not math.isnan(heading):
+                self._draw_nose(index, centres[index], heading)
         for sprite, centre in zip(self._robots, centres, strict=True):
             _stamp(self._frame, sprite, centre)
         self._write_header(snapshot)
@@ -115,6 +118,15 @@ class Scene:
             for colour, start, end in zip(colours, before, after, strict=True):
                 pygame.draw.aaline(self._canvas, colour, start, end, width)
         self._drawn = trail
+
+    def _draw_nose(self, index: int, centre: NDArray[np.float64], heading: float) -> None:
+        """Draw a point that sticks out from below a robot's disc the way that it faces."""
+        ahead = np.array([math.cos(heading), -math.sin(heading)]) * _ROBOT * self._ui
+        side = ahead[::-1] * (0.75, -0.75)
+        corners = [centre + 2.0 * ahead, centre + 0.6 * ahead + side, centre + 0.6 * ahead - side]
+        colour = style.rgb(style.robot_colour(index))
+        pygame.draw.polygon(self._frame, colour, [corner.tolist() for corner in corners])
+        pygame.draw.aalines(self._frame, colour, True, [corner.tolist() for corner in corners])
 
     def _write_header(self, snapshot: Snapshot) -> None:
         """Write step, return, visited ROIs, and how the episode ended if it has."""

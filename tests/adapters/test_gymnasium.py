@@ -27,6 +27,7 @@ CONFIGURATIONS = {
     "default": {},
     "float64, wind": {"field": "field_09", "dtype": "float64", "wind": (0.05, 90.0)},
     "one robot, short": {"field": "field_07", "n_robots": 1, "max_steps": 30},
+    "robots that turn": {"dynamics": ("holonomic", "unicycle", "bicycle")},
     "formal, random starts": {"field": "field_01", "reward": "formal", "random_starts": True},
 }
 every_configuration = pytest.mark.parametrize(

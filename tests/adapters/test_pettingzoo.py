@@ -41,6 +41,8 @@ CONFIGURATIONS = {
         "reward_sharing": "team",
         "observation": "local",
     },
+    "unicycles": {"dynamics": "unicycle", "observation": "lidar"},
+    "holonomic and bicycles": {"dynamics": ("holonomic", "bicycle", "bicycle")},
     "random starts, one-hot": {"field": "field_10", "random_starts": True, "one_hot": True},
 }
 every_configuration = pytest.mark.parametrize(

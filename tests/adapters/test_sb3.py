@@ -49,6 +49,7 @@ def observed(env: NavigationVecEnv, engine: BatchEngine, observations: np.ndarra
         {"field": "field_10", "n_robots": 2, "reward": "formal"},
         {"n_robots": 1, "dtype": "float64", "wind": (0.2, 30.0)},
         {"random_starts": True, "max_steps": 20},
+        {"dynamics": ("holonomic", "unicycle", "bicycle")},
     ],
     ids=lambda settings: "-".join(settings) or "default",
 )

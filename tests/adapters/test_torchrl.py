@@ -66,6 +66,7 @@ def test_entries_are_those_of_the_table() -> None:
         {"observation": "local", "one_hot": True, "wind": (0.1, 45.0)},
         {"observation": "lidar", "one_hot": True},
         {"reward": "formal", "random_starts": True},
+        {"dynamics": ("holonomic", "unicycle", "bicycle")},
     ],
     ids=str,
 )

@@ -22,6 +22,7 @@ CASES: dict[str, dict[str, Any]] = {
     "formal": {"field": "field_07", "reward": "formal", "max_steps": 40},
     "several fields": {"field": ["field_03", "field_05", "field_10"], "autoreset": "next_step"},
     "lidar": {"field": ["field_06", "field_09"], "observation": "lidar"},
+    "mixed": {"field": "field_04", "dynamics": ("bicycle", "point_mass", "unicycle")},
     "float64": {"field": "field_01", "dtype": "float64", "reward_sharing": "team"},
 }
 LIVELY = {"max_steps": 50, "safety_distance": 20.0, "random_starts": True, "wind": (0.05, 40.0)}

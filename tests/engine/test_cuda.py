@@ -93,7 +93,9 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(
-    "settings", [{}, {"reward": "formal"}, {"observation": "lidar_local"}], ids=str
+    "settings",
+    [{}, {"reward": "formal"}, {"observation": "lidar_local"}, {"dynamics": "bicycle"}],
+    ids=str,
 )
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_the_kernels_compile_for_a_gpu(

@@ -21,6 +21,7 @@ from mbn_marl.errors import MbnError, StepError
 STEPS = 2000
 SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 90, "wind": (0.05, 40.0)}
 N = 3
+MIXED = ("point_mass", "unicycle", "bicycle")
 
 
 class ParallelRunner:
@@ -124,10 +125,13 @@ def test_a_copy_goes_on_as_the_original_would(make: Callable[[str], Any]) -> Non
 
 
 @pytest.mark.parametrize("autoreset", [True, "next_step", False])
-@pytest.mark.parametrize("reward", ["released", "formal"])
-def test_an_engine_goes_on_from_saved_arrays(autoreset: Any, reward: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("reward", "dynamics"), [("released", "point_mass"), ("formal", MIXED)])
+def test_an_engine_goes_on_from_saved_arrays(
+    autoreset: Any, reward: Any, dynamics: Any, tmp_path: Path
+) -> None:
     def make(seed: int) -> BatchEngine:
-        return BatchEngine("field_03", 4, seed=seed, autoreset=autoreset, reward=reward, **SETTINGS)
+        settings = {"autoreset": autoreset, "reward": reward, "dynamics": dynamics, **SETTINGS}
+        return BatchEngine("field_03", 4, seed=seed, **settings)
 
     def go_on(engine: BatchEngine, steps: int) -> list[bytes]:
         rows = []
@@ -171,9 +175,12 @@ def test_worlds_of_another_shape_are_refused() -> None:
     assert all(np.array_equal(before[name], after[name]) for name in before)
 
 
-def rollout(num_worlds: int, threads: int | None, steps: int, dtype: str) -> list[NDArray[Any]]:
+def rollout(
+    num_worlds: int, threads: int | None, steps: int, dtype: str, dynamics: Any
+) -> list[NDArray[Any]]:
     """States, observations, rewards, flags of the first worlds of a batch that moves by itself."""
-    engine = BatchEngine("field_03", num_worlds, seed=11, threads=threads, dtype=dtype, **SETTINGS)
+    settings = {"dtype": dtype, "dynamics": dynamics, **SETTINGS}
+    engine = BatchEngine("field_03", num_worlds, seed=11, threads=threads, **settings)
     rows = [engine.reset()[:FEW].copy()]
     for _ in range(steps):
         rows += [array[:FEW].copy() for array in engine.step(engine.sample_actions())]
@@ -184,12 +191,15 @@ def rollout(num_worlds: int, threads: int | None, steps: int, dtype: str) -> lis
 FEW = 3
 
 
+@pytest.mark.parametrize("dynamics", ["point_mass", MIXED], ids=str)
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_a_world_depends_neither_on_the_batch_size_nor_on_the_threads(dtype: str) -> None:
-    expected = rollout(FEW, 1, 300, dtype)
+def test_a_world_depends_neither_on_the_batch_size_nor_on_the_threads(
+    dtype: str, dynamics: Any
+) -> None:
+    expected = rollout(FEW, 1, 300, dtype, dynamics)
     assert sum(int(flags.sum()) for flags in expected if flags.dtype == np.bool_) >= 6
     for num_worlds, threads in [(4, 4), (130, 1), (257, 3), (1100, None)]:
-        rows = rollout(num_worlds, threads, 300, dtype)
+        rows = rollout(num_worlds, threads, 300, dtype, dynamics)
         for row, (got, wanted) in enumerate(zip(rows, expected, strict=True)):
             assert got.tobytes() == wanted.tobytes(), (num_worlds, threads, row)
 

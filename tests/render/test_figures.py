@@ -95,6 +95,16 @@ def test_each_robot_has_its_path_from_start_to_end() -> None:
     assert labels_of(figure) == ["ROI", "start", "end of robot i"]
 
 
+def test_a_point_shows_where_a_robot_faces() -> None:
+    figure = figures.trajectory_figure(FIELD, TRAILS, headings=np.array([np.nan, 0.5]))
+    noses = [line for line in figure.axes[0].lines if not isinstance(line.get_marker(), str)]
+    (nose,) = noses
+    assert nose.get_color() == style.robot_colour(1)
+    assert nose.get_xydata().tolist() == TRAILS[-1:, 1].tolist()
+    tip = nose._marker.get_transform().transform((1.0, 0.0))
+    assert np.arctan2(*tip[::-1]) == pytest.approx(0.5)
+
+
 def test_visited_rois_differ_in_colour_and_in_shape() -> None:
     figure = figures.trajectory_figure(FIELD, TRAILS, visited=np.array([True, False]))
     markers = {

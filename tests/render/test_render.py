@@ -40,6 +40,18 @@ def test_a_robot_is_drawn_where_it_is_with_y_up(position: tuple[float, float]) -
     assert np.median(rows) == pytest.approx(bottom - share[1] * (bottom - top), abs=3.0)
 
 
+@pytest.mark.parametrize("heading", [0.0, 0.5 * np.pi, 2.5])
+def test_a_point_shows_where_a_robot_faces_with_y_up(heading: float) -> None:
+    plain = snapshot([(200.0, 200.0)], roi_radius=0.0, safety_distance=0.0)
+    colour = style.robot_colour(0)
+    faced = snapshot(
+        [(200.0, 200.0)], roi_radius=0.0, safety_distance=0.0, headings=np.array([heading])
+    )
+    disc, both = (set(zip(*where(draw(one), colour), strict=True)) for one in (plain, faced))
+    row, column = np.mean(list(both - disc), axis=0) - np.mean(list(disc), axis=0)
+    assert np.arctan2(-row, column) == pytest.approx(heading, abs=0.15)
+
+
 def test_the_field_fills_the_picture_below_the_header() -> None:
     rows, columns = where(draw(snapshot()), style.GROUND)
     assert 40 < rows.min() < 60 and 370 < rows.max() < 400

@@ -52,6 +52,15 @@ def test_the_plane_gives_the_environments_own_episode(
         assert (ours.terms[..., 2] < 0).any() == (theirs.terms[..., 2] < 0).any()
 
 
+def test_robots_that_turn_are_on_the_plane_as_in_the_engine() -> None:
+    settings = {"dynamics": ("unicycle", "bicycle"), "f_max": 2.0, "max_steps": 60}
+    ours = deploy(Wander(), SMALL, settings, PlaneSimulator(), seed=3).episode
+    theirs = record_episode(Wander(), SMALL, settings, seed=3)
+    for name in ("positions", "headings", "terms"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
+    assert np.ptp(ours.headings) > 1.0 and (ours.terms[..., 2] < 0).any()
+
+
 def measured(**settings: Any) -> tuple[BatchEngine, TrackedWorld]:
     engine = BatchEngine(SMALL, 1, autoreset=False, threads=1, **settings)
     return engine, TrackedWorld(engine)

@@ -9,7 +9,7 @@ two implementations stops where the margin is mere rounding.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -17,10 +17,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from tests.support.vehicles import REALS, Robot, Vehicle, clip
 from tests.support.wall_senses import WallSenses
 
 TERMS = ("step", "revisit", "wall", "roi", "success", "collision")
-REALS: Mapping[str, Any] = {"float64": float, "float32": np.float32}
 
 
 class FieldLike(Protocol):
@@ -42,36 +42,6 @@ class Profile:
     medium: float = 100.0
     large: float = 10_000.0
     infinite: float = 100_000.0
-
-
-@dataclass
-class Robot:
-    """One robot: position (units), velocity (units/step), and its sums over the episode."""
-
-    x: Any
-    y: Any
-    vx: Any
-    vy: Any
-    impulse_x: float = 0.0
-    impulse_y: float = 0.0
-    path_length: float = 0.0
-    wall_hits: int = 0
-    return_: float = 0.0
-
-    @property
-    def position(self) -> NDArray[Any]:
-        """(2,), units."""
-        return np.array([self.x, self.y])
-
-    @property
-    def velocity(self) -> NDArray[Any]:
-        """(2,), units/step."""
-        return np.array([self.vx, self.vy])
-
-    @property
-    def impulse(self) -> float:
-        """Length of the sum of its forces times tau."""
-        return math.hypot(self.impulse_x, self.impulse_y)
 
 
 @dataclass
@@ -105,8 +75,8 @@ class Oracle:
     """One world of the multi-robot navigation MDP.
 
     The settings have the names, units and defaults of the engine's. ``reward`` is ``"released"``,
-    ``"formal"`` or any object with the attributes of :class:`Profile`; ``mass`` is one number or
-    one per robot.
+    ``"formal"`` or any object with the attributes of :class:`Profile`; ``dynamics``, ``mass``,
+    ``f_max`` and ``v_clip`` are one value or one per robot.
     """
 
     def __init__(
@@ -119,10 +89,14 @@ class Oracle:
         wind: tuple[float, float] = (0.0, 0.0),
         max_steps: int = 1000,
         dtype: str = "float64",
-        f_max: float = 0.5,
-        v_clip: float = 5.0,
+        dynamics: str | Sequence[str] = "point_mass",
+        f_max: float | Sequence[float] = 0.5,
+        v_clip: float | Sequence[float] = 5.0,
         tau: float = 1.0,
         mass: float | Sequence[float] = 1.0,
+        turn_max: float = 0.3,
+        wheelbase: float = 4.0,
+        steer_max: float = 0.5,
         safety_distance: float = 10.0,
         roi_radius: float = 10.0,
         observation: str = "relative",
@@ -141,11 +115,17 @@ class Oracle:
         self.profile = Profile(rules=reward) if isinstance(reward, str) else reward
         self.team_sharing = reward_sharing == "team"
         speed, angle = wind
-        self.wind_x = real(speed * math.cos(math.radians(angle)))
-        self.wind_y = real(speed * math.sin(math.radians(angle)))
-        masses = [mass] * self.n if isinstance(mass, int | float) else list(mass)
-        self.masses = [real(one) for one in masses]
-        self.f_max, self.v_clip, self.tau = real(f_max), real(v_clip), real(tau)
+        wind_x = real(speed * math.cos(math.radians(angle)))
+        wind_y = real(speed * math.sin(math.radians(angle)))
+        self.tau = real(tau)
+        common = (self.tau, wind_x, wind_y, real(turn_max), real(wheelbase), real(steer_max))
+        own = (self._each(values) for values in (dynamics, mass, f_max, v_clip))
+        self.vehicles = [
+            Vehicle(name, real, *map(real, numbers), *common)
+            for name, *numbers in zip(*own, strict=True)
+        ]
+        self.top_speed = max(vehicle.v_clip for vehicle in self.vehicles)
+        self.turning = any(vehicle.turns for vehicle in self.vehicles)
         self.safety_distance, self.roi_radius = safety_distance, roi_radius
         self.max_steps = max_steps
         self.observation, self.one_hot = observation, one_hot
@@ -156,7 +136,10 @@ class Oracle:
         """Start an episode, at the field's own starts or at ``positions`` (n, 2)."""
         zero = self.real(0.0)
         spots = self.starts[: self.n] if positions is None else positions
-        self.robots = [Robot(self.real(x), self.real(y), zero, zero) for x, y in spots]
+        self.robots = [
+            Robot(vehicle, self.real(x), self.real(y), zero, zero, zero)
+            for vehicle, (x, y) in zip(self.vehicles, spots, strict=True)
+        ]
         self.visited = [False] * len(self.rois)
         self.stood_on: set[tuple[float, float]] = set()
         self.joint_states = {self.state()}
@@ -170,16 +153,17 @@ class Oracle:
         return int("".join("1" if seen else "0" for seen in self.visited), 2)
 
     def state(self) -> tuple[float, ...]:
-        """The paper's vector (4n+1,): all positions, all velocities, the visit code."""
+        """The paper's vector (4n+1,), or with headings before the visit code (5n+1,)."""
         positions = [value for robot in self.robots for value in (robot.x, robot.y)]
         velocities = [value for robot in self.robots for value in (robot.vx, robot.vy)]
-        return (*positions, *velocities, float(self.visit_code))
+        headings = [robot.heading for robot in self.robots] if self.turning else []
+        return (*positions, *velocities, *headings, float(self.visit_code))
 
     def step(self, actions: Sequence[Sequence[float]]) -> Step:
         """Move every robot by ``actions`` (n, 2), numbers that are clipped to [-1, 1]."""
         step = Step()
-        for robot, mass, action in zip(self.robots, self.masses, actions, strict=True):
-            step.wall.append(self._move(robot, mass, action, step))
+        for robot, action in zip(self.robots, actions, strict=True):
+            step.wall.append(self._move(robot, action, step))
             spot = (robot.x, robot.y)
             step.revisit.append(spot in self.stood_on)
             self.stood_on.add(spot)
@@ -209,6 +193,7 @@ class Oracle:
         if self.observation == "state":
             seen = [body.position for body in (me, *others)]
             seen += [body.velocity for body in (me, *others)]
+            seen += [body.ahead for body in (me, *others)] * self.turning
             seen.append(np.array([self.visit_code]))
         else:
             half = np.array([self.width, self.height]) / 2
@@ -217,10 +202,12 @@ class Oracle:
             lidar = self.observation in ("lidar", "lidar_local")
             reach = min(self.sensing_radius, math.hypot(self.width, self.height))
             centre = middle if lidar else half
-            seen = [(me.position - centre) / half, me.velocity / self.v_clip]
+            seen = [(me.position - centre) / half, me.velocity / self.top_speed]
+            seen += [me.ahead] * self.turning
             for other in others:
-                turn = (other.velocity - me.velocity) / (2 * self.v_clip)
-                seen += self._sight(other.position - me.position, turn)
+                turn = (other.velocity - me.velocity) / (2 * self.top_speed)
+                ahead = [other.ahead] * self.turning
+                seen += self._sight(other.position - me.position, turn, *ahead)
                 if lidar:
                     distance = math.dist(other.position, me.position)
                     seen.append([max(0.0, 1.0 - distance / reach)])
@@ -229,7 +216,7 @@ class Oracle:
                 direction = [offset / (math.hypot(*offset) + 1.0)] if lidar else []
                 seen += [*self._sight(offset, *direction), np.array([visited])]
             if lidar:
-                seen.append(self._walls(me, self.masses[i], reach))
+                seen.append(self._walls(me, reach))
         if self.one_hot:
             seen.append(np.eye(self.n)[i])
         return np.concatenate(seen).astype(np.float32)
@@ -243,11 +230,15 @@ class Oracle:
         flag = [np.array([near])] if self.observation == "local" else []
         return [*flag, *(near * entry for entry in entries)]
 
-    def _walls(self, me: Robot, mass: Any, reach: float) -> list[float]:
+    def _walls(self, me: Robot, reach: float) -> list[float]:
         """The entries of ``lidar`` about the walls."""
-        axes = [(self.f_max / mass, wind) for wind in (self.wind_x, self.wind_y)]
-        senses = WallSenses(self.polygon, float(self.v_clip), float(self.tau), reach)
-        return senses.entries(me.position.astype(float), me.velocity.astype(float), axes)
+        senses = WallSenses(self.polygon, float(self.top_speed), reach)
+        rest = me.vehicle.place_of_rest(me.position, me.velocity, me.heading)
+        return senses.entries(me.position.astype(float), me.velocity.astype(float), rest)
+
+    def _each(self, value: Any) -> list[Any]:
+        """A setting's value for each robot."""
+        return [value] * self.n if isinstance(value, str | int | float) else list(value)
 
     def metrics(self) -> dict[str, Any]:
         """Sums over the episode so far, under the engine's names."""
@@ -263,19 +254,20 @@ class Oracle:
             "return_": [robot.return_ for robot in self.robots],
         }
 
-    def _move(self, robot: Robot, mass: Any, action: Sequence[float], step: Step) -> bool:
+    def _move(self, robot: Robot, action: Sequence[float], step: Step) -> bool:
         """Rules 1 to 3. Returns whether the robot tried to leave the field."""
-        real = self.real
-        force_x = clip(real(action[0]), real(-1.0), real(1.0)) * self.f_max
-        force_y = clip(real(action[1]), real(-1.0), real(1.0)) * self.f_max
-        robot.vx = clip(robot.vx + force_x / mass + self.wind_x, -self.v_clip, self.v_clip)
-        robot.vy = clip(robot.vy + force_y / mass + self.wind_y, -self.v_clip, self.v_clip)
+        real, before = self.real, robot.heading
+        velocity, robot.heading, (force_x, force_y) = robot.vehicle.move(
+            (robot.vx, robot.vy), before, action
+        )
+        robot.vx, robot.vy = velocity
         x = robot.x + robot.vx * self.tau
         y = robot.y + robot.vy * self.tau
         step.margin = min(step.margin, self.boundary.distance(shapely.Point(x, y)))
         outside = not shapely.intersects_xy(self.polygon, x, y)
         if outside:
             robot.vx = robot.vy = real(0.0)
+            robot.heading = before
             robot.wall_hits += 1
             x, y = robot.x, robot.y
         x, y = clip(x, real(0.0), self.width), clip(y, real(0.0), self.height)
@@ -372,8 +364,3 @@ def formal_reward(step: Step, profile: Profile) -> tuple[float, list[dict[str, f
 def by_term(**values: float) -> dict[str, float]:
     """A reward by term; the terms that are not given are zero."""
     return {name: values.get(name, 0.0) for name in TERMS}
-
-
-def clip(value: Any, low: Any, high: Any) -> Any:
-    """``value`` limited to [low, high]."""
-    return min(max(value, low), high)

@@ -29,6 +29,7 @@ def snapshot(trail: Any = ((120.0, 200.0),), **changes: Any) -> Snapshot:
         "field": FIELD,
         "positions": path[-1],
         "velocities": np.zeros_like(path[-1]),
+        "headings": np.full(path.shape[1], np.nan),
         "visited": np.zeros(2, bool),
         "trail": path,
         "step": len(path) - 1,

@@ -28,6 +28,7 @@ from tests.golden import Episode, load_episodes
 SPREAD = sorted(load_episodes(), key=lambda episode: len(episode.actions))[::18]
 WORLDS = 3  # with two threads in a block: the last block is not full
 # No test has one world or one robot alone: strides of other kinds would be other types to compile.
+MIXED = ("bicycle", "point_mass", "unicycle")
 SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 40, "wind": (0.05, 40.0)}
 
 
@@ -132,6 +133,8 @@ def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
         {"field": ["field_05", "field_09"], "observation": "lidar_local"},
         {"reward": "formal", "observation": "state", "n_robots": 2},
         {"reward_sharing": "team", "mass": (1.0, 1.5, 2.0), "f_max": 3.0},
+        {"dynamics": ("holonomic", "unicycle", "bicycle"), "f_max": (1.0, 2.0, 3.0)},
+        {"dynamics": MIXED, "observation": "lidar", "reward": "formal"},
     ],
     ids=lambda settings: ", ".join(settings),
 )

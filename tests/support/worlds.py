@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mbn_marl import Field
 from mbn_marl.config import RewardProfile
+from mbn_marl.engine.mdp.dynamics import DYNAMICS
 from mbn_marl.engine.mdp.observations import OBSERVATIONS
 from tests.support.oracle import Oracle
 
@@ -46,8 +47,12 @@ def worlds(draw: st.DrawFn, n: int, rules: Literal["released", "formal"]) -> Wor
     settings = {
         "reward": draw(st.sampled_from([rules, RewardProfile(rules=rules, **OWN_WEIGHTS)])),
         "wind": draw(st.sampled_from([(0.0, 0.0), (0.1, 30.0), (0.3, 217.0)])),
+        "dynamics": draw(st.sampled_from([*DYNAMICS, tuple(([*DYNAMICS] * n)[:n])])),
         "mass": draw(st.sampled_from([1.0, 1.7, tuple(0.5 + 0.3 * k for k in range(n))])),
-        "f_max": draw(st.sampled_from([3.0, 0.5])),
+        "f_max": draw(st.sampled_from([3.0, 0.5, tuple(2.0 + 0.4 * k for k in range(n))])),
+        "v_clip": draw(st.sampled_from([5.0, tuple(5.5 - 0.7 * k for k in range(n))])),
+        "turn_max": draw(st.sampled_from([0.3, 2.9])),
+        "wheelbase": draw(st.sampled_from([4.0, 0.6])),
         "tau": draw(st.sampled_from([1.0, 0.7])),
         "roi_radius": draw(st.sampled_from([10.0, 30.0])),
         "safety_distance": draw(st.sampled_from([APART, 3.0])),

@@ -46,6 +46,7 @@ def made_episode(steps: int, robots: int, source: str) -> Episode:
         config=make_config({"n_robots": robots, "wind": (0.3, 90.0)}),
         actions=np.zeros((steps, robots, 2), np.float32),
         positions=positions,
+        headings=np.full((steps + 1, robots), np.nan, np.float32),
         visits=np.array([steps // 2 + 1, 0, 0], np.int32),
         terms=terms,
         team_rewards=terms.sum(axis=(1, 2)),
@@ -107,6 +108,21 @@ def test_the_scrub_bar_moves_the_robots(page: Chromium) -> None:
         assert fact(page, 0, "step") == str(min(step, 6))
         assert robots(page, 0)[0] - before[0] == pytest.approx(resting[0], abs=1e-3)
     assert page.problems == []
+
+
+@needs_browser
+def test_robots_with_a_heading_show_it(browser: Chromium, tmp_path: Path) -> None:
+    headings = np.stack([np.linspace(0.0, -1.5, 7), np.full(7, np.nan)], axis=1)
+    path = tmp_path / "one.html"
+    turned = replace(SHORT, headings=headings.astype(np.float32))
+    path.write_text(replay_page([turned]), encoding="utf-8")
+    browser.open(path)
+    noses = "[...document.querySelectorAll('.nose')].map(nose => nose.getAttribute('transform'))"
+    assert browser.run(noses) == ["rotate(0)"]
+    scrub(browser, 6)
+    (turn,) = browser.run(noses)
+    assert float(turn[7:-1]) == pytest.approx(np.degrees(1.5), abs=1e-4)  # y down: the other way
+    assert browser.problems == []
 
 
 @needs_browser

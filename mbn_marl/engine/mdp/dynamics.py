@@ -1,29 +1,47 @@
-"""How a robot moves: its dynamics, by name (mdp.md, "One step", 1 and 2).
+"""How a robot moves: its dynamics, by name (mdp.md, "One step", 1 and 2, and "Dynamics").
 
 A dynamics is a function on the robots i of a block of worlds. It writes the velocity that the
-robot would have next and where that would take it; walls and the arena come after it. One whose
-robots have a heading changes ``Episode.heading``, which has no entries for the others.
+robot would have next and where that would take it, and, if its robots have a heading, that too;
+walls and the arena come after it. A heading and its cosine and sine are in ``Episode``, whose
+arrays have no entries if no robot of the team has one.
 
-Source: Choton, Woods, Hsu, section 4 ("Environment Design").
+Source: Choton, Woods, Hsu, section 4 ("Environment Design"), for the point mass; the others are
+this package's.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp.disturbances import add_wind
-from mbn_marl.engine.scalars import clip
+from mbn_marl.engine.mdp.elementary import cosine, sine, tangent
+from mbn_marl.engine.scalars import HALF, MANY, clip, select
 
-POINT_MASS = 0
-DYNAMICS = {"point_mass": POINT_MASS}
-WITH_HEADING: frozenset[str] = frozenset()
-"""The dynamics whose robots have a heading."""
+POINT_MASS, HOLONOMIC, UNICYCLE, BICYCLE = range(4)
+DYNAMICS = {
+    "point_mass": POINT_MASS,
+    "holonomic": HOLONOMIC,
+    "unicycle": UNICYCLE,
+    "bicycle": BICYCLE,
+}
+"""Robots of those from the unicycle on have a heading."""
+LIMITS = ("mass", "f_max", "v_clip")
+"""The settings that each robot has its own of, as the rows of ``Geometry.robots``."""
+MASS, F_MAX, V_CLIP = range(3)
 
 
-def count_headings(name: str, n: int) -> int:
-    """The number of headings in a team of n robots with the dynamics ``name``: n or 0."""
-    return n if name in WITH_HEADING else 0
+@compiled
+def has_heading(kind):
+    """Return whether robots of a dynamics, by its number, have a heading."""
+    return kind >= UNICYCLE
+
+
+def count_headings(names: Sequence[str]) -> int:
+    """The number of headings in a team with these dynamics: one a robot if any has one, else 0."""
+    return len(names) if any(DYNAMICS[name] >= UNICYCLE for name in names) else 0
 
 
 @compiled
@@ -57,14 +75,42 @@ def objective(impulse_x, impulse_y):
 
 
 @compiled
+def held_velocity(action, velocity, most, v_clip, one):
+    """``clip(a v_clip - v, -f_max / M, f_max / M)``, one axis, with the quotient ``most``."""
+    return clip(clip(action, -one, one) * v_clip - velocity, -most, most)
+
+
+@compiled
+def part_along(x, y, cos, sin):
+    """The part of a vector along a heading, such as the speed ``s = v . (cos h, sin h)``."""
+    return x * cos + y * sin
+
+
+@compiled
+def turned(heading, turn, pi):
+    """``h + turn``, in [-pi, pi)."""
+    angle, circle = heading + turn, pi + pi
+    turns = angle / circle
+    turns = clip(turns + select(turns > 0, HALF, -HALF), -MANY, MANY)
+    angle -= np.float32(np.int32(turns)) * circle
+    return select((angle >= -pi) & (angle < pi), angle, -pi)
+
+
+@compiled
+def limits_of(g, i):
+    """The mass, the force and the speed limit of robot i."""
+    return g.robots[MASS, i], g.robots[F_MAX, i], g.robots[V_CLIP, i]
+
+
+@compiled
 def move_point_mass(p, g, now, to, actions, i, lo, hi):
     """The paper's robot i: a mass that its force accelerates along both axes."""
-    mass = g.masses[i]
+    mass, f_max, v_clip = limits_of(g, i)
     for w in range(lo, hi):
-        fx = force(actions[w, i, 0], p.f_max, p.one)
-        fy = force(actions[w, i, 1], p.f_max, p.one)
-        vx = next_velocity(now.vx[i, w], fx, mass, p.wind_x, p.v_clip)
-        vy = next_velocity(now.vy[i, w], fy, mass, p.wind_y, p.v_clip)
+        fx = force(actions[w, i, 0], f_max, p.one)
+        fy = force(actions[w, i, 1], f_max, p.one)
+        vx = next_velocity(now.vx[i, w], fx, mass, p.wind_x, v_clip)
+        vy = next_velocity(now.vy[i, w], fy, mass, p.wind_y, v_clip)
         to.vx[w - lo] = vx
         to.vy[w - lo] = vy
         to.x[w - lo] = next_position(now.x[i, w], vx, p.tau)
@@ -74,7 +120,126 @@ def move_point_mass(p, g, now, to, actions, i, lo, hi):
 
 
 @compiled
+def move_holonomic(p, g, now, to, actions, i, lo, hi):
+    """A robot i whose action is a velocity, which it takes as fast as its force allows."""
+    mass, f_max, v_clip = limits_of(g, i)
+    most = f_max / mass
+    for w in range(lo, hi):
+        dx = held_velocity(actions[w, i, 0], now.vx[i, w], most, v_clip, p.one)
+        dy = held_velocity(actions[w, i, 1], now.vy[i, w], most, v_clip, p.one)
+        vx = next_velocity(now.vx[i, w], dx, p.one, p.wind_x, v_clip)
+        vy = next_velocity(now.vy[i, w], dy, p.one, p.wind_y, v_clip)
+        to.vx[w - lo] = vx
+        to.vy[w - lo] = vy
+        to.x[w - lo] = next_position(now.x[i, w], vx, p.tau)
+        to.y[w - lo] = next_position(now.y[i, w], vy, p.tau)
+        now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], mass * dx, p.tau)
+        now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], mass * dy, p.tau)
+
+
+@compiled
+def face(to, lo, hi):
+    """The cosine and the sine of the headings that the robots of a block would have."""
+    for k in range(hi - lo):
+        to.cos[k] = cosine(to.heading[k])
+        to.sin[k] = sine(to.heading[k])
+
+
+@compiled
+def drive(p, g, now, actions, i, w, limits, cos, sin):
+    """``s' = clip(s + u / M + wind . e, -v_clip, v_clip)`` with the force along e = (cos, sin)."""
+    mass, f_max, v_clip = limits
+    speed = part_along(now.vx[i, w], now.vy[i, w], now.cos[i, w], now.sin[i, w])
+    thrust = force(actions[w, i, 0], f_max, p.one)
+    now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], thrust * cos, p.tau)
+    now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], thrust * sin, p.tau)
+    return next_velocity(speed, thrust, mass, part_along(p.wind_x, p.wind_y, cos, sin), v_clip)
+
+
+@compiled
+def go_ahead(p, now, to, i, lo, hi):
+    """Where the speeds in ``to.vx`` take robot i along its new headings: ``v' = s' (cos, sin)``."""
+    for w in range(lo, hi):
+        k = w - lo
+        speed = to.vx[k]
+        to.vx[k] = speed * to.cos[k]
+        to.vy[k] = speed * to.sin[k]
+        to.x[k] = next_position(now.x[i, w], to.vx[k], p.tau)
+        to.y[k] = next_position(now.y[i, w], to.vy[k], p.tau)
+
+
+@compiled
+def move_unicycle(p, g, now, to, actions, i, lo, hi):
+    """A robot i that turns on the spot by up to ``turn_max``, then speeds up along its heading."""
+    limits = limits_of(g, i)
+    for w in range(lo, hi):
+        turn = clip(actions[w, i, 1], -p.one, p.one) * p.turn_max * p.tau
+        to.heading[w - lo] = turned(now.heading[i, w], turn, p.pi)
+    face(to, lo, hi)
+    for w in range(lo, hi):
+        k = w - lo
+        to.vx[k] = drive(p, g, now, actions, i, w, limits, to.cos[k], to.sin[k])
+    go_ahead(p, now, to, i, lo, hi)
+
+
+@compiled
+def move_bicycle(p, g, now, to, actions, i, lo, hi):
+    """A robot i that speeds up along its heading, then turns by its speed and steering angle."""
+    limits = limits_of(g, i)
+    for w in range(lo, hi):  # the tangent is kept where it is rounded to the engine's precision
+        to.sin[w - lo] = tangent(clip(actions[w, i, 1], -p.one, p.one) * p.steer_max)
+    for w in range(lo, hi):
+        k = w - lo
+        speed = drive(p, g, now, actions, i, w, limits, now.cos[i, w], now.sin[i, w])
+        turn = speed / p.wheelbase * to.sin[k] * p.tau
+        to.heading[k] = turned(now.heading[i, w], turn, p.pi)
+        to.vx[k] = speed
+    face(to, lo, hi)
+    go_ahead(p, now, to, i, lo, hi)
+
+
+@compiled
+def move_by_kind(p, g, kinds, now, to, actions, i, lo, hi):
+    """Robot i by its dynamics. ``kinds`` are those of ``g``.
+
+    The condition on their type spares teams of point masses the time to compile the others.
+    """
+    if kinds.ndim == 1:
+        if kinds[i] == HOLONOMIC:
+            move_holonomic(p, g, now, to, actions, i, lo, hi)
+        elif kinds[i] == UNICYCLE:
+            move_unicycle(p, g, now, to, actions, i, lo, hi)
+        elif kinds[i] == BICYCLE:
+            move_bicycle(p, g, now, to, actions, i, lo, hi)
+        else:
+            move_point_mass(p, g, now, to, actions, i, lo, hi)
+    else:
+        move_point_mass(p, g, now, to, actions, i, lo, hi)
+
+
+@compiled
 def propose_move(p, g, now, to, actions, i, lo, hi):
     """Steps 1 and 2: the velocity that robot i would have, and where it would take it."""
-    if p.dynamics == POINT_MASS:
-        move_point_mass(p, g, now, to, actions, i, lo, hi)
+    move_by_kind(p, g, g.kinds, now, to, actions, i, lo, hi)
+
+
+@compiled
+def keep_heading(kinds, now, to, i, lo, hi):
+    """Step 2: robot i faces where it went, or, if a wall stopped it, where it did before."""
+    if kinds.ndim == 1 and has_heading(kinds[i]):
+        for w in range(lo, hi):
+            k = w - lo
+            inside = to.seen[k] != 0
+            now.heading[i, w] = select(inside, to.heading[k], now.heading[i, w])
+            now.cos[i, w] = select(inside, to.cos[k], now.cos[i, w])
+            now.sin[i, w] = select(inside, to.sin[k], now.sin[i, w])
+
+
+@compiled
+def face_along_x(p, kinds, now, w):
+    """Begin an episode of world w: headings are 0, and robots without one have no direction."""
+    if kinds.ndim == 1:
+        for i in range(now.heading.shape[0]):
+            now.heading[i, w] = p.zero
+            now.cos[i, w] = select(has_heading(kinds[i]), p.one, p.zero)
+            now.sin[i, w] = p.zero

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp.containment import cross_edge
-from mbn_marl.engine.scalars import clip, column, select
+from mbn_marl.engine.mdp.dynamics import has_heading, limits_of, part_along
+from mbn_marl.engine.scalars import HALF, MANY, clip, column, select
 
 FAR = np.float32(np.inf)
-HALF, MANY = np.float32(0.5), np.float32(1e6)
 ROUNDING = np.float32(1e-6)
 """Of a position, in arenas: a little more than float32's."""
 S = math.sqrt(0.5)
@@ -136,7 +136,7 @@ def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
 def put_margins(p, g, rays, ep, lo, hi, i, tile, k):
     """``lidar``: when robot i would reach the wall, and how far the nearest wall is."""
     per_radius, behind = p.one / rays[0, 0], slack(p, rays)
-    per_time = p.v_clip * per_radius
+    per_time = p.top_speed * per_radius
     for w in range(lo, hi):
         tile[k, w - lo] = p.one
         tile[k + 2, w - lo] = FAR
@@ -160,12 +160,27 @@ def put_margins(p, g, rays, ep, lo, hi, i, tile, k):
 
 
 @compiled
-def put_brake(p, g, ep, lo, hi, i, tile, k):
+def place_of_rest(p, kinds, ep, brake, i, w):
+    """Where robot i would stop if it braked from now on: along its heading, if it has one."""
+    x, y, vx, vy = ep.x[i, w], ep.y[i, w], ep.vx[i, w], ep.vy[i, w]
+    if kinds.ndim == 1 and has_heading(kinds[i]):
+        cos, sin = ep.cos[i, w], ep.sin[i, w]
+        wind, beyond = part_along(p.wind_x, p.wind_y, cos, sin), p.arena_x + p.arena_y
+        path = braking_path(p, part_along(vx, vy, cos, sin), brake, wind, beyond)
+        return x + path * cos, y + path * sin
+    x += braking_path(p, vx, brake, p.wind_x, p.arena_x)
+    y += braking_path(p, vy, brake, p.wind_y, p.arena_y)
+    return x, y
+
+
+@compiled
+def put_brake(p, g, kinds, ep, lo, hi, i, tile, k):
     """``lidar``: whether robot i would stop in the field if it braked from now on.
 
     The entry holds the bits of ``cross_edge`` until all edges have been seen.
     """
-    brake = p.f_max / g.masses[i]
+    mass, f_max, _ = limits_of(g, i)
+    brake = f_max / mass
     for w in range(lo, hi):
         tile[k, w - lo] = p.zero
     for e in range(g.edges.shape[1]):
@@ -173,8 +188,7 @@ def put_brake(p, g, ep, lo, hi, i, tile, k):
             f = column(g, w)
             ax, ay = g.edges[0, e, f], g.edges[1, e, f]
             bx, by = g.edges[2, e, f], g.edges[3, e, f]
-            x = ep.x[i, w] + braking_path(p, ep.vx[i, w], brake, p.wind_x, p.arena_x)
-            y = ep.y[i, w] + braking_path(p, ep.vy[i, w], brake, p.wind_y, p.arena_y)
+            x, y = place_of_rest(p, kinds, ep, brake, i, w)
             tile[k, w - lo] = cross_edge(np.int32(tile[k, w - lo]), x, y, ax, ay, bx, by)
     for w in range(lo, hi):
         tile[k, w - lo] = min(tile[k, w - lo], p.one)

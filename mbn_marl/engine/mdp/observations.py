@@ -18,6 +18,7 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.intrinsics import SIDE, transpose
 from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp import lidar
+from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.visits import visit_code, within
 from mbn_marl.engine.scalars import FIRST, clip, column
 
@@ -59,26 +60,34 @@ def observation_table(
 ) -> tuple[Entry, ...]:
     """The entries of one robot's observation, in order, for a team of n robots and m ROIs."""
     rows: list[Row]
+    turns = count_headings(config.of_each("dynamics", n)) > 0
     if config.observation == "state":
-        rows = _state_rows(n, m, arena, config.v_clip)
+        rows = _state_rows(n, m, arena, config.top_speed, turns)
     else:
-        rows = _scaled_rows(n, m, config.observation)
+        rows = _scaled_rows(n, m, config.observation, turns)
     if config.one_hot:
         rows += [(f"is_robot_{i}", 0.0, 1.0, "flag") for i in range(n)]
     return tuple(Entry(row[0], k, *row[1:]) for k, row in enumerate(rows))
 
 
-def _scaled_rows(n: int, m: int, observation: str) -> list[Row]:
+def _heading_rows(robot: str, turns: bool) -> list[Row]:
+    """The entries of a robot's heading, if any robot has one."""
+    return [(f"{robot}_{name}", -1.0, 1.0, f"{name} of heading") for name in ("cos", "sin")] * turns
+
+
+def _scaled_rows(n: int, m: int, observation: str, turns: bool) -> list[Row]:
     """The entries of ``relative``, and what ``local`` and ``lidar`` add to them."""
     flags, lidar_only = observation == "local", observation in WITH_RAYS
     centre = "the field's centre" if lidar_only else "its centre"
     velocity, radii = "speed limits", "sensing radii"
     rows = [(f"own_{a}", -1.0, 1.0, f"half arenas from {centre}") for a in "xy"]
     rows += [(f"own_v{a}", -1.0, 1.0, velocity) for a in "xy"]
+    rows += _heading_rows("own", turns)
     for k in range(1, n):
         rows += [(f"other_{k}_present", 0.0, 1.0, "flag")] * flags
         rows += [(f"other_{k}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
         rows += [(f"other_{k}_dv{a}", -1.0, 1.0, f"2 {velocity}") for a in "xy"]
+        rows += _heading_rows(f"other_{k}", turns)
         rows += [(f"other_{k}_near", 0.0, 1.0, f"1 - {radii}")] * lidar_only
     for j in range(m):
         rows += [(f"roi_{j}_present", 0.0, 1.0, "flag")] * flags
@@ -92,10 +101,13 @@ def _scaled_rows(n: int, m: int, observation: str) -> list[Row]:
     return rows
 
 
-def _state_rows(n: int, m: int, arena: tuple[float, float], v_clip: float) -> list[Row]:
+def _state_rows(
+    n: int, m: int, arena: tuple[float, float], top_speed: float, turns: bool
+) -> list[Row]:
     who = ["own", *(f"other_{k}" for k in range(1, n))]
     rows = [(f"{r}_{a}", 0.0, arena[k], "units") for r in who for k, a in enumerate("xy")]
-    rows += [(f"{r}_v{a}", -v_clip, v_clip, "units/step") for r in who for a in "xy"]
+    rows += [(f"{r}_v{a}", -top_speed, top_speed, "units/step") for r in who for a in "xy"]
+    rows += [row for r in who for row in _heading_rows(r, turns)]
     return [*rows, ("visit_code", 0.0, float(2**m - 1), "code")]
 
 
@@ -106,8 +118,8 @@ def nth_robot(place, first):
 
 
 @compiled
-def put_state(g, ep, lo, hi, first, tile):
-    """The paper's vector (4n + 1) with robot ``first`` first; 0 is the paper's order."""
+def put_motion(ep, lo, hi, first, tile):
+    """All positions, then all velocities, robot ``first`` first; how many entries there are."""
     n = ep.x.shape[0]
     for place in range(n):
         i = nth_robot(place, first)
@@ -117,18 +129,59 @@ def put_state(g, ep, lo, hi, first, tile):
             tile[k + 1, w - lo] = ep.y[i, w]
             tile[k + 2 * n, w - lo] = ep.vx[i, w]
             tile[k + 2 * n + 1, w - lo] = ep.vy[i, w]
+    return 4 * n
+
+
+@compiled
+def put_code(g, ep, lo, hi, tile, k):
+    """The visit code."""
     for w in range(lo, hi):
-        tile[4 * n, w - lo] = visit_code(g, ep.visited[w], w)
+        tile[k, w - lo] = visit_code(g, ep.visited[w], w)
+
+
+@compiled
+def put_state(g, ep, lo, hi, tile):
+    """The paper's vector (4n + 1), or with headings in radians before the visit code (5n + 1)."""
+    k = put_motion(ep, lo, hi, 0, tile)
+    for i in range(ep.heading.shape[0]):
+        for w in range(lo, hi):
+            tile[k, w - lo] = ep.heading[i, w]
+        k += 1
+    put_code(g, ep, lo, hi, tile, k)
+
+
+@compiled
+def put_heading(ep, lo, hi, i, tile, k):
+    """The cosine and the sine of robot i's heading, both 0 if it has none."""
+    for w in range(lo, hi):
+        tile[k, w - lo] = ep.cos[i, w]
+        tile[k + 1, w - lo] = ep.sin[i, w]
+
+
+@compiled
+def put_own_state(p, g, ep, lo, hi, i, tile):
+    """The entries of ``state`` for robot i: the paper's vector with it first; how many."""
+    k = put_motion(ep, lo, hi, i, tile)
+    if p.headings > 0:
+        for place in range(p.headings):
+            put_heading(ep, lo, hi, nth_robot(place, i), tile, k)
+            k += 2
+    put_code(g, ep, lo, hi, tile, k)
+    return k + 1
 
 
 @compiled
 def put_own(p, ep, lo, hi, i, tile):
-    """Robot i's own position and velocity, the first four entries."""
+    """Robot i's own position, velocity and heading, the first entries; how many there are."""
     for w in range(lo, hi):
         tile[0, w - lo] = (ep.x[i, w] - p.half_arena_x) * p.per_half_arena_x
         tile[1, w - lo] = (ep.y[i, w] - p.half_arena_y) * p.per_half_arena_y
         tile[2, w - lo] = ep.vx[i, w] * p.per_speed
         tile[3, w - lo] = ep.vy[i, w] * p.per_speed
+    if p.headings > 0:
+        put_heading(ep, lo, hi, i, tile, 4)
+        return 6
+    return 4
 
 
 @compiled
@@ -139,6 +192,8 @@ def put_other(p, ep, lo, hi, i, j, tile, k):
         tile[k + 1, w - lo] = (ep.y[j, w] - ep.y[i, w]) * p.per_arena_y
         tile[k + 2, w - lo] = (ep.vx[j, w] - ep.vx[i, w]) * p.per_speed_range
         tile[k + 3, w - lo] = (ep.vy[j, w] - ep.vy[i, w]) * p.per_speed_range
+    if p.headings > 0:
+        put_heading(ep, lo, hi, j, tile, k + 4)
 
 
 @compiled
@@ -161,11 +216,11 @@ def hide(p, dx, dy, column, tile, k, end):
 
 
 @compiled
-def hide_other(p, ep, lo, hi, i, j, tile, k, flag):
-    """Hide robot j, whose entries begin at k, where it is far; the flag before them says so."""
+def hide_other(p, ep, lo, hi, i, j, tile, k, end, flag):
+    """Hide robot j, in entries k to end - 1, where it is far; the flag before them says so."""
     for w in range(lo, hi):
         dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
-        seen = hide(p, dx, dy, w - lo, tile, k, k + 4)
+        seen = hide(p, dx, dy, w - lo, tile, k, end)
         if flag:
             tile[k - 1, w - lo] = seen
 
@@ -185,14 +240,13 @@ def hide_roi(p, g, ep, lo, hi, i, j, tile, k, end, flag):
 def put_relative(p, g, ep, lo, hi, i, tile):
     """The entries of ``relative`` and ``local`` for robot i; how many there are."""
     flag = 1 if p.observation == LOCAL else 0
-    put_own(p, ep, lo, hi, i, tile)
-    k = 4
+    k = body = put_own(p, ep, lo, hi, i, tile)
     for j in range(ep.x.shape[0]):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k + flag)
             if flag:
-                hide_other(p, ep, lo, hi, i, j, tile, k + 1, True)
-            k += flag + 4
+                hide_other(p, ep, lo, hi, i, j, tile, k + 1, k + 1 + body, True)
+            k += flag + body
     for j in range(g.rois.shape[1]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k + flag)
         if flag:
@@ -203,28 +257,28 @@ def put_relative(p, g, ep, lo, hi, i, tile):
 
 @compiled
 def put_centred(p, g, ep, lo, hi, i, tile):
-    """``lidar``: robot i's place about the centre of the field's bounding box; its velocity."""
-    put_own(p, ep, lo, hi, i, tile)
+    """As ``put_own``, with the place about the centre of the field's bounding box."""
+    count = put_own(p, ep, lo, hi, i, tile)
     for w in range(lo, hi):
         f = column(g, w)
         x, y = ep.x[i, w] - g.boxes[0, f], ep.y[i, w] - g.boxes[1, f]
         tile[0, w - lo] = clip((x + (x - g.boxes[2, f])) * p.per_arena_x, -p.one, p.one)
         tile[1, w - lo] = clip((y + (y - g.boxes[3, f])) * p.per_arena_y, -p.one, p.one)
+    return count
 
 
 @compiled
 def put_lidar(p, g, rays, ep, lo, hi, i, tile):
     """The entries of ``lidar`` and ``lidar_local`` for robot i; how many there are."""
     local = p.observation == LIDAR_LOCAL
-    put_centred(p, g, ep, lo, hi, i, tile)
-    k = 4
+    k = body = put_centred(p, g, ep, lo, hi, i, tile)
     for j in range(ep.x.shape[0]):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k)
-            lidar.put_near(p, rays, ep, lo, hi, i, j, tile, k + 4)
+            lidar.put_near(p, rays, ep, lo, hi, i, j, tile, k + body)
             if local:
-                hide_other(p, ep, lo, hi, i, j, tile, k, False)
-            k += 5
+                hide_other(p, ep, lo, hi, i, j, tile, k, k + body, False)
+            k += body + 1
     for j in range(g.rois.shape[1]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k)
         lidar.put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)
@@ -234,7 +288,7 @@ def put_lidar(p, g, rays, ep, lo, hi, i, tile):
     lidar.put_rays(p, g, rays, ep, lo, hi, i, tile, k)
     k += rays.shape[1]
     lidar.put_margins(p, g, rays, ep, lo, hi, i, tile, k)
-    lidar.put_brake(p, g, ep, lo, hi, i, tile, k + 1)
+    lidar.put_brake(p, g, g.kinds, ep, lo, hi, i, tile, k + 1)
     return k + 3
 
 
@@ -249,8 +303,7 @@ def describe(p, g, rays, ep, lo, hi, i, tile):
     if rays.ndim == 2:
         k = put_lidar(p, g, rays, ep, lo, hi, i, tile)
     elif p.observation == STATE:
-        put_state(g, ep, lo, hi, i, tile)
-        k = 4 * n + 1
+        k = put_own_state(p, g, ep, lo, hi, i, tile)
     else:
         k = put_relative(p, g, ep, lo, hi, i, tile)
     if p.one_hot:

@@ -121,6 +121,8 @@ def same_joint_state(mem, now, w, step, code):
         same &= (mem.trail[w, k, 0] == now.x[i, w]) & (mem.trail[w, k, 1] == now.y[i, w])
         same &= mem.trail_velocity[w, k, 0] == now.vx[i, w]
         same &= mem.trail_velocity[w, k, 1] == now.vy[i, w]
+        if mem.trail_velocity.shape[2] > 2:
+            same &= mem.trail_velocity[w, k, 2] == now.heading[i, w]
     return same
 
 
@@ -147,5 +149,7 @@ def joint_state_known(mem, now, w, code):
         mem.trail[w, k, 1] = now.y[i, w]
         mem.trail_velocity[w, k, 0] = now.vx[i, w]
         mem.trail_velocity[w, k, 1] = now.vy[i, w]
+        if mem.trail_velocity.shape[2] > 2:
+            mem.trail_velocity[w, k, 2] = now.heading[i, w]
     mem.trail_code[w, step] = code
     return known

@@ -41,6 +41,7 @@ class Episode {
       safetyDistance: file.config.safety_distance,
     });
     this.places = unpack(file.positions);
+    this.headings = file.headings ? unpack(file.headings) : null;
     const team = decode(file.rewards.team);
     this.returns = totals(this.steps, (t) => team[t]);
     this.terms = this.#termTotals(file.rewards);
@@ -72,6 +73,11 @@ class Episode {
       const place = this.places[at + axis];
       return place + share * (this.places[next + axis] - place);
     });
+  }
+
+  /** Which way a robot faces after the last whole step, radians from +x; NaN if it has no heading. */
+  heading(robot, time) {
+    return this.headings ? this.headings[this.step(time) * this.robots + robot] : NaN;
   }
 
   /** The last whole step at `time`. */

@@ -14,6 +14,7 @@ class Stage {
     this.trails = html("canvas");
     this.rois = episode.field.rois.map((place) => this.#roi(place));
     this.tips = this.#robots((index) => svg("line", { class: "tip", stroke: this.#colour(index) }));
+    this.noses = this.#robots((index) => this.#nose(index));
     this.bodies = this.#robots((index) => this.#robot(index));
     const names = episode.field.rois.map((place, index) => this.#name(place, index));
     const view = `0 0 ${this.width} ${this.height}`;
@@ -43,6 +44,8 @@ class Stage {
     this.bodies.forEach((body, robot) => {
       const [x, y] = this.#seen(...episode.position(robot, time));
       body.setAttribute("transform", `translate(${x} ${y})`);
+      const turn = (-180 / Math.PI) * episode.heading(robot, time);
+      if (!Number.isNaN(turn)) this.noses[robot].setAttribute("transform", `rotate(${turn})`);
       const [fromX, fromY] = this.#seen(...episode.position(robot, step));
       fill(this.tips[robot], { x1: fromX, y1: fromY, x2: x, y2: y }, []);
     });
@@ -101,11 +104,19 @@ class Stage {
     return svg("g", { class: kind, transform: `translate(${x} ${y})` }, ...children);
   }
 
+  /** A point that sticks out of a robot's disc the way that it faces, if it has a heading. */
+  #nose(index) {
+    if (Number.isNaN(this.episode.heading(index, 0))) return svg("g");
+    const d = `M${ROBOT + 7} 0L${ROBOT - 3} ${-ROBOT * 0.7}L${ROBOT - 3} ${ROBOT * 0.7}Z`;
+    return svg("path", { class: "nose", fill: this.#colour(index), d });
+  }
+
   #robot(index) {
     const colour = this.#colour(index);
     const disc = svg(
       "g",
       { class: "pixels" },
+      this.noses[index],
       svg("circle", { class: "disc", r: ROBOT, fill: colour }),
       svg("text", { fill: `var(--ink-on-robot-${index % this.colours})` }, `${index}`),
     );

@@ -1,0 +1,176 @@
+"""How the oracle's robots move: each dynamics of ``docs/mdp.md``, in its order of operations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+REALS: dict[str, Any] = {"float64": float, "float32": np.float32}
+TURNING = ("unicycle", "bicycle")
+"""The dynamics with a heading."""
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """The numbers of one robot, and those of the world that its motion depends on."""
+
+    dynamics: str
+    real: Any
+    mass: Any
+    f_max: Any
+    v_clip: Any
+    tau: Any
+    wind_x: Any
+    wind_y: Any
+    turn_max: Any
+    wheelbase: Any
+    steer_max: Any
+
+    @property
+    def turns(self) -> bool:
+        """Return whether it has a heading."""
+        return self.dynamics in TURNING
+
+    def ahead(self, heading: Any) -> tuple[Any, Any]:
+        """The cosine and the sine of a heading; both 0 without one."""
+        if not self.turns:
+            return self.real(0.0), self.real(0.0)
+        return self.real(cosine(float(heading))), self.real(sine(float(heading)))
+
+    def move(self, velocity: Any, heading: Any, action: Any) -> tuple[Any, Any, Any]:
+        """The next velocity (2,), the next heading, and the force (2,), all before the walls."""
+        a, b = (clip(self.real(one), self.real(-1.0), self.real(1.0)) for one in action)
+        wind = (self.wind_x, self.wind_y)
+        if not self.turns:
+            axes = [self._axis(*row) for row in zip(velocity, (a, b), wind, strict=True)]
+            return tuple(v for v, _ in axes), heading, tuple(u for _, u in axes)
+        old = self.ahead(heading)
+        speed, force = dot(velocity, old), a * self.f_max
+        if self.dynamics == "unicycle":
+            heading = self._turned(heading, b * self.turn_max * self.tau)
+            old = self.ahead(heading)
+        speed = self._limited(speed + force / self.mass + dot(wind, old))
+        if self.dynamics == "bicycle":
+            angle = float(b * self.steer_max)
+            rate = speed / self.wheelbase * self.real(sine(angle) / cosine(angle))
+            heading = self._turned(heading, rate * self.tau)
+        new = self.ahead(heading)
+        return (speed * new[0], speed * new[1]), heading, (force * old[0], force * old[1])
+
+    def place_of_rest(self, spot: Any, velocity: Any, heading: Any) -> tuple[float, float]:
+        """Where it stops if it brakes from now on, (x, y); infinity if it never does."""
+        brake = float(self.f_max / self.mass)
+        wind = (float(self.wind_x), float(self.wind_y))
+        moving = tuple(map(float, velocity))
+        if not self.turns:
+            paths = [self._path(v, brake, w) for v, w in zip(moving, wind, strict=True)]
+            return float(spot[0]) + paths[0], float(spot[1]) + paths[1]
+        c, s = map(float, self.ahead(heading))
+        path = self._path(dot(moving, (c, s)), brake, dot(wind, (c, s)))
+        if math.isinf(path):
+            return path, path
+        return float(spot[0]) + path * c, float(spot[1]) + path * s
+
+    def _axis(self, v: Any, a: Any, wind: Any) -> tuple[Any, Any]:
+        """The next velocity and the force of a robot without a heading, one axis."""
+        if self.dynamics == "point_mass":
+            return self._limited(v + a * self.f_max / self.mass + wind), a * self.f_max
+        most = self.f_max / self.mass
+        change = clip(a * self.v_clip - v, -most, most)
+        return self._limited(v + change + wind), self.mass * change
+
+    def _limited(self, speed: Any) -> Any:
+        return clip(speed, -self.v_clip, self.v_clip)
+
+    def _turned(self, heading: Any, turn: Any) -> Any:
+        """The heading in [-pi, pi), by whole turns."""
+        half = self.real(math.pi)
+        angle = heading + turn
+        count = angle / (half + half)
+        turns = math.floor(abs(count) + self.real(0.5))
+        angle = angle - self.real(math.copysign(turns, count)) * (half + half)
+        return angle if -half <= angle < half else -half
+
+    def _path(self, speed: float, brake: float, wind: float) -> float:
+        """How far it goes along a line until it stands, braking step by step; perhaps for ever."""
+        slower, path = brake - math.copysign(wind, wind * speed), 0.0
+        if speed != 0 and slower <= 0:
+            return math.inf
+        while speed != 0:
+            speed = math.copysign(max(0.0, abs(speed) - slower), speed)
+            path += speed * float(self.tau)
+        return path
+
+
+@dataclass
+class Robot:
+    """One robot: position (units), velocity (units/step), heading (radians), and its sums."""
+
+    vehicle: Vehicle
+    x: Any
+    y: Any
+    vx: Any
+    vy: Any
+    heading: Any
+    impulse_x: float = 0.0
+    impulse_y: float = 0.0
+    path_length: float = 0.0
+    wall_hits: int = 0
+    return_: float = 0.0
+
+    @property
+    def position(self) -> NDArray[Any]:
+        """(2,), units."""
+        return np.array([self.x, self.y])
+
+    @property
+    def velocity(self) -> NDArray[Any]:
+        """(2,), units/step."""
+        return np.array([self.vx, self.vy])
+
+    @property
+    def ahead(self) -> NDArray[Any]:
+        """The cosine and the sine of its heading, (2,)."""
+        return np.array(self.vehicle.ahead(self.heading))
+
+    @property
+    def impulse(self) -> float:
+        """Length of the sum of its forces times tau."""
+        return math.hypot(self.impulse_x, self.impulse_y)
+
+
+def sine(angle: float) -> float:
+    """The documented approximation, for angles in [-pi, pi]."""
+    if angle > math.pi / 2:
+        angle = math.pi - angle
+    elif angle < -math.pi / 2:
+        angle = -math.pi - angle
+    return _series(angle)
+
+
+def cosine(angle: float) -> float:
+    """The documented approximation, for angles in [-pi, pi]."""
+    return _series(math.pi / 2 - abs(angle))
+
+
+def _series(x: float) -> float:
+    """The sine near 0: ``x (1 - x^2 / 3! + ... + x^20 / 21!)``, from the last term inwards."""
+    square, total = x * x, 0.0
+    for power in range(21, 0, -2):
+        sign = 1.0 if power % 4 == 1 else -1.0
+        total = total * square + sign / math.factorial(power)
+    return clip(x * total, -1.0, 1.0)
+
+
+def dot(one: Any, other: Any) -> Any:
+    """The scalar product of two vectors of two."""
+    return one[0] * other[0] + one[1] * other[1]
+
+
+def clip(value: Any, low: Any, high: Any) -> Any:
+    """``value`` limited to [low, high]."""
+    return min(max(value, low), high)
