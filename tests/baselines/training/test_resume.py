@@ -117,7 +117,7 @@ def _wait_for_checkpoint(folder: Path, process: subprocess.Popen[str]) -> None:
 @pytest.mark.parametrize(
     ("name", "number", "code", "options"),
     [
-        ("tqc", signal.SIGKILL, -9, "--steps 1600 --evaluate-every 400 --num-envs 2"),
+        ("tqc", signal.SIGKILL, -9, "--steps 800 --evaluate-every 200 --num-envs 2"),
         ("mappo", signal.SIGKILL, -9, "--steps 3000 --evaluate-every 500 --num-envs 2"),
         ("ppo-shared", signal.SIGKILL, -9, "--steps 4000 --evaluate-every 500 --num-envs 2"),
         ("a2c", signal.SIGTERM, 130, "--steps 4000 --evaluate-every 800 --setting A"),
