@@ -89,7 +89,8 @@ class SB3Policy:
     ) -> None:
         self.network, self.shape, self._model = network, shape, model
         self.normalization = normalization
-        is_state = shape["obs_size"] == 2 * np.prod(shape["action_shape"]) + 1  # 4n + 1
+        *robots, _ = shape["action_shape"]
+        is_state = shape["obs_size"] in [size * n + 1 for n in robots for size in (4, 5)]
         self.observes: Literal["observations", "state"] = "state" if is_state else "observations"
 
     @classmethod

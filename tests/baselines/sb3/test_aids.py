@@ -146,3 +146,29 @@ def test_other_learners_refuse_aids_and_say_who_has_them(name: str) -> None:
 def test_only_a_central_learner_sees_what_all_robots_see() -> None:
     with pytest.raises(ConfigError, match=r"joint_observation: allowed for a2c, .*not for ppo-sha"):
         load("ppo-shared", "N", {"joint_observation": True})
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "settings", "seen"),
+    [
+        ("ppo", False, {}, "state"),
+        ("ppo", True, {}, "observations"),
+        ("ppo", False, {"dynamics": "unicycle"}, "state"),  # with headings: 5n + 1
+        ("ppo", False, {"dynamics": "bicycle", "n_robots": 1}, "state"),
+        ("ppo", True, {"n_robots": 1}, "observations"),
+        ("ppo-shared", False, {"dynamics": "unicycle"}, "observations"),
+    ],
+)
+def test_a_policy_knows_what_it_observes(
+    name: str, joint: bool, settings: dict[str, Any], seen: str
+) -> None:
+    aids = {} if name == "ppo-shared" else {"joint_observation": joint}
+    config = TrainConfig(
+        name, "field_03", num_envs=2, hyperparameters=aids, environment=settings, steps=1
+    )
+    policy = Learner(*prepare(config), EpisodeWindow()).policy
+    assert policy.observes == seen
+    size = policy.shape["obs_size"]
+    robots = settings.get("n_robots", 3)
+    rows = (2, robots, size // robots if joint else size) if seen == "observations" else (2, size)
+    assert policy.act(np.zeros(rows, np.float32), deterministic=True).shape == (2, robots, 2)
