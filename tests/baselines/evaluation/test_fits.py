@@ -58,6 +58,13 @@ def test_a_policy_on_the_state_has_to_fit_in_its_sizes_alone() -> None:
     assert refused(Trained("state"), larger, {"n_robots": 1}) == ["robots"]
 
 
+def test_headings_have_to_be_there_or_not_as_in_training() -> None:
+    turning = {"dynamics": ("point_mass", "unicycle"), "v_clip": (5.0, 4.0)}
+    assert refused(Trained(), HOME, turning) == refused(Trained("state"), HOME, turning)
+    assert refused(Trained(), HOME, turning) == ["headings"]
+    assert refused(Trained(), HOME, {"v_clip": (5.0, 6.0)}) == ["v_clip"]
+
+
 def test_what_does_not_scale_may_differ() -> None:
     moved = Field(CORNERS, [(30, 30)], HOME.starts, arena=(200, 200))
     evaluate(Trained(), moved, {"max_steps": 2, "wind": (0.1, 0.0)}, episodes=1)
