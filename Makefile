@@ -33,8 +33,7 @@ mypy: ruff
 pytest: ruff
 	$(BIN)/pytest -n 2
 
-quick: .venv/installed
-	$(BIN)/ruff check .
+quick: ruff
 	$(BIN)/pytest -n 2 -m "not slow"
 
 test:
