@@ -97,8 +97,11 @@ class LinearSchedule(BaseModel):
     end: float = Field(alias="to")
 
     def __call__(self, progress_remaining: float) -> float:
-        """The value with ``progress_remaining``, from 1 at the start to 0 at the end."""
-        return self.end + (self.start - self.end) * progress_remaining
+        """The value with ``progress_remaining``, from 1 at the start to 0 at the end.
+
+        The last rollout may go past the budget, where the library's number is negative: 0 then.
+        """
+        return self.end + (self.start - self.end) * max(progress_remaining, 0.0)
 
 
 def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:

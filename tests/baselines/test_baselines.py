@@ -102,7 +102,8 @@ def test_centralized_schedules_fall_linearly() -> None:
         "ppo", "N", {"model": {"learning_rate": {"from": 3.0, "to": 1.0}}}
     )
     rate = centralized_config.model_arguments(config)["learning_rate"]
-    assert [rate(remaining) for remaining in (1.0, 0.5, 0.0)] == [3.0, 2.0, 1.0]
+    past_the_budget = -0.5
+    assert [rate(rest) for rest in (1.0, 0.5, 0.0, past_the_budget)] == [3.0, 2.0, 1.0, 1.0]
 
 
 # Policies
