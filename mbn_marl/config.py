@@ -123,6 +123,8 @@ class NavigationConfig(Checked):
         one_hot: append the robot's index as a one-hot vector to its observation.
         sensing_radius: how far ``"local"``, ``"lidar"`` and ``"lidar_local"`` see, in units.
         wind: ``(v_a, beta_a)``: speed in units/step per step, angle in degrees from +x.
+        gust: standard deviation of the gusts along each axis, units/step per step; 0: none.
+        gust_time: correlation time of the gusts, steps, > 0.
         max_steps: T_max; reaching it truncates the episode.
         dtype: precision of the simulation, ``"float32"`` or ``"float64"``.
         f_max: force of a full-scale action, mass x units/step^2, > 0; one number for all robots
@@ -154,6 +156,8 @@ class NavigationConfig(Checked):
     one_hot: bool = False
     sensing_radius: Positive = 100.0
     wind: tuple[NonNegative, Finite] = (0.0, 0.0)
+    gust: NonNegative = 0.0
+    gust_time: Positive = 10.0
     max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     dtype: Literal["float32", "float64"] = "float32"
     f_max: PositiveOfEach = 0.5
@@ -208,6 +212,8 @@ class FixedSettings(TypedDict, total=False):
     one_hot: bool
     sensing_radius: float
     wind: tuple[float, float]
+    gust: float
+    gust_time: float
     max_steps: int
     dtype: Literal["float32", "float64"]
     f_max: float | tuple[float, ...]

@@ -67,7 +67,7 @@ def make_classical(
     Raises:
         MbnError: there is no such policy, or the planner found no plan.
     """
-    problem = make_problem(field, make_config(settings))
+    problem = make_problem(field, make_config(settings), closed_loop=name == "greedy")
     if name == "greedy":
         return ControllerPolicy(problem, lambda positions: Greedy(problem, positions))
     if name != "planner":

@@ -28,6 +28,7 @@ from mbn_marl.engine.step import (
     make_scratch,
     mark_revisits,
     mark_visits,
+    pass_time,
     record_positions,
     stop_at_walls,
     test_containment,
@@ -73,6 +74,8 @@ def step_parts(store, actions, last, lo, hi):  # type: ignore[no-untyped-def]  #
             record_positions(mem, now, lo, end)
             for i in range(now.x.shape[0]):
                 hash_positions(mem, now, out, to, i, lo, end)
+        if last >= REWARDS:
+            pass_time(p, mem, now, lo, end)
         if last >= OBSERVATIONS:
             observe(p, g, now, lo, end, to.tile, out.observations)
         if last >= MEMORY:

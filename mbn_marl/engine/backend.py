@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import state
 from mbn_marl.engine.kernels import INFO_COLUMNS
+from mbn_marl.engine.mdp.rewards import COLLISION, SUCCESS
+from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.engine.state import Array, Episode, Geometry, Memory, Output
 from mbn_marl.errors import ActionError, StepError
+from mbn_marl.field import Field
 
 CUDA_NEEDS = (
     "device: 'cuda' needs an NVIDIA GPU, a torch that can use it (see pytorch.org), "
@@ -85,11 +88,11 @@ class Backend(ABC):
         self._actions = xp.zeros(spec.actions_shape, dtype=self._real)
         self.memory.seed[:] = spec.seed
 
-    def reseed(self, seed: int) -> None:
-        """Use another seed, and number episodes and draws from 0 again."""
+    def reseed(self, seed: int, episode: int) -> None:
+        """Use another seed, and number the next episodes from ``episode`` on, draws from 0."""
         self.memory.seed[:] = seed
         self.memory.draw[:] = 0
-        self.memory.episode[:] = -1
+        self.memory.episode[:] = episode - 1
 
     @abstractmethod
     def reset(self, mask: Any) -> None:
@@ -113,6 +116,38 @@ class Backend(ABC):
         rows: Array = self._empty((worlds, size), self._real)
         self._write_states(self.final if final else self.now, rows)
         return rows
+
+    def snapshot(self, field: Field, world: int) -> Snapshot:
+        """See ``BatchEngine.snapshot``; ``field`` is the world's."""
+        self.raise_fault()
+        now, config, host = self.now, self.spec.config, self.host
+        n, steps, visited = now.x.shape[0], int(now.steps[world]), int(now.visited[world])
+        outcome = int(self.output.outcomes[world]) if steps else 0
+        roi_bits = self.spec.geometry.roi_bits
+        bits = roi_bits[: len(field.rois), world % roi_bits.shape[1]]
+        return Snapshot(
+            field=field,
+            positions=np.stack([host(now.x[:, world]), host(now.y[:, world])], axis=-1),
+            velocities=np.stack([host(now.vx[:, world]), host(now.vy[:, world])], axis=-1),
+            visited=(visited & bits) != 0,
+            headings=self.headings(world),
+            trail=host(self.memory.trail[world, : (steps + 1) * n]).reshape(-1, n, 2),
+            step=steps,
+            team_return=float(now.team_return[world]),
+            wind=self.wind(world),
+            roi_radius=config.roi_radius,
+            safety_distance=config.safety_distance,
+            success=outcome & (SUCCESS | COLLISION) == SUCCESS,
+            collision=bool(outcome & COLLISION),
+        )
+
+    def wind(self, world: int) -> tuple[float, float]:
+        """The velocity that wind and gust add in the next step of a world, units/step."""
+        x, y = self.spec.config.wind_increment()
+        if self.now.gust.ndim != 2:
+            return x, y
+        gust_x, gust_y = self.host(self.now.gust[:, world]).tolist()
+        return x + gust_x, y + gust_y
 
     def headings(self, world: int) -> NDArray[Any]:
         """The robots' headings in a world, (n,), radians; NaN for those without one."""

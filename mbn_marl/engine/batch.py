@@ -62,6 +62,8 @@ class BatchEngine:
             for small batches. The result does not depend on it.
         starts: where the robots start in every world, (n, 2) units, instead of the field's own
             starts: in the field, and no two closer than the safety distance.
+        first_world: number of the world with index 0, from 0 on. A world's random numbers depend
+            on its number, the seed and the number of its episode alone, not on the batch.
         **settings: see :class:`mbn_marl.config.NavigationConfig`.
 
     Attributes:
@@ -95,6 +97,7 @@ class BatchEngine:
         device: Device = "cpu",
         threads: int | None = None,
         starts: ArrayLike | None = None,
+        first_world: int = 0,
         **settings: Unpack[Settings],
     ) -> None:
         fields: Sequence[FieldLike] = field if _is_several(field) else [field]  # type: ignore[list-item]
@@ -105,9 +108,10 @@ class BatchEngine:
         self.autoreset = validation.autoreset_mode(autoreset)
         given = None if starts is None else np.asarray(starts)
         validation.check_setup(
-            self.fields, self.config, n, num_worlds, threads, seed, device, given
+            self.fields, self.config, n, num_worlds, threads, seed, device, given, first_world
         )
         self.num_worlds, self.n_robots, self.device = num_worlds, n, device
+        self.first_world = first_world
         self.n_rois = max(len(one.rois) for one in self.fields)
         self.dtype = np.dtype(config.dtype)
         table = observation_table(self.config, n, self.n_rois, self.field.arena)
@@ -126,7 +130,9 @@ class BatchEngine:
                 threads=threads,
                 seed=seed,
                 geometry=make_geometry(self.fields, self.config, n, num_worlds, given),
-                constants=make_record(self.config, n, self.field.arena, self.autoreset),
+                constants=make_record(
+                    self.config, n, self.field.arena, self.autoreset, first_world
+                ),
             ),
         )
 
@@ -156,23 +162,24 @@ class BatchEngine:
 
     # -- the cycle: reset, step --------------------------------------------------------------------
 
-    def reset(self, seed: int | None = None) -> Floats:
+    def reset(self, seed: int | None = None, episode: int = 0) -> Floats:
         """Begin a new episode in every world.
 
         Args:
-            seed: key of the random numbers; the episode count restarts at 0. ``None`` keeps the
-                seed and begins the next episode.
+            seed: key of the random numbers; the episode count restarts at ``episode``. ``None``
+                keeps the seed and begins the next episode.
+            episode: the number of the new episodes, from 0 on; another than 0 only with a seed.
 
         Returns:
             Observations, (W, n, obs_size) float32; :attr:`observation_table` has their units.
 
         Raises:
-            ConfigError: the seed is not allowed.
+            ConfigError: seed or episode are not allowed.
         """
+        if problems := validation.reset_problems(seed, episode):
+            raise ConfigError("reset", problems)
         if seed is not None:
-            if problems := validation.seed_problems(seed):
-                raise ConfigError("reset", problems)
-            self._backend.reseed(seed)
+            self._backend.reseed(seed, episode)
         self._backend.reset(None)
         self._tell_reset(None)
         return self._backend.output.observations
@@ -338,6 +345,14 @@ class BatchEngine:
         return int(self._backend.memory.seed[0])
 
     @property
+    def episode_numbers(self) -> NDArray[np.int64]:
+        """The number of each world's episode since the seed was set, (W,), >= 0, a fresh array.
+
+        It is -1 before the first reset.
+        """
+        return self._backend.host(self._backend.memory.episode)
+
+    @property
     def running(self) -> Flags:
         """Which worlds are in an episode, (W,) bool, a fresh NumPy array.
 
@@ -354,32 +369,7 @@ class BatchEngine:
         """
         if not 0 <= world < self.num_worlds:
             raise IndexError(f"world {world}; allowed: 0 to {self.num_worlds - 1}")
-        backend = self._backend
-        backend.raise_fault()
-        host = backend.host
-        now, memory = backend.now, backend.memory
-        steps, visited = int(now.steps[world]), int(now.visited[world])
-        outcome = int(backend.output.outcomes[world]) if steps else 0
-        field = self.fields[world % len(self.fields)]
-        roi_bits = backend.spec.geometry.roi_bits
-        bits = roi_bits[: len(field.rois), world % roi_bits.shape[1]]
-        return Snapshot(
-            field=field,
-            positions=np.stack([host(now.x[:, world]), host(now.y[:, world])], axis=-1),
-            velocities=np.stack([host(now.vx[:, world]), host(now.vy[:, world])], axis=-1),
-            visited=(visited & bits) != 0,
-            headings=backend.headings(world),
-            trail=host(memory.trail[world, : (steps + 1) * self.n_robots]).reshape(
-                -1, self.n_robots, 2
-            ),
-            step=steps,
-            team_return=float(now.team_return[world]),
-            wind=self.config.wind_increment(),
-            roi_radius=self.config.roi_radius,
-            safety_distance=self.config.safety_distance,
-            success=outcome & (SUCCESS | COLLISION) == SUCCESS,
-            collision=bool(outcome & COLLISION),
-        )
+        return self._backend.snapshot(self.fields[world % len(self.fields)], world)
 
 
 def _is_several(field: FieldLike | Sequence[FieldLike]) -> TypeGuard[Sequence[FieldLike]]:

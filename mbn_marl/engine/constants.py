@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig, RewardProfile
 from mbn_marl.engine.jit import generated
+from mbn_marl.engine.mdp.disturbances import gust_factors
 from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.observations import OBSERVATIONS
 from mbn_marl.engine.mdp.rewards import RULES
@@ -34,6 +35,9 @@ class Constants(NamedTuple):
     steer_max: float
     wind_x: float  # velocity that the wind adds in a step
     wind_y: float
+    gust: float
+    gust_kept: float
+    gust_added: float
     arena_x: float
     arena_y: float
     half_arena_x: float
@@ -56,6 +60,7 @@ class Constants(NamedTuple):
     observation: int
     one_hot: int
     random_starts: int
+    first_world: int  # the number of the world with index 0
     autoreset: int
 
 
@@ -63,7 +68,11 @@ KINDS = get_type_hints(Constants)
 
 
 def make_record(
-    config: NavigationConfig, n: int, arena: tuple[float, float], autoreset: str
+    config: NavigationConfig,
+    n: int,
+    arena: tuple[float, float],
+    autoreset: str,
+    first_world: int = 0,
 ) -> NDArray[Any]:
     """The constants as one structured array, (1,), that kernels take as a single argument.
 
@@ -72,6 +81,7 @@ def make_record(
     real = np.dtype(config.dtype)
     weights = [getattr(config.reward, name) for name in WEIGHTS]
     wind_x, wind_y = config.wind_increment()
+    gust_kept, gust_added = gust_factors(config)
     width, height = arena
     values = {
         **{name: getattr(config, name, None) for name in Constants._fields},
@@ -80,6 +90,8 @@ def make_record(
         "pi": np.pi,
         "wind_x": wind_x,
         "wind_y": wind_y,
+        "gust_kept": gust_kept,
+        "gust_added": gust_added,
         "arena_x": width,
         "arena_y": height,
         "half_arena_x": width / 2,
@@ -99,6 +111,7 @@ def make_record(
         "rules": RULES[config.reward.rules],
         "team_sharing": config.reward_sharing == "team",
         "observation": OBSERVATIONS[config.observation],
+        "first_world": first_world,
         "autoreset": AUTORESET_MODES.index(autoreset),
     }
     types: dict[Any, Any] = {

@@ -162,7 +162,8 @@ class CudaBackend(Backend):
         self._run(kernels.plain_kernel(kernels.states), geometry, arrays, self._rows(rows))
 
     def _write_draw(self, rows: torch.Tensor) -> None:
-        self._run(kernels.plain_kernel(kernels.draw), self._arrays[1], self._rows(rows))
+        arguments = self._constants, self._arrays[1], self._rows(rows)
+        self._run(kernels.plain_kernel(kernels.draw), *arguments)
 
     def _rows(self, rows: torch.Tensor) -> tuple[Any]:
         return (self._device.array(rows),)

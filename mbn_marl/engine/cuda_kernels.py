@@ -245,11 +245,11 @@ def states(g, episode, rows):
         put_state(g, episode, w, w + ONE, rows[0][w : w + ONE].T)
 
 
-def draw(mem, rows):
+def draw(p, mem, rows):
     """As ``kernels.draw_actions``, with the actions in a tuple of one."""
     w = cuda.grid(1)
     if w < rows[0].shape[0]:
-        draw_world(mem, w, rows[0])
+        draw_world(p, mem, w, rows[0])
 
 
 @cache

@@ -10,7 +10,7 @@ from mbn_marl.engine.jit import compiled, entry_point, parallel_entry_point
 from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
 from mbn_marl.engine.mdp.observations import observe, put_state
-from mbn_marl.engine.mdp.rng import FOR_ACTIONS, stream_key, uniform
+from mbn_marl.engine.mdp.rng import FOR_ACTIONS, stream_key, uniform, world_number
 from mbn_marl.engine.mdp.visits import visit_code
 from mbn_marl.engine.reset import begin_world, clear_output
 from mbn_marl.engine.scalars import count_bits, is_set
@@ -113,11 +113,11 @@ def write_states(store, final, states):
 
 
 @compiled
-def draw_world(mem, w, actions):
+def draw_world(p, mem, w, actions):
     """Fill world w of ``actions`` (W, n, 2) with the next draw of its stream of actions."""
     two, one = np.float32(2.0), np.float32(1.0)
     _, robots, axes = actions.shape
-    key = stream_key(mem.seed[0], w, mem.draw[0], FOR_ACTIONS)
+    key = stream_key(mem.seed[0], world_number(p, w), mem.draw[0], FOR_ACTIONS)
     for k in range(robots * axes):
         actions[w, k // axes, k % axes] = two * uniform(key, k) - one
 
@@ -125,5 +125,6 @@ def draw_world(mem, w, actions):
 @entry_point
 def draw_actions(store, actions):
     """Fill ``actions`` (W, n, 2) with the next draw of each world's stream of actions."""
+    p = unpack(store.constants)
     for w in range(actions.shape[0]):
-        draw_world(store.memory, w, actions)
+        draw_world(p, store.memory, w, actions)

@@ -10,13 +10,14 @@ import numpy as np
 from mbn_marl.engine.jit import compiled, generated
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import in_field
+from mbn_marl.engine.mdp.disturbances import begin_disturbances
 from mbn_marl.engine.mdp.dynamics import face_along_x
 from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES, clear_filter, joint_state_known
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
-from mbn_marl.engine.mdp.rng import FOR_STARTS, stream_key, uniform
+from mbn_marl.engine.mdp.rng import FOR_STARTS, stream_key, uniform, world_number
 from mbn_marl.engine.mdp.visits import all_visited, visit_code
 from mbn_marl.engine.scalars import column
-from mbn_marl.engine.state import HEADING, Episode
+from mbn_marl.engine.state import DISTURBED, HEADING, Episode
 
 DRAWS_PER_ROBOT = 1000
 """How many random starts are tried for a robot before the field's own starts are used instead."""
@@ -24,6 +25,14 @@ ENDED, RESTARTS = 1, 2
 """Bits of how the episode of a world changes after a step."""
 MOTION = ("x", "y", "vx", "vy", "visited", "steps")
 """The parts of an episode that a step reads over and over."""
+
+
+@compiled
+def copy_world(source, v, target, w):
+    """World v of ``source`` (k, W) to world w of ``target``, unless what they hold is off."""
+    if source.ndim == 2:
+        for k in range(source.shape[0]):
+            target[k, w] = source[k, v]
 
 
 def _copy_of(name: str, fields: Sequence[str]) -> Any:
@@ -34,14 +43,16 @@ def _copy_of(name: str, fields: Sequence[str]) -> Any:
     of_world = [field for field in fields if field in ("team_return", "visited", "steps")]
     lines = [f"def {name}(source, v, target, w, n, headings):", "    for i in range(n):"]
     for field in fields:
-        if field not in (*of_world, *HEADING):
+        if field not in (*of_world, *HEADING, *DISTURBED):
             lines.append(f"        target.{field}[i, w] = source.{field}[i, v]")
     if turns := [field for field in fields if field in HEADING]:
         lines.append("    if headings > 0:  # only then are the arrays counted as referenced")
         lines.append("        for i in range(headings):")
         lines += [f"            target.{field}[i, w] = source.{field}[i, v]" for field in turns]
     lines += [f"    target.{field}[w] = source.{field}[v]" for field in of_world]
-    return generated(name, "\n".join(lines))
+    for field in (field for field in fields if field in DISTURBED):
+        lines.append(f"    copy_world(source.{field}, v, target.{field}, w)")
+    return generated(name, "\n".join(lines), copy_world=copy_world)
 
 
 copy_episode = _copy_of("copy_episode", Episode._fields)
@@ -52,7 +63,7 @@ copy_motion = _copy_of("copy_motion", MOTION)
 def place_at_random(p, g, mem, now, w):
     """Put the robots at random points of the field, none closer than C; False if that failed."""
     f = column(g, w)
-    key = stream_key(mem.seed[0], w, mem.episode[w], FOR_STARTS)
+    key = stream_key(mem.seed[0], world_number(p, w), mem.episode[w], FOR_STARTS)
     counter = 0
     for i in range(now.x.shape[0]):
         placed = False
@@ -98,6 +109,7 @@ def reset_world(p, g, mem, now, w):
     now.team_return[w] = 0.0
     now.visited[w] = all_visited(g.rois.shape[1]) & ~g.codes[f]
     now.steps[w] = 0
+    begin_disturbances(p, mem, now, w)
     mem.words[w] = np.uint64(
         LEAST_WORDS if p.rules == RELEASED else mem.filter.shape[1] - ODD_LINES
     )

@@ -27,7 +27,8 @@ class Snapshot:
             first, the current ones last.
         step: steps since the reset, 0 to T_max.
         team_return: sum of the centralised rewards since the reset, in reward units.
-        wind: ``(v_x, v_y)``, the velocity that the wind adds in one step, units/step.
+        wind: ``(v_x, v_y)``, the velocity that the wind, with its gust, adds in the next step,
+            units/step.
         roi_radius: rho, units.
         safety_distance: C, units, from centre to centre.
         success: whether the episode ended with every ROI visited.

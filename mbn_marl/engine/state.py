@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
+from mbn_marl.engine.mdp.disturbances import is_disturbed
 from mbn_marl.engine.mdp.dynamics import DYNAMICS, LIMITS, POINT_MASS, count_headings
 from mbn_marl.engine.mdp.lidar import rays_of
 from mbn_marl.engine.mdp.observations import WITH_RAYS
@@ -56,10 +57,13 @@ class Episode(NamedTuple):
     heading: Array  # (n, W) real, radians; (0, W) if no robot of the team has one
     cos: Array  # (n, W) real: of the heading, 0 for a robot without one; (0, W) likewise
     sin: Array
+    gust: Array  # (2, W) real, units/step per step: x, y; (0, 0, W) without gusts
 
 
 HEADING = ("heading", "cos", "sin")
 """The parts of an episode that only teams with headings have."""
+DISTURBED = ("gust",)
+"""Those of disturbances: of two dimensions where they are on, of three where they are off."""
 
 
 class Memory(NamedTuple):
@@ -77,6 +81,7 @@ class Memory(NamedTuple):
     pending: Array  # (W,) bool: waits for a reset
     episode: Array  # (W,) int64: number of the episode, counted from 0 at a seeded reset
     seed: Array  # (1,) int64: key of all random numbers
+    key: Array  # (W,) uint64: that of the disturbances of each episode; (0,) without any
     draw: Array  # (1,) int64: number of the next draw of random actions
 
 
@@ -155,6 +160,7 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
     headings = (count_headings(config.of_each("dynamics", n)), worlds)
     reals = {name: xp.zeros(robots, dtype=real) for name in Episode._fields[:7]}
     reals |= {name: xp.zeros(headings, dtype=real) for name in HEADING}
+    gust = (2, worlds) if config.gust > 0 else (0, 0, worlds)
     return Episode(
         **reals,
         wall_hits=xp.zeros(robots, dtype=xp.int32),
@@ -162,6 +168,7 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
         team_return=xp.zeros(worlds, dtype=xp.float64),
         visited=xp.zeros(worlds, dtype=xp.int32),
         steps=xp.zeros(worlds, dtype=xp.int32),
+        gust=xp.zeros(gust, dtype=real),
     )
 
 
@@ -188,6 +195,7 @@ def make_memory(
         pending=xp.ones(worlds, dtype=xp.bool),
         episode=xp.full((worlds,), -1, dtype=xp.int64),
         seed=xp.zeros(1, dtype=xp.int64),
+        key=xp.zeros(worlds if is_disturbed(config) else 0, dtype=xp.uint64),
         draw=xp.zeros(1, dtype=xp.int64),
     )
     return share_bits(memory, now, xp)

@@ -21,6 +21,7 @@ from mbn_marl.engine.jit import compiled, entry_point
 from mbn_marl.engine.mdp import revisits, rewards
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import cross_edge
+from mbn_marl.engine.mdp.disturbances import change_gust
 from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.termination import is_terminated, is_truncated
@@ -162,6 +163,14 @@ def hash_positions(mem, now, out, to, i, lo, hi):
 
 
 @compiled
+def pass_time(p, mem, now, lo, hi):
+    """The robots have moved: the step counts, and the gust changes."""
+    for w in range(lo, hi):
+        now.steps[w] += 1
+    change_gust(p, mem.key, now.gust, now.steps, lo, hi)
+
+
+@compiled
 def mark_revisits(mem, now, out, to, i, lo, hi):
     """Step 4: was any robot where robot i is, before in this episode? From now on one was."""
     n = np.uint64(now.x.shape[0])
@@ -172,7 +181,7 @@ def mark_revisits(mem, now, out, to, i, lo, hi):
         maybe[k] = revisits.add_bits(mem.filter, w, place[i, k], bits) & (bits != ZERO)
     for w in range(lo, hi):
         if maybe[w - lo]:
-            entry = np.uint64(now.steps[w] + 1) * n + np.uint64(i)
+            entry = np.uint64(now.steps[w]) * n + np.uint64(i)
             if revisits.stood_on(mem.trail, mem.trail_key, w, n, entry):
                 out.events[i, w] |= rewards.REVISIT
 
@@ -209,7 +218,6 @@ def check_termination(p, g, mem, now, out, to, lo, hi):
         success = now.visited[w] == everything
         lost = to.collided[w - lo]
         outcome = (rewards.SUCCESS if success else 0) | (rewards.COLLISION if lost else 0)
-        now.steps[w] += 1
         ended = is_terminated(success, lost)
         out.terminated[w] = ended
         out.truncated[w] = is_truncated(now.steps[w], p.max_steps, ended)
@@ -288,7 +296,10 @@ def autoreset(p, g, mem, now, final, out, to, lo, hi):
 
 @compiled
 def move_robots(p, g, mem, now, out, to, actions, lo, hi):
-    """Steps 1 to 3 and 5: where every robot goes, what it visits; its memory is fetched ahead."""
+    """Steps 1 to 3 and 5: where every robot goes, what it visits; its memory is fetched ahead.
+
+    Then the time passes.
+    """
     for i in range(now.x.shape[0]):
         propose_move(p, g, now, to, actions, i, lo, hi)
         test_containment(g, to, lo, hi)
@@ -299,6 +310,7 @@ def move_robots(p, g, mem, now, out, to, actions, lo, hi):
         record_positions(mem, now, lo, hi)
         for i in range(now.x.shape[0]):
             hash_positions(mem, now, out, to, i, lo, hi)
+    pass_time(p, mem, now, lo, hi)
 
 
 @compiled

@@ -44,13 +44,14 @@ def check_setup(
     seed: int,
     device: str,
     starts: NDArray[Any] | None,
+    first_world: int,
 ) -> None:
     """Check how fields, team and batch fit together.
 
     Raises:
         ConfigError: listing every problem.
     """
-    problems = seed_problems(seed)
+    problems = [*_number_problems("seed", seed), *_number_problems("first_world", first_world)]
     if device not in get_args(Device):
         problems.append(f"device: {device!r}; allowed: {', '.join(map(repr, get_args(Device)))}")
     if not _positive(num_worlds):
@@ -70,11 +71,20 @@ def check_setup(
         raise ConfigError("configuration", problems)
 
 
-def seed_problems(seed: object) -> list[str]:
-    """Return the problems of a seed."""
-    if isinstance(seed, int | np.integer) and 0 <= int(seed) < 2**63:
+def reset_problems(seed: object, episode: object) -> list[str]:
+    """Return the problems of the arguments of a reset."""
+    problems = [] if seed is None else _number_problems("seed", seed)
+    problems += _number_problems("episode", episode)
+    if seed is None and not problems and episode != 0:
+        problems.append(f"episode: {episode!r} without a seed; allowed: with one, or 0")
+    return problems
+
+
+def _number_problems(name: str, value: object) -> list[str]:
+    """Return the problems of a seed, or of the number of a world or an episode."""
+    if isinstance(value, int | np.integer) and 0 <= int(value) < 2**63:
         return []
-    return [f"seed: {seed!r}; allowed: an integer from 0 to 2**63 - 1"]
+    return [f"{name}: {value!r}; allowed: an integer from 0 to 2**63 - 1"]
 
 
 def _positive(value: object) -> bool:

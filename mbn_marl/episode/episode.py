@@ -34,8 +34,12 @@ class Episode:
         terms: (T, n, terms) float64, each robot's own reward by term, ordered as ``REWARD_TERMS``.
         team_rewards: (T,) float64, the centralised reward of each step.
         outcome: how it ended.
+        winds: (T + 1, 2), units/step, what wind and gust add to a velocity in the next step;
+            ``None`` without gusts.
         source: the name of what acted.
         seed: of the world and of what acted; ``None`` if unknown.
+        world: the number of the world: with the seed and ``number`` the key of what is random.
+        number: of the episode, since the seed was set.
     """
 
     field: Field
@@ -47,8 +51,11 @@ class Episode:
     terms: NDArray[np.float64]
     team_rewards: NDArray[np.float64]
     outcome: Outcome
+    winds: NDArray[np.float64] | None = None
     source: str = ""
     seed: int | None = None
+    world: int = 0
+    number: int = 0
 
     @property
     def steps(self) -> int:
@@ -85,7 +92,7 @@ class Episode:
             trail=trail,
             step=step,
             team_return=self.return_after(step),
-            wind=config.wind_increment(),
+            wind=config.wind_increment() if self.winds is None else tuple(self.winds[step]),
             roi_radius=config.roi_radius,
             safety_distance=config.safety_distance,
             success=last and self.outcome == "success",

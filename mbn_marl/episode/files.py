@@ -100,6 +100,8 @@ class EpisodeFile(_Strict):
     version: str = Field(description="The version of mbn_marl that wrote it.")
     source: str = Field(max_length=MAX_SOURCE, description="The name of what acted.")
     seed: int | None = Field(description="Of the world and of what acted.")
+    world: int = Field(default=0, ge=0, description="The number of the world.")
+    episode: int = Field(default=0, ge=0, description="Its number since the seed was set.")
     robots: int = Field(ge=1, le=MAX_ROBOTS, description="n.")
     steps: int = Field(ge=0, description="T.")
     outcome: Outcome = Field(description="How it ended.")
@@ -114,6 +116,10 @@ class EpisodeFile(_Strict):
     headings: PackedArray | None = Field(
         default=None,
         description="(T + 1, n), radians, NaN for a robot without one; null if none has.",
+    )
+    winds: PackedArray | None = Field(
+        default=None,
+        description="(T + 1, 2), units/step, of wind and gust in the next step; null without.",
     )
     actions: PackedArray = Field(description="(T, n, 2), in [-1, 1].")
     rewards: Rewards
@@ -184,6 +190,8 @@ def to_file(episode: Episode) -> EpisodeFile:
         version=__version__,
         source=episode.source[:MAX_SOURCE],
         seed=episode.seed,
+        world=episode.world,
+        episode=episode.number,
         robots=episode.positions.shape[1],
         steps=episode.steps,
         outcome=episode.outcome,
@@ -194,6 +202,7 @@ def to_file(episode: Episode) -> EpisodeFile:
         visits=[int(step) or None for step in episode.visits],
         positions=PackedArray.pack(episode.positions),
         headings=None if missing.all() else PackedArray.pack(episode.headings),
+        winds=None if episode.winds is None else PackedArray.pack(episode.winds),
         actions=PackedArray.pack(episode.actions),
         rewards=Rewards(terms=list(REWARD_TERMS), robots=robots, team=team),
     )
@@ -212,8 +221,8 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         "rewards.robots": (content.rewards.robots, (steps, robots, len(terms))),
         "rewards.team": (content.rewards.team, (steps,)),
     }
-    turning = content.headings
-    packed |= {} if turning is None else {"headings": (turning, (steps + 1, robots))}
+    optional = {"headings": (content.headings, robots), "winds": (content.winds, 2)}
+    packed |= {part: (array, (steps + 1, k)) for part, (array, k) in optional.items() if array}
     for part, (array, shape) in packed.items():
         try:
             found = arrays[part] = array.unpack()
@@ -223,9 +232,11 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         if found.shape != shape:
             problems.append(f"{part}: shape {found.shape}; allowed: {shape}")
         wrong = np.isinf(found) if part == "headings" else ~np.isfinite(found)
-        exact = found.dtype == config.dtype and not wrong.any()
+        expected = "float64" if part == "winds" else config.dtype
+        exact = found.dtype == expected and not wrong.any()
         if not (exact or part.startswith("rewards")):
-            problems.append(f"{part}: allowed: finite numbers, {config.dtype} as in config")
+            as_in = "" if part == "winds" else " as in config"
+            problems.append(f"{part}: allowed: finite numbers, {expected}{as_in}")
     if len(set(terms)) < len(terms) or not set(terms) <= set(known):
         problems.append(f"rewards.terms: {terms}; allowed: each at most once of {known}")
     if config.n_robots != robots:
@@ -248,8 +259,11 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         terms=own_terms,
         team_rewards=arrays["rewards.team"],
         outcome=content.outcome,
+        winds=arrays.get("winds"),
         source=content.source,
         seed=content.seed,
+        world=content.world,
+        number=content.episode,
     )
 
 

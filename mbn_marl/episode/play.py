@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,10 +18,10 @@ class EpisodeLog:
     """Logs the episode of an engine with one world, from its reset on."""
 
     def __init__(self, engine: BatchEngine) -> None:
-        self._engine = engine
+        self._engine, first = engine, engine.snapshot()
         self._visits = np.zeros(engine.n_rois, np.int32)
         self._positions = [self._state()[0]]
-        self._headings = [engine.snapshot().headings]
+        self._headings, self._winds = [first.headings], [first.wind]
         self._actions: list[Array] = []
         self._terms: list[Array] = []
         self._rewards: list[float] = []
@@ -27,8 +29,10 @@ class EpisodeLog:
     def add(self, actions: Array) -> list[int]:
         """Log the engine's last step, with ``actions`` (n, 2); return the ROIs visited in it."""
         positions, visited = self._state()
+        moment = self._engine.snapshot()
         self._positions.append(positions)
-        self._headings.append(self._engine.snapshot().headings)
+        self._headings.append(moment.headings)
+        self._winds.append(moment.wind)
         self._actions.append(np.clip(actions, -1, 1).astype(self._engine.dtype))
         self._terms.append(self._engine.reward_terms()[0].astype(np.float64))
         self._rewards.append(float(self._engine.team_rewards[0]))
@@ -51,8 +55,11 @@ class EpisodeLog:
             terms=np.array(self._terms, np.float64).reshape(*shape, len(REWARD_TERMS)),
             team_rewards=np.array(self._rewards),
             outcome="collision" if last.collision else "success" if last.success else ended,
+            winds=np.array(self._winds) if config.gust > 0 else None,
             source=source,
             seed=seed,
+            world=engine.first_world,
+            number=int(engine.episode_numbers[0]),
         )
 
     def _state(self) -> tuple[Array, NDArray[np.bool_]]:
@@ -71,6 +78,8 @@ def play(
     starts: ArrayLike | None = None,
     source: str = "",
     seed: int | None = None,
+    world: int = 0,
+    number: int = 0,
 ) -> Episode:
     """Play ``actions`` in a world of the engine.
 
@@ -80,21 +89,24 @@ def play(
         actions: (T, n, 2), clipped to [-1, 1].
         starts: the robots' starts, (n, 2), units; ``None`` for the field's own.
         source: the name of what chose the actions.
-        seed: of that.
+        seed: of the world, and of that; ``None`` for none, where nothing is random.
+        world: the number of the world.
+        number: of the episode, since the seed was set.
 
     Raises:
         ConfigError: field, configuration and starts do not fit together.
         EpisodeError: the actions are not finite numbers (T, n, 2), or continue after the end.
     """
     settings = {**config.model_dump(), "random_starts": False}
-    engine = BatchEngine(field, 1, autoreset=False, threads=1, starts=starts, **settings)
+    alone: dict[str, Any] = {"autoreset": False, "threads": 1, "first_world": world}
+    engine = BatchEngine(field, 1, starts=starts, **alone, **settings)
     given = np.asarray(actions)
     robots = engine.n_robots
     if given.ndim != 3 or given.shape[1:] != (robots, 2) or given.dtype.kind not in "fiu":
         shape = f"shape {given.shape} of {given.dtype}"
         raise EpisodeError("episode", [f"actions: {shape}; allowed: numbers (steps, {robots}, 2)"])
     moves = np.clip(given, -1, 1).astype(engine.dtype)
-    engine.reset()
+    engine.reset(seed or 0, number)
     log = EpisodeLog(engine)
     for step, move in enumerate(moves):
         if not engine.running[0]:
@@ -120,7 +132,13 @@ def check_episode(episode: Episode, name: str = "episode") -> None:
             starts and actions that do not fit together.
     """
     try:
-        again = play(episode.field, episode.config, episode.actions, starts=episode.positions[0])
+        again = play(
+            *(episode.field, episode.config, episode.actions),
+            starts=episode.positions[0],
+            seed=episode.seed,
+            world=episode.world,
+            number=episode.number,
+        )
     except ProblemsError as error:
         raise EpisodeError(name, error.problems) from None
     for what in ("positions", "headings", "terms", "team_rewards"):

@@ -22,6 +22,7 @@ class _Tape:
 
     starts: Array
     seed: int
+    number: int
     actions: list[Array] = field(default_factory=list)
     rewards: list[float] = field(default_factory=list)
 
@@ -100,16 +101,24 @@ class EpisodeRecorder:
 
     def _begin(self) -> None:
         """Begin a tape if the world is at the start of an episode."""
-        moment = self._engine.snapshot(self._world)
-        self._recording = bool(self._engine.running[self._world]) and moment.step == 0
+        engine, world = self._engine, self._world
+        moment = engine.snapshot(world)
+        self._recording = bool(engine.running[world]) and moment.step == 0
         if self._recording:
-            self._tapes.append(_Tape(moment.positions, self._engine.seed))
+            number = int(engine.episode_numbers[world])
+            self._tapes.append(_Tape(moment.positions, engine.seed, number))
 
     def _episode(self, tape: _Tape) -> Episode:
         engine, actions = self._engine, np.stack(tape.actions)
         field = engine.fields[self._world % len(engine.fields)]
-        how: dict[str, Any] = {"starts": tape.starts, "source": self._source, "seed": tape.seed}
-        episode = play(field, engine.config, actions, **how)
+        episode = play(
+            *(field, engine.config, actions),
+            starts=tape.starts,
+            source=self._source,
+            seed=tape.seed,
+            world=engine.first_world + self._world,
+            number=tape.number,
+        )
         if not np.array_equal(tape.rewards, episode.team_rewards):
             raise EpisodeError("recording", ["rewards: the engine gave others when it replayed"])
         return episode

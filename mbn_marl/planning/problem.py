@@ -21,6 +21,8 @@ Floats = NDArray[np.float64]
 
 CALM = 1e-3
 """Winds that differ by less than this, units/step per step, count as equal."""
+DISTURBING = ("gust",)
+"""The settings that disturb what the robots do."""
 FLOAT32 = 2.0**-24
 """Relative error of a rounding to float32."""
 
@@ -105,12 +107,18 @@ class Problem:
         return (steps + 10) * position + 0.5 * steps * (steps + 1) * velocity * config.tau + 1e-5
 
 
-def make_problem(field: Field, config: NavigationConfig) -> Problem:
+def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = False) -> Problem:
     """Return the instance of a field and a configuration.
 
+    Args:
+        field: where.
+        config: the configuration.
+        closed_loop: whether it is for a controller that sees where the robots are, and so may be
+            disturbed.
+
     Raises:
-        ConfigError: the field has too few starts, the starts are random, or a robot is no point
-            mass.
+        ConfigError: the field has too few starts, the starts are random, a robot is no point mass,
+            or a plan would be disturbed.
     """
     n = config.n_robots or len(field.starts)
     problems = []
@@ -122,6 +130,7 @@ def make_problem(field: Field, config: NavigationConfig) -> Problem:
     if others:
         known = "allowed: 'point_mass'; for others no plan is made, and no bound is known"
         problems.append(f"dynamics: {', '.join(map(repr, others))}; {known}")
+    problems += [] if closed_loop else _disturbed(config)
     limits = {name: config.of_each(name, n) for name in LIMITS}
     for name, values in limits.items():
         if len(values) != n:
@@ -144,6 +153,13 @@ def make_problem(field: Field, config: NavigationConfig) -> Problem:
         forces=forces,
         wind=wind,
     )
+
+
+def _disturbed(config: NavigationConfig) -> list[str]:
+    """Return which disturbances keep a plan from being carried out."""
+    found = {name: getattr(config, name) for name in DISTURBING}
+    why = "allowed: 0; a plan does not hold where chance acts on the robots"
+    return [f"{name}: {value}; {why}" for name, value in found.items() if value]
 
 
 def half_planes(convex: shapely.Polygon) -> tuple[Floats, Floats]:

@@ -82,7 +82,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
         "reset": (kernels.make_reset(size), (p, g, mem, now, out, call)),
         "infos": (kernels.infos, (p, g, mem, now, now, out, rows)),
         "states": (kernels.states, (g, now, (np.zeros((worlds, 13), real),))),
-        "draw": (kernels.draw, (mem, (np.zeros((worlds, 3, 2), np.float32),))),
+        "draw": (kernels.draw, (p, mem, (np.zeros((worlds, 3, 2), np.float32),))),
     }
     made = {}
     for name, (function, arguments) in work.items():

@@ -16,12 +16,14 @@ import shapely
 from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, centralized_env, parallel_env
-from mbn_marl.errors import MbnError, StepError
+from mbn_marl.errors import ConfigError, MbnError, StepError
 
 STEPS = 2000
 SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 90, "wind": (0.05, 40.0)}
 N = 3
 MIXED = ("point_mass", "unicycle", "bicycle")
+DISTURBED: dict[str, Any] = {"gust": 0.1, "dynamics": MIXED}
+"""Every random number of the engine, for robots of every kind."""
 
 
 class ParallelRunner:
@@ -125,12 +127,12 @@ def test_a_copy_goes_on_as_the_original_would(make: Callable[[str], Any]) -> Non
 
 
 @pytest.mark.parametrize("autoreset", [True, "next_step", False])
-@pytest.mark.parametrize(("reward", "dynamics"), [("released", "point_mass"), ("formal", MIXED)])
+@pytest.mark.parametrize(("reward", "more"), [("released", {}), ("formal", DISTURBED)])
 def test_an_engine_goes_on_from_saved_arrays(
-    autoreset: Any, reward: Any, dynamics: Any, tmp_path: Path
+    autoreset: Any, reward: Any, more: dict[str, Any], tmp_path: Path
 ) -> None:
     def make(seed: int) -> BatchEngine:
-        settings = {"autoreset": autoreset, "reward": reward, "dynamics": dynamics, **SETTINGS}
+        settings = {"autoreset": autoreset, "reward": reward, **more, **SETTINGS}
         return BatchEngine("field_03", 4, seed=seed, **settings)
 
     def go_on(engine: BatchEngine, steps: int) -> list[bytes]:
@@ -176,30 +178,29 @@ def test_worlds_of_another_shape_are_refused() -> None:
 
 
 def rollout(
-    num_worlds: int, threads: int | None, steps: int, dtype: str, dynamics: Any
+    num_worlds: int, threads: int | None, steps: int, more: dict[str, Any], first: int = 0
 ) -> list[NDArray[Any]]:
-    """States, observations, rewards, flags of the first worlds of a batch that moves by itself."""
-    settings = {"dtype": dtype, "dynamics": dynamics, **SETTINGS}
+    """States, observations, rewards, flags of the worlds number 4 to 6 of a moving batch."""
+    settings = {"first_world": first, **more, **SETTINGS}
     engine = BatchEngine("field_03", num_worlds, seed=11, threads=threads, **settings)
-    rows = [engine.reset()[:FEW].copy()]
+    own = slice(4 - first, 7 - first)
+    rows = [engine.reset()[own].copy()]
     for _ in range(steps):
-        rows += [array[:FEW].copy() for array in engine.step(engine.sample_actions())]
-        rows += [engine.team_rewards[:FEW].copy(), engine.state()[:FEW]]
+        rows += [array[own].copy() for array in engine.step(engine.sample_actions())]
+        rows += [engine.team_rewards[own].copy(), engine.state()[own]]
     return rows
 
 
-FEW = 3
-
-
-@pytest.mark.parametrize("dynamics", ["point_mass", MIXED], ids=str)
+@pytest.mark.parametrize("more", [{}, DISTURBED], ids=["calm", "disturbed"])
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_a_world_depends_neither_on_the_batch_size_nor_on_the_threads(
-    dtype: str, dynamics: Any
+def test_a_world_depends_neither_on_the_batch_nor_on_the_threads(
+    dtype: str, more: dict[str, Any]
 ) -> None:
-    expected = rollout(FEW, 1, 300, dtype, dynamics)
+    more = {"dtype": dtype, **more}
+    expected = rollout(3, 1, 300, more, first=4)
     assert sum(int(flags.sum()) for flags in expected if flags.dtype == np.bool_) >= 6
-    for num_worlds, threads in [(4, 4), (130, 1), (257, 3), (1100, None)]:
-        rows = rollout(num_worlds, threads, 300, dtype, dynamics)
+    for num_worlds, threads in [(7, 4), (130, 1), (257, 3), (1100, None)]:
+        rows = rollout(num_worlds, threads, 300, more)
         for row, (got, wanted) in enumerate(zip(rows, expected, strict=True)):
             assert got.tobytes() == wanted.tobytes(), (num_worlds, threads, row)
 
@@ -219,6 +220,17 @@ def test_all_worlds_are_the_same_for_any_number_of_threads(num_worlds: int) -> N
         for engine in others:
             got = [array.tobytes() for array in (*engine.step(actions), engine.state())]
             assert got == expected
+
+
+def test_an_episode_is_known_by_its_number() -> None:
+    engine = BatchEngine("field_03", 3, **SETTINGS)
+    starts = [engine.reset(seed=9).copy(), engine.reset().copy(), engine.reset().copy()]
+    assert engine.reset(seed=9, episode=2).tobytes() == starts[2].tobytes()
+    assert engine.episode_numbers.tolist() == [2, 2, 2]
+    with pytest.raises(ConfigError, match=r"episode: 2 without a seed"):
+        engine.reset(episode=2)
+    with pytest.raises(ConfigError, match=r"episode: -1; allowed: an integer from 0"):
+        engine.reset(seed=1, episode=-1)
 
 
 def test_worlds_of_one_batch_differ() -> None:

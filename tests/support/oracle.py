@@ -17,6 +17,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from tests.support.disturbances import Disturbances
 from tests.support.vehicles import REALS, Robot, Vehicle, clip
 from tests.support.wall_senses import WallSenses
 
@@ -102,6 +103,9 @@ class Oracle:
         observation: str = "relative",
         one_hot: bool = False,
         sensing_radius: float = 100.0,
+        seed: int = 0,
+        world: int = 0,
+        **disturbances: Any,
     ) -> None:
         real = self.real = REALS[dtype]
         self.n = len(field.starts) if n_robots is None else n_robots
@@ -130,10 +134,15 @@ class Oracle:
         self.max_steps = max_steps
         self.observation, self.one_hot = observation, one_hot
         self.sensing_radius = sensing_radius
-        self.reset()
+        self.disturbances = Disturbances(real, seed, world, **disturbances)
+        self.reset(episode=0)
 
-    def reset(self, positions: Sequence[Sequence[float]] | None = None) -> None:
-        """Start an episode, at the field's own starts or at ``positions`` (n, 2)."""
+    def reset(
+        self, positions: Sequence[Sequence[float]] | None = None, episode: int | None = None
+    ) -> None:
+        """Start the next episode, or number ``episode``, at the field's starts or ``positions``."""
+        last = self.disturbances
+        last.begin(last.episode + 1 if episode is None else episode)
         zero = self.real(0.0)
         spots = self.starts[: self.n] if positions is None else positions
         self.robots = [
@@ -168,6 +177,7 @@ class Oracle:
             step.revisit.append(spot in self.stood_on)
             self.stood_on.add(spot)
             step.reached.append(self._visit(robot, step))
+        self.disturbances.end_step()
         step.all_visited = all(self.visited)
         step.collided = self._any_collision(step)
         state = self.state()
@@ -258,7 +268,7 @@ class Oracle:
         """Rules 1 to 3. Returns whether the robot tried to leave the field."""
         real, before = self.real, robot.heading
         velocity, robot.heading, (force_x, force_y) = robot.vehicle.move(
-            (robot.vx, robot.vy), before, action
+            (robot.vx, robot.vy), before, action, self.disturbances.gust
         )
         robot.vx, robot.vy = velocity
         x = robot.x + robot.vx * self.tau

@@ -41,10 +41,10 @@ class Vehicle:
             return self.real(0.0), self.real(0.0)
         return self.real(cosine(float(heading))), self.real(sine(float(heading)))
 
-    def move(self, velocity: Any, heading: Any, action: Any) -> tuple[Any, Any, Any]:
+    def move(self, velocity: Any, heading: Any, action: Any, gust: Any) -> tuple[Any, Any, Any]:
         """The next velocity (2,), the next heading, and the force (2,), all before the walls."""
         a, b = (clip(self.real(one), self.real(-1.0), self.real(1.0)) for one in action)
-        wind = (self.wind_x, self.wind_y)
+        wind = (self.wind_x + gust[0], self.wind_y + gust[1])
         if not self.turns:
             axes = [self._axis(*row) for row in zip(velocity, (a, b), wind, strict=True)]
             return tuple(v for v, _ in axes), heading, tuple(u for _, u in axes)

@@ -60,6 +60,7 @@ def worlds(draw: st.DrawFn, n: int, rules: Literal["released", "formal"]) -> Wor
         "observation": draw(st.sampled_from([*OBSERVATIONS])),
         "sensing_radius": draw(st.sampled_from([60.0, 17.3])),
         "one_hot": draw(st.booleans()),
+        **draw(st.sampled_from([{}, {"gust": 0.2, "gust_time": 3.0}])),
     }
     one = st.sampled_from(BEHAVIOURS)
     behaviours = draw(

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbn_marl.engine.jit import compiled
-from mbn_marl.engine.mdp.disturbances import add_wind
+from mbn_marl.engine.mdp.disturbances import add_wind, wind_along
 from mbn_marl.engine.mdp.elementary import cosine, sine, tangent
 from mbn_marl.engine.scalars import HALF, MANY, clip, select
 
@@ -109,8 +109,8 @@ def move_point_mass(p, g, now, to, actions, i, lo, hi):
     for w in range(lo, hi):
         fx = force(actions[w, i, 0], f_max, p.one)
         fy = force(actions[w, i, 1], f_max, p.one)
-        vx = next_velocity(now.vx[i, w], fx, mass, p.wind_x, v_clip)
-        vy = next_velocity(now.vy[i, w], fy, mass, p.wind_y, v_clip)
+        vx = next_velocity(now.vx[i, w], fx, mass, wind_along(p, now.gust, 0, w), v_clip)
+        vy = next_velocity(now.vy[i, w], fy, mass, wind_along(p, now.gust, 1, w), v_clip)
         to.vx[w - lo] = vx
         to.vy[w - lo] = vy
         to.x[w - lo] = next_position(now.x[i, w], vx, p.tau)
@@ -127,8 +127,8 @@ def move_holonomic(p, g, now, to, actions, i, lo, hi):
     for w in range(lo, hi):
         dx = held_velocity(actions[w, i, 0], now.vx[i, w], most, v_clip, p.one)
         dy = held_velocity(actions[w, i, 1], now.vy[i, w], most, v_clip, p.one)
-        vx = next_velocity(now.vx[i, w], dx, p.one, p.wind_x, v_clip)
-        vy = next_velocity(now.vy[i, w], dy, p.one, p.wind_y, v_clip)
+        vx = next_velocity(now.vx[i, w], dx, p.one, wind_along(p, now.gust, 0, w), v_clip)
+        vy = next_velocity(now.vy[i, w], dy, p.one, wind_along(p, now.gust, 1, w), v_clip)
         to.vx[w - lo] = vx
         to.vy[w - lo] = vy
         to.x[w - lo] = next_position(now.x[i, w], vx, p.tau)
@@ -153,7 +153,8 @@ def drive(p, g, now, actions, i, w, limits, cos, sin):
     thrust = force(actions[w, i, 0], f_max, p.one)
     now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], thrust * cos, p.tau)
     now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], thrust * sin, p.tau)
-    return next_velocity(speed, thrust, mass, part_along(p.wind_x, p.wind_y, cos, sin), v_clip)
+    wind_x, wind_y = wind_along(p, now.gust, 0, w), wind_along(p, now.gust, 1, w)
+    return next_velocity(speed, thrust, mass, part_along(wind_x, wind_y, cos, sin), v_clip)
 
 
 @compiled

@@ -1,0 +1,78 @@
+"""What disturbs the oracle's robots, and its random numbers: ``docs/mdp.md``, "Disturbances"."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+GOLDEN, WORD = 0x9E3779B97F4A7C15, 2**64
+GUSTS = 4
+
+
+def mixed(number: int) -> int:
+    """The mixer of SplitMix64, in whole numbers."""
+    number %= WORD
+    number = (number ^ (number >> 30)) * 0xBF58476D1CE4E5B9 % WORD
+    number = (number ^ (number >> 27)) * 0x94D049BB133111EB % WORD
+    return number ^ (number >> 31)
+
+
+def key_of(*numbers: int) -> int:
+    """The key of an episode from seed, world and episode, or of a stream with its purpose too."""
+    key = 0
+    for number in numbers:
+        key = mixed(key + number + GOLDEN)
+    return key
+
+
+def normal(key: int, counter: int) -> np.float32:
+    """A normal number."""
+    digits = f"{mixed(key + counter * GOLDEN):064b}"
+    ones, low, next_ = digits[:40].count("1"), int(digits[52:], 2), int(digits[40:52], 2)
+    t = np.float32(ones - 21 + (low + next_ + 1) / 4096)
+    return t * (np.float32(0.31164049) + np.float32(6.6003307e-5) * (t * t))
+
+
+def exponential(x: float) -> float:
+    """The documented approximation for x up to 0."""
+    part = max(x, -40.0) / 32.0
+    total = 0.0
+    for power in range(22, -1, -1):
+        total = total * part + 1.0 / math.factorial(power)
+    for _ in range(5):
+        total *= total
+    return total
+
+
+class Disturbances:
+    """Those of one world. All numbers are in its precision, ``real``."""
+
+    def __init__(
+        self, real: Any, seed: int, world: int, *, gust: float = 0.0, gust_time: float = 10.0
+    ) -> None:
+        self.real, self.place = real, (seed, world)
+        kept = exponential(-1.0 / gust_time)
+        self.sigma, self.kept = real(gust), real(kept)
+        self.added = real(gust * math.sqrt(1.0 - kept * kept))
+
+    def begin(self, episode: int) -> None:
+        """Begin an episode."""
+        self.episode, self.steps = episode, 0
+        self.gust = (self.real(0.0), self.real(0.0))
+        if self.sigma:
+            self.gust = tuple(self.sigma * self._normal(GUSTS, axis) for axis in range(2))
+
+    def end_step(self) -> None:
+        """The robots have moved: the gust changes."""
+        self.steps += 1
+        if self.sigma:
+            counter = 2 * self.steps
+            self.gust = tuple(
+                self.kept * self.gust[axis] + self.added * self._normal(GUSTS, counter + axis)
+                for axis in range(2)
+            )
+
+    def _normal(self, purpose: int, counter: int) -> Any:
+        return self.real(normal(key_of(*self.place, self.episode, purpose), counter))
