@@ -30,6 +30,7 @@ _SHORT.maxstring = _SHORT.maxother = 80
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
 
 _ONE, _EACH = "for all", "for each"
@@ -125,6 +126,9 @@ class NavigationConfig(Checked):
         wind: ``(v_a, beta_a)``: speed in units/step per step, angle in degrees from +x.
         gust: standard deviation of the gusts along each axis, units/step per step; 0: none.
         gust_time: correlation time of the gusts, steps, > 0.
+        action_noise: standard deviation of what is added to each number of an action, >= 0.
+        action_loss: probability that an action is lost and the one before it repeated, in [0, 1].
+        action_delay: how late actions arrive, steps, 0 to 100.
         max_steps: T_max; reaching it truncates the episode.
         dtype: precision of the simulation, ``"float32"`` or ``"float64"``.
         f_max: force of a full-scale action, mass x units/step^2, > 0; one number for all robots
@@ -158,6 +162,9 @@ class NavigationConfig(Checked):
     wind: tuple[NonNegative, Finite] = (0.0, 0.0)
     gust: NonNegative = 0.0
     gust_time: Positive = 10.0
+    action_noise: NonNegative = 0.0
+    action_loss: Probability = 0.0
+    action_delay: Annotated[int, Field(ge=0, le=100)] = 0
     max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     dtype: Literal["float32", "float64"] = "float32"
     f_max: PositiveOfEach = 0.5
@@ -214,6 +221,9 @@ class FixedSettings(TypedDict, total=False):
     wind: tuple[float, float]
     gust: float
     gust_time: float
+    action_noise: float
+    action_loss: float
+    action_delay: int
     max_steps: int
     dtype: Literal["float32", "float64"]
     f_max: float | tuple[float, ...]

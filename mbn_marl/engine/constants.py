@@ -38,6 +38,8 @@ class Constants(NamedTuple):
     gust: float
     gust_kept: float
     gust_added: float
+    action_noise: float
+    action_loss: float
     arena_x: float
     arena_y: float
     half_arena_x: float
@@ -53,6 +55,7 @@ class Constants(NamedTuple):
     per_half_arena_y: float
     per_speed: float
     per_speed_range: float
+    action_delay: int
     max_steps: int
     headings: int
     rules: int

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.mdp.disturbances import is_disturbed
+from mbn_marl.engine.mdp.disturbances import DISTURBANCES, OF_ACTIONS, any_on
 from mbn_marl.engine.mdp.dynamics import DYNAMICS, LIMITS, POINT_MASS, count_headings
 from mbn_marl.engine.mdp.lidar import rays_of
 from mbn_marl.engine.mdp.observations import WITH_RAYS
@@ -58,11 +58,12 @@ class Episode(NamedTuple):
     cos: Array  # (n, W) real: of the heading, 0 for a robot without one; (0, W) likewise
     sin: Array
     gust: Array  # (2, W) real, units/step per step: x, y; (0, 0, W) without gusts
+    queue: Array  # (2 n (delay + 1), W) real: the last actions sent; (0, 0, W) if undisturbed
 
 
 HEADING = ("heading", "cos", "sin")
 """The parts of an episode that only teams with headings have."""
-DISTURBED = ("gust",)
+DISTURBED = ("gust", "queue")
 """Those of disturbances: of two dimensions where they are on, of three where they are off."""
 
 
@@ -83,6 +84,7 @@ class Memory(NamedTuple):
     seed: Array  # (1,) int64: key of all random numbers
     key: Array  # (W,) uint64: that of the disturbances of each episode; (0,) without any
     draw: Array  # (1,) int64: number of the next draw of random actions
+    acted: Array  # (W, n, 2) real: the actions that arrived; (0, n, 2) if undisturbed
 
 
 class Output(NamedTuple):
@@ -160,7 +162,8 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
     headings = (count_headings(config.of_each("dynamics", n)), worlds)
     reals = {name: xp.zeros(robots, dtype=real) for name in Episode._fields[:7]}
     reals |= {name: xp.zeros(headings, dtype=real) for name in HEADING}
-    gust = (2, worlds) if config.gust > 0 else (0, 0, worlds)
+    off = (0, 0, worlds)
+    sent = 2 * n * (config.action_delay + 1)
     return Episode(
         **reals,
         wall_hits=xp.zeros(robots, dtype=xp.int32),
@@ -168,7 +171,8 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
         team_return=xp.zeros(worlds, dtype=xp.float64),
         visited=xp.zeros(worlds, dtype=xp.int32),
         steps=xp.zeros(worlds, dtype=xp.int32),
-        gust=xp.zeros(gust, dtype=real),
+        gust=xp.zeros((2, worlds) if config.gust > 0 else off, dtype=real),
+        queue=xp.zeros((sent, worlds) if any_on(config, OF_ACTIONS) else off, dtype=real),
     )
 
 
@@ -195,8 +199,9 @@ def make_memory(
         pending=xp.ones(worlds, dtype=xp.bool),
         episode=xp.full((worlds,), -1, dtype=xp.int64),
         seed=xp.zeros(1, dtype=xp.int64),
-        key=xp.zeros(worlds if is_disturbed(config) else 0, dtype=xp.uint64),
+        key=xp.zeros(worlds if any_on(config, DISTURBANCES) else 0, dtype=xp.uint64),
         draw=xp.zeros(1, dtype=xp.int64),
+        acted=xp.zeros((worlds if now.queue.ndim == 2 else 0, n, 2), dtype=real),
     )
     return share_bits(memory, now, xp)
 

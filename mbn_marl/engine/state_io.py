@@ -12,6 +12,8 @@ from mbn_marl.errors import MbnError
 
 VIEWS = ("x_bits", "y_bits", "trail_bits", "trail_key")
 """Arrays of ``Memory`` that are another array's memory."""
+PASSING = ("acted",)
+"""Arrays of ``Memory`` that nothing is read from after a step."""
 COUNTERS = ("seed", "draw")
 """Arrays of ``Memory`` that do not belong to a world."""
 
@@ -23,7 +25,7 @@ def changing_arrays(backend: Backend) -> dict[str, Any]:
         name if name in COUNTERS else f"{group}.{name}": array
         for group, members in groups.items()
         for name, array in members._asdict().items()
-        if name not in VIEWS and 0 not in array.shape
+        if name not in (*VIEWS, *PASSING) and 0 not in array.shape
     }
 
 

@@ -21,7 +21,7 @@ from mbn_marl.engine.jit import compiled, entry_point
 from mbn_marl.engine.mdp import revisits, rewards
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import cross_edge
-from mbn_marl.engine.mdp.disturbances import change_gust
+from mbn_marl.engine.mdp.disturbances import arrived_actions, change_gust
 from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.termination import is_terminated, is_truncated
@@ -300,8 +300,9 @@ def move_robots(p, g, mem, now, out, to, actions, lo, hi):
 
     Then the time passes.
     """
+    taken = arrived_actions(p, mem, now.queue, now.steps, actions, lo, hi)
     for i in range(now.x.shape[0]):
-        propose_move(p, g, now, to, actions, i, lo, hi)
+        propose_move(p, g, now, to, taken, i, lo, hi)
         test_containment(g, to, lo, hi)
         stop_at_walls(p, now, out, to, i, lo, hi)
         keep_heading(g.kinds, now, to, i, lo, hi)

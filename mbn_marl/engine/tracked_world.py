@@ -18,6 +18,7 @@ from mbn_marl.engine.batch import BatchEngine
 from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.cpu import CpuBackend
 from mbn_marl.engine.jit import entry_point
+from mbn_marl.engine.mdp.disturbances import arrived_actions
 from mbn_marl.engine.mdp.dynamics import V_CLIP, keep_heading, propose_move
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
@@ -121,8 +122,9 @@ def choose_velocities(store, actions, velocities, allowed):
     g, now = store.geometry, store.now
     n = now.x.shape[0]
     to = step.make_scratch(HI, n, 1, now.x.dtype)
+    taken = arrived_actions(p, store.memory, now.queue, now.steps, actions, LO, HI)
     for i in range(n):
-        propose_move(p, g, now, to, actions, i, LO, HI)
+        propose_move(p, g, now, to, taken, i, LO, HI)
         step.test_containment(g, to, LO, HI)
         keep_heading(g.kinds, now, to, i, LO, HI)
         inside = to.seen[0] != 0

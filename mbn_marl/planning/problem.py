@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
+from mbn_marl.engine.mdp.disturbances import OF_ROBOTS
 from mbn_marl.engine.mdp.dynamics import LIMITS
 from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.errors import ConfigError
@@ -21,8 +22,6 @@ Floats = NDArray[np.float64]
 
 CALM = 1e-3
 """Winds that differ by less than this, units/step per step, count as equal."""
-DISTURBING = ("gust",)
-"""The settings that disturb what the robots do."""
 FLOAT32 = 2.0**-24
 """Relative error of a rounding to float32."""
 
@@ -157,7 +156,7 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
 
 def _disturbed(config: NavigationConfig) -> list[str]:
     """Return which disturbances keep a plan from being carried out."""
-    found = {name: getattr(config, name) for name in DISTURBING}
+    found = {name: getattr(config, name) for name in OF_ROBOTS}
     why = "allowed: 0; a plan does not hold where chance acts on the robots"
     return [f"{name}: {value}; {why}" for name, value in found.items() if value]
 

@@ -22,7 +22,10 @@ STEPS = 2000
 SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 90, "wind": (0.05, 40.0)}
 N = 3
 MIXED = ("point_mass", "unicycle", "bicycle")
-DISTURBED: dict[str, Any] = {"gust": 0.1, "dynamics": MIXED}
+DISTURBED: dict[str, Any] = {
+    **{"gust": 0.1, "action_noise": 0.2, "action_loss": 0.3, "action_delay": 2},
+    "dynamics": MIXED,
+}
 """Every random number of the engine, for robots of every kind."""
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, Field
 from mbn_marl.config import make_config
@@ -29,11 +30,13 @@ SQUARE = Field(
     rois=[(390.0, 390.0)],
     starts=[(200.0, 200.0), (200.0, 150.0)],
 )
-GUSTY: dict[str, Any] = {
+ON: dict[str, Any] = {
     "gust": 0.15,
     "wind": (0.1, 30.0),
     "dynamics": ("point_mass", "holonomic"),
+    "action_delay": 2,
 }
+"""Everything is on in every test, so that they share what is compiled."""
 
 
 def engine_of(worlds: int = 2, **settings: Any) -> BatchEngine:
@@ -66,20 +69,22 @@ def test_exponential() -> None:
 
 def test_settings_are_checked() -> None:
     with pytest.raises(ConfigError) as caught:
-        engine_of(gust=-0.1, gust_time=0.0, first_world=-1)
-    assert [problem.split(":")[0] for problem in caught.value.problems] == ["gust", "gust_time"]
+        engine_of(gust=-0.1, gust_time=0.0, action_noise=-1, action_loss=1.1, action_delay=101)
+    names = ["gust", "gust_time", "action_noise", "action_loss", "action_delay"]
+    assert [problem.split(":")[0] for problem in caught.value.problems] == names
     with pytest.raises(ConfigError, match=r"first_world: -1; allowed: an integer from 0"):
         engine_of(first_world=-1)
 
 
 def test_what_is_off_has_no_entries() -> None:
     now = make_episode(2, 2, make_config({}))
-    assert now.gust.shape == (0, 0, 2)
-    assert make_memory(2, 2, make_config({}), now).key.shape == (0,)
+    assert now.gust.shape == now.queue.shape == (0, 0, 2)
+    memory = make_memory(2, 2, make_config({}), now)
+    assert memory.key.shape == (0,) and memory.acted.shape == (0, 2, 2)
 
 
 def test_a_gust_is_one_push_for_the_whole_team() -> None:
-    engine = engine_of(**GUSTY)
+    engine = engine_of(**ON)
     engine.reset(seed=3)
     first = np.array([engine.snapshot(world).wind for world in (0, 1)])
     assert (first[0] != first[1]).all()
@@ -98,7 +103,7 @@ def test_a_gust_is_one_push_for_the_whole_team() -> None:
 
 
 def test_gusts_keep_their_size_and_are_correlated() -> None:
-    engine = engine_of(300, **(GUSTY | {"gust_time": 5.0}))
+    engine = engine_of(300, **(ON | {"gust_time": 5.0}))
     engine.reset(seed=1)
     gusts = []
     for _ in range(60):
@@ -113,8 +118,57 @@ def test_gusts_keep_their_size_and_are_correlated() -> None:
     assert abs((blown[:, 0] * blown[:, 1]).mean() / blown.var()) < 0.05
 
 
+def acted(actions: list[Any], **settings: Any) -> NDArray[np.float64]:
+    """What arrives of actions of both robots, (steps, robots, 2), in world 0 with seed 3."""
+    engine = engine_of(**(ON | {"wind": (0.0, 0.0), "gust": 1e-9} | settings))
+    engine.reset(seed=8)
+    engine.step(np.ones((2, 2, 2)))
+    engine.reset(seed=3)  # which begins with an empty queue again
+    arrived = []
+    for action in actions:
+        engine.step(np.broadcast_to(np.asarray(action, float), (2, 2, 2)))
+        arrived.append(engine._backend.memory.acted[0].copy())
+    return np.array(arrived)
+
+
+def test_actions_are_late() -> None:
+    given = [(0.25, -3.0), (0.5, 0.0), (0.75, 1.0), (1.0, 0.0)]
+    expected_ones = [(0.0, 0.0), (0.0, 0.0), (0.25, -1.0), (0.5, 0.0)]
+    for robot in range(2):
+        assert [*map(tuple, acted(given)[:, robot].tolist())] == expected_ones
+        assert acted(given, action_delay=0, action_loss=1e-9)[:, robot, 0].tolist() == [
+            *(0.25, 0.5, 0.75, 1.0)
+        ]
+
+
+def test_what_is_lost_is_what_was_sent_before() -> None:
+    given = [((t + 1) / 64, -(t + 1) / 64) for t in range(40)]
+    key = expected.key_of(3, 0, 0, 5)
+    found = acted(given, action_loss=0.5, action_delay=1)
+    for robot in range(2):
+        sent, lost = [(0.0, 0.0)], 0  # arrives in the first step
+        for t, action in enumerate(given):
+            fails = expected.uniform(key, 4 * (64 * t + robot)) < 0.5
+            sent.append(sent[-1] if fails else action)
+            lost += fails
+        assert [*map(tuple, found[:, robot].tolist())] == sent[:-1]
+        assert 10 <= lost <= 30
+    assert not acted(given, action_loss=1.0).any()
+
+
+def test_noise_comes_last_and_is_clipped() -> None:
+    given = [(5.0, 0.0)] * 60
+    key = expected.key_of(3, 0, 0, 5)
+    found = acted(given, action_noise=0.25, action_delay=1)
+    for t, robot, axis in np.ndindex(60, 2, 2):
+        xi = float(expected.normal(key, 4 * (64 * t + robot) + 1 + axis))
+        came = float(t > 0 and axis == 0)
+        assert found[t, robot, axis] == min(max(came + 0.25 * xi, -1.0), 1.0)
+    assert (found[1:, :, 0] == 1.0).mean() == pytest.approx(0.5, abs=0.15)
+
+
 def test_disturbed_episodes_are_recorded_and_replayed(tmp_path: Path) -> None:
-    engine = engine_of(max_steps=12, random_starts=True, first_world=7, **GUSTY)
+    engine = engine_of(max_steps=12, random_starts=True, first_world=7, **ON)
     with EpisodeRecorder(engine, world=1) as recorder:
         engine.reset(seed=5)
         for _ in range(20):
@@ -131,7 +185,12 @@ def test_disturbed_episodes_are_recorded_and_replayed(tmp_path: Path) -> None:
 
 
 def test_plans_are_not_for_disturbed_robots() -> None:
-    with pytest.raises(ConfigError, match=r"gust: 0\.15; allowed: 0; a plan does not hold"):
-        plan("field_03", gust=0.15)
-    config = make_config({"gust": 0.15})
+    settings: dict[str, Any] = {"gust": 0.15, "action_delay": 1}
+    with pytest.raises(ConfigError) as caught:
+        plan("field_03", **settings)
+    assert [problem.split(";")[0] for problem in caught.value.problems] == [
+        "gust: 0.15",
+        "action_delay: 1",
+    ]
+    config = make_config(settings)
     assert make_problem(SQUARE, config, closed_loop=True).n == 2

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 GOLDEN, WORD = 0x9E3779B97F4A7C15, 2**64
-GUSTS = 4
+GUSTS, SENDING = 4, 5
 
 
 def mixed(number: int) -> int:
@@ -25,6 +25,11 @@ def key_of(*numbers: int) -> int:
     for number in numbers:
         key = mixed(key + number + GOLDEN)
     return key
+
+
+def uniform(key: int, counter: int) -> np.float32:
+    """A uniform number in [0, 1)."""
+    return np.float32((mixed(key + counter * GOLDEN) >> 40) / 2**24)
 
 
 def normal(key: int, counter: int) -> np.float32:
@@ -50,9 +55,19 @@ class Disturbances:
     """Those of one world. All numbers are in its precision, ``real``."""
 
     def __init__(
-        self, real: Any, seed: int, world: int, *, gust: float = 0.0, gust_time: float = 10.0
+        self,
+        real: Any,
+        seed: int,
+        world: int,
+        *,
+        gust: float = 0.0,
+        gust_time: float = 10.0,
+        action_noise: float = 0.0,
+        action_loss: float = 0.0,
+        action_delay: int = 0,
     ) -> None:
         self.real, self.place = real, (seed, world)
+        self.loss, self.noise, self.delay = real(action_loss), real(action_noise), action_delay
         kept = exponential(-1.0 / gust_time)
         self.sigma, self.kept = real(gust), real(kept)
         self.added = real(gust * math.sqrt(1.0 - kept * kept))
@@ -60,9 +75,32 @@ class Disturbances:
     def begin(self, episode: int) -> None:
         """Begin an episode."""
         self.episode, self.steps = episode, 0
+        self.sent: list[Any] = []
         self.gust = (self.real(0.0), self.real(0.0))
         if self.sigma:
             self.gust = tuple(self.sigma * self._normal(GUSTS, axis) for axis in range(2))
+
+    def arrived(self, actions: Any) -> Any:
+        """The actions (n, 2) that the robots take when they are given ``actions``."""
+        if not (self.noise or self.loss or self.delay):
+            return actions
+        nothing = [(self.real(0.0), self.real(0.0))] * len(actions)
+        key = key_of(*self.place, self.episode, SENDING)
+        counters = [4 * (64 * self.steps + i) for i in range(len(actions))]
+        last = self.sent[-1] if self.sent else nothing
+        sent = []
+        for action, before, counter in zip(actions, last, counters, strict=True):
+            given = tuple(self._limited(self.real(one)) for one in action)
+            sent.append(before if uniform(key, counter) < self.loss else given)
+        self.sent.append(sent)
+        late = self.sent[-1 - self.delay] if len(self.sent) > self.delay else nothing
+        return [
+            tuple(
+                self._limited(one + self.noise * self.real(normal(key, counter + axis)))
+                for axis, one in enumerate(action, start=1)
+            )
+            for action, counter in zip(late, counters, strict=True)
+        ]
 
     def end_step(self) -> None:
         """The robots have moved: the gust changes."""
@@ -73,6 +111,9 @@ class Disturbances:
                 self.kept * self.gust[axis] + self.added * self._normal(GUSTS, counter + axis)
                 for axis in range(2)
             )
+
+    def _limited(self, number: Any) -> Any:
+        return min(max(number, self.real(-1.0)), self.real(1.0))
 
     def _normal(self, purpose: int, counter: int) -> Any:
         return self.real(normal(key_of(*self.place, self.episode, purpose), counter))

@@ -171,7 +171,8 @@ class Oracle:
     def step(self, actions: Sequence[Sequence[float]]) -> Step:
         """Move every robot by ``actions`` (n, 2), numbers that are clipped to [-1, 1]."""
         step = Step()
-        for robot, action in zip(self.robots, actions, strict=True):
+        taken = self.disturbances.arrived(actions)
+        for robot, action in zip(self.robots, taken, strict=True):
             step.wall.append(self._move(robot, action, step))
             spot = (robot.x, robot.y)
             step.revisit.append(spot in self.stood_on)

@@ -20,6 +20,10 @@ from tests.support.oracle import Oracle
 BEHAVIOURS = ("seek", "uniform", "lattice", "push", "still")
 OWN_WEIGHTS = {"name": "own", "small": 0.3, "medium": 7.0, "large": 11.0, "infinite": 50.0}
 APART = 10.0
+DISTURBANCES = {
+    **{"gust": 0.2, "gust_time": 3.0},
+    **{"action_noise": 0.3, "action_loss": 0.3, "action_delay": 2},
+}
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ def worlds(draw: st.DrawFn, n: int, rules: Literal["released", "formal"]) -> Wor
         "observation": draw(st.sampled_from([*OBSERVATIONS])),
         "sensing_radius": draw(st.sampled_from([60.0, 17.3])),
         "one_hot": draw(st.booleans()),
-        **draw(st.sampled_from([{}, {"gust": 0.2, "gust_time": 3.0}])),
+        **draw(st.sampled_from([{}, DISTURBANCES])),
     }
     one = st.sampled_from(BEHAVIOURS)
     behaviours = draw(

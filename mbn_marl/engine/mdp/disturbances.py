@@ -1,4 +1,6 @@
-"""What acts on the robots besides their own force: wind and gusts (mdp.md, "Disturbances").
+"""What acts on the robots besides their policy: wind, gusts, and what happens to their actions.
+
+The rules are those of mdp.md, "Disturbances".
 
 A disturbance that is off has arrays without entries and with three dimensions, by which its code is
 left out when it is compiled.
@@ -9,16 +11,34 @@ Source: Choton, Woods, Hsu, section 4, for the wind; the others are this package
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
-from mbn_marl.config import NavigationConfig
+import numpy as np
+
+from mbn_marl.config import MAX_ROBOTS, NavigationConfig
 from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp.elementary import exponential
-from mbn_marl.engine.mdp.rng import FOR_GUSTS, episode_key, normal, stream_of, world_number
+from mbn_marl.engine.mdp.rng import (
+    FOR_GUSTS,
+    FOR_SENDING,
+    episode_key,
+    normal,
+    stream_of,
+    uniform,
+    world_number,
+)
+from mbn_marl.engine.scalars import clip, select
+
+OF_ACTIONS = ("action_noise", "action_loss", "action_delay")
+OF_ROBOTS = ("gust", *OF_ACTIONS)
+DISTURBANCES = OF_ROBOTS
+"""The settings, 0 where they are off, that disturb actions, what the robots do, and anything."""
+MOST_ROBOTS, DRAWS = np.uint64(MAX_ROBOTS), np.uint64(4)
 
 
-def is_disturbed(config: NavigationConfig) -> bool:
-    """Return whether any disturbance but the wind is on."""
-    return config.gust > 0
+def any_on(config: NavigationConfig, names: Iterable[str]) -> bool:
+    """Return whether any of these disturbances is on."""
+    return any(getattr(config, name) for name in names)
 
 
 def gust_factors(config: NavigationConfig) -> tuple[float, float]:
@@ -62,8 +82,51 @@ def change_gust(p, keys, gust, steps, lo, hi):
 
 
 @compiled
+def row_of(p, n, i, step):
+    """The first of the two rows of the queue that have what robot i of n sent in a step."""
+    return (step % (p.action_delay + 1) * n + i) * 2
+
+
+@compiled
+def send(p, mem, queue, steps, actions, i, lo, hi):
+    """Robot i's actions: clipped, lost, delayed, noised and clipped again, into ``mem.acted``."""
+    n, acted, late = actions.shape[1], mem.acted, p.action_delay
+    for w in range(lo, hi):
+        step = steps[w]
+        key = stream_of(mem.key[w], FOR_SENDING)
+        counter = (np.uint64(step) * MOST_ROBOTS + np.uint64(i)) * DRAWS
+        lost = uniform(key, counter) < p.action_loss
+        for axis in range(2):
+            last = queue[row_of(p, n, i, step + late) + axis, w]
+            given = clip(actions[w, i, axis], -p.one, p.one)
+            queue[row_of(p, n, i, step) + axis, w] = select(lost, last, given)
+            noise = p.action_noise * normal(key, counter + np.uint64(1 + axis))
+            arrived = queue[row_of(p, n, i, step + 1) + axis, w] + noise
+            acted[w, i, axis] = clip(arrived, -p.one, p.one)
+
+
+@compiled
+def arrived_actions(p, mem, queue, steps, actions, lo, hi):
+    """The actions (W, n, 2) that the robots of a block take: those given, unless disturbed."""
+    if queue.ndim == 2:
+        for i in range(actions.shape[1]):
+            send(p, mem, queue, steps, actions, i, lo, hi)
+        return mem.acted
+    return actions
+
+
+@compiled
+def begin_queue(p, queue, w):
+    """Nothing has been sent in the episode that world w begins."""
+    if queue.ndim == 2:
+        for k in range(queue.shape[0]):
+            queue[k, w] = p.zero
+
+
+@compiled
 def begin_disturbances(p, mem, now, w):
     """Begin the episode of world w: the key of its random numbers, and what they disturb first."""
     if mem.key.shape[0] > 0:
         mem.key[w] = episode_key(mem.seed[0], world_number(p, w), mem.episode[w])
     begin_gust(p, mem.key, now.gust, w)
+    begin_queue(p, now.queue, w)
