@@ -73,9 +73,8 @@ class Algorithm:
         return load(self.name, setting, overrides, num_envs=num_envs, file=file)
 
     def check(self, task: Any, hyperparameters: Any) -> None:
-        """Check that the library accepts the hyperparameters; for TorchRL their ranges do."""
-        if self.package != "torchrl":
-            self._module("trainer").check(task, hyperparameters)
+        """Check that a learner can be made with the hyperparameters; a ConfigError says why not."""
+        self._module("trainer").check(task, hyperparameters)
 
     def budget(self, task: Any, hyperparameters: Any) -> Any:
         """Return the :class:`~baselines.training.config.Budget` of a run."""

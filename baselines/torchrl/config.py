@@ -37,6 +37,8 @@ class MultiAgentPPOConfig(TrainingAids):
             one per axis; actions outside [-1, 1] are clipped by the engine).
         log_std_cap: upper limit of it: the first value until ``log_std_cap_from`` (a share of
             training), then falling linearly to the second.
+        search_generations: of the search for a faster episode after training, which takes env-steps
+            beyond the budget (:mod:`baselines.training.search`); 0 for none.
     """
 
     actor: Actor
@@ -57,6 +59,7 @@ class MultiAgentPPOConfig(TrainingAids):
     log_std_start: float
     log_std_cap: tuple[float, float]
     log_std_cap_from: Annotated[float, Field(ge=0.0, lt=1.0)]
+    search_generations: Annotated[int, Field(ge=0)]
 
     @property
     def decisions(self) -> int:

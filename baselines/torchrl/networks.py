@@ -67,12 +67,17 @@ class TeamMLP(nn.Module):
             self.weights.append(nn.Parameter(weight))
             self.biases.append(nn.Parameter(torch.zeros(networks, 1, outputs)))
 
-    def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        """Outputs (..., n, outputs) of ``rows`` (..., n, inputs); n is k, or any if k is 1."""
+    def hidden(self, rows: torch.Tensor) -> torch.Tensor:
+        """Inputs (k, rows, size) of the last layer for ``rows`` (..., n, inputs)."""
         networks = len(self.weights[0])
         flow = rows.reshape(-1, networks, rows.shape[-1]).transpose(0, 1)
-        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            flow = torch.baddbmm(bias, flow.tanh_() if layer else flow, weight)
+        for weight, bias in list(zip(self.weights, self.biases, strict=True))[:-1]:
+            flow = torch.baddbmm(bias, flow, weight).tanh_()
+        return flow
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        """Outputs (..., n, outputs) of ``rows`` (..., n, inputs); n is k, or any if k is 1."""
+        flow = torch.baddbmm(self.biases[-1], self.hidden(rows), self.weights[-1])
         return flow.transpose(0, 1).reshape(*rows.shape[:-1], -1)
 
 
@@ -159,6 +164,16 @@ class GaussianPolicy(TensorDictModuleBase):
         networks = 1 if self._joint else shape.networks
         self.mean = TeamMLP(networks, (ends[0], *shape.hidden, ends[1]), last_gain=0.01)
         self.log_std = nn.Parameter(torch.full((n if self._joint else networks, 2), log_std))
+
+    @property
+    def last_layer(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Weights (k, inputs, outputs) and biases (k, 1, outputs) of the mean actions."""
+        return self.mean.weights[-1], self.mean.biases[-1]
+
+    def features(self, observations: torch.Tensor) -> torch.Tensor:
+        """Inputs (k, rows, inputs) of the last layer for observations (..., n, obs_size)."""
+        normalized = self.norm.normalize(observations)
+        return self.mean.hidden(joined(normalized) if self._joint else normalized)
 
     def means(self, normalized: torch.Tensor) -> torch.Tensor:
         """Mean actions (..., n, 2) for normalised observations (..., n, obs_size)."""

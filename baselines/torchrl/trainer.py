@@ -25,7 +25,9 @@ from baselines.torchrl.policy import TeamPolicy
 from baselines.training.aids import RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
+from baselines.training.search import LastLayerSearch
 from mbn_marl.adapters.torchrl import NavigationEnv
+from mbn_marl.errors import ConfigError
 
 NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
 WORLDS, COUNTERS = "worlds.npz", "counters.json"
@@ -36,6 +38,17 @@ LOGGED = (*MINIMISED, "entropy", "kl_approx", "clip_fraction")
 def train(task: Task, hyperparameters: MultiAgentPPOConfig, recorder: Recorder) -> None:
     """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result."""
     Trainer(task, hyperparameters, recorder).run()
+
+
+def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
+    """Check that the hyperparameters fit the environment.
+
+    Raises:
+        ConfigError: they do not.
+    """
+    if hyperparameters.search_generations and task.settings.get("random_starts"):
+        wrong = f"search_generations: {hyperparameters.search_generations}"
+        raise ConfigError("training", [f"{wrong}; allowed with random_starts: 0"])
 
 
 def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
@@ -150,6 +163,11 @@ class Trainer:
             if self.recorder.checkpoint_due:
                 save = partial(self._save, env_steps)
                 self.recorder.save_checkpoint(env_steps, policy, save)
+        if config.search_generations:
+            settings, seed = self.task.settings, self.task.config.seed
+            search = LastLayerSearch(self.network, self.task.field, settings, seed)
+            search.run(config.search_generations)
+            env_steps += search.env_steps
         self.recorder.finish(env_steps, policy)
 
     def _count_episodes(self, rollout: TensorDictBase) -> None:
