@@ -28,9 +28,9 @@ _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 80
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
 
 _ONE, _EACH = "for all", "for each"
@@ -129,6 +129,9 @@ class NavigationConfig(Checked):
         action_noise: standard deviation of what is added to each number of an action, >= 0.
         action_loss: probability that an action is lost and the one before it repeated, in [0, 1].
         action_delay: how late actions arrive, steps, 0 to 100.
+        position_noise: standard deviation of what a robot observes of positions, units, >= 0.
+        velocity_noise: the same of velocities, units/step, >= 0.
+        dropout: probability that a robot or ROI is not observed in a step, in [0, 1].
         max_steps: T_max; reaching it truncates the episode.
         dtype: precision of the simulation, ``"float32"`` or ``"float64"``.
         f_max: force of a full-scale action, mass x units/step^2, > 0; one number for all robots
@@ -165,6 +168,9 @@ class NavigationConfig(Checked):
     action_noise: NonNegative = 0.0
     action_loss: Probability = 0.0
     action_delay: Annotated[int, Field(ge=0, le=100)] = 0
+    position_noise: NonNegative = 0.0
+    velocity_noise: NonNegative = 0.0
+    dropout: Probability = 0.0
     max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     dtype: Literal["float32", "float64"] = "float32"
     f_max: PositiveOfEach = 0.5
@@ -224,6 +230,9 @@ class FixedSettings(TypedDict, total=False):
     action_noise: float
     action_loss: float
     action_delay: int
+    position_noise: float
+    velocity_noise: float
+    dropout: float
     max_steps: int
     dtype: Literal["float32", "float64"]
     f_max: float | tuple[float, ...]

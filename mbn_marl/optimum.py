@@ -6,7 +6,10 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.field import Field
 
 DEFAULT = NavigationConfig()
-VIEW = ("reward_sharing", "observation", "one_hot", "sensing_radius", "dtype")
+VIEW = (
+    *("reward_sharing", "observation", "one_hot", "sensing_radius", "dtype"),
+    *("position_noise", "velocity_noise", "dropout"),
+)
 """Settings that change what a learner sees, but not the best return."""
 
 

@@ -15,7 +15,10 @@ from mbn_marl.planning import plan
 def test_environments_say_their_optimal_return() -> None:
     assert parallel_env("field_03").unwrapped.optimal_return == 159_490.0
     assert centralized_env("field_09").unwrapped.optimal_return == 157_510.0
-    assert parallel_env("field_03", wind=(0.1, 0.0)).unwrapped.optimal_return is None
+    for other in ({"wind": (0.1, 0.0)}, {"gust": 0.1}, {"action_delay": 1}):
+        assert parallel_env("field_03", **other).unwrapped.optimal_return is None
+    blind = parallel_env("field_03", position_noise=1.0, velocity_noise=0.1, dropout=0.5)
+    assert blind.unwrapped.optimal_return == 159_490.0  # what is seen changes no return
 
 
 def test_no_optimum_is_claimed_where_a_wall_might_pay() -> None:

@@ -77,7 +77,7 @@ def step_parts(store, actions, last, lo, hi):  # type: ignore[no-untyped-def]  #
         if last >= REWARDS:
             pass_time(p, mem, now, lo, end)
         if last >= OBSERVATIONS:
-            observe(p, g, now, lo, end, to.tile, out.observations)
+            observe(p, g, mem, now, lo, end, to.tile, out.observations)
         if last >= MEMORY:
             for i in range(now.x.shape[0]):
                 mark_revisits(mem, now, out, to, i, lo, end)

@@ -79,10 +79,11 @@ class Backend(ABC):
     def _make_worlds(self, spec: BackendSpec) -> None:
         """Make all arrays, on the default device of ``xp``."""
         (worlds, n, _), config, xp = spec.actions_shape, spec.config, self.xp
+        m = spec.geometry.rois.shape[1]
         self.spec, self._real = spec, getattr(xp, config.dtype)
         self.now = state.make_episode(worlds, n, config, xp)
         self.final = state.make_episode(worlds, n, config, xp)
-        self.memory = state.make_memory(worlds, n, config, self.now, xp)
+        self.memory = state.make_memory(worlds, n, m, config, self.now, xp)
         self.output = state.make_output(worlds, n, spec.obs_size, config, xp)
         self._everyone = xp.ones(worlds, dtype=xp.bool)
         self._actions = xp.zeros(spec.actions_shape, dtype=self._real)

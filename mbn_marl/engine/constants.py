@@ -40,6 +40,9 @@ class Constants(NamedTuple):
     gust_added: float
     action_noise: float
     action_loss: float
+    position_noise: float
+    velocity_noise: float
+    dropout: float
     arena_x: float
     arena_y: float
     half_arena_x: float

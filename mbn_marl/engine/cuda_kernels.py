@@ -109,7 +109,7 @@ geometry_of = _view_of(
     kinds="",
     rays="",
 )
-memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="")
+memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="", seen="[:, w:end]")
 episode_of = _view_of(Episode, ":, w:end", MOTION, team_return="[w:end]")
 output_of = _view_of(Output, "w:end", RESULTS)
 
@@ -127,7 +127,7 @@ def save_output(one, out, w):
 
 
 @cuda.jit(device=True)
-def write_observations(p, g, ep, w, is_world, tile, rows):
+def write_observations(p, g, mem, ep, w, is_world, tile, rows):
     """Write the observations of the block's worlds to ``rows``; this thread's is ``w`` of ``ep``.
 
     A robot's observation is made in this thread's column of ``tile`` (size, threads + 1), in shared
@@ -139,7 +139,7 @@ def write_observations(p, g, ep, w, is_world, tile, rows):
     count = min(threads, rows.shape[0] - first)
     for i in range(rows.shape[1]):
         if is_world:
-            describe(p, g, g.rays, ep, w, w + ONE, i, tile[:, thread : thread + 1])
+            describe(p, g, mem, ep, w, w + ONE, i, tile[:, thread : thread + 1])
         cuda.syncthreads()
         world, entry = thread // size, thread % size
         while world < count:
@@ -198,7 +198,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
                 change = close_step(p, memory, given, ZERO)
             if change == ENDED | RESTARTS:
                 for i in range(n):
-                    describe(p, own, own.rays, one, ZERO, ONE, i, mine)
+                    describe(p, own, memory, one, ZERO, ONE, i, mine)
                     for entry in range(obs_size):
                         given.final_observations[0, i, entry] = mine[entry, 0]
             copy_motion(one, ZERO, now, w, n, 0)
@@ -208,7 +208,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
             if change & RESTARTS:
                 reset_world(p, g, mem, now, w)
                 copy_motion(now, w, one, ZERO, n, 0)
-        write_observations(p, own, one, ZERO, is_world, tile, out.observations)
+        write_observations(p, own, memory, one, ZERO, is_world, tile, out.observations)
 
     return step
 
@@ -223,7 +223,7 @@ def make_reset(obs_size: int) -> Callable[..., None]:
         tile = cuda.shared.array((obs_size, columns), np.float32)
         if is_world and call.active[w]:
             begin_world(p, g, mem, now, out, w)
-        write_observations(p, g, now, w, is_world, tile, out.observations)
+        write_observations(p, g, mem, now, w, is_world, tile, out.observations)
 
     return reset
 

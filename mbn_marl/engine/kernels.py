@@ -50,7 +50,7 @@ def reset_worlds(store, mask):
     for w in range(FIRST, np.uint64(mask.size)):
         if mask[w]:
             begin_world(p, g, mem, now, out, w)
-            observe(p, g, now, w, w + NEXT, tile, out.observations)
+            observe(p, g, mem, now, w, w + NEXT, tile, out.observations)
 
 
 @entry_point
@@ -67,7 +67,7 @@ def rest_worlds(store, mask):
                 mem.trail[w, last, 0] = now.x[i, w]
                 mem.trail[w, last, 1] = now.y[i, w]
             clear_output(p, out, w)
-            observe(p, g, now, w, w + NEXT, tile, out.observations)
+            observe(p, g, mem, now, w, w + NEXT, tile, out.observations)
 
 
 @compiled

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.mdp.disturbances import DISTURBANCES, OF_ACTIONS, any_on
+from mbn_marl.engine.mdp.disturbances import DISTURBANCES, OF_ACTIONS, OF_SIGHT, any_on
 from mbn_marl.engine.mdp.dynamics import DYNAMICS, LIMITS, POINT_MASS, count_headings
 from mbn_marl.engine.mdp.lidar import rays_of
 from mbn_marl.engine.mdp.observations import WITH_RAYS
 from mbn_marl.engine.mdp.revisits import ODD_LINES, filter_size
+from mbn_marl.engine.mdp.sight import rows_seen
 from mbn_marl.field import Field
 
 Array = NDArray[Any]
@@ -85,6 +86,7 @@ class Memory(NamedTuple):
     key: Array  # (W,) uint64: that of the disturbances of each episode; (0,) without any
     draw: Array  # (1,) int64: number of the next draw of random actions
     acted: Array  # (W, n, 2) real: the actions that arrived; (0, n, 2) if undisturbed
+    seen: Array  # (rows_seen, W) real: what a robot sees; (0, 0, W) if it sees all as it is
 
 
 class Output(NamedTuple):
@@ -177,13 +179,14 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
 
 
 def make_memory(
-    worlds: int, n: int, config: NavigationConfig, now: Episode, xp: ModuleType = np
+    worlds: int, n: int, m: int, config: NavigationConfig, now: Episode, xp: ModuleType = np
 ) -> Memory:
-    """Zeroed memory; NumPy's trails only cost memory as far as episodes get."""
+    """Zeroed memory, for m ROIs; NumPy's trails only cost memory as far as episodes get."""
     real = getattr(xp, config.dtype)
     length = config.max_steps + 1
     formal = config.reward.rules == "formal"
     motion = 3 if now.heading.shape[0] else 2
+    seen = (rows_seen(n, m), worlds) if any_on(config, OF_SIGHT) else (0, 0, worlds)
     words = filter_size(length * (1 if formal else n)) + ODD_LINES
     trail = xp.zeros((worlds, length * n, 2), dtype=real)
     memory = Memory(
@@ -202,6 +205,7 @@ def make_memory(
         key=xp.zeros(worlds if any_on(config, DISTURBANCES) else 0, dtype=xp.uint64),
         draw=xp.zeros(1, dtype=xp.int64),
         acted=xp.zeros((worlds if now.queue.ndim == 2 else 0, n, 2), dtype=real),
+        seen=xp.zeros(seen, dtype=real),
     )
     return share_bits(memory, now, xp)
 

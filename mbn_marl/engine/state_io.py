@@ -12,7 +12,7 @@ from mbn_marl.errors import MbnError
 
 VIEWS = ("x_bits", "y_bits", "trail_bits", "trail_key")
 """Arrays of ``Memory`` that are another array's memory."""
-PASSING = ("acted",)
+PASSING = ("acted", "seen")
 """Arrays of ``Memory`` that nothing is read from after a step."""
 COUNTERS = ("seed", "draw")
 """Arrays of ``Memory`` that do not belong to a world."""

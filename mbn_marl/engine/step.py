@@ -290,7 +290,7 @@ def autoreset(p, g, mem, now, final, out, to, lo, hi):
             copy_episode(now, w, final, w, now.x.shape[0], p.headings)
         if change & RESTARTS:
             reset_world(p, g, mem, now, w)
-            observe(p, g, now, w, w + ONE, to.tile, seen)
+            observe(p, g, mem, now, w, w + ONE, to.tile, seen)
     return ended
 
 
@@ -338,7 +338,7 @@ def step_worlds(store, actions, lo, hi):
     while lo < hi:
         end = min(lo + np.uint64(BLOCK), hi)
         move_robots(p, g, mem, now, out, to, actions, lo, end)
-        observe(p, g, now, lo, end, to.tile, out.observations)
+        observe(p, g, mem, now, lo, end, to.tile, out.observations)
         score_step(p, g, mem, now, out, to, lo, end)
         ended += autoreset(p, g, mem, now, final, out, to, lo, end)
         lo = end

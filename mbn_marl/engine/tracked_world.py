@@ -157,6 +157,6 @@ def take_positions(store, positions, velocities, allowed):
         for i in range(n):
             step.hash_positions(mem, now, out, to, i, LO, HI)
     step.pass_time(p, mem, now, LO, HI)
-    observe(p, g, now, LO, HI, to.tile, out.observations)
+    observe(p, g, mem, now, LO, HI, to.tile, out.observations)
     step.score_step(p, g, mem, now, out, to, LO, HI)
     return step.autoreset(p, g, mem, now, final, out, to, LO, HI)

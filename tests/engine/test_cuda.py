@@ -71,7 +71,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     worlds = 2
     g = make_geometry([field], config, 3, worlds)
     now = make_episode(worlds, 3, config)
-    mem, out = make_memory(worlds, 3, config, now), make_output(worlds, 3, size, config)
+    mem, out = make_memory(worlds, 3, 6, config, now), make_output(worlds, 3, size, config)
     actions, active = np.zeros((worlds, 3, 2), real), np.zeros(worlds, np.bool_)
     call = kernels.Call(actions, active, np.zeros(1, np.int64))
     rows = (np.zeros((worlds, 3, 12)),)

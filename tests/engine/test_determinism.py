@@ -24,7 +24,7 @@ N = 3
 MIXED = ("point_mass", "unicycle", "bicycle")
 DISTURBED: dict[str, Any] = {
     **{"gust": 0.1, "action_noise": 0.2, "action_loss": 0.3, "action_delay": 2},
-    "dynamics": MIXED,
+    **{"position_noise": 1.0, "velocity_noise": 0.1, "dropout": 0.2, "dynamics": MIXED},
 }
 """Every random number of the engine, for robots of every kind."""
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from mbn_marl import BatchEngine, Field
 from mbn_marl.config import make_config
 from mbn_marl.engine.mdp import elementary, rng
+from mbn_marl.engine.mdp.disturbances import DISTURBANCES
 from mbn_marl.engine.state import make_episode, make_memory
 from mbn_marl.episode import EpisodeRecorder, check_episode, load_episode, save_episode
 from mbn_marl.errors import ConfigError
@@ -35,13 +36,14 @@ ON: dict[str, Any] = {
     "wind": (0.1, 30.0),
     "dynamics": ("point_mass", "holonomic"),
     "action_delay": 2,
+    "position_noise": 2.0,
 }
 """Everything is on in every test, so that they share what is compiled."""
 
 
-def engine_of(worlds: int = 2, **settings: Any) -> BatchEngine:
-    """An engine of the square in float64."""
-    return BatchEngine(SQUARE, worlds, threads=1, **{"dtype": "float64", **settings})
+def engine_of(worlds: int = 2, field: Field = SQUARE, **settings: Any) -> BatchEngine:
+    """An engine in float64."""
+    return BatchEngine(field, worlds, threads=1, dtype="float64", **settings)
 
 
 def test_random_numbers_are_those_of_the_page() -> None:
@@ -69,8 +71,11 @@ def test_exponential() -> None:
 
 def test_settings_are_checked() -> None:
     with pytest.raises(ConfigError) as caught:
-        engine_of(gust=-0.1, gust_time=0.0, action_noise=-1, action_loss=1.1, action_delay=101)
-    names = ["gust", "gust_time", "action_noise", "action_loss", "action_delay"]
+        engine_of(
+            **{"gust": -0.1, "gust_time": 0.0, "position_noise": math.nan, "velocity_noise": -1},
+            **{"action_noise": -1, "action_loss": 1.1, "action_delay": 101, "dropout": -0.1},
+        )
+    names = ["gust", "gust_time", *(name for name in DISTURBANCES if name != "gust")]
     assert [problem.split(":")[0] for problem in caught.value.problems] == names
     with pytest.raises(ConfigError, match=r"first_world: -1; allowed: an integer from 0"):
         engine_of(first_world=-1)
@@ -79,8 +84,9 @@ def test_settings_are_checked() -> None:
 def test_what_is_off_has_no_entries() -> None:
     now = make_episode(2, 2, make_config({}))
     assert now.gust.shape == now.queue.shape == (0, 0, 2)
-    memory = make_memory(2, 2, make_config({}), now)
+    memory = make_memory(2, 2, 1, make_config({}), now)
     assert memory.key.shape == (0,) and memory.acted.shape == (0, 2, 2)
+    assert memory.seen.shape == (0, 0, 2)
 
 
 def test_a_gust_is_one_push_for_the_whole_team() -> None:
@@ -122,7 +128,8 @@ def acted(actions: list[Any], **settings: Any) -> NDArray[np.float64]:
     """What arrives of actions of both robots, (steps, robots, 2), in world 0 with seed 3."""
     engine = engine_of(**(ON | {"wind": (0.0, 0.0), "gust": 1e-9} | settings))
     engine.reset(seed=8)
-    engine.step(np.ones((2, 2, 2)))
+    for _ in range(4):
+        engine.step(np.ones((2, 2, 2)))
     engine.reset(seed=3)  # which begins with an empty queue again
     arrived = []
     for action in actions:
@@ -165,6 +172,80 @@ def test_noise_comes_last_and_is_clipped() -> None:
         came = float(t > 0 and axis == 0)
         assert found[t, robot, axis] == min(max(came + 0.25 * xi, -1.0), 1.0)
     assert (found[1:, :, 0] == 1.0).mean() == pytest.approx(0.5, abs=0.15)
+
+
+def sights(engine: BatchEngine, robot: int) -> dict[str, float]:
+    """What a robot of world 1 observes, by name."""
+    row = engine._backend.output.observations[1, robot]
+    return dict(zip((entry.name for entry in engine.observation_table), row.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("steps", [0, 3])
+def test_each_robot_sees_everything_with_noise_of_its_own(steps: int) -> None:
+    engine = engine_of(**ON, velocity_noise=0.25, max_steps=3, autoreset="disabled")
+    engine.reset(seed=3)
+    for _ in range(steps):
+        engine.step(np.ones((2, 2, 2)))
+    key, now = expected.key_of(3, 1, 0, 6), engine.snapshot(1)
+    for i in range(2):
+
+        def seen(thing: int, numbers: Any, sd: float, first: int, i: int = i) -> NDArray[Any]:
+            counter = 8 * (128 * (64 * steps + i) + thing) + first
+            draws = [float(expected.normal(key, counter + k)) for k in range(2)]
+            return np.asarray(numbers) + sd * np.array(draws)
+
+        places = [seen(j, now.positions[j], 2.0, 1) for j in range(2)]
+        motions = [seen(j, now.velocities[j], 0.25, 3) for j in range(2)]
+        found, other = sights(engine, i), 1 - i
+        numbers = {
+            "own_{}": (places[i] - 500.0) / 500.0,
+            "own_v{}": motions[i] / 5.0,
+            "other_1_d{}": (places[other] - places[i]) / 1000.0,
+            "other_1_dv{}": (motions[other] - motions[i]) / 10.0,
+            "roi_0_d{}": (seen(64, (390.0, 390.0), 2.0, 1) - places[i]) / 1000.0,
+        }
+        for name, pair in numbers.items():
+            axes = [found[name.format(axis)] for axis in "xy"]
+            assert axes == pytest.approx(pair, abs=1e-7), name
+    true = [*now.positions.ravel(), *now.velocities.ravel(), 0.0]
+    assert engine.state()[1].tolist() == true
+
+
+@pytest.mark.parametrize("observation", ["relative", "local", "state"])
+def test_what_is_seen_stays_in_the_space(observation: Any) -> None:
+    engine = engine_of(
+        **(ON | {"position_noise": 1e5, "velocity_noise": 1e5, "observation": observation})
+    )
+    for row in (engine.reset(seed=1), engine.step(np.ones((2, 2, 2)))[0]):
+        assert (row >= engine.observation_low).all() and (row <= engine.observation_high).all()
+        assert np.isin([1.0, -1.0] if observation != "state" else [0.0, 1000.0], row).all()
+
+
+@pytest.mark.parametrize("observation", ["relative", "local", "lidar", "lidar_local", "state"])
+def test_what_drops_out_is_nought(observation: Any) -> None:
+    settings = ON | {"position_noise": 0.0, "sensing_radius": 500.0, "observation": observation}
+    field = Field(vertices=SQUARE.vertices, rois=[(200.0, 150.0)], starts=SQUARE.starts)
+    engine = engine_of(field=field, autoreset=False, dropout=1.0, **settings)
+    engine.reset(seed=1)
+    engine.step(np.zeros((2, 2, 2)))
+    found = sights(engine, 0)
+    kept = {"roi_0_visited", "visit_code"}
+    things = {name for name in found if name.startswith(("other", "roi"))} - kept
+    assert things and not any(found[name] for name in things)
+    assert all(found[name] == 1.0 for name in kept & found.keys())
+    assert found["own_x"] and (found.get("ray_0", 1.0) > 0.0)
+    assert engine.infos()[1, 0, 1] == 1.0
+
+
+def test_things_drop_out_alone_and_as_often_as_they_should() -> None:
+    engine = engine_of(300, **(ON | {"dropout": 0.25}))
+    rows = [engine.reset(seed=1).copy()]
+    rows += [engine.step(np.zeros((300, 2, 2)))[0].copy() for _ in range(3)]
+    table = [entry.name for entry in engine.observation_table]
+    seen = np.array(rows)[..., [table.index("other_1_dx"), table.index("roi_0_dx")]] != 0
+    assert seen.mean(axis=(0, 1)).ravel() == pytest.approx([0.75] * 4, abs=0.05)
+    assert seen.all(axis=-1).mean() == pytest.approx(0.75**2, abs=0.05)
+    assert seen.all(axis=2).mean() == pytest.approx(0.75**2, abs=0.05)
 
 
 def test_disturbed_episodes_are_recorded_and_replayed(tmp_path: Path) -> None:

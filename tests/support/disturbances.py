@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 GOLDEN, WORD = 0x9E3779B97F4A7C15, 2**64
-GUSTS, SENDING = 4, 5
+GUSTS, SENDING, SIGHT = 4, 5, 6
 
 
 def mixed(number: int) -> int:
@@ -65,8 +65,14 @@ class Disturbances:
         action_noise: float = 0.0,
         action_loss: float = 0.0,
         action_delay: int = 0,
+        position_noise: float = 0.0,
+        velocity_noise: float = 0.0,
+        dropout: float = 0.0,
     ) -> None:
         self.real, self.place = real, (seed, world)
+        self.sds = [real(position_noise)] * 2 + [real(velocity_noise)] * 2
+        self.dropout = real(dropout)
+        self.blurs = bool(position_noise or velocity_noise or dropout)
         self.loss, self.noise, self.delay = real(action_loss), real(action_noise), action_delay
         kept = exponential(-1.0 / gust_time)
         self.sigma, self.kept = real(gust), real(kept)
@@ -101,6 +107,22 @@ class Disturbances:
             )
             for action, counter in zip(late, counters, strict=True)
         ]
+
+    def seen(self, i: int, thing: int, numbers: Any, bounds: Any) -> tuple[list[Any], bool]:
+        """What robot i sees of a thing's position and velocity, and whether it sees it at all.
+
+        Robot j is thing j, ROI j is thing 64 + j; ``bounds`` are the least and the greatest values.
+        """
+        if not self.blurs:
+            return list(numbers), True
+        key = key_of(*self.place, self.episode, SIGHT)
+        counter = 8 * (128 * (64 * self.steps + i) + thing)
+        rows = zip(numbers, self.sds, bounds, strict=False)
+        found = [
+            min(max(number + sd * self.real(normal(key, counter + k)), low), high)
+            for k, (number, sd, (low, high)) in enumerate(rows, start=1)
+        ]
+        return found, thing == i or not uniform(key, counter) < self.dropout
 
     def end_step(self) -> None:
         """The robots have moved: the gust changes."""

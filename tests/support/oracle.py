@@ -129,6 +129,8 @@ class Oracle:
             for name, *numbers in zip(*own, strict=True)
         ]
         self.top_speed = max(vehicle.v_clip for vehicle in self.vehicles)
+        zero, top = real(0.0), self.top_speed
+        self.bounds = [(zero, self.width), (zero, self.height), (-top, top), (-top, top)]
         self.turning = any(vehicle.turns for vehicle in self.vehicles)
         self.safety_distance, self.roi_radius = safety_distance, roi_radius
         self.max_steps = max_steps
@@ -198,13 +200,13 @@ class Oracle:
         as visited, and where the first one is.
         """
         here = self.robots[i]
-        me = replace(here, x=here.x + self.real(shift[0]), y=here.y + self.real(shift[1]))
+        there = replace(here, x=here.x + self.real(shift[0]), y=here.y + self.real(shift[1]))
+        me, *others = self._seen_robots(i, there)
         rois = [*zip(self.rois, self.visited, strict=True), *[(self.rois[0], True)] * missing]
-        others = [other for other in self.robots if other is not here]
         if self.observation == "state":
-            seen = [body.position for body in (me, *others)]
-            seen += [body.velocity for body in (me, *others)]
-            seen += [body.ahead for body in (me, *others)] * self.turning
+            seen = [body.seen * body.position for body in (me, *others)]
+            seen += [body.seen * body.velocity for body in (me, *others)]
+            seen += [body.seen * body.ahead for body in (me, *others)] * self.turning
             seen.append(np.array([self.visit_code]))
         else:
             half = np.array([self.width, self.height]) / 2
@@ -218,19 +220,34 @@ class Oracle:
             for other in others:
                 turn = (other.velocity - me.velocity) / (2 * self.top_speed)
                 ahead = [other.ahead] * self.turning
-                seen += self._sight(other.position - me.position, turn, *ahead)
+                sight = self._sight(other.position - me.position, turn, *ahead)
                 if lidar:
                     distance = math.dist(other.position, me.position)
-                    seen.append([max(0.0, 1.0 - distance / reach)])
-            for roi, visited in rois:
-                offset = np.array(roi) - me.position
+                    sight.append(np.array([max(0.0, 1.0 - distance / reach)]))
+                seen += [other.seen * entries for entries in sight]
+            for j, (roi, visited) in enumerate(rois):
+                place, is_seen = self.disturbances.seen(i, 64 + j, roi, self.bounds)
+                offset = np.array(place) - me.position
                 direction = [offset / (math.hypot(*offset) + 1.0)] if lidar else []
-                seen += [*self._sight(offset, *direction), np.array([visited])]
+                seen += [is_seen * entries for entries in self._sight(offset, *direction)]
+                seen.append(np.array([visited]))
             if lidar:
-                seen.append(self._walls(me, reach))
+                seen.append(self._walls(there, reach))
         if self.one_hot:
             seen.append(np.eye(self.n)[i])
         return np.concatenate(seen).astype(np.float32)
+
+    def _seen_robots(self, i: int, me: Robot) -> list[Robot]:
+        """The robots as robot i, which is at ``me``, sees them; itself first."""
+        bodies = {i: me, **{j: body for j, body in enumerate(self.robots) if j != i}}
+        if not self.disturbances.blurs:
+            return [*bodies.values()]
+        found = []
+        for j, body in bodies.items():
+            motion = (body.x, body.y, body.vx, body.vy)
+            (x, y, vx, vy), seen = self.disturbances.seen(i, j, motion, self.bounds)
+            found.append(replace(body, x=x, y=y, vx=vx, vy=vy, seen=seen))
+        return found
 
     def _sight(self, offset: NDArray[Any], *more: NDArray[Any]) -> list[NDArray[Any]]:
         """Something at an offset, in arenas; blank if too far, which ``local`` flags."""

@@ -135,7 +135,7 @@ def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
         {"reward_sharing": "team", "mass": (1.0, 1.5, 2.0), "f_max": 3.0},
         {"dynamics": ("holonomic", "unicycle", "bicycle"), "f_max": (1.0, 2.0, 3.0)},
         {"dynamics": MIXED, "observation": "lidar", "reward": "formal"},
-        {"gust": 0.1, "action_loss": 0.3, "action_delay": 2, "dynamics": MIXED},
+        {"gust": 0.1, "action_loss": 0.3, "dropout": 0.2, "observation": "lidar_local"},
     ],
     ids=lambda settings: ", ".join(settings),
 )

@@ -108,7 +108,10 @@ class Vehicle:
 
 @dataclass
 class Robot:
-    """One robot: position (units), velocity (units/step), heading (radians), and its sums."""
+    """One robot: position (units), velocity (units/step), heading (radians), and its sums.
+
+    ``seen`` is False in what another robot sees if it does not see this one.
+    """
 
     vehicle: Vehicle
     x: Any
@@ -121,6 +124,7 @@ class Robot:
     path_length: float = 0.0
     wall_hits: int = 0
     return_: float = 0.0
+    seen: bool = True
 
     @property
     def position(self) -> NDArray[Any]:

@@ -23,6 +23,7 @@ APART = 10.0
 DISTURBANCES = {
     **{"gust": 0.2, "gust_time": 3.0},
     **{"action_noise": 0.3, "action_loss": 0.3, "action_delay": 2},
+    **{"position_noise": 4.0, "velocity_noise": 0.5, "dropout": 0.3},
 }
 
 

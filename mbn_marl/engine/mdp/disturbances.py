@@ -31,8 +31,9 @@ from mbn_marl.engine.scalars import clip, select
 
 OF_ACTIONS = ("action_noise", "action_loss", "action_delay")
 OF_ROBOTS = ("gust", *OF_ACTIONS)
-DISTURBANCES = OF_ROBOTS
-"""The settings, 0 where they are off, that disturb actions, what the robots do, and anything."""
+OF_SIGHT = ("position_noise", "velocity_noise", "dropout")
+DISTURBANCES = (*OF_ROBOTS, *OF_SIGHT)
+"""The settings, 0 where they are off, that disturb actions, what robots do, and what they see."""
 MOST_ROBOTS, DRAWS = np.uint64(MAX_ROBOTS), np.uint64(4)
 
 

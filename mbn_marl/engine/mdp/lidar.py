@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp.containment import cross_edge
 from mbn_marl.engine.mdp.dynamics import has_heading, limits_of, part_along
+from mbn_marl.engine.mdp.sight import spot
 from mbn_marl.engine.scalars import HALF, MANY, clip, column, select
 
 FAR = np.float32(np.inf)
@@ -98,7 +99,8 @@ def put_direction(p, g, ep, lo, hi, i, j, tile, k):
     """``lidar``: where ROI j lies, ``d / (|d| + 1 unit)``, and whether the team has visited it."""
     for w in range(lo, hi):
         f = column(g, w)
-        dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
+        dx = spot(g.rois, 0, j, f, w) - ep.x[i, w]
+        dy = spot(g.rois, 1, j, f, w) - ep.y[i, w]
         length = math.sqrt(dx * dx + dy * dy) + p.one
         tile[k + 2, w - lo] = tile[k, w - lo]
         tile[k, w - lo] = dx / length

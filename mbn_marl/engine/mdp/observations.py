@@ -19,6 +19,7 @@ from mbn_marl.engine.intrinsics import SIDE, transpose
 from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.dynamics import count_headings
+from mbn_marl.engine.mdp.sight import drop, look, seen_places, seen_robots, spot
 from mbn_marl.engine.mdp.visits import visit_code, within
 from mbn_marl.engine.scalars import FIRST, clip, column
 
@@ -159,13 +160,16 @@ def put_heading(ep, lo, hi, i, tile, k):
 
 
 @compiled
-def put_own_state(p, g, ep, lo, hi, i, tile):
+def put_own_state(p, g, seen, ep, lo, hi, i, tile):
     """The entries of ``state`` for robot i: the paper's vector with it first; how many."""
     k = put_motion(ep, lo, hi, i, tile)
     if p.headings > 0:
         for place in range(p.headings):
             put_heading(ep, lo, hi, nth_robot(place, i), tile, k)
             k += 2
+    for place in range(ep.x.shape[0]):
+        for first in range(2 * place, k, 2 * ep.x.shape[0]):
+            drop(seen, nth_robot(place, i), lo, hi, tile, first, first + 2)
     put_code(g, ep, lo, hi, tile, k)
     return k + 1
 
@@ -201,8 +205,8 @@ def put_roi(p, g, ep, lo, hi, i, j, tile, k):
     """Where ROI j is, as robot i sees it, and whether the team has visited it."""
     for w in range(lo, hi):
         f = column(g, w)
-        tile[k, w - lo] = (g.rois[0, j, f] - ep.x[i, w]) * p.per_arena_x
-        tile[k + 1, w - lo] = (g.rois[1, j, f] - ep.y[i, w]) * p.per_arena_y
+        tile[k, w - lo] = (spot(g.rois, 0, j, f, w) - ep.x[i, w]) * p.per_arena_x
+        tile[k + 1, w - lo] = (spot(g.rois, 1, j, f, w) - ep.y[i, w]) * p.per_arena_y
         tile[k + 2, w - lo] = p.one if (ep.visited[w] & g.roi_bits[j, f]) != 0 else p.zero
 
 
@@ -230,27 +234,30 @@ def hide_roi(p, g, ep, lo, hi, i, j, tile, k, end, flag):
     """Hide ROI j, in entries k to end - 1, where it is far; its visit bit, after them, stays."""
     for w in range(lo, hi):
         f = column(g, w)
-        dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
+        dx = spot(g.rois, 0, j, f, w) - ep.x[i, w]
+        dy = spot(g.rois, 1, j, f, w) - ep.y[i, w]
         seen = hide(p, dx, dy, w - lo, tile, k, end)
         if flag:
             tile[k - 1, w - lo] = seen
 
 
 @compiled
-def put_relative(p, g, ep, lo, hi, i, tile):
+def put_relative(p, g, seen, ep, lo, hi, i, tile):
     """The entries of ``relative`` and ``local`` for robot i; how many there are."""
-    flag = 1 if p.observation == LOCAL else 0
+    flag, n = 1 if p.observation == LOCAL else 0, ep.x.shape[0]
     k = body = put_own(p, ep, lo, hi, i, tile)
-    for j in range(ep.x.shape[0]):
+    for j in range(n):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k + flag)
             if flag:
                 hide_other(p, ep, lo, hi, i, j, tile, k + 1, k + 1 + body, True)
+            drop(seen, j, lo, hi, tile, k, k + flag + body)
             k += flag + body
-    for j in range(g.rois.shape[1]):
+    for j in range(g.roi_bits.shape[0]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k + flag)
         if flag:
             hide_roi(p, g, ep, lo, hi, i, j, tile, k + 1, k + 3, True)
+        drop(seen, n + j, lo, hi, tile, k, k + flag + 2)
         k += flag + 3
     return k
 
@@ -268,23 +275,31 @@ def put_centred(p, g, ep, lo, hi, i, tile):
 
 
 @compiled
-def put_lidar(p, g, rays, ep, lo, hi, i, tile):
-    """The entries of ``lidar`` and ``lidar_local`` for robot i; how many there are."""
-    local = p.observation == LIDAR_LOCAL
+def put_lidar(p, g, seen, rays, ep, lo, hi, i, tile):
+    """The entries of ``lidar`` and ``lidar_local`` for robot i but the walls; how many."""
+    local, n = p.observation == LIDAR_LOCAL, ep.x.shape[0]
     k = body = put_centred(p, g, ep, lo, hi, i, tile)
-    for j in range(ep.x.shape[0]):
+    for j in range(n):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k)
             lidar.put_near(p, rays, ep, lo, hi, i, j, tile, k + body)
             if local:
                 hide_other(p, ep, lo, hi, i, j, tile, k, k + body, False)
+            drop(seen, j, lo, hi, tile, k, k + body + 1)
             k += body + 1
-    for j in range(g.rois.shape[1]):
+    for j in range(g.roi_bits.shape[0]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k)
         lidar.put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)
         if local:
             hide_roi(p, g, ep, lo, hi, i, j, tile, k, k + 4, False)
+        drop(seen, n + j, lo, hi, tile, k, k + 4)
         k += 5
+    return k
+
+
+@compiled
+def put_walls(p, g, rays, ep, lo, hi, i, tile, k):
+    """The entries of ``lidar`` and ``lidar_local`` about the walls; how many there are by then."""
     lidar.put_rays(p, g, rays, ep, lo, hi, i, tile, k)
     k += rays.shape[1]
     lidar.put_margins(p, g, rays, ep, lo, hi, i, tile, k)
@@ -293,23 +308,43 @@ def put_lidar(p, g, rays, ep, lo, hi, i, tile):
 
 
 @compiled
-def describe(p, g, rays, ep, lo, hi, i, tile):
-    """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side.
+def put_things(p, g, seen, rays, ep, lo, hi, i, tile):
+    """The entries about robots and ROIs, which ``g`` and ``ep`` have as robot i sees them.
 
-    ``rays`` are those of ``g``. The first condition is one on their type: the code of lidar, which
-    takes seconds to compile, is only compiled for those who use it, and without the others'.
+    The first condition is one on a type: the code of lidar, which takes seconds to compile, is only
+    compiled for those who use it, and without the others'.
     """
-    n = ep.x.shape[0]
     if rays.ndim == 2:
-        k = put_lidar(p, g, rays, ep, lo, hi, i, tile)
+        k = put_lidar(p, g, seen, rays, ep, lo, hi, i, tile)
     elif p.observation == STATE:
-        k = put_own_state(p, g, ep, lo, hi, i, tile)
+        k = put_own_state(p, g, seen, ep, lo, hi, i, tile)
     else:
-        k = put_relative(p, g, ep, lo, hi, i, tile)
+        k = put_relative(p, g, seen, ep, lo, hi, i, tile)
+    return k
+
+
+@compiled
+def put_all(p, g, mem, seen, rays, ep, lo, hi, i, tile):
+    """All entries; ``seen`` and ``rays``, whose types are asked, are those of ``mem`` and ``g``."""
+    n, m = ep.x.shape[0], g.roi_bits.shape[0]
+    if seen.ndim == 2:
+        look(p, g, mem, seen, ep, lo, hi, i)
+        robots, places = seen_robots(seen, ep, m), seen_places(seen, g, n)
+        k = put_things(p, places, seen, rays, robots, lo, hi, i, tile)
+    else:
+        k = put_things(p, g, seen, rays, ep, lo, hi, i, tile)
+    if rays.ndim == 2:
+        k = put_walls(p, g, rays, ep, lo, hi, i, tile, k)
     if p.one_hot:
         for j in range(n):
             for w in range(lo, hi):
                 tile[k + j, w - lo] = p.one if i == j else p.zero
+
+
+@compiled
+def describe(p, g, mem, ep, lo, hi, i, tile):
+    """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side."""
+    put_all(p, g, mem, mem.seen, g.rays, ep, lo, hi, i, tile)
 
 
 @compiled
@@ -332,13 +367,12 @@ def turn_over(tile, lo, hi, i, rows):
 
 
 @compiled
-def observe(p, g, ep, lo, hi, tile, rows):
+def observe(p, g, mem, ep, lo, hi, tile, rows):
     """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size).
 
     They are made entry by entry in ``tile`` (size, at least hi - lo), where worlds lie side by
     side, and then turned over: faster than writing each entry to its far-apart places at once.
     """
-    rays = g.rays
     for i in range(ep.x.shape[0]):
-        describe(p, g, rays, ep, lo, hi, i, tile)
+        describe(p, g, mem, ep, lo, hi, i, tile)
         turn_over(tile, lo, hi, np.uint64(i), rows)
