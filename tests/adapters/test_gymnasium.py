@@ -22,12 +22,14 @@ from mbn_marl.adapters.gymnasium import CentralizedVectorEnv
 from mbn_marl.adapters.infos import GAP, INFO_KEYS, NOTHING
 from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
 from mbn_marl.field import catalogue_names
+from tests.support.worlds import DISTURBANCES
 
+MIXED = ("holonomic", "unicycle", "bicycle")
 CONFIGURATIONS = {
     "default": {},
     "float64, wind": {"field": "field_09", "dtype": "float64", "wind": (0.05, 90.0)},
     "one robot, short": {"field": "field_07", "n_robots": 1, "max_steps": 30},
-    "robots that turn": {"dynamics": ("holonomic", "unicycle", "bicycle")},
+    "disturbed robots that turn": DISTURBANCES | {"dynamics": MIXED},
     "formal, random starts": {"field": "field_01", "reward": "formal", "random_starts": True},
 }
 every_configuration = pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from mbn_marl import Field, navigation_v0, parallel_env
 from mbn_marl.adapters.infos import GAP, INFO_KEYS, NOTHING
 from mbn_marl.errors import ActionError, StepError
 from mbn_marl.field import catalogue_names
+from tests.support.worlds import DISTURBANCES
 
 CONFIGURATIONS = {
     "default": {},
@@ -42,7 +43,8 @@ CONFIGURATIONS = {
         "observation": "local",
     },
     "unicycles": {"dynamics": "unicycle", "observation": "lidar"},
-    "holonomic and bicycles": {"dynamics": ("holonomic", "bicycle", "bicycle")},
+    "disturbed, holonomic and bicycles": DISTURBANCES
+    | {"dynamics": ("holonomic", "bicycle", "bicycle")},
     "random starts, one-hot": {"field": "field_10", "random_starts": True, "one_hot": True},
 }
 every_configuration = pytest.mark.parametrize(

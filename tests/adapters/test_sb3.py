@@ -17,6 +17,7 @@ from mbn_marl import centralized_env
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
+from tests.support.worlds import DISTURBANCES
 
 WORLDS, ROBOTS, STEPS = 5, 3, 60
 LIVELY = {"max_steps": 25, "safety_distance": 50.0, "random_starts": True}
@@ -49,7 +50,7 @@ def observed(env: NavigationVecEnv, engine: BatchEngine, observations: np.ndarra
         {"field": "field_10", "n_robots": 2, "reward": "formal"},
         {"n_robots": 1, "dtype": "float64", "wind": (0.2, 30.0)},
         {"random_starts": True, "max_steps": 20},
-        {"dynamics": ("holonomic", "unicycle", "bicycle")},
+        {"dynamics": ("holonomic", "unicycle", "bicycle"), **DISTURBANCES},
     ],
     ids=lambda settings: "-".join(settings) or "default",
 )

@@ -16,6 +16,7 @@ from mbn_marl import parallel_env
 from mbn_marl.adapters.torchrl import GROUP, METRICS, NavigationEnv
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, StepError
+from tests.support.worlds import DISTURBANCES
 
 WORLDS, STEPS = 6, 60
 LIVELY = {"max_steps": 25, "safety_distance": 50.0, "random_starts": True}
@@ -66,7 +67,7 @@ def test_entries_are_those_of_the_table() -> None:
         {"observation": "local", "one_hot": True, "wind": (0.1, 45.0)},
         {"observation": "lidar", "one_hot": True},
         {"reward": "formal", "random_starts": True},
-        {"dynamics": ("holonomic", "unicycle", "bicycle")},
+        {"dynamics": ("holonomic", "unicycle", "bicycle"), **DISTURBANCES},
     ],
     ids=str,
 )

@@ -19,6 +19,7 @@ from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 from mbn_marl.field import load_field
 from mbn_marl.sim3d import PlaneSimulator, Scale, deploy
 from tests.support.missions import SMALL, Wander
+from tests.support.worlds import DISTURBANCES
 
 
 @pytest.mark.parametrize(
@@ -52,8 +53,8 @@ def test_the_plane_gives_the_environments_own_episode(
         assert (ours.terms[..., 2] < 0).any() == (theirs.terms[..., 2] < 0).any()
 
 
-def test_robots_that_turn_are_on_the_plane_as_in_the_engine() -> None:
-    settings = {"dynamics": ("unicycle", "bicycle"), "f_max": 2.0, "max_steps": 60}
+def test_disturbed_robots_that_turn_are_on_the_plane_as_in_the_engine() -> None:
+    settings = {"dynamics": ("unicycle", "bicycle"), "f_max": 2.0, "max_steps": 60, **DISTURBANCES}
     ours = deploy(Wander(), SMALL, settings, PlaneSimulator(), seed=3).episode
     theirs = record_episode(Wander(), SMALL, settings, seed=3)
     for name in ("positions", "headings", "terms"):
