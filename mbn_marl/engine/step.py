@@ -300,7 +300,7 @@ def move_robots(p, g, mem, now, out, to, actions, lo, hi):
 
     Then the time passes.
     """
-    taken = arrived_actions(p, mem, now.queue, now.steps, actions, lo, hi)
+    taken = arrived_actions(p, mem.key, now.queue, mem.acted, now.steps, actions, lo, hi)
     for i in range(now.x.shape[0]):
         propose_move(p, g, now, to, taken, i, lo, hi)
         test_containment(g, to, lo, hi)

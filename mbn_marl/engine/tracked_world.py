@@ -119,10 +119,10 @@ class TrackedWorld:
 def choose_velocities(store, actions, velocities, allowed):
     """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
     p = unpack(store.constants)
-    g, now = store.geometry, store.now
+    g, mem, now = store.geometry, store.memory, store.now
     n = now.x.shape[0]
     to = step.make_scratch(HI, n, 1, now.x.dtype)
-    taken = arrived_actions(p, store.memory, now.queue, now.steps, actions, LO, HI)
+    taken = arrived_actions(p, mem.key, now.queue, mem.acted, now.steps, actions, LO, HI)
     for i in range(n):
         propose_move(p, g, now, to, taken, i, LO, HI)
         step.test_containment(g, to, LO, HI)

@@ -94,7 +94,13 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"reward": "formal"}, {"observation": "lidar_local"}, {"dynamics": "bicycle"}],
+    [
+        {},
+        {"reward": "formal"},
+        {"observation": "lidar_local"},
+        {"dynamics": "bicycle"},
+        {"gust": 0.1, "action_delay": 2, "dropout": 0.1},
+    ],
     ids=str,
 )
 @pytest.mark.parametrize("dtype", ["float32", "float64"])

@@ -89,12 +89,12 @@ def row_of(p, n, i, step):
 
 
 @compiled
-def send(p, mem, queue, steps, actions, i, lo, hi):
-    """Robot i's actions: clipped, lost, delayed, noised and clipped again, into ``mem.acted``."""
-    n, acted, late = actions.shape[1], mem.acted, p.action_delay
+def send(p, keys, queue, acted, steps, actions, i, lo, hi):
+    """Robot i's actions: clipped, lost, delayed, noised and clipped again, into ``acted``."""
+    n, late = actions.shape[1], p.action_delay
     for w in range(lo, hi):
         step = steps[w]
-        key = stream_of(mem.key[w], FOR_SENDING)
+        key = stream_of(keys[w], FOR_SENDING)
         counter = (np.uint64(step) * MOST_ROBOTS + np.uint64(i)) * DRAWS
         lost = uniform(key, counter) < p.action_loss
         for axis in range(2):
@@ -107,12 +107,12 @@ def send(p, mem, queue, steps, actions, i, lo, hi):
 
 
 @compiled
-def arrived_actions(p, mem, queue, steps, actions, lo, hi):
-    """The actions (W, n, 2) that the robots of a block take: those given, unless disturbed."""
+def arrived_actions(p, keys, queue, acted, steps, actions, lo, hi):
+    """The actions (W, n, 2) that a block's robots take: those given, or disturbed, in ``acted``."""
     if queue.ndim == 2:
         for i in range(actions.shape[1]):
-            send(p, mem, queue, steps, actions, i, lo, hi)
-        return mem.acted
+            send(p, keys, queue, acted, steps, actions, i, lo, hi)
+        return acted
     return actions
 
 
