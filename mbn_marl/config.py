@@ -27,6 +27,8 @@ _SHORT = reprlib.Repr()
 """Shows values in messages: long ones without their middle."""
 _SHORT.maxstring = _SHORT.maxother = 80
 
+RobotIndex = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
+StepNumber = Annotated[int, Field(ge=1, le=1_000_000)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -109,6 +111,26 @@ REWARD_PROFILES: Mapping[str, RewardProfile] = {
 }
 
 
+class Failures(Checked):
+    """How robots fail during an episode (mdp.md, "Failures").
+
+    Attributes:
+        rate: the probability that a robot fails in a step, in [0, 1].
+        at: the step, from 1 on, in which a robot fails, by the robot's index, from 0 on.
+        kind: what a failed robot does: ``"brake"``, ``"coast"`` or ``"vanish"``.
+        most: how many robots of the team can have failed before ``rate`` fails no more, 0 to n;
+            ``None`` is n - 1.
+
+    Raises:
+        ConfigError: naming every unknown or invalid argument and what is allowed.
+    """
+
+    rate: Probability = 0.0
+    at: dict[RobotIndex, StepNumber] = {}
+    kind: Literal["brake", "coast", "vanish"] = "brake"
+    most: Annotated[int, Field(ge=0, le=MAX_ROBOTS)] | None = None
+
+
 class NavigationConfig(Checked):
     """Everything about the MDP that is not the field. Symbols are those of the paper.
 
@@ -147,6 +169,7 @@ class NavigationConfig(Checked):
         roi_radius: rho; an ROI within this distance of a robot is visited, in units.
         random_starts: start at random points of the field, at least C apart, instead of the
             field's own starts.
+        failures: how robots fail during an episode, :class:`Failures`; ``None``: they do not.
 
     Raises:
         ConfigError: naming every unknown or invalid setting and what is allowed.
@@ -171,7 +194,7 @@ class NavigationConfig(Checked):
     position_noise: NonNegative = 0.0
     velocity_noise: NonNegative = 0.0
     dropout: Probability = 0.0
-    max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
+    max_steps: StepNumber = 1000
     dtype: Literal["float32", "float64"] = "float32"
     f_max: PositiveOfEach = 0.5
     v_clip: PositiveOfEach = 5.0
@@ -183,6 +206,7 @@ class NavigationConfig(Checked):
     safety_distance: NonNegative = 10.0
     roi_radius: NonNegative = 10.0
     random_starts: bool = False
+    failures: Failures | None = None
 
     @classmethod
     def _source(cls) -> str:
@@ -202,6 +226,14 @@ class NavigationConfig(Checked):
         """The values of the setting ``name`` for the robots of a team of ``n``."""
         value = getattr(self, name)
         return value if isinstance(value, tuple) else (value,) * n
+
+    @property
+    def is_random(self) -> bool:
+        """Whether episodes with the same actions may differ."""
+        chances = (self.gust, self.action_noise, self.action_loss)
+        sight = (self.position_noise, self.velocity_noise, self.dropout)
+        fails = self.failures is not None and self.failures.rate > 0.0
+        return self.random_starts or fails or any((*chances, *sight))
 
     @property
     def top_speed(self) -> float:
@@ -245,6 +277,7 @@ class FixedSettings(TypedDict, total=False):
     safety_distance: float
     roi_radius: float
     random_starts: bool
+    failures: Failures | None
 
 
 class Settings(FixedSettings, total=False):

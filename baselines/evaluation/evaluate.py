@@ -148,8 +148,8 @@ def roll_out(
 
 
 def is_one_episode(policy: Policy, settings: Mapping[str, Any], *, deterministic: bool) -> bool:
-    """Return whether all episodes are the same: they start alike, and no action is sampled."""
-    if make_config(settings).random_starts or isinstance(policy, RandomPolicy):
+    """Return whether all episodes are the same: nothing in them is by chance."""
+    if make_config(settings).is_random or isinstance(policy, RandomPolicy):
         return False
     return deterministic or not getattr(policy, "samples", True)
 
@@ -190,7 +190,9 @@ def _check_fits(policy: Policy, engine: BatchEngine) -> None:
     ours, theirs = _sizes(*trained), _sizes(engine.field, engine.config)
     problems = [
         f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
-        for name in (("robots", "ROIs", "headings") if policy.observes == "state" else ours)
+        for name in (
+            ("robots", "ROIs", "headings", "failures") if policy.observes == "state" else ours
+        )
         if ours[name] != theirs[name]
     ]
     if problems:
@@ -204,6 +206,7 @@ def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
         "ROIs": len(field.rois),
         "arena": tuple(map(float, field.arena)),
         "headings": count_headings(config.of_each("dynamics", 1)) > 0,
+        "failures": config.failures is not None,
         "v_clip": config.top_speed,
         **{name: getattr(config, name) for name in ("observation", "one_hot")},
     }

@@ -17,6 +17,7 @@ from baselines.runs.folder import RunFolder
 from baselines.training.config import Task
 from baselines.training.loggers import Loggers
 from baselines.training.progress_bar import Listener, Report
+from mbn_marl.config import make_config
 
 
 class EpisodeWindow:
@@ -123,8 +124,8 @@ class Recorder:
             return
         self._write_row(env_steps)
         if evaluation_due:
-            # From fixed starts all episodes with mean actions are the same.
-            several = self._task.settings.get("random_starts", False)
+            # If nothing is by chance, all episodes with mean actions are the same.
+            several = make_config(self._task.settings).is_random
             sampled, mean = self._evaluate(
                 env_steps,
                 policy,

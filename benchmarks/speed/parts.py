@@ -69,7 +69,7 @@ def step_parts(store, actions, last, lo, hi):  # type: ignore[no-untyped-def]  #
             propose_move(p, g, now, to, actions, i, lo, end)
             test_containment(g, to, lo, end)
             stop_at_walls(p, now, out, to, i, lo, end)
-            mark_visits(p, g, now, out, i, lo, end)
+            mark_visits(p, g, now.failed, now, out, i, lo, end)
         if last >= MEMORY:
             record_positions(mem, now, lo, end)
             for i in range(now.x.shape[0]):
@@ -82,9 +82,9 @@ def step_parts(store, actions, last, lo, hi):  # type: ignore[no-untyped-def]  #
             for i in range(now.x.shape[0]):
                 mark_revisits(mem, now, out, to, i, lo, end)
         if last >= REWARDS:
-            find_collisions(p, now, to, lo, end)
+            find_collisions(p, now.failed, now, to, lo, end)
             check_termination(p, g, mem, now, out, to, lo, end)
-            give_rewards(p, now, out, to, lo, end)
+            give_rewards(p, now.failed, now, out, to, lo, end)
         if last >= MEMORY:
             grow_filter(mem, now, lo, end)
         if last >= OBSERVATIONS:

@@ -55,7 +55,8 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
     ============  ==================================================================================
 
     That is for point masses; other ``dynamics`` read the action in their own way, and if a robot
-    has a heading, the state is ``(5n+1,)``, with headings in radians before the visit code.
+    has a heading, the state is ``(5n+1,)``, with headings in radians before the visit code. With
+    ``failures``, n flags of the robots that have failed come right before the visit code.
 
     Args:
         field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`.

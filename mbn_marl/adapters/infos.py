@@ -9,6 +9,7 @@ key                 value (float)
 ``wall_hits``       number of times the robot tried to leave the field in this episode
 ``path_length``     distance the robot has moved in this episode, in units
 ``impulse``         the robot's part of the paper's objective, ``|sum_t u_i tau|``
+``failed``          1 if the robot has failed
 ``reward/<term>``   the terms of this step's reward, which sum to the robot's own reward
 ``optimality_gap``  at the end of the episode, by how much its return falls short of the proved
                     optimum, as a share of that; NaN before, and where no optimum is proved

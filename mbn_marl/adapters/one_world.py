@@ -52,7 +52,8 @@ class OneWorld:
     def state(self) -> NDArray[Any]:
         """Return the paper's state, ``(4n+1,)`` in the engine's dtype, raw units, a fresh array.
 
-        It is ``(5n+1,)``, with headings before the visit code, if a robot has a heading.
+        It is ``(5n+1,)``, with headings before the visit code, if a robot has a heading; with
+        ``failures``, n flags of those that have failed come right before the visit code.
 
         Raises:
             StepError: before the first reset.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
 from gymnasium import spaces
@@ -17,13 +17,14 @@ from mbn_marl.adapters.infos import NOTHING
 from mbn_marl.adapters.one_world import OneWorld, rename_max_steps
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import FieldLike
-from mbn_marl.errors import ActionError, MbnError, StepError, unknown
+from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError, unknown
 from mbn_marl.render.viewer import RENDER_SIZE
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32]
 Info = dict[str, float]
 Flags = dict[str, bool]
+FailedAgents = Literal["keep", "terminate"]
 StepResult = tuple[dict[str, Observation], dict[str, float], Flags, Flags, dict[str, Info]]
 
 
@@ -31,7 +32,8 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
     """All robots act at once. ``parallel_env`` is this class under its usual name.
 
     The agents are ``robot_0`` to ``robot_{n-1}``. An episode ends for all of them in the same
-    step: ``terminated`` on success or collision, ``truncated`` after ``max_steps`` steps.
+    step: ``terminated`` on success or collision, ``truncated`` after ``max_steps`` steps. Only with
+    ``failed_agents="terminate"`` it ends for a robot that fails in the step in which it does.
 
     ============  ==================================================================================
     action        ``(2,)`` float32 in [-1, 1]: the force along x and y, in units of ``f_max``
@@ -42,7 +44,8 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
     ============  ==================================================================================
 
     That is for point masses; other ``dynamics`` read the action in their own way, and if a robot
-    has a heading, the state is ``(5n+1,)``, with headings in radians before the visit code.
+    has a heading, the state is ``(5n+1,)``, with headings in radians before the visit code. With
+    ``failures``, n flags of the robots that have failed come right before the visit code.
 
     Args:
         field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`.
@@ -50,6 +53,8 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         render_mode: ``"human"`` shows every step, ``"rgb_array"`` draws on :meth:`render`.
         render_size: width and height of a frame or the window, pixels, each at least 200.
         max_cycles: PettingZoo's name of ``max_steps``; give only one of the two.
+        failed_agents: ``"keep"``: robots that fail remain agents, whose actions do nothing;
+            ``"terminate"``: they are terminated, and gone from ``agents``.
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
     Attributes:
@@ -78,12 +83,19 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         render_mode: str | None = None,
         render_size: tuple[int, int] = RENDER_SIZE,
         max_cycles: int | None = None,
+        failed_agents: FailedAgents = "keep",
         **settings: Unpack[FixedSettings],
     ) -> None:
+        if failed_agents not in get_args(FailedAgents):
+            allowed = ", ".join(map(repr, get_args(FailedAgents)))
+            problem = f"failed_agents: {failed_agents!r}; allowed: {allowed}"
+            raise ConfigError("environment", [problem])
         rename_max_steps("max_cycles", max_cycles, settings)
         super().__init__(field, render_mode, render_size, n_robots=n_robots, **settings)
         self.possible_agents = [f"robot_{index}" for index in range(self.engine.n_robots)]
+        self._index = {agent: index for index, agent in enumerate(self.possible_agents)}
         self.agents: list[str] = []
+        self._terminate_failed = failed_agents == "terminate"
         self.np_random, _ = np_random(0)
         bounds = self.engine.observation_low, self.engine.observation_high
         self.observation_spaces = {
@@ -141,11 +153,11 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         """Move all robots.
 
         Args:
-            actions: two finite numbers ``(2,)`` for each agent, clipped to [-1, 1].
+            actions: two finite numbers ``(2,)`` for each of ``agents``, clipped to [-1, 1].
 
         Returns:
             Observations ``(obs_size,)`` float32, rewards, terminated, truncated and infos, each a
-            dict by agent; five empty dicts without actions after the end of an episode.
+            dict by agent that acted; five empty dicts without actions when none is left.
 
         Raises:
             ActionError: naming every missing or unknown agent and wrong action; nothing has moved.
@@ -155,14 +167,19 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         if not agents:
             return self._step_without_agents(actions)
         observations, rewards, terminated, truncated = self._move(self._stacked(actions))
-        if terminated or truncated:
-            self.agents = []
+        ended = terminated or truncated
+        infos = self._infos.of_robots(ended)
+        lost = dict.fromkeys(agents, terminated)
+        if self._terminate_failed and not terminated:
+            lost |= {agent: bool(infos[self._index[agent]]["failed"]) for agent in agents}
+        self.agents = [agent for agent in agents if not (ended or lost[agent])]
+        shares = rewards.tolist()
         return (
-            dict(zip(agents, observations, strict=True)),
-            dict(zip(agents, rewards.tolist(), strict=True)),
-            dict.fromkeys(agents, terminated),
-            dict.fromkeys(agents, truncated),
-            dict(zip(agents, self._infos.of_robots(not self.agents), strict=True)),
+            {agent: observations[self._index[agent]] for agent in agents},
+            {agent: shares[self._index[agent]] for agent in agents},
+            lost,
+            {agent: truncated and not lost[agent] for agent in agents},
+            {agent: infos[self._index[agent]] for agent in agents},
         )
 
     def _check_known(self, agent: str) -> None:
@@ -177,11 +194,15 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         return {}, {}, {}, {}, {}
 
     def _stacked(self, actions: Mapping[str, ArrayLike]) -> NDArray[Any]:
-        """Return the actions as one array, (n, 2) in the engine's dtype, in the agents' order."""
-        agents = self.possible_agents
+        """Return the actions as one array, (n, 2) in the engine's dtype, 0 of robots not asked."""
+        agents = self.agents
         try:
-            stacked = np.array([actions[agent] for agent in agents], self.engine.dtype)
-            if stacked.shape == (len(agents), 2) and len(actions) == len(agents):
+            given = np.array([actions[agent] for agent in agents], self.engine.dtype)
+            if given.shape == (len(agents), 2) and len(actions) == len(agents):
+                if len(agents) == len(self.possible_agents):
+                    return given
+                stacked = np.zeros((len(self.possible_agents), 2), self.engine.dtype)
+                stacked[[self._index[agent] for agent in agents]] = given
                 return stacked
         except (LookupError, TypeError, ValueError):
             pass
@@ -190,7 +211,7 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
     def _problem(self, actions: object) -> str:
         if not isinstance(actions, Mapping):
             return f"actions: {type(actions).__name__}; allowed: a dict of the agents' actions"
-        known = self.possible_agents
+        known = self.agents
         problems = [f"{agent!r}: unknown agent" for agent in actions if agent not in known]
         problems += [f"{agent}: missing" for agent in known if agent not in actions]
         for agent in known:
@@ -216,7 +237,7 @@ class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
     def step(self, action: Action | None) -> None:
         """Submit the ``action`` of ``agent_selection``: two numbers ``(2,)``, clipped to [-1, 1].
 
-        After the end of the episode it must be ``None``.
+        After the end of the episode, or of the agent's, it must be ``None``.
 
         Raises:
             ActionError: not two finite numbers, or not ``None`` after the end; nothing has changed.
@@ -239,6 +260,7 @@ class EnvSettings(FixedSettings, total=False):
     render_mode: str | None
     render_size: tuple[int, int]
     max_cycles: int | None
+    failed_agents: FailedAgents
 
 
 def raw_env(

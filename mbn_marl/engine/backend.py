@@ -113,7 +113,7 @@ class Backend(ABC):
     def states(self, *, final: bool) -> Array:
         """See ``BatchEngine.state`` and ``BatchEngine.final_state``."""
         worlds, n, _ = self.spec.actions_shape
-        size = 4 * n + self.now.heading.shape[0] + 1
+        size = 4 * n + self.now.heading.shape[0] + self.now.failed.shape[0] + 1
         rows: Array = self._empty((worlds, size), self._real)
         self._write_states(self.final if final else self.now, rows)
         return rows
@@ -132,6 +132,7 @@ class Backend(ABC):
             velocities=np.stack([host(now.vx[:, world]), host(now.vy[:, world])], axis=-1),
             visited=(visited & bits) != 0,
             headings=self.headings(world),
+            failed=self.failed(world),
             trail=host(self.memory.trail[world, : (steps + 1) * n]).reshape(-1, n, 2),
             step=steps,
             team_return=float(now.team_return[world]),
@@ -158,6 +159,12 @@ class Backend(ABC):
         parts = (self.host(part[:, world]) for part in (now.heading, now.cos, now.sin))
         heading, cos, sin = parts
         return np.where((cos != 0) | (sin != 0), heading, none)
+
+    def failed(self, world: int) -> NDArray[np.bool_]:
+        """Which robots of a world have failed, (n,)."""
+        if self.now.failed.ndim == 2:
+            return self.host(self.now.failed[:, world])
+        return np.zeros(self.spec.actions_shape[1], np.bool_)
 
     def draw_actions(self) -> Array:
         """The seed's next random actions, a fresh array."""

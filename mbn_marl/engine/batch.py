@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.config import Settings, make_config
 from mbn_marl.engine import validation
-from mbn_marl.engine.backend import CUDA_NEEDS, Backend, BackendSpec
+from mbn_marl.engine.backend import BackendSpec
 from mbn_marl.engine.constants import make_record
-from mbn_marl.engine.cpu import CpuBackend
+from mbn_marl.engine.devices import make_backend
 from mbn_marl.engine.kernels import MEASURES
 from mbn_marl.engine.listener import Listener
 from mbn_marl.engine.mdp.dynamics import count_headings
@@ -32,7 +32,7 @@ Flags = NDArray[np.bool_]
 
 METRICS = (
     *("success", "collision", "rois_visited", "steps", "episode_return"),
-    *("wall_hits", "path_length", "impulse", "return_"),
+    *("wall_hits", "path_length", "impulse", "failed", "return_"),
 )
 """The names of the measures of an episode, in the order of ``BatchEngine.metrics``."""
 
@@ -120,7 +120,7 @@ class BatchEngine:
         self.observation_high = np.array([entry.high for entry in table], np.float32)
         self.obs_size = len(table)
         self.listeners: list[Listener] = []
-        self._backend = _make_backend(
+        self._backend = make_backend(
             device,
             BackendSpec(
                 config=self.config,
@@ -158,7 +158,8 @@ class BatchEngine:
         positions = np.tile(self.field.arena, n) * arena
         speeds = np.full(2 * n, self.config.top_speed)
         headings = np.full(count_headings(self.config.of_each("dynamics", n)), np.pi)
-        return np.concatenate([positions, speeds, headings, [code]]).astype(self.dtype)
+        failed = np.full(n if self.config.failures else 0, arena)
+        return np.concatenate([positions, speeds, headings, failed, [code]]).astype(self.dtype)
 
     # -- the cycle: reset, step --------------------------------------------------------------------
 
@@ -244,7 +245,8 @@ class BatchEngine:
             A fresh array (W, n, columns), whose last axis is ordered as ``INFO_COLUMNS``. These
             are ``success``, ``rois_visited`` and ``collision`` of the team; the agent's own
             ``wall_hits``, ``path_length`` (units) and ``impulse`` (``|sum over steps of u tau|``,
-            mass x units/step) of this episode; and the terms of its own reward in the last step.
+            mass x units/step) of this episode, and whether it has ``failed``; and the terms of its
+            own reward in the last step.
         """
         return self._backend.infos()
 
@@ -263,7 +265,8 @@ class BatchEngine:
 
         All positions ``x1, y1, x2, y2, ...``, then all velocities, then the visit code, whose most
         significant bit is the first ROI. If a robot of the team has a heading, all headings come
-        before the visit code, in radians, 0 for robots without one: (W, 5n + 1).
+        before the visit code, in radians, 0 for robots without one: (W, 5n + 1). If robots may
+        fail, n flags of those that have come right before the visit code.
         """
         return self._backend.states(final=False)
 
@@ -285,7 +288,8 @@ class BatchEngine:
             ``success``, ``collision`` (W,) bool; ``steps`` (W,) int32; ``episode_return`` (W,)
             float64: the team's; ``rois_visited`` (W,) int32; ``wall_hits`` (W, n) int32;
             ``path_length`` (W, n) real, units; ``impulse`` (W, n) real: ``|sum over steps of u
-            tau|``, mass x units/step; ``return_`` (W, n) float64: what each agent was given.
+            tau|``, mass x units/step; ``failed`` (W, n) bool; ``return_`` (W, n) float64: what
+            each agent was given.
         """
         backend = self._backend
         now, final, xp = backend.now, backend.final, backend.xp
@@ -298,6 +302,11 @@ class BatchEngine:
             "collision": lambda: collision,
             "steps": lambda: xp.where(ended, final.steps, now.steps),
             "episode_return": lambda: xp.where(ended, final.team_return, now.team_return),
+            "failed": lambda: (
+                xp.where(ended, final.failed, now.failed).T
+                if self.config.failures
+                else xp.zeros_like(now.returns.T, dtype=xp.bool)
+            ),
             "return_": lambda: xp.where(ended, final.returns, now.returns).T,
         }
         if not set(names) <= set(measures):
@@ -308,6 +317,7 @@ class BatchEngine:
                 "wall_hits": lambda: xp.asarray(columns["wall_hits"], dtype=xp.int32),
                 "path_length": lambda: columns["path_length"],
                 "impulse": lambda: columns["impulse"],
+                "failed": lambda: columns["failed"] != 0,
             }
         return {name: measures[name]() for name in names}
 
@@ -374,14 +384,3 @@ class BatchEngine:
 
 def _is_several(field: FieldLike | Sequence[FieldLike]) -> TypeGuard[Sequence[FieldLike]]:
     return isinstance(field, Sequence) and not isinstance(field, str)
-
-
-def _make_backend(device: Device, spec: BackendSpec) -> Backend:
-    """Where the worlds live: only CUDA needs torch, and so loads it."""
-    if device == "cpu":
-        return CpuBackend(spec)
-    try:
-        from mbn_marl.engine.cuda import CudaBackend
-    except ImportError as error:
-        raise ConfigError("configuration", [f"{CUDA_NEEDS}; {error}"]) from None
-    return CudaBackend(spec)

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.config import NavigationConfig, RewardProfile
+from mbn_marl.config import Failures, NavigationConfig, RewardProfile
 from mbn_marl.engine.jit import generated
 from mbn_marl.engine.mdp.disturbances import gust_factors
 from mbn_marl.engine.mdp.dynamics import count_headings
+from mbn_marl.engine.mdp.failures import KINDS as FAILURE_KINDS
 from mbn_marl.engine.mdp.observations import OBSERVATIONS
 from mbn_marl.engine.mdp.rewards import RULES
 
@@ -58,14 +59,18 @@ class Constants(NamedTuple):
     per_half_arena_y: float
     per_speed: float
     per_speed_range: float
+    failure_rate: float
     action_delay: int
     max_steps: int
     headings: int
+    failures: int  # flags of robots that have failed: n, or 0 without failures
     rules: int
     team_sharing: int
     observation: int
     one_hot: int
     random_starts: int
+    failure_kind: int
+    most_failures: int
     first_world: int  # the number of the world with index 0
     autoreset: int
 
@@ -89,6 +94,7 @@ def make_record(
     wind_x, wind_y = config.wind_increment()
     gust_kept, gust_added = gust_factors(config)
     width, height = arena
+    failures = config.failures or Failures()
     values = {
         **{name: getattr(config, name, None) for name in Constants._fields},
         "zero": 0.0,
@@ -114,6 +120,10 @@ def make_record(
         "per_speed": _reciprocal(config.top_speed, real),
         "per_speed_range": _reciprocal(2 * config.top_speed, real),
         "headings": count_headings(config.of_each("dynamics", n)),
+        "failure_rate": failures.rate,
+        "failure_kind": FAILURE_KINDS[failures.kind],
+        "most_failures": n - 1 if failures.most is None else failures.most,
+        "failures": n if config.failures else 0,
         "rules": RULES[config.reward.rules],
         "team_sharing": config.reward_sharing == "team",
         "observation": OBSERVATIONS[config.observation],

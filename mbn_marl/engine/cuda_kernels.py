@@ -107,6 +107,7 @@ geometry_of = _view_of(
     codes="[w:end]",
     robots="",
     kinds="",
+    fail_at="",
     rays="",
 )
 memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="", seen="[:, w:end]")
@@ -186,15 +187,15 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
         to = scratch_of(reals, seen, flags, keys, mine)
         if is_world:
             copy_motion(now, w, one, ZERO, n, 0)
-            fault = fault_of(p, mem, call, w)
-            change = 0
+            fault, change = fault_of(p, mem, call, w), 0
             if fault != 0:
                 cuda.atomic.min(call.fault, 0, np.int64(w) * KINDS + fault)
             if (fault != 0) | (not call.active[w]):
                 clear_output(p, given, ZERO)
             else:
-                move_robots(p, own, memory, one, given, to, call.actions[w:end], ZERO, ONE)
-                score_step(p, own, memory, one, given, to, ZERO, ONE)
+                told = call.actions[w:end]
+                move_robots(p, own, memory, one.failed, one, given, to, told, ZERO, ONE)
+                score_step(p, own, memory, one.failed, one, given, to, ZERO, ONE)
                 change = close_step(p, memory, given, ZERO)
             if change == ENDED | RESTARTS:
                 for i in range(n):

@@ -9,6 +9,7 @@ from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.jit import compiled, entry_point, parallel_entry_point
 from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
+from mbn_marl.engine.mdp.failures import has_failed
 from mbn_marl.engine.mdp.observations import observe, put_state
 from mbn_marl.engine.mdp.rng import FOR_ACTIONS, stream_key, uniform, world_number
 from mbn_marl.engine.mdp.visits import visit_code
@@ -18,7 +19,10 @@ from mbn_marl.engine.step import SAME_STEP, step_worlds
 
 FIRST, NEXT = np.uint64(0), np.uint64(1)
 
-MEASURES = ("success", "rois_visited", "collision", "wall_hits", "path_length", "impulse")
+MEASURES = (
+    *("success", "rois_visited", "collision"),
+    *("wall_hits", "path_length", "impulse", "failed"),
+)
 INFO_COLUMNS = (*MEASURES, *(f"reward/{term}" for term in rewards.REWARD_TERMS))
 
 
@@ -73,7 +77,7 @@ def rest_worlds(store, mask):
 @compiled
 def put_infos(p, g, ep, out, w, rows):
     """Write the measures of each robot of world w, in the order of ``INFO_COLUMNS``."""
-    outcome = out.outcomes[w]
+    outcome, failed = out.outcomes[w], ep.failed
     rois_visited = count_bits(visit_code(g, ep.visited[w], w))
     lost, rested = is_set(outcome, rewards.COLLISION), is_set(outcome, rewards.RESTED)
     success = is_set(outcome, rewards.SUCCESS) and not lost
@@ -84,7 +88,9 @@ def put_infos(p, g, ep, out, w, rows):
         rows[w, i, 3] = ep.wall_hits[i, w]
         rows[w, i, 4] = ep.path_length[i, w]
         rows[w, i, 5] = objective(ep.impulse_x[i, w], ep.impulse_y[i, w])
-        terms = rewards.with_share(p, rewards.own_terms(p, out.events[i, w], outcome), outcome)
+        rows[w, i, 6] = has_failed(failed, i, w)
+        own = rewards.earned(p, failed, out.events[i, w], outcome, i, w)
+        terms = rewards.with_share(p, failed, own, outcome, i, w)
         for k in range(len(terms)):
             rows[w, i, len(MEASURES) + k] = 0.0 if rested else terms[k]
 

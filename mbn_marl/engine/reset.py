@@ -12,12 +12,13 @@ from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import in_field
 from mbn_marl.engine.mdp.disturbances import begin_disturbances
 from mbn_marl.engine.mdp.dynamics import face_along_x
+from mbn_marl.engine.mdp.failures import repair
 from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES, clear_filter, joint_state_known
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
 from mbn_marl.engine.mdp.rng import FOR_STARTS, stream_key, uniform, world_number
 from mbn_marl.engine.mdp.visits import all_visited, visit_code
 from mbn_marl.engine.scalars import column
-from mbn_marl.engine.state import DISTURBED, HEADING, Episode
+from mbn_marl.engine.state import HEADING, OPTIONAL, Episode
 
 DRAWS_PER_ROBOT = 1000
 """How many random starts are tried for a robot before the field's own starts are used instead."""
@@ -43,14 +44,14 @@ def _copy_of(name: str, fields: Sequence[str]) -> Any:
     of_world = [field for field in fields if field in ("team_return", "visited", "steps")]
     lines = [f"def {name}(source, v, target, w, n, headings):", "    for i in range(n):"]
     for field in fields:
-        if field not in (*of_world, *HEADING, *DISTURBED):
+        if field not in (*of_world, *HEADING, *OPTIONAL):
             lines.append(f"        target.{field}[i, w] = source.{field}[i, v]")
     if turns := [field for field in fields if field in HEADING]:
         lines.append("    if headings > 0:  # only then are the arrays counted as referenced")
         lines.append("        for i in range(headings):")
         lines += [f"            target.{field}[i, w] = source.{field}[i, v]" for field in turns]
     lines += [f"    target.{field}[w] = source.{field}[v]" for field in of_world]
-    for field in (field for field in fields if field in DISTURBED):
+    for field in (field for field in fields if field in OPTIONAL):
         lines.append(f"    copy_world(source.{field}, v, target.{field}, w)")
     return generated(name, "\n".join(lines), copy_world=copy_world)
 
@@ -106,6 +107,7 @@ def reset_world(p, g, mem, now, w):
         mem.trail[w, i, 0] = now.x[i, w]
         mem.trail[w, i, 1] = now.y[i, w]
     face_along_x(p, g.kinds, now, w)
+    repair(now.failed, w)
     now.team_return[w] = 0.0
     now.visited[w] = all_visited(g.rois.shape[1]) & ~g.codes[f]
     now.steps[w] = 0

@@ -22,6 +22,7 @@ class Snapshot:
         positions: (n, 2), units, in the engine's dtype.
         velocities: (n, 2), units/step.
         headings: (n,), radians in [-pi, pi); NaN for a robot that has none.
+        failed: (n,) bool, whether each robot has failed in this episode.
         visited: (m,) bool, whether each ROI has been visited in this episode.
         trail: (step + 1, n, 2), units: the positions of every robot since the reset, the reset
             first, the current ones last.
@@ -42,6 +43,7 @@ class Snapshot:
     positions: FloatArray
     velocities: FloatArray
     headings: FloatArray
+    failed: NDArray[np.bool_]
     visited: NDArray[np.bool_]
     trail: FloatArray
     step: int

@@ -37,6 +37,7 @@ class Geometry(NamedTuple):
     boxes: Array  # (4, F) real: lowest x, lowest y, width and height of each field
     robots: Array  # (3, n) real: see dynamics.LIMITS
     kinds: Array  # (n,) int32: dynamics; (0, 0) if all are point masses, the others left out
+    fail_at: Array  # (n,) int32: the step in which each robot fails, 0 for none; (0,) without
     rays: Array  # (2, 8) real: lidar's rays, units; (0,) without it, whose code is then left out
 
 
@@ -60,12 +61,13 @@ class Episode(NamedTuple):
     sin: Array
     gust: Array  # (2, W) real, units/step per step: x, y; (0, 0, W) without gusts
     queue: Array  # (2 n (delay + 1), W) real: the last actions sent; (0, 0, W) if undisturbed
+    failed: Array  # (n, W) bool; (0, 0, W) without failures, whose code is then left out
 
 
 HEADING = ("heading", "cos", "sin")
 """The parts of an episode that only teams with headings have."""
-DISTURBED = ("gust", "queue")
-"""Those of disturbances: of two dimensions where they are on, of three where they are off."""
+OPTIONAL = ("gust", "queue", "failed")
+"""Those of what can be off: of two dimensions where it is on, of three where it is not."""
 
 
 class Memory(NamedTuple):
@@ -83,7 +85,7 @@ class Memory(NamedTuple):
     pending: Array  # (W,) bool: waits for a reset
     episode: Array  # (W,) int64: number of the episode, counted from 0 at a seeded reset
     seed: Array  # (1,) int64: key of all random numbers
-    key: Array  # (W,) uint64: that of the disturbances of each episode; (0,) without any
+    key: Array  # (W,) uint64: that of what disturbs each episode; (0,) if nothing can
     draw: Array  # (1,) int64: number of the next draw of random actions
     acted: Array  # (W, n, 2) real: the actions that arrived; (0, n, 2) if undisturbed
     seen: Array  # (rows_seen, W) real: what a robot sees; (0, 0, W) if it sees all as it is
@@ -144,9 +146,11 @@ def make_geometry(
     kinds = np.array([DYNAMICS[name] for name in config.of_each("dynamics", n)], np.int32)
     if (kinds == POINT_MASS).all():
         kinds = np.zeros((0, 0), np.int32)
+    at = {} if config.failures is None else config.failures.at
+    fail_at = np.array([at.get(i, 0) for i in range(0 if config.failures is None else n)], np.int32)
     has_rays = config.observation in WITH_RAYS
     rays = rays_of(config.sensing_radius, fields[0].arena) if has_rays else np.zeros(0)
-    return Geometry._make([*tables, robots, kinds, rays.astype(real)])
+    return Geometry._make([*tables, robots, kinds, fail_at, rays.astype(real)])
 
 
 def _directed_edges(field: Field) -> Array:
@@ -175,6 +179,7 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
         steps=xp.zeros(worlds, dtype=xp.int32),
         gust=xp.zeros((2, worlds) if config.gust > 0 else off, dtype=real),
         queue=xp.zeros((sent, worlds) if any_on(config, OF_ACTIONS) else off, dtype=real),
+        failed=xp.zeros(off if config.failures is None else robots, dtype=xp.bool),
     )
 
 
@@ -187,6 +192,7 @@ def make_memory(
     formal = config.reward.rules == "formal"
     motion = 3 if now.heading.shape[0] else 2
     seen = (rows_seen(n, m), worlds) if any_on(config, OF_SIGHT) else (0, 0, worlds)
+    drawn = any_on(config, DISTURBANCES) or config.failures is not None
     words = filter_size(length * (1 if formal else n)) + ODD_LINES
     trail = xp.zeros((worlds, length * n, 2), dtype=real)
     memory = Memory(
@@ -202,7 +208,7 @@ def make_memory(
         pending=xp.ones(worlds, dtype=xp.bool),
         episode=xp.full((worlds,), -1, dtype=xp.int64),
         seed=xp.zeros(1, dtype=xp.int64),
-        key=xp.zeros(worlds if any_on(config, DISTURBANCES) else 0, dtype=xp.uint64),
+        key=xp.zeros(worlds if drawn else 0, dtype=xp.uint64),
         draw=xp.zeros(1, dtype=xp.int64),
         acted=xp.zeros((worlds if now.queue.ndim == 2 else 0, n, 2), dtype=real),
         seen=xp.zeros(seen, dtype=real),

@@ -22,7 +22,8 @@ from mbn_marl.engine.mdp import revisits, rewards
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import cross_edge
 from mbn_marl.engine.mdp.disturbances import arrived_actions, change_gust
-from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
+from mbn_marl.engine.mdp.dynamics import keep_heading
+from mbn_marl.engine.mdp.failures import is_gone, move_or_fail
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.termination import is_terminated, is_truncated
 from mbn_marl.engine.mdp.visits import all_visited, visit_code, within
@@ -120,14 +121,23 @@ def stop_at_walls(p, now, out, to, i, lo, hi):
 
 
 @compiled
-def mark_visits(p, g, now, out, i, lo, hi):
+def forgive_walls(failed, now, out, i, lo, hi):
+    """Step 2: walls that stop robot i are not counted where it has failed."""
+    for w in range(lo, hi):
+        if failed[i, w] & is_set(out.events[i, w], rewards.WALL):
+            now.wall_hits[i, w] -= 1
+            out.events[i, w] ^= rewards.WALL
+
+
+@compiled
+def mark_visits(p, g, failed, now, out, i, lo, hi):
     """Step 5: every unvisited ROI within reach becomes visited, to robot i's credit."""
     for j in range(g.rois.shape[1]):
         for w in range(lo, hi):
             f = column(g, w)
             bit = g.roi_bits[j, f]
             dx, dy = now.x[i, w] - g.rois[0, j, f], now.y[i, w] - g.rois[1, j, f]
-            near = within(dx, dy, p.roi_squared)
+            near = within(dx, dy, p.roi_squared) & (not is_gone(p, failed, i, w))
             new = near & ((now.visited[w] & bit) == 0)
             now.visited[w] |= bit if new else 0
             out.events[i, w] += (1 << rewards.ROIS_SHIFT) if new else 0
@@ -199,7 +209,7 @@ def grow_filter(mem, now, lo, hi):
 
 
 @compiled
-def find_collisions(p, now, to, lo, hi):
+def find_collisions(p, failed, now, to, lo, hi):
     """Step 7: any two robots closer than the safety distance."""
     for k in range(hi - lo):
         to.collided[k] = False
@@ -207,7 +217,8 @@ def find_collisions(p, now, to, lo, hi):
         for j in range(i):
             for w in range(lo, hi):
                 dx, dy = now.x[i, w] - now.x[j, w], now.y[i, w] - now.y[j, w]
-                to.collided[w - lo] |= too_close(dx, dy, p.safety_squared)
+                there = not (is_gone(p, failed, i, w) | is_gone(p, failed, j, w))
+                to.collided[w - lo] |= too_close(dx, dy, p.safety_squared) & there
 
 
 @compiled
@@ -232,7 +243,7 @@ def check_termination(p, g, mem, now, out, to, lo, hi):
 
 
 @compiled
-def give_rewards(p, now, out, to, lo, hi):
+def give_rewards(p, failed, now, out, to, lo, hi):
     """The team's reward and the agents' shares of it."""
     n = now.x.shape[0]
     own, share = to.own, to.share
@@ -240,9 +251,10 @@ def give_rewards(p, now, out, to, lo, hi):
         own[k] = p.zero
     for i in range(n):
         for w in range(lo, hi):
-            terms = rewards.own_terms(p, out.events[i, w], out.outcomes[w])
+            terms = rewards.earned(p, failed, out.events[i, w], out.outcomes[w], i, w)
             own[w - lo] += rewards.total_own(terms)
-            share[w - lo] = rewards.total(rewards.with_share(p, terms, out.outcomes[w]))
+            both = rewards.with_share(p, failed, terms, out.outcomes[w], i, w)
+            share[w - lo] = rewards.total(both)
         for w in range(lo, hi):
             out.rewards[w, i] = share[w - lo]
             now.returns[i, w] += share[w - lo]
@@ -295,18 +307,21 @@ def autoreset(p, g, mem, now, final, out, to, lo, hi):
 
 
 @compiled
-def move_robots(p, g, mem, now, out, to, actions, lo, hi):
+def move_robots(p, g, mem, failed, now, out, to, actions, lo, hi):
     """Steps 1 to 3 and 5: where every robot goes, what it visits; its memory is fetched ahead.
 
-    Then the time passes.
+    Then the time passes. ``failed`` are the flags of ``now``, an argument so that conditions on
+    their type are settled.
     """
     taken = arrived_actions(p, mem.key, now.queue, mem.acted, now.steps, actions, lo, hi)
     for i in range(now.x.shape[0]):
-        propose_move(p, g, now, to, taken, i, lo, hi)
+        move_or_fail(p, g, mem, failed, now, to, taken, i, lo, hi)
         test_containment(g, to, lo, hi)
         stop_at_walls(p, now, out, to, i, lo, hi)
+        if failed.ndim == 2:
+            forgive_walls(failed, now, out, i, lo, hi)
         keep_heading(g.kinds, now, to, i, lo, hi)
-        mark_visits(p, g, now, out, i, lo, hi)
+        mark_visits(p, g, failed, now, out, i, lo, hi)
     if p.rules == rewards.RELEASED:
         record_positions(mem, now, lo, hi)
         for i in range(now.x.shape[0]):
@@ -315,14 +330,14 @@ def move_robots(p, g, mem, now, out, to, actions, lo, hi):
 
 
 @compiled
-def score_step(p, g, mem, now, out, to, lo, hi):
+def score_step(p, g, mem, failed, now, out, to, lo, hi):
     """Steps 4 and 6 to 8: revisits, collisions, how the step ended, rewards."""
     if p.rules == rewards.RELEASED:
         for i in range(now.x.shape[0]):
             mark_revisits(mem, now, out, to, i, lo, hi)
-    find_collisions(p, now, to, lo, hi)
+    find_collisions(p, failed, now, to, lo, hi)
     check_termination(p, g, mem, now, out, to, lo, hi)
-    give_rewards(p, now, out, to, lo, hi)
+    give_rewards(p, failed, now, out, to, lo, hi)
     if p.rules == rewards.RELEASED:
         grow_filter(mem, now, lo, hi)
 
@@ -337,9 +352,9 @@ def step_worlds(store, actions, lo, hi):
     ended = 0
     while lo < hi:
         end = min(lo + np.uint64(BLOCK), hi)
-        move_robots(p, g, mem, now, out, to, actions, lo, end)
+        move_robots(p, g, mem, now.failed, now, out, to, actions, lo, end)
         observe(p, g, mem, now, lo, end, to.tile, out.observations)
-        score_step(p, g, mem, now, out, to, lo, end)
+        score_step(p, g, mem, now.failed, now, out, to, lo, end)
         ended += autoreset(p, g, mem, now, final, out, to, lo, end)
         lo = end
     return ended

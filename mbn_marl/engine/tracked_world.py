@@ -19,7 +19,8 @@ from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.cpu import CpuBackend
 from mbn_marl.engine.jit import entry_point
 from mbn_marl.engine.mdp.disturbances import arrived_actions
-from mbn_marl.engine.mdp.dynamics import V_CLIP, keep_heading, propose_move
+from mbn_marl.engine.mdp.dynamics import V_CLIP, keep_heading
+from mbn_marl.engine.mdp.failures import has_failed, move_or_fail
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
 from mbn_marl.engine.scalars import clip, select
@@ -124,7 +125,7 @@ def choose_velocities(store, actions, velocities, allowed):
     to = step.make_scratch(HI, n, 1, now.x.dtype)
     taken = arrived_actions(p, mem.key, now.queue, mem.acted, now.steps, actions, LO, HI)
     for i in range(n):
-        propose_move(p, g, now, to, taken, i, LO, HI)
+        move_or_fail(p, g, mem, now.failed, now, to, taken, i, LO, HI)
         step.test_containment(g, to, LO, HI)
         keep_heading(g.kinds, now, to, i, LO, HI)
         inside = to.seen[0] != 0
@@ -146,17 +147,17 @@ def take_positions(store, positions, velocities, allowed):
         to.vx[0] = clip(velocities[0, i, 0], -v_clip, v_clip)
         to.vy[0] = clip(velocities[0, i, 1], -v_clip, v_clip)
         step.test_containment(g, to, LO, HI)
-        stayed = allowed[i] & (to.seen[0] != 0)
+        stayed = allowed[i] & (to.seen[0] != 0) | has_failed(now.failed, i, LO)
         to.seen[0] = INSIDE
         step.stop_at_walls(p, now, out, to, i, LO, HI)
         now.wall_hits[i, 0] += 0 if stayed else 1
         out.events[i, 0] |= 0 if stayed else WALL
-        step.mark_visits(p, g, now, out, i, LO, HI)
+        step.mark_visits(p, g, now.failed, now, out, i, LO, HI)
     if p.rules == RELEASED:
         step.record_positions(mem, now, LO, HI)
         for i in range(n):
             step.hash_positions(mem, now, out, to, i, LO, HI)
     step.pass_time(p, mem, now, LO, HI)
     observe(p, g, mem, now, LO, HI, to.tile, out.observations)
-    step.score_step(p, g, mem, now, out, to, LO, HI)
+    step.score_step(p, g, mem, now.failed, now, out, to, LO, HI)
     return step.autoreset(p, g, mem, now, final, out, to, LO, HI)

@@ -61,6 +61,7 @@ def check_setup(
     for name in ("dynamics", *LIMITS):
         if (count := len(config.of_each(name, n))) != n:
             problems.append(f"{name}: {count} values; allowed: one for all robots, or {n} of them")
+    problems += _failure_problems(config, n)
     if not fields:
         problems.append("field: an empty sequence; allowed: at least one field")
     if starts is not None and (wrong := _given_starts_problems(starts, config, n)):
@@ -69,6 +70,17 @@ def check_setup(
         problems += _field_problems(field, config, n, fields[0].arena, starts)
     if problems:
         raise ConfigError("configuration", problems)
+
+
+def _failure_problems(config: NavigationConfig, n: int) -> list[str]:
+    """Return why the failures do not fit a team of n robots."""
+    if config.failures is None:
+        return []
+    at, most = config.failures.at, config.failures.most
+    problems = [f"failures.at: robot {i}; allowed: 0 to {n - 1}" for i in at if i >= n]
+    if most is not None and most > n:
+        problems.append(f"failures.most: {most}; allowed: 0 to {n}, the size of the team")
+    return problems
 
 
 def reset_problems(seed: object, episode: object) -> list[str]:

@@ -30,6 +30,7 @@ class Episode:
         positions: (T + 1, n, 2), units, from the reset on, in the engine's dtype.
         headings: (T + 1, n), radians in [-pi, pi), in the engine's dtype; NaN for a robot that has
             none.
+        failed: (n,) int32, the step in which each robot failed, from 1 on; 0 for never.
         visits: (m,) int32, the step in which each ROI was visited, from 1 on; 0 for never.
         terms: (T, n, terms) float64, each robot's own reward by term, ordered as ``REWARD_TERMS``.
         team_rewards: (T,) float64, the centralised reward of each step.
@@ -47,6 +48,7 @@ class Episode:
     actions: Array
     positions: Array
     headings: Array
+    failed: NDArray[np.int32]
     visits: NDArray[np.int32]
     terms: NDArray[np.float64]
     team_rewards: NDArray[np.float64]
@@ -88,6 +90,7 @@ class Episode:
             positions=trail[-1],
             velocities=(trail[-1] - trail[-2]) / config.tau if step else np.zeros_like(trail[0]),
             headings=self.headings[step],
+            failed=(self.failed > 0) & (self.failed <= step),
             visited=(self.visits > 0) & (self.visits <= step),
             trail=trail,
             step=step,

@@ -121,6 +121,10 @@ class EpisodeFile(_Strict):
         default=None,
         description="(T + 1, 2), units/step, of wind and gust in the next step; null without.",
     )
+    failed: Annotated[list[int | None], Len(1, MAX_ROBOTS)] | None = Field(
+        default=None,
+        description="The step in which each robot failed, as in visits; null if none did.",
+    )
     actions: PackedArray = Field(description="(T, n, 2), in [-1, 1].")
     rewards: Rewards
 
@@ -203,6 +207,7 @@ def to_file(episode: Episode) -> EpisodeFile:
         positions=PackedArray.pack(episode.positions),
         headings=None if missing.all() else PackedArray.pack(episode.headings),
         winds=None if episode.winds is None else PackedArray.pack(episode.winds),
+        failed=[int(step) or None for step in episode.failed] if episode.failed.any() else None,
         actions=PackedArray.pack(episode.actions),
         rewards=Rewards(terms=list(REWARD_TERMS), robots=robots, team=team),
     )
@@ -241,10 +246,9 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         problems.append(f"rewards.terms: {terms}; allowed: each at most once of {known}")
     if config.n_robots != robots:
         problems.append(f"config.n_robots: {config.n_robots}; allowed: {robots}, as in robots")
-    if len(content.visits) != rois:
-        problems.append(f"visits: {len(content.visits)}; allowed: {rois}, one for each ROI")
-    if not set(content.visits) <= {None, *range(1, steps + 1)}:
-        problems.append(f"visits: allowed: null, or a step from 1 to {steps}")
+    failed = content.failed or [None] * robots
+    problems += _step_problems("visits", content.visits, steps, rois, "ROI")
+    problems += _step_problems("failed", failed, steps, robots, "robot")
     if problems:
         raise EpisodeError(name, problems)
     own_terms = np.zeros((steps, robots, len(known)))  # of those that the file does not know: 0
@@ -255,6 +259,7 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         actions=arrays["actions"],
         positions=arrays["positions"],
         headings=arrays.get("headings", np.full((steps + 1, robots), np.nan, config.dtype)),
+        failed=np.array([step or 0 for step in failed], np.int32),
         visits=np.array([step or 0 for step in content.visits], np.int32),
         terms=own_terms,
         team_rewards=arrays["rewards.team"],
@@ -265,6 +270,18 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         world=content.world,
         number=content.episode,
     )
+
+
+def _step_problems(
+    part: str, given: list[int | None], steps: int, count: int, what: str
+) -> list[str]:
+    """Return what is wrong with the steps in which something happened to each of ``count``."""
+    problems = []
+    if len(given) != count:
+        problems.append(f"{part}: {len(given)}; allowed: {count}, one for each {what}")
+    if not set(given) <= {None, *range(1, steps + 1)}:
+        problems.append(f"{part}: allowed: null, or a step from 1 to {steps}")
+    return problems
 
 
 def _place(content: EpisodeFile, name: str) -> tuple[fields.Field, NavigationConfig]:

@@ -22,6 +22,7 @@ class EpisodeLog:
         self._visits = np.zeros(engine.n_rois, np.int32)
         self._positions = [self._state()[0]]
         self._headings, self._winds = [first.headings], [first.wind]
+        self._failed = np.zeros(engine.n_robots, np.int32)
         self._actions: list[Array] = []
         self._terms: list[Array] = []
         self._rewards: list[float] = []
@@ -36,6 +37,7 @@ class EpisodeLog:
         self._actions.append(np.clip(actions, -1, 1).astype(self._engine.dtype))
         self._terms.append(self._engine.reward_terms()[0].astype(np.float64))
         self._rewards.append(float(self._engine.team_rewards[0]))
+        self._failed[moment.failed & (self._failed == 0)] = len(self._actions)
         fresh = np.flatnonzero(visited & (self._visits == 0))
         self._visits[fresh] = len(self._actions)
         return fresh.tolist()
@@ -51,6 +53,7 @@ class EpisodeLog:
             actions=np.array(self._actions, engine.dtype).reshape(*shape, 2),
             positions=np.array(self._positions),
             headings=np.array(self._headings),
+            failed=self._failed.copy(),
             visits=self._visits.copy(),
             terms=np.array(self._terms, np.float64).reshape(*shape, len(REWARD_TERMS)),
             team_rewards=np.array(self._rewards),
@@ -149,7 +152,7 @@ def check_episode(episode: Episode, name: str = "episode") -> None:
             step = int(np.argmax((~same).reshape(len(ours), -1).any(axis=1))) + 1 - late
             problem = f"{what}: the engine gives others from step {step} on; it does not replay"
             raise EpisodeError(name, [problem])
-    for what in ("visits", "outcome"):
+    for what in ("failed", "visits", "outcome"):
         ours, theirs = getattr(episode, what), getattr(again, what)
         if not np.array_equal(ours, theirs):
             raise EpisodeError(name, [f"{what}: {ours}; replayed in the engine: {theirs}"])

@@ -117,7 +117,7 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
 
     Raises:
         ConfigError: the field has too few starts, the starts are random, a robot is no point mass,
-            or a plan would be disturbed.
+            robots may fail, or a plan would be disturbed.
     """
     n = config.n_robots or len(field.starts)
     problems = []
@@ -125,6 +125,8 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
         problems.append(f"n_robots: {field.name} has {len(field.starts)} starts, not {n}")
     if config.random_starts:
         problems.append("random_starts: allowed: False; a plan is for the field's own starts")
+    if config.failures is not None:
+        problems.append("failures: allowed: None; a plan is for robots that do not fail")
     others = sorted(set(config.of_each("dynamics", n)) - {"point_mass"})
     if others:
         known = "allowed: 'point_mass'; for others no plan is made, and no bound is known"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,12 @@ from numpy.typing import NDArray
 
 from mbn_marl import Field
 from mbn_marl.adapters.infos import GAP
+from mbn_marl.config import Failures
+from mbn_marl.engine.mdp.disturbances import OF_ACTIONS
 from tests.support.forms import BatchForm, CentralizedForm, Outcome, ParallelForm, TeamSharingForm
-from tests.support.oracle import TERMS, Oracle, Step
-from tests.support.worlds import Pilot, World, random_field, worlds
+from tests.support.oracle import Oracle
+from tests.support.scores import TERMS, Step
+from tests.support.worlds import DISTURBANCES, Pilot, World, random_field, worlds
 
 EXAMPLES = 4  # for each number of robots
 STEPS = 60
@@ -41,6 +45,7 @@ def situations(step: Step) -> dict[str, bool]:
         "truncated": step.truncated,
         "known state": step.met_before,
         "new state": not step.met_before,
+        **({} if all(step.works) else {"failed": True, "all failed": not any(step.works)}),
     }
 
 
@@ -85,6 +90,7 @@ def check_infos(infos: list[dict[str, float]], oracle: Oracle, rounding: float) 
         for name in ("success", "collision", "rois_visited"):
             assert info[name] == expected[name], name
         assert info["wall_hits"] == expected["wall_hits"][robot]
+        assert info["failed"] == expected["failed"][robot]
         for name in ("path_length", "impulse"):
             value = pytest.approx(expected[name][robot], rel=1e3 * rounding, abs=1e3 * rounding)
             assert info[name] == value, name
@@ -173,6 +179,39 @@ def test_all_forms_agree_with_the_oracle(rules: Any, dtype: str) -> None:
         repeat(given(worlds(n, rules), st.integers(1, 5), st.data())(agree))()
     assert seen.pop("tie", 0) <= 7 * EXAMPLES / 4
     assert min(seen.values()) >= 3, f"the random worlds hardly ever get into a situation: {seen}"
+
+
+@pytest.mark.parametrize(
+    ("dtype", "seen_as"),
+    [("float32", ["relative", "local", "state"]), ("float64", ["lidar", "lidar_local"])],
+)
+@pytest.mark.parametrize("rules", ["released", "formal"])
+def test_all_forms_agree_with_the_oracle_when_robots_fail(
+    rules: Any, dtype: str, seen_as: list[str]
+) -> None:
+    """In gusts and bad sight, with robots of every dynamics."""
+    seen: Counter[str] = Counter()
+    order = ["bicycle", "holonomic", "unicycle", "point_mass"]
+
+    def agree(world: World, failures: Failures, observation: str) -> None:
+        n = len(world.behaviours)
+        options = {**world.settings, **DISTURBANCES, **dict.fromkeys(OF_ACTIONS, 0)}
+        options |= {"failures": failures, "observation": observation}
+        options["dynamics"] = tuple((order * n)[:n])
+        seen.update(compare(replace(world, settings=options), dtype, 3, 0))
+
+    for n in (1, 2, 3, 5):
+        failing = st.builds(
+            Failures,
+            rate=st.sampled_from([0.0, 0.1, 1.0]),
+            at=st.dictionaries(st.integers(0, n - 1), st.integers(1, 12)),
+            kind=st.sampled_from(["brake", "coast", "vanish"]),
+            most=st.sampled_from([None, 0, n]),
+        )
+        repeat = settings(max_examples=3 * EXAMPLES)
+        repeat(given(worlds(n, rules), failing, st.sampled_from(seen_as))(agree))()
+    for situation in ("failed", "all failed", "wall", "roi", "success", "collision"):
+        assert seen[situation] >= 3, seen
 
 
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]

@@ -45,6 +45,8 @@ CONFIGURATIONS = {
     "unicycles": {"dynamics": "unicycle", "observation": "lidar"},
     "disturbed, holonomic and bicycles": DISTURBANCES
     | {"dynamics": ("holonomic", "bicycle", "bicycle")},
+    "failing": {"failures": {"rate": 0.05, "kind": "vanish"}},
+    "failing, terminated": {"failures": {"rate": 0.05}, "failed_agents": "terminate"},
     "random starts, one-hot": {"field": "field_10", "random_starts": True, "one_hot": True},
 }
 every_configuration = pytest.mark.parametrize(
@@ -226,6 +228,7 @@ class TestEveryStep:
         shared = env.engine.config.reward_sharing == "team"
         env.reset(seed=3)
         for _ in range(400):
+            asked = env.agents or env.possible_agents
             if not env.agents:
                 observations, infos = env.reset()
                 assert all(info == NOTHING for info in infos.values())
@@ -238,7 +241,7 @@ class TestEveryStep:
                 assert all(type(reward) is float for reward in rewards.values())
                 assert all(type(flag) is bool for flag in terminated.values())
             assert env.state_space.contains(env.state())
-            assert list(observations) == list(infos) == env.possible_agents
+            assert list(observations) == list(infos) == asked
             for agent, observation in observations.items():
                 assert env.observation_space(agent).contains(observation)
                 assert tuple(infos[agent]) == INFO_KEYS

@@ -74,7 +74,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     mem, out = make_memory(worlds, 3, 6, config, now), make_output(worlds, 3, size, config)
     actions, active = np.zeros((worlds, 3, 2), real), np.zeros(worlds, np.bool_)
     call = kernels.Call(actions, active, np.zeros(1, np.int64))
-    rows = (np.zeros((worlds, 3, 12)),)
+    rows = (np.zeros((worlds, 3, 13)),)
     bits = np.uint32 if dtype == "float32" else np.uint64
     step = kernels.make_step(3, size, real.type, bits)
     work: dict[str, tuple[Any, tuple[Any, ...]]] = {
@@ -100,6 +100,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
         {"observation": "lidar_local"},
         {"dynamics": "bicycle"},
         {"gust": 0.1, "action_delay": 2, "dropout": 0.1},
+        {"dynamics": "bicycle", "failures": {"rate": 0.1}},
     ],
     ids=str,
 )

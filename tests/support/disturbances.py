@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 GOLDEN, WORD = 0x9E3779B97F4A7C15, 2**64
-GUSTS, SENDING, SIGHT = 4, 5, 6
+FAILURES, GUSTS, SENDING, SIGHT = 3, 4, 5, 6
 
 
 def mixed(number: int) -> int:

@@ -184,4 +184,4 @@ class BatchForm:
 
 
 TEAM_METRICS = ("success", "collision", "rois_visited")
-ROBOT_METRICS = ("wall_hits", "path_length", "impulse")
+ROBOT_METRICS = ("wall_hits", "path_length", "impulse", "failed")

@@ -10,18 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from tests.support.disturbances import Disturbances
+from tests.support.disturbances import FAILURES, Disturbances, key_of, uniform
+from tests.support.scores import Profile, Step, formal_reward, released_reward
 from tests.support.vehicles import REALS, Robot, Vehicle, clip
 from tests.support.wall_senses import WallSenses
-
-TERMS = ("step", "revisit", "wall", "roi", "success", "collision")
 
 
 class FieldLike(Protocol):
@@ -34,50 +33,13 @@ class FieldLike(Protocol):
     arena: tuple[float, float]
 
 
-@dataclass(frozen=True)
-class Profile:
-    """The weights r_s, r_m, r_l, r_inf of a reward profile and the rules that use them."""
-
-    rules: str
-    small: float = 10.0
-    medium: float = 100.0
-    large: float = 10_000.0
-    infinite: float = 100_000.0
-
-
-@dataclass
-class Step:
-    """The events of one step.
-
-    Attributes:
-        wall, revisit: one flag a robot. reached: ROIs that each robot visited first.
-        all_visited, collided: of the world. met_before: the joint state had been met before.
-        margin: least distance, in units, of any decision of the step from its threshold.
-        terms: one dict a robot, its individual reward by term.
-        team_reward: the centralised reward. rewards: one a robot, after reward sharing.
-        terminated, truncated: the ends of an episode.
-    """
-
-    wall: list[bool] = field(default_factory=list)
-    revisit: list[bool] = field(default_factory=list)
-    reached: list[int] = field(default_factory=list)
-    all_visited: bool = False
-    collided: bool = False
-    met_before: bool = False
-    margin: float = math.inf
-    terms: list[dict[str, float]] = field(default_factory=list)
-    team_reward: float = 0.0
-    rewards: list[float] = field(default_factory=list)
-    terminated: bool = False
-    truncated: bool = False
-
-
 class Oracle:
     """One world of the multi-robot navigation MDP.
 
     The settings have the names, units and defaults of the engine's. ``reward`` is ``"released"``,
     ``"formal"`` or any object with the attributes of :class:`Profile`; ``dynamics``, ``mass``,
-    ``f_max`` and ``v_clip`` are one value or one per robot.
+    ``f_max`` and ``v_clip`` are one value or one per robot; ``failures`` is any object with the
+    attributes of ``Failures``.
     """
 
     def __init__(
@@ -103,6 +65,7 @@ class Oracle:
         observation: str = "relative",
         one_hot: bool = False,
         sensing_radius: float = 100.0,
+        failures: Any = None,
         seed: int = 0,
         world: int = 0,
         **disturbances: Any,
@@ -136,6 +99,7 @@ class Oracle:
         self.max_steps = max_steps
         self.observation, self.one_hot = observation, one_hot
         self.sensing_radius = sensing_radius
+        self.failures = failures
         self.disturbances = Disturbances(real, seed, world, **disturbances)
         self.reset(episode=0)
 
@@ -153,7 +117,7 @@ class Oracle:
         ]
         self.visited = [False] * len(self.rois)
         self.stood_on: set[tuple[float, float]] = set()
-        self.joint_states = {self.state()}
+        self.joint_states = {self._joint_state()}
         self.steps = 0
         self.episode_return = 0.0
         self.success = self.collision = False
@@ -164,7 +128,12 @@ class Oracle:
         return int("".join("1" if seen else "0" for seen in self.visited), 2)
 
     def state(self) -> tuple[float, ...]:
-        """The paper's vector (4n+1,), or with headings before the visit code (5n+1,)."""
+        """The paper's vector (4n+1,); headings and failures come before the visit code."""
+        *motion, code = self._joint_state()
+        failed = [float(robot.failed) for robot in self.robots] if self.failures else []
+        return (*motion, *failed, code)
+
+    def _joint_state(self) -> tuple[float, ...]:
         positions = [value for robot in self.robots for value in (robot.x, robot.y)]
         velocities = [value for robot in self.robots for value in (robot.vx, robot.vy)]
         headings = [robot.heading for robot in self.robots] if self.turning else []
@@ -173,9 +142,11 @@ class Oracle:
     def step(self, actions: Sequence[Sequence[float]]) -> Step:
         """Move every robot by ``actions`` (n, 2), numbers that are clipped to [-1, 1]."""
         step = Step()
+        self._fail()
         taken = self.disturbances.arrived(actions)
         for robot, action in zip(self.robots, taken, strict=True):
-            step.wall.append(self._move(robot, action, step))
+            step.works.append(not robot.failed)
+            step.wall.append(self._move(robot, action, step) and not robot.failed)
             spot = (robot.x, robot.y)
             step.revisit.append(spot in self.stood_on)
             self.stood_on.add(spot)
@@ -183,7 +154,7 @@ class Oracle:
         self.disturbances.end_step()
         step.all_visited = all(self.visited)
         step.collided = self._any_collision(step)
-        state = self.state()
+        state = self._joint_state()
         step.met_before = state in self.joint_states
         self.joint_states.add(state)
         self.steps += 1
@@ -207,6 +178,7 @@ class Oracle:
             seen = [body.seen * body.position for body in (me, *others)]
             seen += [body.seen * body.velocity for body in (me, *others)]
             seen += [body.seen * body.ahead for body in (me, *others)] * self.turning
+            seen += [self._flag(body) for body in (me, *others)]
             seen.append(np.array([self.visit_code]))
         else:
             half = np.array([self.width, self.height]) / 2
@@ -216,7 +188,7 @@ class Oracle:
             reach = min(self.sensing_radius, math.hypot(self.width, self.height))
             centre = middle if lidar else half
             seen = [(me.position - centre) / half, me.velocity / self.top_speed]
-            seen += [me.ahead] * self.turning
+            seen += [*[me.ahead] * self.turning, self._flag(me)]
             for other in others:
                 turn = (other.velocity - me.velocity) / (2 * self.top_speed)
                 ahead = [other.ahead] * self.turning
@@ -224,7 +196,8 @@ class Oracle:
                 if lidar:
                     distance = math.dist(other.position, me.position)
                     sight.append(np.array([max(0.0, 1.0 - distance / reach)]))
-                seen += [other.seen * entries for entries in sight]
+                seen += [(other.seen and not self._gone(other)) * entries for entries in sight]
+                seen.append(self._flag(other))
             for j, (roi, visited) in enumerate(rois):
                 place, is_seen = self.disturbances.seen(i, 64 + j, roi, self.bounds)
                 offset = np.array(place) - me.position
@@ -248,6 +221,14 @@ class Oracle:
             (x, y, vx, vy), seen = self.disturbances.seen(i, j, motion, self.bounds)
             found.append(replace(body, x=x, y=y, vx=vx, vy=vy, seen=seen))
         return found
+
+    def _flag(self, robot: Robot) -> NDArray[Any]:
+        """Whether a robot has failed, as the entries of an observation: none without failures."""
+        return np.array([robot.failed] if self.failures else [], float)
+
+    def _gone(self, robot: Robot) -> bool:
+        """Return whether a robot has vanished."""
+        return robot.failed and self.failures.kind == "vanish"
 
     def _sight(self, offset: NDArray[Any], *more: NDArray[Any]) -> list[NDArray[Any]]:
         """Something at an offset, in arenas; blank if too far, which ``local`` flags."""
@@ -279,15 +260,34 @@ class Oracle:
             "wall_hits": [robot.wall_hits for robot in self.robots],
             "path_length": [robot.path_length for robot in self.robots],
             "impulse": [robot.impulse for robot in self.robots],
+            "failed": [robot.failed for robot in self.robots],
             "return_": [robot.return_ for robot in self.robots],
         }
+
+    def _fail(self) -> None:
+        """Robots fail at their step, and by chance while few enough have."""
+        if self.failures is None:
+            return
+        most = self.n - 1 if self.failures.most is None else self.failures.most
+        rate = np.float32(self.failures.rate)
+        key = key_of(*self.disturbances.place, self.disturbances.episode, FAILURES)
+        for i, robot in enumerate(self.robots):
+            count = sum(other.failed for other in self.robots)
+            number = uniform(key, self.steps * self.n + i)
+            if self.failures.at.get(i) == self.steps + 1 or (count < most and number < rate):
+                robot.failed = True
 
     def _move(self, robot: Robot, action: Sequence[float], step: Step) -> bool:
         """Rules 1 to 3. Returns whether the robot tried to leave the field."""
         real, before = self.real, robot.heading
-        velocity, robot.heading, (force_x, force_y) = robot.vehicle.move(
-            (robot.vx, robot.vy), before, action, self.disturbances.gust
-        )
+        gust = self.disturbances.gust
+        if robot.failed:
+            velocity = robot.vehicle.drift(self.failures.kind, (robot.vx, robot.vy), before, gust)
+            force_x = force_y = real(0.0)
+        else:
+            velocity, robot.heading, (force_x, force_y) = robot.vehicle.move(
+                (robot.vx, robot.vy), before, action, gust
+            )
         robot.vx, robot.vy = velocity
         x = robot.x + robot.vx * self.tau
         y = robot.y + robot.vy * self.tau
@@ -296,7 +296,7 @@ class Oracle:
         if outside:
             robot.vx = robot.vy = real(0.0)
             robot.heading = before
-            robot.wall_hits += 1
+            robot.wall_hits += not robot.failed
             x, y = robot.x, robot.y
         x, y = clip(x, real(0.0), self.width), clip(y, real(0.0), self.height)
         robot.path_length += math.hypot(x - robot.x, y - robot.y)
@@ -306,22 +306,25 @@ class Oracle:
         return outside
 
     def _visit(self, robot: Robot, step: Step) -> int:
-        """Rule 5. Returns how many ROIs the robot is the first to reach."""
+        """Rule 5. Returns how many ROIs the robot is credited with reaching first."""
         count = 0
+        if self._gone(robot):
+            return count
         for index, (x, y) in enumerate(self.rois):
             if not self.visited[index]:
                 distance = math.hypot(robot.x - x, robot.y - y)
                 step.margin = min(step.margin, abs(distance - self.roi_radius))
                 if distance <= self.roi_radius:
                     self.visited[index] = True
-                    count += 1
+                    count += not robot.failed
         return count
 
     def _any_collision(self, step: Step) -> bool:
         """The predicate of rule 7: some pair is closer than the safety distance."""
         found = False
-        for i, one in enumerate(self.robots):
-            for other in self.robots[:i]:
+        there = [robot for robot in self.robots if not self._gone(robot)]
+        for i, one in enumerate(there):
+            for other in there[:i]:
                 distance = math.hypot(one.x - other.x, one.y - other.y)
                 step.margin = min(step.margin, abs(distance - self.safety_distance))
                 found = found or distance < self.safety_distance
@@ -342,53 +345,3 @@ class Oracle:
         self.episode_return += step.team_reward
         for robot, reward in zip(self.robots, step.rewards, strict=True):
             robot.return_ += reward
-
-
-def released_reward(step: Step, profile: Profile) -> tuple[float, list[dict[str, float]]]:
-    """The released code's reward: the team's, and each robot's share by term."""
-    n = len(step.wall)
-    if step.collided:
-        return -profile.infinite, [by_term(collision=-profile.infinite / n) for _ in range(n)]
-    team = profile.infinite if step.all_visited else 0.0
-    shares = []
-    for wall, revisit, reached in zip(step.wall, step.revisit, step.reached, strict=True):
-        own = by_term(
-            step=0.0 if revisit else -profile.small,
-            revisit=-profile.medium if revisit else 0.0,
-            wall=-profile.large if wall else 0.0,
-            roi=profile.large * reached,
-        )
-        team += sum(own.values())
-        own["success"] = profile.infinite / n if step.all_visited else 0.0
-        shares.append(own)
-    return team, shares
-
-
-def formal_reward(step: Step, profile: Profile) -> tuple[float, list[dict[str, float]]]:
-    """The paper's section 3, R = R_C + R_I + R_F + R_V: the team's, and each robot's share."""
-    n = len(step.wall)
-    r_c = -profile.infinite if step.collided else 0.0
-    r_i = profile.infinite if step.all_visited else profile.large * sum(step.reached)
-    r_f = -profile.large * sum(step.wall) if any(step.wall) else -profile.small
-    r_v = -profile.medium if step.met_before else profile.small
-    shares = []
-    for wall, reached in zip(step.wall, step.reached, strict=True):
-        own = by_term(
-            wall=-profile.large if wall else 0.0,
-            roi=0.0 if step.all_visited else profile.large * reached,
-            success=profile.infinite / n if step.all_visited else 0.0,
-            collision=r_c / n,
-        )
-        if not any(step.wall):
-            own["step"] -= profile.small / n
-        if step.met_before:
-            own["revisit"] -= profile.medium / n
-        else:
-            own["step"] += profile.small / n
-        shares.append(own)
-    return r_c + r_i + r_f + r_v, shares
-
-
-def by_term(**values: float) -> dict[str, float]:
-    """A reward by term; the terms that are not given are zero."""
-    return {name: values.get(name, 0.0) for name in TERMS}

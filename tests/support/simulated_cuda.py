@@ -136,6 +136,8 @@ def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
         {"dynamics": ("holonomic", "unicycle", "bicycle"), "f_max": (1.0, 2.0, 3.0)},
         {"dynamics": MIXED, "observation": "lidar", "reward": "formal"},
         {"gust": 0.1, "action_loss": 0.3, "dropout": 0.2, "observation": "lidar_local"},
+        {"failures": {"rate": 0.05, "at": {2: 9}, "most": 3, "kind": "coast"}, "dynamics": MIXED},
+        {"failures": {"rate": 0.05, "kind": "vanish"}, "observation": "lidar", "reward": "formal"},
     ],
     ids=lambda settings: ", ".join(settings),
 )

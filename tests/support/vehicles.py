@@ -61,6 +61,23 @@ class Vehicle:
         new = self.ahead(heading)
         return (speed * new[0], speed * new[1]), heading, (force * old[0], force * old[1])
 
+    def drift(self, kind: str, velocity: Any, heading: Any, gust: Any) -> tuple[Any, Any]:
+        """The next velocity (2,) of a robot that has failed."""
+        wind, most = (self.wind_x + gust[0], self.wind_y + gust[1]), self.f_max / self.mass
+
+        def one(speed: Any, push: Any) -> Any:
+            if kind == "coast":
+                return self._limited(speed + push)
+            return speed - clip(speed, -most, most)
+
+        if kind == "vanish":
+            return self.real(0.0), self.real(0.0)
+        if self.turns:
+            ahead = self.ahead(heading)
+            speed = one(dot(velocity, ahead), dot(wind, ahead))
+            return speed * ahead[0], speed * ahead[1]
+        return one(velocity[0], wind[0]), one(velocity[1], wind[1])
+
     def place_of_rest(self, spot: Any, velocity: Any, heading: Any) -> tuple[float, float]:
         """Where it stops if it brakes from now on, (x, y); infinity if it never does."""
         brake = float(self.f_max / self.mass)
@@ -123,6 +140,7 @@ class Robot:
     impulse_y: float = 0.0
     path_length: float = 0.0
     wall_hits: int = 0
+    failed: bool = False
     return_: float = 0.0
     seen: bool = True
 

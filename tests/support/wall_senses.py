@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 SLACK = 1e-3
 """A robot this near a wall, in units, may be behind it by rounding."""
 
+RESIDUE = 1e-9
+"""A speed below this, in units/step, is what rounding leaves of a robot that has braked."""
+
 
 @dataclass(frozen=True)
 class WallSenses:
@@ -28,7 +31,7 @@ class WallSenses:
         angles = [math.radians(45 * k) for k in range(8)]
         rays = [self._free(spot, math.cos(a), math.sin(a), self.radius) for a in angles]
         speed, time = math.hypot(*velocity), 1.0
-        if speed > 0:
+        if speed > RESIDUE:
             reach = self.radius * speed / self.top_speed  # as long as the radius at the speed limit
             time = self._free(spot, velocity[0] / speed, velocity[1] / speed, reach)
         inside = bool(shapely.intersects_xy(self.polygon, *rest))

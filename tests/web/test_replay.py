@@ -47,6 +47,7 @@ def made_episode(steps: int, robots: int, source: str) -> Episode:
         actions=np.zeros((steps, robots, 2), np.float32),
         positions=positions,
         headings=np.full((steps + 1, robots), np.nan, np.float32),
+        failed=np.zeros(robots, np.int32),
         visits=np.array([steps // 2 + 1, 0, 0], np.int32),
         terms=terms,
         team_rewards=terms.sum(axis=(1, 2)),

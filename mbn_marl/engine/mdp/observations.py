@@ -19,6 +19,7 @@ from mbn_marl.engine.intrinsics import SIDE, transpose
 from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.dynamics import count_headings
+from mbn_marl.engine.mdp.failures import put_flag, put_other_flag
 from mbn_marl.engine.mdp.sight import drop, look, seen_places, seen_robots, spot
 from mbn_marl.engine.mdp.visits import visit_code, within
 from mbn_marl.engine.scalars import FIRST, clip, column
@@ -62,10 +63,11 @@ def observation_table(
     """The entries of one robot's observation, in order, for a team of n robots and m ROIs."""
     rows: list[Row]
     turns = count_headings(config.of_each("dynamics", n)) > 0
+    fails = config.failures is not None
     if config.observation == "state":
-        rows = _state_rows(n, m, arena, config.top_speed, turns)
+        rows = _state_rows(n, m, arena, config.top_speed, turns, fails)
     else:
-        rows = _scaled_rows(n, m, config.observation, turns)
+        rows = _scaled_rows(n, m, config.observation, turns, fails)
     if config.one_hot:
         rows += [(f"is_robot_{i}", 0.0, 1.0, "flag") for i in range(n)]
     return tuple(Entry(row[0], k, *row[1:]) for k, row in enumerate(rows))
@@ -76,20 +78,26 @@ def _heading_rows(robot: str, turns: bool) -> list[Row]:
     return [(f"{robot}_{name}", -1.0, 1.0, f"{name} of heading") for name in ("cos", "sin")] * turns
 
 
-def _scaled_rows(n: int, m: int, observation: str, turns: bool) -> list[Row]:
+def _failed_row(robot: str, fails: bool) -> list[Row]:
+    """The entry that says whether a robot has failed, if robots fail."""
+    return [(f"{robot}_failed", 0.0, 1.0, "flag")] * fails
+
+
+def _scaled_rows(n: int, m: int, observation: str, turns: bool, fails: bool) -> list[Row]:
     """The entries of ``relative``, and what ``local`` and ``lidar`` add to them."""
     flags, lidar_only = observation == "local", observation in WITH_RAYS
     centre = "the field's centre" if lidar_only else "its centre"
     velocity, radii = "speed limits", "sensing radii"
     rows = [(f"own_{a}", -1.0, 1.0, f"half arenas from {centre}") for a in "xy"]
     rows += [(f"own_v{a}", -1.0, 1.0, velocity) for a in "xy"]
-    rows += _heading_rows("own", turns)
+    rows += _heading_rows("own", turns) + _failed_row("own", fails)
     for k in range(1, n):
         rows += [(f"other_{k}_present", 0.0, 1.0, "flag")] * flags
         rows += [(f"other_{k}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
         rows += [(f"other_{k}_dv{a}", -1.0, 1.0, f"2 {velocity}") for a in "xy"]
         rows += _heading_rows(f"other_{k}", turns)
         rows += [(f"other_{k}_near", 0.0, 1.0, f"1 - {radii}")] * lidar_only
+        rows += _failed_row(f"other_{k}", fails)
     for j in range(m):
         rows += [(f"roi_{j}_present", 0.0, 1.0, "flag")] * flags
         rows += [(f"roi_{j}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
@@ -103,12 +111,13 @@ def _scaled_rows(n: int, m: int, observation: str, turns: bool) -> list[Row]:
 
 
 def _state_rows(
-    n: int, m: int, arena: tuple[float, float], top_speed: float, turns: bool
+    n: int, m: int, arena: tuple[float, float], top_speed: float, turns: bool, fails: bool
 ) -> list[Row]:
     who = ["own", *(f"other_{k}" for k in range(1, n))]
     rows = [(f"{r}_{a}", 0.0, arena[k], "units") for r in who for k, a in enumerate("xy")]
     rows += [(f"{r}_v{a}", -top_speed, top_speed, "units/step") for r in who for a in "xy"]
     rows += [row for r in who for row in _heading_rows(r, turns)]
+    rows += [row for r in who for row in _failed_row(r, fails)]
     return [*rows, ("visit_code", 0.0, float(2**m - 1), "code")]
 
 
@@ -142,12 +151,14 @@ def put_code(g, ep, lo, hi, tile, k):
 
 @compiled
 def put_state(g, ep, lo, hi, tile):
-    """The paper's vector (4n + 1), or with headings in radians before the visit code (5n + 1)."""
+    """The paper's vector (4n + 1); headings in radians and failures come before the visit code."""
     k = put_motion(ep, lo, hi, 0, tile)
     for i in range(ep.heading.shape[0]):
         for w in range(lo, hi):
             tile[k, w - lo] = ep.heading[i, w]
         k += 1
+    for i in range(ep.x.shape[0]):
+        k += put_flag(ep.failed, lo, hi, i, tile, k)
     put_code(g, ep, lo, hi, tile, k)
 
 
@@ -170,6 +181,8 @@ def put_own_state(p, g, seen, ep, lo, hi, i, tile):
     for place in range(ep.x.shape[0]):
         for first in range(2 * place, k, 2 * ep.x.shape[0]):
             drop(seen, nth_robot(place, i), lo, hi, tile, first, first + 2)
+    for place in range(p.failures):
+        k += put_flag(ep.failed, lo, hi, nth_robot(place, i), tile, k)
     put_code(g, ep, lo, hi, tile, k)
     return k + 1
 
@@ -246,13 +259,17 @@ def put_relative(p, g, seen, ep, lo, hi, i, tile):
     """The entries of ``relative`` and ``local`` for robot i; how many there are."""
     flag, n = 1 if p.observation == LOCAL else 0, ep.x.shape[0]
     k = body = put_own(p, ep, lo, hi, i, tile)
+    if p.failures > 0:  # only then is the array counted as referenced
+        k += put_flag(ep.failed, lo, hi, i, tile, k)
     for j in range(n):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k + flag)
             if flag:
                 hide_other(p, ep, lo, hi, i, j, tile, k + 1, k + 1 + body, True)
             drop(seen, j, lo, hi, tile, k, k + flag + body)
-            k += flag + body
+            first, k = k, k + flag + body
+            if p.failures > 0:
+                k += put_other_flag(p, ep.failed, lo, hi, j, tile, first, k)
     for j in range(g.roi_bits.shape[0]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k + flag)
         if flag:
@@ -279,6 +296,8 @@ def put_lidar(p, g, seen, rays, ep, lo, hi, i, tile):
     """The entries of ``lidar`` and ``lidar_local`` for robot i but the walls; how many."""
     local, n = p.observation == LIDAR_LOCAL, ep.x.shape[0]
     k = body = put_centred(p, g, ep, lo, hi, i, tile)
+    if p.failures > 0:
+        k += put_flag(ep.failed, lo, hi, i, tile, k)
     for j in range(n):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k)
@@ -286,7 +305,9 @@ def put_lidar(p, g, seen, rays, ep, lo, hi, i, tile):
             if local:
                 hide_other(p, ep, lo, hi, i, j, tile, k, k + body, False)
             drop(seen, j, lo, hi, tile, k, k + body + 1)
-            k += body + 1
+            first, k = k, k + body + 1
+            if p.failures > 0:
+                k += put_other_flag(p, ep.failed, lo, hi, j, tile, first, k)
     for j in range(g.roi_bits.shape[0]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k)
         lidar.put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)

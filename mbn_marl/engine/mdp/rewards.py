@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from mbn_marl.engine.jit import compiled, generated
-from mbn_marl.engine.scalars import is_set
+from mbn_marl.engine.mdp.failures import count_failed
+from mbn_marl.engine.scalars import is_set, select
 
 RELEASED, FORMAL = 0, 1
 RULES = {"released": RELEASED, "formal": FORMAL}
@@ -84,7 +85,15 @@ def _total_of(names: tuple[str, ...]) -> Any:
     return generated("total", f"def total(terms):\n    return {terms}\n")
 
 
+def _part_of(names: tuple[str, ...]) -> Any:
+    """``part(p, terms, none, count)``: the terms over ``count``, or all 0 if ``none``."""
+    terms = ", ".join(f"select(none, p.zero, terms[{k}] / count)" for k in range(len(names)))
+    source = f"def part(p, terms, none, count):\n    return ({terms},)\n"
+    return generated("part", source, select=select)
+
+
 total_own, total_team, total = map(_total_of, (OWN_TERMS, TEAM_TERMS, REWARD_TERMS))
+part_own, part_team = map(_part_of, (OWN_TERMS, TEAM_TERMS))
 
 
 @compiled
@@ -97,7 +106,27 @@ def team_reward(p, outcome, own):
 
 
 @compiled
-def with_share(p, own, outcome):
-    """The terms of one robot's reward ``r_i``, as ``REWARD_TERMS``, from its own terms."""
-    team = team_terms(p, p.share, outcome)
+def earned(p, failed, event, outcome, i, w):
+    """``own_terms`` of robot i of world w; none of them if it has failed (``failed``: flags)."""
+    own = own_terms(p, event, outcome)
+    if failed.ndim == 2:
+        return part_own(p, own, failed[i, w], p.one)
+    return own
+
+
+@compiled
+def share_of(p, failed, outcome, i, w):
+    """Robot i's part of ``team_terms``: that of one of n, or of the robots that work."""
+    if failed.ndim == 2:
+        n, lost = failed.shape[0], count_failed(failed, w)
+        count = p.one * np.float32(n - select(lost < n, lost, 0))
+        team = team_terms(p, p.whole, outcome)
+        return part_team(p, team, failed[i, w] & (lost < n), count)
+    return team_terms(p, p.share, outcome)
+
+
+@compiled
+def with_share(p, failed, own, outcome, i, w):
+    """The terms of robot i's reward ``r_i``, as ``REWARD_TERMS``, from its own terms."""
+    team = share_of(p, failed, outcome, i, w)
     return (own[0] + team[0], own[1] + team[1], *own[SHARED:], *team[SHARED:])

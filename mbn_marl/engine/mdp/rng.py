@@ -20,6 +20,7 @@ TO_UNIT = np.float32(2.0**-24)
 
 FOR_STARTS = np.uint64(1)
 FOR_ACTIONS = np.uint64(2)
+FOR_FAILURES = np.uint64(3)
 FOR_GUSTS = np.uint64(4)
 FOR_SENDING = np.uint64(5)
 FOR_SIGHT = np.uint64(6)

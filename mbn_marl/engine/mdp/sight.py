@@ -29,6 +29,7 @@ class SeenRobots(NamedTuple):
     visited: Any
     cos: Any
     sin: Any
+    failed: Any
 
 
 class SeenPlaces(NamedTuple):
@@ -54,7 +55,7 @@ def seen_robots(seen, ep, m):
     n = ep.x.shape[0]
     x, y, vx, vy = n + m, 2 * n + m, 3 * n + m, 4 * n + m
     motion = seen[x:y], seen[y:vx], seen[vx:vy], seen[vy : vy + n]
-    return SeenRobots(*motion, ep.visited, ep.cos, ep.sin)
+    return SeenRobots(*motion, ep.visited, ep.cos, ep.sin, ep.failed)
 
 
 @compiled

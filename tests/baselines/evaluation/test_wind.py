@@ -118,6 +118,10 @@ def test_a_deterministic_episode_is_run_once_and_has_no_interval() -> None:
     assert is_one_episode(Blind(), fixed, deterministic=True)
     assert not is_one_episode(Blind(), fixed, deterministic=False)
     assert not is_one_episode(Blind(), scattered, deterministic=True)
+    failing = {"failures": {"at": {0: 3}}}
+    assert is_one_episode(Blind(), failing, deterministic=True)
+    failing["failures"]["rate"] = 0.1
+    assert not is_one_episode(Blind(), failing, deterministic=True)
     assert not is_one_episode(RandomPolicy(), fixed, deterministic=True)
     assert is_one_episode(make_classical("greedy", SQUARE, {}), fixed, deterministic=False)
 

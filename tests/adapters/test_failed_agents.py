@@ -1,0 +1,83 @@
+"""Robots that fail, as agents of PettingZoo: kept, or terminated and gone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from supersuit import black_death_v3
+
+from mbn_marl import navigation_v0, parallel_env
+from mbn_marl.errors import ActionError, ConfigError
+
+FAILING = {"field": "field_03", "failures": {"at": {1: 2}}}
+
+
+def step_all(env, agents):
+    return env.step(dict.fromkeys(agents, (0.5, 0.5)))
+
+
+def test_they_are_kept():
+    env = parallel_env(**FAILING)
+    env.reset()
+    for step in range(1, 4):
+        _, rewards, terminated, _, infos = step_all(env, env.possible_agents)
+        assert env.agents == env.possible_agents and not any(terminated.values())
+        assert [info["failed"] for info in infos.values()] == [0.0, float(step > 1), 0.0]
+    assert rewards["robot_1"] == 0.0
+
+
+def test_they_are_terminated_and_gone():
+    env = parallel_env(**FAILING, failed_agents="terminate")
+    kept = parallel_env(**FAILING)
+    first = env.reset()[0], kept.reset()[0]
+    assert all(np.array_equal(first[0][agent], first[1][agent]) for agent in env.agents)
+    for step in range(1, 4):
+        asked, working = list(env.agents), ["robot_0", "robot_2"]
+        assert asked == (env.possible_agents if step < 3 else working)
+        ours, theirs = step_all(env, asked), step_all(kept, kept.agents)
+        for mine, full in zip(ours, theirs, strict=True):
+            assert list(mine) == asked
+            for agent in working:
+                assert np.array_equal(mine[agent], full[agent])
+        assert [agent for agent in asked if ours[2][agent]] == ["robot_1"] * (step == 2)
+    with pytest.raises(ActionError, match="'robot_1': unknown agent"):
+        step_all(env, env.possible_agents)
+    assert np.array_equal(env.state(), kept.state())
+    env.reset()
+    assert env.agents == env.possible_agents
+
+
+def test_the_episode_is_over_when_all_have_failed():
+    env = parallel_env("field_03", failures={"rate": 1.0, "most": 3}, failed_agents="terminate")
+    env.reset()
+    assert all(step_all(env, env.agents)[2].values())
+    assert env.agents == [] and env.step({}) == ({}, {}, {}, {}, {})
+
+
+def test_one_after_the_other():
+    env = navigation_v0.env(**FAILING, failed_agents="terminate")
+    env.reset()
+    acted = []
+    for agent in env.agent_iter(10):
+        dead = env.terminations[agent]
+        acted.append((agent, dead))
+        env.step(None if dead else np.zeros(2))
+    names = ("robot_0", "robot_1", "robot_2")
+    alive = [(name, False) for name in names]
+    rest = [alive[0], alive[2], alive[0]]
+    assert acted == [*alive, *alive, ("robot_1", True), *rest]
+
+
+def test_black_death_keeps_the_agents():
+    env = black_death_v3(parallel_env(**FAILING, failed_agents="terminate"))
+    env.reset()
+    for _ in range(3):
+        observations, rewards, *_ = step_all(env, env.possible_agents)
+    assert set(observations) == set(env.possible_agents)
+    assert not observations["robot_1"].any() and rewards["robot_1"] == 0
+    assert observations["robot_0"].any()
+
+
+def test_an_unknown_way_lists_the_known_ones():
+    with pytest.raises(ConfigError, match="failed_agents: 'drop'; allowed: 'keep', 'terminate'"):
+        parallel_env(failed_agents="drop")
