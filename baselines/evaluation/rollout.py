@@ -107,6 +107,7 @@ def draw_trajectories(episode: Episode, title: str | None = None) -> Figure:
         collision=last.collision,
         wind=last.wind,
         headings=last.headings,
+        failed=last.failed,
         roi_radius=last.roi_radius,
         title=title,
     )

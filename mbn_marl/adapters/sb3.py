@@ -2,7 +2,8 @@
 
 The infos follow Stable-Baselines3's conventions. A row has
 
-- at every step ``TimeLimit.truncated``: the episode ended by ``max_steps`` and nothing else;
+- at every step ``TimeLimit.truncated``: the episode ended by ``max_steps`` and nothing else; with
+  ``failures`` also ``failed``: whether the row's robot, or how many of its robots, have failed;
 - at the end of an episode also ``terminal_observation``, ``is_success``, the metrics, and
   ``episode`` (return ``r``, length ``l``, seconds ``t``) as from ``Monitor``, so that
   ``ep_rew_mean`` and ``success_rate`` are logged without a wrapper.
@@ -160,6 +161,9 @@ class NavigationVecEnv(VecEnv):
             if (ending := terminated | truncated).any():
                 self._close_episodes(infos, ending, truncated & ~terminated, observations)
                 ended |= ending
+        if engine.config.failures is not None:
+            for info, failed in zip(infos, self._by_row(engine.failed).tolist(), strict=True):
+                info["failed"] = failed
         if ended.any():
             observations = engine.reset_worlds(ended)
         dones = np.repeat(ended, self._rows_per_world)

@@ -47,6 +47,7 @@ class NavigationEnv(EnvBase):
     ``("robots", "action")``                       ``(W, n, 2)``    float32  [-1, 1]
     ``("robots", "observation")``                  ``(W, n, obs)``  float32  see the engine
     ``("robots", "reward")`` (in ``"next"``)       ``(W, n, 1)``    D        reward units
+    ``("robots", "mask")``, with ``failures``      ``(W, n)``       bool     robots that work
     ``"state"``, the paper's vector                ``(W, 4n + 1)``  D        see the engine
     ``"team_reward"``, the centralised reward      ``(W, 1)``       D        reward units
     ``("metrics", name)``, name of ``METRICS``     ``(W, 1)``       float32
@@ -54,6 +55,9 @@ class NavigationEnv(EnvBase):
     =============================================  ===============  =======  ==============
 
     - ``"state"`` is ``(W, 5n + 1)``, with headings before the visit code, if a robot has a heading.
+      With ``failures``, n flags of the robots that have failed come right before the visit code.
+    - A robot that has failed is masked from the step on in which it does: its actions do nothing,
+      and but for ``reward_sharing="team"`` its rewards are 0.
     - ``terminated`` is success or collision, ``truncated`` is the step limit, ``done`` is either.
       The robots of a world end together, so these are at the root, as in TorchRL's VMAS
       environments; a loss on the robots' rewards wants them expanded to ``(W, n, 1)``.
@@ -156,6 +160,9 @@ class NavigationEnv(EnvBase):
             torch.float32,
         )
         self.observation_spec = group("observation", observation)
+        if engine.config.failures is not None:
+            mask = Categorical(2, shape=robots, dtype=torch.bool, device=self.device)
+            self.observation_spec[GROUP, "mask"] = mask
         if self._state:
             low, high = engine.state_low, engine.state_high
             self.observation_spec["state"] = self._box(low, high, (*worlds, len(low)), dtype)
@@ -236,6 +243,8 @@ class NavigationEnv(EnvBase):
             ended = tensordict.pop("_reset")
             observations = self.engine.reset_worlds(self._give(ended.reshape(-1)))
             tensordict[GROUP, "observation"] = self._tensor(observations)
+            if self.engine.config.failures is not None:
+                tensordict[GROUP, "mask"] = ~self._tensor(self.engine.failed)
             if self._state:
                 tensordict["state"] = self._tensor(self.engine.state())
             for name in FLAGS:
@@ -292,6 +301,8 @@ class NavigationEnv(EnvBase):
         """Return the tensordict of a step or a reset; the specs' checks are for its readers."""
         worlds = self.batch_size
         robots = {"observation": self._tensor(outcome.observations)}
+        if self.engine.config.failures is not None:
+            robots["mask"] = ~self._tensor(self.engine.failed)
         flags = (outcome.terminated, outcome.truncated, outcome.terminated | outcome.truncated)
         entries: dict[str, Any] = {
             name: flag.unsqueeze(-1) for name, flag in zip(FLAGS, flags, strict=True)

@@ -132,7 +132,7 @@ class Backend(ABC):
             velocities=np.stack([host(now.vx[:, world]), host(now.vy[:, world])], axis=-1),
             visited=(visited & bits) != 0,
             headings=self.headings(world),
-            failed=self.failed(world),
+            failed=self.host(self.failures()[world]),
             trail=host(self.memory.trail[world, : (steps + 1) * n]).reshape(-1, n, 2),
             step=steps,
             team_return=float(now.team_return[world]),
@@ -160,11 +160,12 @@ class Backend(ABC):
         heading, cos, sin = parts
         return np.where((cos != 0) | (sin != 0), heading, none)
 
-    def failed(self, world: int) -> NDArray[np.bool_]:
-        """Which robots of a world have failed, (n,)."""
-        if self.now.failed.ndim == 2:
-            return self.host(self.now.failed[:, world])
-        return np.zeros(self.spec.actions_shape[1], np.bool_)
+    def failures(self) -> Array:
+        """Which robots have failed, (W, n) bool, a fresh array."""
+        worlds, n, _ = self.spec.actions_shape
+        failed: Array = self._empty((worlds, n), self.xp.bool)
+        failed[...] = self.now.failed.T if self.now.failed.ndim == 2 else False
+        return failed
 
     def draw_actions(self) -> Array:
         """The seed's next random actions, a fresh array."""

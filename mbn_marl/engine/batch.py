@@ -363,6 +363,11 @@ class BatchEngine:
         return self._backend.host(self._backend.memory.episode)
 
     @property
+    def failed(self) -> Flags:
+        """Which robots have failed in the present episode of each world, (W, n) bool."""
+        return self._backend.failures()
+
+    @property
     def running(self) -> Flags:
         """Which worlds are in an episode, (W,) bool, a fresh NumPy array.
 

@@ -69,6 +69,7 @@ def trajectory_figure(
     collision: bool = False,
     wind: tuple[float, float] = (0.0, 0.0),
     headings: NDArray[Any] | None = None,
+    failed: NDArray[np.bool_] | None = None,
     roi_radius: float = maps.ROI_RADIUS,
     title: str | None = None,
 ) -> Figure:
@@ -85,6 +86,7 @@ def trajectory_figure(
         wind: ``(v_x, v_y)``, units/step per step; an arrow points that way unless it is 0.
         headings: (n,), radians: where the robots face at the end, NaN for a robot without a
             heading; ``None`` if none has one.
+        failed: (n,) bool, the robots that failed, which get a cross; ``None`` for none.
         roi_radius: rho, units.
         title: above the figure; ``None`` for the name of the field.
 
@@ -96,7 +98,7 @@ def trajectory_figure(
         raise MbnError(f"trails: the shape has to be (steps + 1, robots, 2), not {trails.shape}")
     figure, axes = _canvas(field, field.name if title is None else title)
     maps.draw_field(axes, field, visited=visited, roi_radius=roi_radius)
-    maps.draw_trails(axes, trails, headings)
+    maps.draw_trails(axes, trails, headings, failed)
     handles = [maps.roi_handle()] + ([] if visited is None else [maps.roi_handle(visited=True)])
     handles.append(maps.robot_handle("start", ms=5, mfc=style.WHITE))
     handles.append(maps.robot_handle("end of robot i"))
@@ -124,7 +126,7 @@ def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = 3) -> Fig
     figure, grid = _panels("panels", len(lasts), columns, _PANEL_WIDTH, tall + _TITLES)
     for axes, (title, last) in zip(grid, lasts.items(), strict=True):
         _draw_place(axes, last, f"{title}\n{_long_outcome(last)}", numbered=True)
-        maps.draw_trails(axes, last.trail, last.headings)
+        maps.draw_trails(axes, last.trail, last.headings, last.failed)
         if last.collision:
             maps.mark_collision(axes, last.trail[-1])
     return figure

@@ -106,8 +106,16 @@ def replace_ticks(axes: Axes, field: Field) -> None:
     axes.annotate(text, end, (3, 0), textcoords="offset points", va="center", fontsize=7)
 
 
-def draw_trails(axes: Axes, trails: NDArray[Any], headings: NDArray[Any] | None = None) -> None:
-    """Draw the paths of one episode, (t + 1, n, 2) in units, and the last ``headings``, (n,)."""
+def draw_trails(
+    axes: Axes,
+    trails: NDArray[Any],
+    headings: NDArray[Any] | None = None,
+    failed: NDArray[np.bool_] | None = None,
+) -> None:
+    """Draw the paths of one episode, (t + 1, n, 2) in units.
+
+    At their ends are the last ``headings`` (n,), and crosses where robots have ``failed`` (n,).
+    """
     for index in range(trails.shape[1]):
         colour = style.robot_colour(index)
         x, y = trails[:, index].T
@@ -115,6 +123,9 @@ def draw_trails(axes: Axes, trails: NDArray[Any], headings: NDArray[Any] | None 
         axes.plot(x, y, ".", color=colour, ms=3.6, mew=0, zorder=3)
         axes.plot(x[:1], y[:1], "o", color=colour, mfc=style.WHITE, ms=5, mew=1.3, zorder=3.5)
     draw_robots(axes, trails[-1], headings=headings)
+    if failed is not None and failed.any():
+        look: dict[str, Any] = {"marker": "x", "ls": "none", "color": style.INK}
+        axes.plot(*trails[-1][failed].T, ms=11, mew=1.8, zorder=4.5, **look)
 
 
 def draw_robots(

@@ -59,6 +59,8 @@ class Scene:
                 self._draw_nose(index, centres[index], heading)
         for sprite, centre in zip(self._robots, centres, strict=True):
             _stamp(self._frame, sprite, centre)
+        for centre in centres[snapshot.failed]:
+            self._draw_cross(centre)
         self._write_header(snapshot)
         return self._frame
 
@@ -127,6 +129,13 @@ class Scene:
         colour = style.rgb(style.robot_colour(index))
         pygame.draw.polygon(self._frame, colour, [corner.tolist() for corner in corners])
         pygame.draw.aalines(self._frame, colour, True, [corner.tolist() for corner in corners])
+
+    def _draw_cross(self, centre: NDArray[np.float64]) -> None:
+        """Draw a cross over a robot that has failed."""
+        for way in ((1.0, 1.0), (1.0, -1.0)):
+            arm = np.array(way) * _ROBOT * self._ui
+            ends = (centre - arm).tolist(), (centre + arm).tolist()
+            pygame.draw.line(self._frame, style.rgb(style.INK), *ends, round(2 * self._ui))
 
     def _write_header(self, snapshot: Snapshot) -> None:
         """Write step, return, visited ROIs, and how the episode ended if it has."""

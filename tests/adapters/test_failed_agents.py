@@ -1,12 +1,15 @@
-"""Robots that fail, as agents of PettingZoo: kept, or terminated and gone."""
+"""Robots that fail, in each adapter: kept, or terminated and gone; masked; flagged."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from supersuit import black_death_v3
+from torchrl.envs.utils import check_env_specs
 
 from mbn_marl import navigation_v0, parallel_env
+from mbn_marl.adapters.sb3 import CentralizedVecEnv, SharedPolicyVecEnv
+from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.errors import ActionError, ConfigError
 
 FAILING = {"field": "field_03", "failures": {"at": {1: 2}}}
@@ -81,3 +84,34 @@ def test_black_death_keeps_the_agents():
 def test_an_unknown_way_lists_the_known_ones():
     with pytest.raises(ConfigError, match="failed_agents: 'drop'; allowed: 'keep', 'terminate'"):
         parallel_env(failed_agents="drop")
+
+
+def test_torchrl_masks_them():
+    env = NavigationEnv(num_worlds=2, **FAILING, max_steps=4)
+    check_env_specs(env)
+    data = env.rollout(6, break_when_any_done=False)
+    working = [[True] * 3, [True, False, True]]
+    expected = [working[k] for k in (0, 0, 1, 1, 0, 0)]
+    assert data["robots", "mask"].tolist() == [expected] * 2
+    assert data["next", "robots", "mask"][0].tolist() == [working[k] for k in (0, 1, 1, 1, 0, 1)]
+    rewards = data["next", "robots", "reward"][0, :, :, 0]
+    assert (rewards[[1, 2, 3], 1] == 0).all() and (rewards[:, [0, 2]] != 0).all()
+    assert NavigationEnv("field_03", 2).reset()["robots"].get("mask", None) is None
+
+
+@pytest.mark.parametrize("make", [SharedPolicyVecEnv, CentralizedVecEnv])
+def test_stable_baselines3_flags_them(make):
+    env = make(FAILING["field"], 2, failures=FAILING["failures"], max_steps=3)
+    env.reset()
+    shape = (env.num_envs, *env.action_space.shape)
+    for step in range(1, 5):
+        _, rewards, _, infos = env.step(np.full(shape, 0.5, np.float32))
+        failed = step in (2, 3)
+        flags = [info["failed"] for info in infos]
+        assert flags == ([failed] * 2 if make is CentralizedVecEnv else [False, failed, False] * 2)
+        if make is SharedPolicyVecEnv:
+            assert (rewards[1] == 0) == failed
+    env.close()
+    plain = make(FAILING["field"], 2)
+    plain.reset()
+    assert "failed" not in plain.step(np.zeros(shape, np.float32))[3][0]

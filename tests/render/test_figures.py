@@ -105,6 +105,15 @@ def test_a_point_shows_where_a_robot_faces() -> None:
     assert np.arctan2(*tip[::-1]) == pytest.approx(0.5)
 
 
+def test_a_cross_marks_a_robot_that_has_failed() -> None:
+    crosses = []
+    for failed in (np.zeros(2, bool), np.array([False, True])):
+        figure = figures.trajectory_figure(FIELD, TRAILS, failed=failed)
+        lines = [line for line in figure.axes[0].lines if line.get_marker() == "x"]
+        crosses.append([line.get_xydata().tolist() for line in lines])
+    assert crosses == [[], [TRAILS[-1:, 1].tolist()]]
+
+
 def test_visited_rois_differ_in_colour_and_in_shape() -> None:
     figure = figures.trajectory_figure(FIELD, TRAILS, visited=np.array([True, False]))
     markers = {

@@ -52,6 +52,17 @@ def test_a_point_shows_where_a_robot_faces_with_y_up(heading: float) -> None:
     assert np.arctan2(-row, column) == pytest.approx(heading, abs=0.15)
 
 
+def test_a_cross_marks_a_robot_that_has_failed() -> None:
+    alone = {"roi_radius": 0.0, "safety_distance": 0.0}
+    works, failed = (
+        draw(snapshot([(200.0, 200.0)], failed=np.array([flag]), **alone)) for flag in (False, True)
+    )
+    disc, changed = where(works, style.robot_colour(0)), np.nonzero((works != failed).any(axis=2))
+    for inside, cross in zip(disc, changed, strict=True):
+        assert cross.mean() == pytest.approx(inside.mean(), abs=1.0)
+        assert np.ptp(cross) == pytest.approx(np.ptp(inside), abs=4.0)
+
+
 def test_the_field_fills_the_picture_below_the_header() -> None:
     rows, columns = where(draw(snapshot()), style.GROUND)
     assert 40 < rows.min() < 60 and 370 < rows.max() < 400

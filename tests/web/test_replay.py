@@ -112,6 +112,18 @@ def test_the_scrub_bar_moves_the_robots(page: Chromium) -> None:
 
 
 @needs_browser
+def test_a_robot_that_has_failed_gets_a_cross(browser: Chromium, tmp_path: Path) -> None:
+    path = tmp_path / "one.html"
+    failed = np.array([0, 4], np.int32)
+    path.write_text(replay_page([replace(SHORT, failed=failed)]), encoding="utf-8")
+    browser.open(path)
+    crossed = "[...document.querySelectorAll('.robot.failed')].map(one => one.dataset.robot)"
+    for step, expected in ((3, []), (4, ["1"]), (6, ["1"]), (0, [])):
+        scrub(browser, step)
+        assert browser.run(crossed) == expected
+
+
+@needs_browser
 def test_robots_with_a_heading_show_it(browser: Chromium, tmp_path: Path) -> None:
     headings = np.stack([np.linspace(0.0, -1.5, 7), np.full(7, np.nan)], axis=1)
     path = tmp_path / "one.html"

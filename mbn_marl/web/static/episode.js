@@ -37,6 +37,7 @@ class Episode {
       outcome: file.outcome,
       wind: file.wind,
       visits: file.visits,
+      failures: file.failed ?? [],
       roiRadius: file.config.roi_radius,
       safetyDistance: file.config.safety_distance,
     });
@@ -87,6 +88,11 @@ class Episode {
 
   isVisited(roi, time) {
     return this.visits[roi] !== null && this.visits[roi] <= time;
+  }
+
+  hasFailed(robot, time) {
+    const step = this.failures[robot] ?? null;
+    return step !== null && step <= time;
   }
 
   visitedCount(time) {

@@ -3,6 +3,7 @@
 
 const BORDER = 0.05; // round the field, as a share of its larger side
 const ROBOT = 9; // pixels
+const CROSS = `M${-ROBOT} ${-ROBOT}L${ROBOT} ${ROBOT}M${-ROBOT} ${ROBOT}L${ROBOT} ${-ROBOT}`;
 const MARKER = 6; // of an ROI, pixels
 const DOTTED = 150; // trails of episodes up to this many steps have a dot at every step
 
@@ -46,6 +47,7 @@ class Stage {
       body.setAttribute("transform", `translate(${x} ${y})`);
       const turn = (-180 / Math.PI) * episode.heading(robot, time);
       if (!Number.isNaN(turn)) this.noses[robot].setAttribute("transform", `rotate(${turn})`);
+      body.classList.toggle("failed", episode.hasFailed(robot, time));
       const [fromX, fromY] = this.#seen(...episode.position(robot, step));
       fill(this.tips[robot], { x1: fromX, y1: fromY, x2: x, y2: y }, []);
     });
@@ -119,6 +121,7 @@ class Stage {
       this.noses[index],
       svg("circle", { class: "disc", r: ROBOT, fill: colour }),
       svg("text", { fill: `var(--ink-on-robot-${index % this.colours})` }, `${index}`),
+      svg("path", { class: "cross", d: CROSS }),
     );
     const safety = svg("circle", {
       class: "safety",
