@@ -140,7 +140,8 @@ def write_observations(p, g, mem, ep, w, is_world, tile, rows):
     count = min(threads, rows.shape[0] - first)
     for i in range(rows.shape[1]):
         if is_world:
-            describe(p, g, mem, ep, w, w + ONE, i, tile[:, thread : thread + 1])
+            mine = tile[:, thread : thread + 1]
+            describe(p, g, mem.key, mem.seen, g.rays, ep, w, w + ONE, i, mine)
         cuda.syncthreads()
         world, entry = thread // size, thread % size
         while world < count:
@@ -199,7 +200,10 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
                 change = close_step(p, memory, given, ZERO)
             if change == ENDED | RESTARTS:
                 for i in range(n):
-                    describe(p, own, memory, one, ZERO, ONE, i, mine)
+                    describe(
+                        *(p, own, memory.key, memory.seen, own.rays, one),
+                        *(ZERO, ONE, i, mine),
+                    )
                     for entry in range(obs_size):
                         given.final_observations[0, i, entry] = mine[entry, 0]
             copy_motion(one, ZERO, now, w, n, 0)

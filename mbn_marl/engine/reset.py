@@ -111,7 +111,8 @@ def reset_world(p, g, mem, now, w):
     now.team_return[w] = 0.0
     now.visited[w] = all_visited(g.rois.shape[1]) & ~g.codes[f]
     now.steps[w] = 0
-    begin_disturbances(p, mem, now, w)
+    seed, episode = mem.seed[0], mem.episode[w]
+    begin_disturbances(p, mem.key, now.gust, now.queue, seed, episode, w)
     mem.words[w] = np.uint64(
         LEAST_WORDS if p.rules == RELEASED else mem.filter.shape[1] - ODD_LINES
     )

@@ -173,11 +173,11 @@ def hash_positions(mem, now, out, to, i, lo, hi):
 
 
 @compiled
-def pass_time(p, mem, now, lo, hi):
+def pass_time(p, keys, gust, steps, lo, hi):
     """The robots have moved: the step counts, and the gust changes."""
     for w in range(lo, hi):
-        now.steps[w] += 1
-    change_gust(p, mem.key, now.gust, now.steps, lo, hi)
+        steps[w] += 1
+    change_gust(p, keys, gust, steps, lo, hi)
 
 
 @compiled
@@ -326,7 +326,7 @@ def move_robots(p, g, mem, failed, now, out, to, actions, lo, hi):
         record_positions(mem, now, lo, hi)
         for i in range(now.x.shape[0]):
             hash_positions(mem, now, out, to, i, lo, hi)
-    pass_time(p, mem, now, lo, hi)
+    pass_time(p, mem.key, now.gust, now.steps, lo, hi)
 
 
 @compiled

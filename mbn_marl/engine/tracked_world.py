@@ -157,7 +157,7 @@ def take_positions(store, positions, velocities, allowed):
         step.record_positions(mem, now, LO, HI)
         for i in range(n):
             step.hash_positions(mem, now, out, to, i, LO, HI)
-    step.pass_time(p, mem, now, LO, HI)
+    step.pass_time(p, mem.key, now.gust, now.steps, LO, HI)
     observe(p, g, mem, now, LO, HI, to.tile, out.observations)
     step.score_step(p, g, mem, now.failed, now, out, to, LO, HI)
     return step.autoreset(p, g, mem, now, final, out, to, LO, HI)

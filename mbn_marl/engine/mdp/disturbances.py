@@ -125,9 +125,9 @@ def begin_queue(p, queue, w):
 
 
 @compiled
-def begin_disturbances(p, mem, now, w):
-    """Begin the episode of world w: the key of its random numbers, and what they disturb first."""
-    if mem.key.shape[0] > 0:
-        mem.key[w] = episode_key(mem.seed[0], world_number(p, w), mem.episode[w])
-    begin_gust(p, mem.key, now.gust, w)
-    begin_queue(p, now.queue, w)
+def begin_disturbances(p, keys, gust, queue, seed, episode, w):
+    """Begin an episode of world w: the key of its random numbers, and what they disturb first."""
+    if keys.shape[0] > 0:
+        keys[w] = episode_key(seed, world_number(p, w), episode)
+    begin_gust(p, keys, gust, w)
+    begin_queue(p, queue, w)

@@ -329,43 +329,27 @@ def put_walls(p, g, rays, ep, lo, hi, i, tile, k):
 
 
 @compiled
-def put_things(p, g, seen, rays, ep, lo, hi, i, tile):
-    """The entries about robots and ROIs, which ``g`` and ``ep`` have as robot i sees them.
+def describe(p, g, keys, seen, rays, ep, lo, hi, i, tile):
+    """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side.
 
-    The first condition is one on a type: the code of lidar, which takes seconds to compile, is only
-    compiled for those who use it, and without the others'.
+    ``keys`` and ``seen`` are those of the memory, ``rays`` are those of ``g``. Conditions on their
+    types leave the code of noise and of lidar, which takes seconds to compile, to those who use it.
     """
-    if rays.ndim == 2:
-        k = put_lidar(p, g, seen, rays, ep, lo, hi, i, tile)
-    elif p.observation == STATE:
-        k = put_own_state(p, g, seen, ep, lo, hi, i, tile)
-    else:
-        k = put_relative(p, g, seen, ep, lo, hi, i, tile)
-    return k
-
-
-@compiled
-def put_all(p, g, mem, seen, rays, ep, lo, hi, i, tile):
-    """All entries; ``seen`` and ``rays``, whose types are asked, are those of ``mem`` and ``g``."""
-    n, m = ep.x.shape[0], g.roi_bits.shape[0]
+    n, places, robots = ep.x.shape[0], g, ep
     if seen.ndim == 2:
-        look(p, g, mem, seen, ep, lo, hi, i)
-        robots, places = seen_robots(seen, ep, m), seen_places(seen, g, n)
-        k = put_things(p, places, seen, rays, robots, lo, hi, i, tile)
-    else:
-        k = put_things(p, g, seen, rays, ep, lo, hi, i, tile)
+        look(p, g, keys, seen, ep, lo, hi, i)
+        places, robots = seen_places(seen, g, n), seen_robots(seen, ep, g.roi_bits.shape[0])
     if rays.ndim == 2:
+        k = put_lidar(p, places, seen, rays, robots, lo, hi, i, tile)
         k = put_walls(p, g, rays, ep, lo, hi, i, tile, k)
+    elif p.observation == STATE:
+        k = put_own_state(p, places, seen, robots, lo, hi, i, tile)
+    else:
+        k = put_relative(p, places, seen, robots, lo, hi, i, tile)
     if p.one_hot:
         for j in range(n):
             for w in range(lo, hi):
                 tile[k + j, w - lo] = p.one if i == j else p.zero
-
-
-@compiled
-def describe(p, g, mem, ep, lo, hi, i, tile):
-    """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side."""
-    put_all(p, g, mem, mem.seen, g.rays, ep, lo, hi, i, tile)
 
 
 @compiled
@@ -394,6 +378,7 @@ def observe(p, g, mem, ep, lo, hi, tile, rows):
     They are made entry by entry in ``tile`` (size, at least hi - lo), where worlds lie side by
     side, and then turned over: faster than writing each entry to its far-apart places at once.
     """
+    keys, seen, rays = mem.key, mem.seen, g.rays
     for i in range(ep.x.shape[0]):
-        describe(p, g, mem, ep, lo, hi, i, tile)
+        describe(p, g, keys, seen, rays, ep, lo, hi, i, tile)
         turn_over(tile, lo, hi, np.uint64(i), rows)

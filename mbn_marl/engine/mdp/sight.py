@@ -87,12 +87,12 @@ def blurred(key, counter, value, noise, low, high):
 
 
 @compiled
-def look(p, g, mem, seen, ep, lo, hi, i):
+def look(p, g, keys, seen, ep, lo, hi, i):
     """Write what robot i sees in each world of a block to ``seen``."""
     n, m = ep.x.shape[0], g.roi_bits.shape[0]
     for j in range(n):
         for w in range(lo, hi):
-            key = stream_of(mem.key[w], FOR_SIGHT)
+            key = stream_of(keys[w], FOR_SIGHT)
             counter = draws_of(ep.steps[w], i, np.uint64(j))
             lost = (uniform(key, counter) < p.dropout) & (i != j)
             sd, top = p.position_noise, p.top_speed
@@ -108,7 +108,7 @@ def look(p, g, mem, seen, ep, lo, hi, i):
     for j in range(m):
         for w in range(lo, hi):
             f = column(g, w)
-            key = stream_of(mem.key[w], FOR_SIGHT)
+            key = stream_of(keys[w], FOR_SIGHT)
             counter = draws_of(ep.steps[w], i, MOST_ROBOTS + np.uint64(j))
             lost, sd = uniform(key, counter) < p.dropout, p.position_noise
             x = blurred(key, counter + ONE, g.rois[0, j, f], sd, p.zero, p.arena_x)
