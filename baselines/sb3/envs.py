@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,10 +64,10 @@ class ShrinkingRois(VecEnvWrapper):
     """
 
     def __init__(
-        self, make: Callable[[float], VecEnv], curriculum: RoiCurriculum, every: int = 1
+        self, make: Callable[[RoiCurriculum], VecEnv], curriculum: RoiCurriculum, every: int = 1
     ) -> None:
         self._make, self.curriculum, self.every, self._steps = make, curriculum, every, 0
-        super().__init__(make(curriculum.radius))
+        super().__init__(make(curriculum))
 
     def reset(self) -> VecEnvObs:
         """Reset the worlds."""
@@ -87,7 +88,7 @@ class ShrinkingRois(VecEnvWrapper):
 
     def begin(self, curriculum: RoiCurriculum) -> VecEnvObs:
         """Begin new episodes with ROIs of the size that ``curriculum`` says."""
-        self.curriculum, self.venv = curriculum, self._make(curriculum.radius)
+        self.curriculum, self.venv = curriculum, self._make(curriculum)
         return self.venv.reset()
 
 
@@ -104,17 +105,17 @@ class TeamReturn(BaseParallelWrapper):  # type: ignore[misc]  # the library ship
         return result
 
 
-def engine_rows(task: Task, hyperparameters: SB3Config, radius: float) -> VecEnv:
+def engine_rows(task: Task, hyperparameters: SB3Config, curriculum: RoiCurriculum) -> VecEnv:
     """All worlds in one batch: a row for each, or row ``w * n + i`` for robot i of world w."""
     how: dict[str, Any] = {"seed": task.config.seed, "threads": 1}
-    how |= hyperparameters.in_training(task.settings, radius)
+    how |= hyperparameters.in_training(task, curriculum, hyperparameters.num_envs)
     if task.config.algorithm == "ppo-shared":
-        return SharedPolicyVecEnv(task.field, hyperparameters.num_envs, **how)
+        return SharedPolicyVecEnv(num_worlds=hyperparameters.num_envs, **how)
     how["joint_observation"] = hyperparameters.joint_observation
-    return CentralizedVecEnv(task.field, hyperparameters.num_envs, **how)
+    return CentralizedVecEnv(num_envs=hyperparameters.num_envs, **how)
 
 
-def supersuit_rows(task: Task, hyperparameters: SB3Config, _: float) -> VecEnv:
+def supersuit_rows(task: Task, hyperparameters: SB3Config, _: RoiCurriculum) -> VecEnv:
     """The rows of :func:`engine_rows` from copies of one PettingZoo environment, stepped in turn.
 
     SuperSuit cannot seed them, so the one is seeded before it is copied: with ``random_starts``
@@ -135,16 +136,17 @@ def make_env(task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) ->
     """The worlds of training, as the learner sees them."""
     rows = supersuit_rows if task.config.algorithm == "ppo-supersuit" else engine_rows
 
-    def make(radius: float) -> VecEnv:
-        worlds = rows(task, hyperparameters, radius)
+    def make(curriculum: RoiCurriculum) -> VecEnv:
+        worlds = rows(task, hyperparameters, curriculum)
         stride = worlds.num_envs // hyperparameters.num_envs
         return LearnersView(worlds, hyperparameters.reward_scale, episodes, stride)
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The `render_mode` attribute")  # SuperSuit hides it
-        env = make(1.0)
+        first = hyperparameters.curriculum(window=hyperparameters.num_envs)
+        env = make(first)
         if hyperparameters.roi_radius > 1.0:
-            env = ShrinkingRois(make, hyperparameters.curriculum(window=env.num_envs))
+            env = ShrinkingRois(make, replace(first, window=env.num_envs))
         normalized = hyperparameters.normalize_observation
         return VecNormalize(env, norm_reward=False) if normalized else env
 

@@ -103,17 +103,16 @@ class Trainer:
 
     def _make_env(self) -> NavigationEnv:
         """Return worlds at the start of their episodes, with ROIs of the current size."""
-        config = self.task.config
+        config, worlds = self.task.config, self.config.num_worlds
         return NavigationEnv(
-            self.task.field,
-            self.config.num_worlds,
+            num_worlds=worlds,
             seed=config.seed,
             device=config.device,
             threads=1,
             state=False,
             team_reward=self.config.actor == "centralized",
             metrics=("success", "episode_return"),
-            **self.config.in_training(self.task.settings, self.curriculum.radius),
+            **self.config.in_training(self.task, self.curriculum, worlds),
         )
 
     def _collect_from(self, env: NavigationEnv) -> None:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import Field
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+from shapely import Point
 
+from baselines.training.config import Task
 from baselines.training.hyperparameters import Hyperparameters
 from mbn_marl.config import make_config
+from mbn_marl.field import Field
+from mbn_marl.field.limits import SAFETY_DISTANCE
 
-Count = Annotated[int, Field(ge=1)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Count = Annotated[int, pydantic.Field(ge=1)]
+Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
+Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
 
 
 class TrainingAids(Hyperparameters):
@@ -26,16 +32,20 @@ class TrainingAids(Hyperparameters):
         roi_radius: how many times as large ROIs are at first in training, 1 for no curriculum.
         roi_stages: the stages from there to the true size; each begins with new episodes.
         roi_success: ``bounds`` of :class:`RoiCurriculum`.
+        scattered: the share of the worlds whose robots start anywhere in the field, elsewhere at
+            every stage, until ROIs have their true size. A start beside an ROI visits it while it
+            is large: a team that always starts there would not learn to go to it.
         episode_steps: training episodes are truncated after so many env-steps, if not before;
             evaluations are not.
     """
 
     reward_scale: Positive = 1.0
     action_repeat: tuple[Count, Count] = (1, 1)
-    action_repeat_until: Annotated[float, Field(gt=0.0, le=1.0)] = 0.4
-    roi_radius: Annotated[float, Field(ge=1.0, allow_inf_nan=False)] = 1.0
+    action_repeat_until: Annotated[float, pydantic.Field(gt=0.0, le=1.0)] = 0.4
+    roi_radius: Annotated[float, pydantic.Field(ge=1.0, allow_inf_nan=False)] = 1.0
     roi_stages: Count = 10
     roi_success: tuple[Share, Share] = (0.4, 0.8)
+    scattered: Share = 0.0
     episode_steps: Count | None = None
 
     def repeat_at(self, progress: float) -> int:
@@ -54,11 +64,36 @@ class TrainingAids(Hyperparameters):
         """A curriculum at its beginning, which judges by ``window`` episodes."""
         return RoiCurriculum(self.roi_radius, self.roi_stages, self.roi_success, window)
 
-    def in_training(self, settings: Mapping[str, Any], radius: float) -> dict[str, Any]:
-        """The environment's ``settings`` in training, with ROIs ``radius`` times as large."""
-        true = make_config(settings)
+    def in_training(self, task: Task, curriculum: RoiCurriculum, worlds: int) -> dict[str, Any]:
+        """The environment's arguments in training: ``field``, one for all worlds or one each."""
+        true, radius = make_config(task.settings), curriculum.radius
         longest = min(true.max_steps, self.episode_steps or true.max_steps)
-        return {**settings, "roi_radius": true.roi_radius * radius, "max_steps": longest}
+        settings = {"roi_radius": true.roi_radius * radius, "max_steps": longest}
+        fields: Field | list[Field] = task.field
+        count = round(self.scattered * worlds) if radius > 1.0 and not true.random_starts else 0
+        if count:
+            apart = max(true.safety_distance, SAFETY_DISTANCE)
+            rng = np.random.default_rng((task.config.seed, curriculum.stage))
+            others = [with_other_starts(task.field, apart, rng) for _ in range(count)]
+            fields = [task.field] * (worlds - count) + others
+        return {"field": fields, **task.settings, **settings}
+
+
+DRAWS = 1000
+"""Points that are tried for the starts of a field; if they are too few it keeps its own."""
+
+
+def with_other_starts(field: Field, apart: float, rng: np.random.Generator) -> Field:
+    """Return the field with as many starts anywhere in it, at least ``apart`` units apart."""
+    starts: list[NDArray[np.float64]] = []
+    for point in rng.uniform(field.vertices.min(0), field.vertices.max(0), (DRAWS, 2)):
+        clear = all(np.hypot(*(point - start)) >= apart for start in starts)
+        if clear and field.polygon.covers(Point(point)):
+            starts.append(point)
+        if len(starts) == len(field.starts):
+            others = np.array(starts)
+            return Field(field.vertices, field.rois, others, field.holes, arena=field.arena)
+    return field
 
 
 def between(ends: tuple[float, float], share: float) -> float:

@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from baselines.evaluation.evaluate import evaluate
 from baselines.evaluation.policy import load_policy
 from baselines.sb3.config import load
-from baselines.sb3.envs import ShrinkingRois
+from baselines.sb3.envs import ShrinkingRois, engines, make_env
 from baselines.sb3.learner import Learner
 from baselines.training import run_logger
 from baselines.training.aids import RoiCurriculum
@@ -48,8 +48,8 @@ def config_of(name: str, **changes: Any) -> TrainConfig:
 def test_a_change_of_size_truncates_the_episodes_that_run(kind: type[NavigationVecEnv]) -> None:
     made: list[NavigationVecEnv] = []
 
-    def make(radius: float) -> VecEnv:
-        made.append(kind("field_03", WORLDS, roi_radius=10.0 * radius, **LIVELY))
+    def make(curriculum: RoiCurriculum) -> VecEnv:
+        made.append(kind("field_03", WORLDS, roi_radius=10.0 * curriculum.radius, **LIVELY))
         return made[-1]
 
     plain = kind("field_03", WORLDS, roi_radius=40.0, **LIVELY)
@@ -65,7 +65,7 @@ def test_a_change_of_size_truncates_the_episodes_that_run(kind: type[NavigationV
         np.testing.assert_array_equal(rewards, expected)
     assert [one.engine.config.roi_radius for one in made] == [40.0, 20.0]
     assert env.unwrapped is made[1] and curriculum.radius == 2.0
-    np.testing.assert_array_equal(observations, make(2.0).reset())
+    np.testing.assert_array_equal(observations, make(curriculum).reset())
     assert dones.all() and 0 < ended.sum() < len(ended)
     for row, info in enumerate(infos):
         if ended[row]:  # by itself: what it was is left
@@ -95,6 +95,15 @@ def test_decisions_become_shorter_and_rois_smaller_over_the_budget(
     assert [float(row["roi_radius"]) for row in rows] == [4.0, 2.0, 2.0, 2.0, 1.0, 1.0]
     assert run.config["environment"]["roi_radius"] == 10.0
     assert min(run.evaluation["deterministic"]["per_episode"]["steps"]) > 24
+
+
+@pytest.mark.parametrize("name", ["ppo", "ppo-shared"])
+def test_robots_are_scattered_in_a_share_of_the_worlds(name: str) -> None:
+    config = config_of(name, scattered=0.25)
+    task, hyperparameters = prepare(config)
+    env = make_env(task, hyperparameters, EpisodeWindow())
+    (engine,) = engines(env)
+    assert engine.fields[:3] == (task.field,) * 3 and engine.fields[3] != task.field
 
 
 @pytest.mark.parametrize(("name", "stride"), [("ppo", 1), ("ppo-shared", 3)])

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import pytest
 
-from baselines.training.aids import RoiCurriculum, TrainingAids, between
+from baselines.training.aids import RoiCurriculum, TrainingAids, between, with_other_starts
+from baselines.training.config import Task, TrainConfig
+from mbn_marl.field import load_field
+
+FIELD = load_field("field_02")
 
 
 def test_numbers_are_interpolated_and_do_not_leave_their_ends() -> None:
@@ -26,12 +33,43 @@ def test_a_budget_is_rounded_up_to_rollouts_that_become_shorter() -> None:
     assert TrainingAids(action_repeat=(3, 3)).rounded_up(100, 10) == 120
 
 
+def task_of(**settings: Any) -> Task:
+    return Task(TrainConfig("mappo", "field_02", seed=3), FIELD, settings)
+
+
 def test_a_training_without_aids_has_the_environments_own_settings() -> None:
-    settings = {"max_steps": 300, "roi_radius": 8.0, "one_hot": True}
-    assert TrainingAids().in_training(settings, 1.0) == settings
-    shorter = TrainingAids(episode_steps=256).in_training(settings, 2.5)
-    assert shorter == {"max_steps": 256, "roi_radius": 20.0, "one_hot": True}
-    assert TrainingAids(episode_steps=500).in_training(settings, 1.0) == settings
+    task = task_of(max_steps=300, roi_radius=8.0, one_hot=True)
+    own = {"field": FIELD, "max_steps": 300, "roi_radius": 8.0, "one_hot": True}
+    small, large = (RoiCurriculum(first, 2, (0.4, 0.8), 4) for first in (1.0, 2.5))
+    assert TrainingAids().in_training(task, small, 4) == own
+    shorter = TrainingAids(episode_steps=256).in_training(task, large, 4)
+    assert shorter == {**own, "max_steps": 256, "roi_radius": 20.0}
+    assert TrainingAids(episode_steps=500, scattered=0.5).in_training(task, small, 4) == own
+
+
+def test_robots_are_scattered_until_rois_have_their_true_size() -> None:
+    aids, curriculum = TrainingAids(scattered=0.25), RoiCurriculum(4.0, 2, (0.4, 0.8), 4)
+    task = task_of(safety_distance=30.0)
+    fields = aids.in_training(task, curriculum, 8)["field"]
+    assert fields == aids.in_training(task, curriculum, 8)["field"]
+    assert fields[:6] == [FIELD] * 6 and FIELD not in fields[6:] and fields[6] != fields[7]
+    for one in fields[6:]:
+        gaps = np.linalg.norm(one.starts[:, None] - one.starts, axis=-1)
+        assert gaps[np.triu_indices(len(gaps), 1)].min() >= 30.0
+        assert one.starts.shape == FIELD.starts.shape
+        assert (one.rois == FIELD.rois).all() and (one.edges == FIELD.edges).all()
+    curriculum.stage = 1
+    assert aids.in_training(task, curriculum, 8)["field"][6:] != fields[6:]
+    curriculum.stage = 2
+    assert aids.in_training(task, curriculum, 8)["field"] == FIELD
+    moving = task_of(random_starts=True)
+    curriculum.stage = 0
+    assert aids.in_training(moving, curriculum, 8)["field"] == FIELD
+
+
+def test_a_crowded_field_keeps_its_starts() -> None:
+    rng = np.random.default_rng(0)
+    assert with_other_starts(FIELD, 500.0, rng) is FIELD
 
 
 def test_rois_shrink_when_the_team_succeeds_and_grow_when_it_fails() -> None:

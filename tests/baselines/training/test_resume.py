@@ -35,7 +35,10 @@ from tests.support.runs import interrupted, recorded, same_policies
 SMALL = {"policy_kwargs": {"net_arch": [8]}}
 REPLAY = {**SMALL, "learning_starts": 100, "batch_size": 16, "buffer_size": 150}
 """The buffer is full and the warm-up is over when the run is interrupted."""
-AIDS = {"roi_radius": 4.0, "action_repeat": [2, 1], "action_repeat_until": 0.5}
+AIDS = {
+    **{"roi_radius": 4.0, "scattered": 0.5},
+    **{"action_repeat": [2, 1], "action_repeat_until": 0.5},
+}
 AIDED = ("trpo", "ppo-shared")
 """Those of Stable-Baselines3 with aids; ROIs shrink before and after the interruption."""
 MODELS: dict[str, dict[str, Any]] = {
