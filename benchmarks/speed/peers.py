@@ -18,6 +18,8 @@ from mbn_marl import load_field
 
 ROOT = Path(__file__).parents[2]
 ROBOTS = 3
+PARTS = ("disturbances", "scores", "vehicles", "wall_senses")
+"""The modules that the oracle imports."""
 VMAS_WORLDS = (1024, 4096, 16_384, 65_536)
 
 
@@ -42,7 +44,7 @@ def plain_case() -> Case:
 
 def oracle_module() -> Any:
     """Import the oracle by the place of its file, whatever else is called ``tests``."""
-    for name in ("vehicles", "wall_senses", "oracle"):  # the last imports the others
+    for name in (*PARTS, "oracle"):  # which imports the others
         full = f"tests.support.{name}"
         if full not in sys.modules:
             spec = importlib.util.spec_from_file_location(full, ROOT / f"tests/support/{name}.py")

@@ -166,5 +166,6 @@ def test_metrics_by_hand() -> None:
         "wall_hits": [1],
         "path_length": [1.0],
         "impulse": [1.0],  # |0.5 - 0.5 - 0.5 - 0.5|
+        "failed": [False],
         "return_": [-220.0],
     }
