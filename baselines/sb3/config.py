@@ -60,7 +60,8 @@ the run says so. Any other name that the library's class does not take is an err
 
 OFFERED: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(
-        ("action_repeat", "roi_radius", "episode_steps"), ("a2c", "ppo", "trpo", "ppo-shared")
+        ("action_repeat", "roi_radius", "scattered", "episode_steps"),
+        ("a2c", "ppo", "trpo", "ppo-shared"),
     ),
     "joint_observation": ("a2c", "ppo", "trpo", "ars", "crossq", "tqc"),
 }

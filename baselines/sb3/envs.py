@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -143,10 +142,9 @@ def make_env(task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) ->
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The `render_mode` attribute")  # SuperSuit hides it
-        first = hyperparameters.curriculum(window=hyperparameters.num_envs)
-        env = make(first)
-        if hyperparameters.roi_radius > 1.0:
-            env = ShrinkingRois(make, replace(first, window=env.num_envs))
+        curriculum = hyperparameters.curriculum(window=hyperparameters.num_envs)
+        env = ShrinkingRois(make, curriculum) if curriculum.radius > 1.0 else make(curriculum)
+        curriculum.window = env.num_envs  # it counts rows
         normalized = hyperparameters.normalize_observation
         return VecNormalize(env, norm_reward=False) if normalized else env
 

@@ -27,6 +27,7 @@ from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
 from baselines.training.search import LastLayerSearch
 from mbn_marl.adapters.torchrl import NavigationEnv
+from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 
 NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
@@ -46,9 +47,10 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     Raises:
         ConfigError: they do not.
     """
-    if hyperparameters.search_generations and task.settings.get("random_starts"):
-        wrong = f"search_generations: {hyperparameters.search_generations}"
-        raise ConfigError("training", [f"{wrong}; allowed with random_starts: 0"])
+    generations = hyperparameters.search_generations
+    if generations and make_config(task.settings).is_random:
+        allowed = "allowed where starts, failures or disturbances are by chance: 0"
+        raise ConfigError("training", [f"search_generations: {generations}; {allowed}"])
 
 
 def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
@@ -164,6 +166,7 @@ class Trainer:
                 self.recorder.save_checkpoint(env_steps, policy, save)
         if config.search_generations:
             settings, seed = self.task.settings, self.task.config.seed
+            self.network.cpu()  # where the search and its worlds are
             search = LastLayerSearch(self.network, self.task.field, settings, seed)
             search.run(config.search_generations)
             env_steps += search.env_steps

@@ -95,7 +95,7 @@ class LastLayerSearch:
             returns = np.where(trial.success, trial.returns, -np.inf)
             faster = returns.max() > best
             kept = int(returns.argmax() if faster else trial.missing.argmin())
-            if not faster and trial.missing[kept] > missing:
+            if not (faster or trial.missing[kept] < missing):
                 continue
             one = [part[:, kept : kept + 1].expand_as(part) for part in changed]
             if self._play(one, longest, sampled=True).returns.mean() < earned:

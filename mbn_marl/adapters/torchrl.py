@@ -57,7 +57,7 @@ class NavigationEnv(EnvBase):
     - ``"state"`` is ``(W, 5n + 1)``, with headings before the visit code, if a robot has a heading.
       With ``failures``, n flags of the robots that have failed come right before the visit code.
     - A robot that has failed is masked from the step on in which it does: its actions do nothing,
-      and but for ``reward_sharing="team"`` its rewards are 0.
+      and but for ``reward_sharing="team"`` its rewards are 0 as long as another one works.
     - ``terminated`` is success or collision, ``truncated`` is the step limit, ``done`` is either.
       The robots of a world end together, so these are at the root, as in TorchRL's VMAS
       environments; a loss on the robots' rewards wants them expanded to ``(W, n, 1)``.

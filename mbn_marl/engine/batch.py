@@ -317,7 +317,6 @@ class BatchEngine:
                 "wall_hits": lambda: xp.asarray(columns["wall_hits"], dtype=xp.int32),
                 "path_length": lambda: columns["path_length"],
                 "impulse": lambda: columns["impulse"],
-                "failed": lambda: columns["failed"] != 0,
             }
         return {name: measures[name]() for name in names}
 

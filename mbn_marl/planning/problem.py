@@ -159,7 +159,7 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
 def _disturbed(config: NavigationConfig) -> list[str]:
     """Return which disturbances keep a plan from being carried out."""
     found = {name: getattr(config, name) for name in OF_ROBOTS}
-    why = "allowed: 0; a plan does not hold where chance acts on the robots"
+    why = "allowed: 0; a plan does not hold for robots that are disturbed"
     return [f"{name}: {value}; {why}" for name, value in found.items() if value]
 
 

@@ -51,6 +51,8 @@ class Scene:
         self._prepare(snapshot)
         self._extend_trails(snapshot)
         self._frame.blit(self._canvas, (0, 0))
+        if math.hypot(*snapshot.wind) > style.CALM:
+            self._draw_wind(snapshot.wind)
         for centre, visited in zip(self._roi_pixels, snapshot.visited, strict=True):
             _stamp(self._frame, self._rois[bool(visited)], centre)
         centres = self._view.to_pixels(snapshot.positions)
@@ -67,7 +69,7 @@ class Scene:
     def _prepare(self, snapshot: Snapshot) -> None:
         """Redraw what stays from frame to frame, if any of it differs from the last frame's."""
         field, robots = snapshot.field, len(snapshot.positions)
-        look = (field, snapshot.roi_radius, snapshot.safety_distance, robots, snapshot.wind)
+        look = (field, snapshot.roi_radius, snapshot.safety_distance, robots)
         if look == self._look:
             return
         self._look = look
@@ -77,8 +79,6 @@ class Scene:
         area = (margin, header, width - 2 * margin, height - header - footer)
         self._view = sprites.Viewport.fit(field.vertices, area)
         self._background = sprites.terrain(field, self._view, self.size, 2.0 * self._ui)
-        if math.hypot(*snapshot.wind) > style.CALM:
-            self._draw_wind(snapshot.wind)
         if self._keys:
             font = pygame.font.Font(None, round(_SMALL_FONT * self._ui))
             keys = font.render(self._keys, True, style.rgb(style.INK))
@@ -98,10 +98,10 @@ class Scene:
         """Draw an arrow the way the wind blows, in a ring at the top right, and its speed."""
         radius, gap = _COMPASS * self._ui, 4 * self._ui
         centre = (self.size[0] - radius - gap, radius + gap)
-        _stamp(self._background, sprites.wind_arrow(wind, radius), centre)
+        _stamp(self._frame, sprites.wind_arrow(wind, radius), centre)
         label = self._font.render(f"wind {math.hypot(*wind):.3g}", True, style.rgb(style.WIND))
         end = (round(centre[0] - radius - gap), round(centre[1]))
-        self._background.blit(label, label.get_rect(midright=end))
+        self._frame.blit(label, label.get_rect(midright=end))
 
     def _extend_trails(self, snapshot: Snapshot) -> None:
         """Draw what is new of the trails, or all if this is not the last frame's episode."""

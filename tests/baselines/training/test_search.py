@@ -14,7 +14,7 @@ import torch
 from baselines.evaluation.evaluate import Evaluation, evaluate
 from baselines.evaluation.policy import load_policy
 from baselines.torchrl.networks import Actor, GaussianPolicy, Sharing, TeamShape
-from baselines.training.search import WORLDS, LastLayerSearch, Trial
+from baselines.training.search import PATIENCE, WORLDS, LastLayerSearch, Trial
 from baselines.training.train import train
 from baselines.zoo.entries import open_run
 from mbn_marl.errors import ConfigError
@@ -91,6 +91,13 @@ def test_a_change_that_makes_sampled_actions_worse_is_dropped() -> None:
     assert all(torch.equal(one, before[name]) for name, one in policy.network.state_dict().items())
 
 
+def test_the_search_ends_at_the_proved_optimum() -> None:
+    policy: Any = load_policy(open_run("zoo:field_03"))  # which is there
+    search = LastLayerSearch(policy.network, FIELD, SETTINGS, seed=0)
+    search.run(5)
+    assert search.env_steps <= WORLDS * 17 * (1 + PATIENCE)
+
+
 def test_a_team_that_fails_is_left_as_it_is() -> None:
     policy, settings = slow_team(), SETTINGS | {"max_steps": 10}
     search = LastLayerSearch(policy.network, FIELD, settings, seed=0)
@@ -118,6 +125,6 @@ def test_a_training_ends_with_the_search_and_counts_its_steps(tmp_path: Path) ->
     assert run.evaluation["env_steps"] > plain.evaluation["env_steps"]
     assert same_policies(run, plain)  # so small a training fails
     moving = {**config.environment, "random_starts": True}
-    with pytest.raises(ConfigError, match="search_generations: 1; allowed with random_starts: 0"):
+    with pytest.raises(ConfigError, match="search_generations: 1; allowed where starts"):
         train(replace(config, hyperparameters=searched, environment=moving), tmp_path / "random")
     assert not (tmp_path / "random").exists()
