@@ -73,7 +73,13 @@ def test_training_has_its_own_rois_and_time_limit_and_evaluations_the_true_ones(
 
     monkeypatch.setattr(trainer, "NavigationEnv", Watched)
     # Whatever the team does is enough for the next stage.
-    stages = {"roi_radius": 16.0, "scattered": 0.25, "roi_stages": 2, "roi_success": [0.0, 0.0], "episode_steps": 32}
+    stages = {
+        "roi_radius": 16.0,
+        "scattered": 0.25,
+        "roi_stages": 2,
+        "roi_success": [0.0, 0.0],
+        "episode_steps": 32,
+    }
     config = TrainConfig(
         "mappo", "field_03", steps=384, episodes=2, hyperparameters={**SMALL, **stages}
     )
