@@ -229,7 +229,7 @@ class NavigationConfig(Checked):
 
     @property
     def is_random(self) -> bool:
-        """Whether anything in an episode, or in what robots see of it, is by chance."""
+        """Whether episodes or observations depend on random numbers."""
         chances = (self.gust, self.action_noise, self.action_loss)
         sight = (self.position_noise, self.velocity_noise, self.dropout)
         fails = self.failures is not None and self.failures.rate > 0.0

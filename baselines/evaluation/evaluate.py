@@ -148,7 +148,7 @@ def roll_out(
 
 
 def is_one_episode(policy: Policy, settings: Mapping[str, Any], *, deterministic: bool) -> bool:
-    """Return whether all episodes are the same: nothing in them is by chance."""
+    """Return whether all episodes are the same: they depend on no random number."""
     if make_config(settings).is_random or isinstance(policy, RandomPolicy):
         return False
     return deterministic or not getattr(policy, "samples", True)

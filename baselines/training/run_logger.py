@@ -124,7 +124,7 @@ class Recorder:
             return
         self._write_row(env_steps)
         if evaluation_due:
-            # If nothing is by chance, all episodes with mean actions are the same.
+            # Without random numbers all episodes with mean actions are the same.
             several = make_config(self._task.settings).is_random
             sampled, mean = self._evaluate(
                 env_steps,

@@ -125,7 +125,7 @@ def test_gusts_keep_their_size_and_are_correlated() -> None:
 
 
 def acted(actions: list[Any], **settings: Any) -> NDArray[np.float64]:
-    """What arrives of actions of both robots, (steps, robots, 2), in world 0 with seed 3."""
+    """Return the disturbed actions of world 0 with seed 3, (steps, robots, 2)."""
     engine = engine_of(**(ON | {"wind": (0.0, 0.0), "gust": 1e-9} | settings))
     engine.reset(seed=8)
     for _ in range(4):
@@ -175,7 +175,7 @@ def test_noise_comes_last_and_is_clipped() -> None:
 
 
 def sights(engine: BatchEngine, robot: int) -> dict[str, float]:
-    """What a robot of world 1 observes, by name."""
+    """Return the observation of a robot of world 1, by entry name."""
     row = engine._backend.output.observations[1, robot]
     return dict(zip((entry.name for entry in engine.observation_table), row.tolist(), strict=True))
 

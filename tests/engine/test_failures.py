@@ -91,7 +91,7 @@ def test_a_failed_robot_of_each_dynamics(kind: Any) -> None:
     go(engine, actions, actions)
     assert velocities(engine) == [[0.75, -0.5], [0.75, -0.5], [0.75, 0.0]]
     impulse = engine.metrics()["impulse"][1].tolist()
-    go(engine, np.ones((3, 2)))  # whatever they are told
+    go(engine, np.ones((3, 2)))  # their actions make no difference
     after = {"brake": [0.5, -0.25], "coast": [0.875, -0.5], "vanish": [0.0, 0.0]}[kind]
     assert velocities(engine) == [after, after, [after[0], 0.0]]
     headings = engine.snapshot(1).headings

@@ -1,4 +1,4 @@
-"""What acts on the robots besides their policy: wind, gusts, and what happens to their actions.
+"""Wind, gusts, and noise, loss and delay of actions.
 
 The rules are those of mdp.md, "Disturbances".
 
@@ -43,7 +43,7 @@ def any_on(config: NavigationConfig, names: Iterable[str]) -> bool:
 
 
 def gust_factors(config: NavigationConfig) -> tuple[float, float]:
-    """What a step leaves of a gust, ``r``, and what it adds to it, ``sigma sqrt(1 - r^2)``."""
+    """Return the factors ``r`` and ``sigma sqrt(1 - r^2)`` of a gust's recursion."""
     r = exponential(-1.0 / config.gust_time)
     return r, config.gust * math.sqrt(1.0 - r * r)
 

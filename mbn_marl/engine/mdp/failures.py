@@ -122,7 +122,7 @@ def move_or_fail(p, g, mem, failed, now, to, actions, i, lo, hi):
 
 @compiled
 def put_flag(failed, lo, hi, i, tile, k):
-    """Whether robot i has failed, by the flags ``failed``; how many entries that is."""
+    """Write robot i's flag of ``failed`` as entry k; return the number of entries, 0 or 1."""
     if failed.ndim == 2:
         for w in range(lo, hi):
             tile[k, w - lo] = failed[i, w]

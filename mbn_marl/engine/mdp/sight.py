@@ -1,4 +1,4 @@
-"""What a robot sees of robots and ROIs: with noise, and not always (mdp.md, "Disturbances").
+"""Observation noise and dropout (mdp.md, "Disturbances").
 
 Where neither is on, ``Memory.seen`` has no entries and three dimensions, and all of this is left
 out when it is compiled.

@@ -144,7 +144,7 @@ def test_a_policy_of_all_robots_observations_is_kept_and_evaluated(tmp_path: Pat
 
 @pytest.mark.parametrize("name", ["ars", "crossq", "tqc", "ppo-supersuit"])
 def test_other_learners_refuse_aids_and_say_who_has_them(name: str) -> None:
-    aids = {"action_repeat": [2, 2], "roi_radius": 2.0, "episode_steps": 5}
+    aids = {"action_repeat": [2, 2], "roi_radius": 2.0, "scattered": 0.5, "episode_steps": 5}
     with pytest.raises(ConfigError) as caught:
         load(name, "N", aids)
     allowed = f"allowed for a2c, ppo, trpo, ppo-shared, not for {name}"
