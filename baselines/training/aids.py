@@ -68,7 +68,10 @@ class TrainingAids(Hyperparameters):
         """The environment's arguments in training: ``field``, one for all worlds or one each."""
         true, radius = make_config(task.settings), curriculum.radius
         longest = min(true.max_steps, self.episode_steps or true.max_steps)
-        settings = {"roi_radius": true.roi_radius * radius, "max_steps": longest}
+        settings: dict[str, Any] = {"roi_radius": true.roi_radius * radius, "max_steps": longest}
+        if true.failures is not None:  # later ones are of no training episode
+            at = {i: step for i, step in true.failures.at.items() if step <= longest}
+            settings["failures"] = true.failures.model_copy(update={"at": at})
         fields: Field | list[Field] = task.field
         count = round(self.scattered * worlds) if radius > 1.0 and not true.random_starts else 0
         if count:

@@ -132,7 +132,7 @@ class Backend(ABC):
             velocities=np.stack([host(now.vx[:, world]), host(now.vy[:, world])], axis=-1),
             visited=(visited & bits) != 0,
             headings=self.headings(world),
-            failed=self.host(self.failures()[world]),
+            failed=self.failed(world),
             trail=host(self.memory.trail[world, : (steps + 1) * n]).reshape(-1, n, 2),
             step=steps,
             team_return=float(now.team_return[world]),
@@ -159,6 +159,12 @@ class Backend(ABC):
         parts = (self.host(part[:, world]) for part in (now.heading, now.cos, now.sin))
         heading, cos, sin = parts
         return np.where((cos != 0) | (sin != 0), heading, none)
+
+    def failed(self, world: int) -> NDArray[np.bool_]:
+        """Which robots of a world have failed, (n,)."""
+        if self.now.failed.ndim != 2:
+            return np.zeros(self.spec.actions_shape[1], np.bool_)
+        return self.host(self.now.failed[:, world])
 
     def failures(self) -> Array:
         """Which robots have failed, (W, n) bool, a fresh array."""

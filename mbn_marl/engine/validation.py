@@ -76,10 +76,18 @@ def _failure_problems(config: NavigationConfig, n: int) -> list[str]:
     """Return why the failures do not fit a team of n robots."""
     if config.failures is None:
         return []
-    at, most = config.failures.at, config.failures.most
+    rate, at, most = config.failures.rate, config.failures.at, config.failures.most
     problems = [f"failures.at: robot {i}; allowed: 0 to {n - 1}" for i in at if i >= n]
+    problems += [
+        f"failures.at.{i}: step {step}; allowed: 1 to {config.max_steps}, max_steps"
+        for i, step in at.items()
+        if step > config.max_steps
+    ]
     if most is not None and most > n:
         problems.append(f"failures.most: {most}; allowed: 0 to {n}, the size of the team")
+    if rate > 0.0 and (most == 0 or (most is None and n == 1)):
+        found = "0" if most == 0 else "None, 0 for one robot"
+        problems.append(f"failures.most: {found}; allowed with a rate: 1 to {n}")
     return problems
 
 

@@ -43,9 +43,10 @@ class EpisodeLog:
         return fresh.tolist()
 
     def episode(self, config: NavigationConfig, source: str, seed: int | None) -> Episode:
-        """Return the episode so far."""
+        """Return the episode so far; ``config`` may have a wind that the engine's has not."""
         engine, steps, last = self._engine, len(self._actions), self._engine.snapshot()
         ended: Outcome = "unfinished" if engine.running[0] else "truncated"
+        own_wind = np.subtract(config.wind_increment(), engine.config.wind_increment())
         shape = (steps, engine.n_robots)
         return Episode(
             field=engine.field,
@@ -58,7 +59,7 @@ class EpisodeLog:
             terms=np.array(self._terms, np.float64).reshape(*shape, len(REWARD_TERMS)),
             team_rewards=np.array(self._rewards),
             outcome="collision" if last.collision else "success" if last.success else ended,
-            winds=np.array(self._winds) if config.gust > 0 else None,
+            winds=np.array(self._winds) + own_wind if config.gust > 0 else None,
             source=source,
             seed=seed,
             world=engine.first_world,
@@ -144,12 +145,13 @@ def check_episode(episode: Episode, name: str = "episode") -> None:
         )
     except ProblemsError as error:
         raise EpisodeError(name, error.problems) from None
-    for what in ("positions", "headings", "terms", "team_rewards"):
-        ours, theirs = getattr(episode, what), getattr(again, what)
-        same = (ours == theirs) | (np.isnan(ours) & np.isnan(theirs))
+    for what in ("positions", "headings", "winds", "terms", "team_rewards"):
+        both = getattr(episode, what), getattr(again, what)
+        ours, theirs = (np.nan if one is None else one for one in both)
+        same = np.atleast_1d((ours == theirs) | (np.isnan(ours) & np.isnan(theirs)))
         if not same.all():
-            late = len(theirs) - episode.steps
-            step = int(np.argmax((~same).reshape(len(ours), -1).any(axis=1))) + 1 - late
+            late = len(same) - episode.steps
+            step = int(np.argmax((~same).reshape(len(same), -1).any(axis=1))) + 1 - late
             problem = f"{what}: the engine gives others from step {step} on; it does not replay"
             raise EpisodeError(name, [problem])
     for what in ("failed", "visits", "outcome"):

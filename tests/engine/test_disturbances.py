@@ -7,6 +7,7 @@ What holds for every random number, such as that the batch does not matter, is i
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from statistics import NormalDist
 from typing import Any
@@ -21,7 +22,7 @@ from mbn_marl.engine.mdp import elementary, rng
 from mbn_marl.engine.mdp.disturbances import DISTURBANCES
 from mbn_marl.engine.state import make_episode, make_memory
 from mbn_marl.episode import EpisodeRecorder, check_episode, load_episode, save_episode
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, EpisodeError
 from mbn_marl.planning import plan
 from mbn_marl.planning.problem import make_problem
 from tests.support import disturbances as expected
@@ -263,6 +264,10 @@ def test_disturbed_episodes_are_recorded_and_replayed(tmp_path: Path) -> None:
     assert loaded.winds is not None and loaded.winds.tolist() == second.winds.tolist()  # type: ignore[union-attr]
     assert loaded.snapshot(loaded.steps).wind == now.wind
     assert loaded.snapshot(0).wind != now.wind
+    wrong = [(loaded.winds + np.eye(loaded.steps + 1, 2, -4), 4), (None, 0)]
+    for winds, step in wrong:
+        with pytest.raises(EpisodeError, match=f"winds: the engine gives others from step {step} "):
+            check_episode(replace(loaded, winds=winds))
 
 
 def test_plans_are_not_for_disturbed_robots() -> None:

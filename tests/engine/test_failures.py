@@ -60,13 +60,28 @@ def test_all_problems_are_named_at_once() -> None:
         "failures.mots",
     ]
     with pytest.raises(ConfigError) as caught:
-        BatchEngine(SQUARE, 2, failures=Failures(at={0: 1, 3: 2, 7: 2}, most=4), mass=(1.0,))
+        failing = Failures(at={0: 21, 1: 20, 3: 2, 7: 2}, most=4)
+        BatchEngine(SQUARE, 2, failures=failing, mass=(1.0,), max_steps=20)
     assert caught.value.problems == [
         "mass: 1 values; allowed: one for all robots, or 3 of them",
         "failures.at: robot 3; allowed: 0 to 2",
         "failures.at: robot 7; allowed: 0 to 2",
+        "failures.at.0: step 21; allowed: 1 to 20, max_steps",
         "failures.most: 4; allowed: 0 to 3, the size of the team",
     ]
+
+
+@pytest.mark.parametrize(
+    ("n", "most", "problem"),
+    [
+        (3, 0, "failures.most: 0; allowed with a rate: 1 to 3"),
+        (1, None, "failures.most: None, 0 for one robot; allowed with a rate: 1 to 1"),
+    ],
+)
+def test_a_rate_of_no_effect_is_refused(n: int, most: int | None, problem: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        BatchEngine(SQUARE, 2, n_robots=n, failures=Failures(rate=0.1, most=most))
+    assert caught.value.problems == [problem]
 
 
 def test_a_configuration_comes_back_from_json() -> None:
@@ -112,9 +127,9 @@ def test_a_robot_with_a_heading_brakes_along_it() -> None:
 
 
 def test_robots_fail_in_their_step_and_by_chance_until_most_have() -> None:
-    engine = started(failures=Failures(at={2: 3}, most=0, rate=1.0))
+    engine = started(failures=Failures(at={1: 1, 2: 3}, most=1, rate=1.0))
     flags = [go(engine, STILL).snapshot(1).failed.tolist() for _ in range(3)]
-    assert flags == [[False] * 3, [False] * 3, [False, False, True]]
+    assert flags == [[True, True, False]] * 2 + [[True] * 3]
     for most, expected in [(None, [True, True, False]), (1, [True, False, False]), (3, [True] * 3)]:
         engine = go(started(failures=Failures(rate=1.0, most=most)), STILL, STILL)
         assert engine.snapshot().failed.tolist() == expected

@@ -62,6 +62,23 @@ def test_disturbed_robots_that_turn_are_on_the_plane_as_in_the_engine() -> None:
     assert np.ptp(ours.headings) > 1.0 and (ours.terms[..., 2] < 0).any()
 
 
+class Windy(PlaneSimulator):
+    """Its wind is a body's own, which nothing here feels."""
+
+    has_wind = True
+
+
+def test_the_wind_of_a_simulator_is_in_the_episode() -> None:
+    settings: dict[str, Any] = {"wind": (0.25, 90.0), "gust": 0.1, "max_steps": 5}
+    own, plane = (
+        deploy(Wander(), SMALL, settings, kind()).episode for kind in (Windy, PlaneSimulator)
+    )
+    assert own.winds is not None and plane.winds is not None
+    np.testing.assert_allclose(own.winds, plane.winds, rtol=1e-12)
+    assert own.snapshot(5).wind == pytest.approx(plane.snapshot(5).wind)
+    assert not np.array_equal(own.positions, plane.positions)
+
+
 def measured(**settings: Any) -> tuple[BatchEngine, TrackedWorld]:
     engine = BatchEngine(SMALL, 1, autoreset=False, threads=1, **settings)
     return engine, TrackedWorld(engine)

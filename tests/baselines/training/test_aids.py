@@ -9,6 +9,7 @@ import pytest
 
 from baselines.training.aids import RoiCurriculum, TrainingAids, between, with_other_starts
 from baselines.training.config import Task, TrainConfig
+from mbn_marl.config import Failures
 from mbn_marl.field import load_field
 
 FIELD = load_field("field_02")
@@ -45,6 +46,14 @@ def test_a_training_without_aids_has_the_environments_own_settings() -> None:
     shorter = TrainingAids(episode_steps=256).in_training(task, large, 4)
     assert shorter == {**own, "max_steps": 256, "roi_radius": 20.0}
     assert TrainingAids(episode_steps=500, scattered=0.5).in_training(task, small, 4) == own
+
+
+def test_failures_after_the_end_of_a_training_episode_are_left_out() -> None:
+    task = task_of(failures={"at": {0: 256, 1: 257}, "kind": "coast"})
+    curriculum = RoiCurriculum(1.0, 2, (0.4, 0.8), 4)
+    for steps, expected in ((256, {0: 256}), (257, {0: 256, 1: 257})):
+        settings = TrainingAids(episode_steps=steps).in_training(task, curriculum, 4)
+        assert settings["failures"] == Failures(at=expected, kind="coast")
 
 
 def test_robots_are_scattered_until_rois_have_their_true_size() -> None:
