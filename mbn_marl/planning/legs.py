@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from mbn_marl.planning.problem import Drive, Floats, Problem, reach_from_rest
+from mbn_marl.planning.problem import Drive, Floats, Problem, reach
 from mbn_marl.planning.roadmap import Roadmap, make_roadmap
 
 Ints = NDArray[np.int64]
@@ -26,7 +26,7 @@ NEVER = 1 << 40
 class Legs:
     """Least steps of single legs; at least 1 from a start, since ROIs are visited after steps."""
 
-    first: Ints  # (n, m), from each robot's start, at rest, to each ROI's disc
+    first: Ints  # (n, m), from each robot's start, with its velocity, to each ROI's disc
     between: Ints  # (m, m), from disc to disc, with any velocities at both
 
 
@@ -51,8 +51,9 @@ def _free_legs(problem: Problem, slack: float, most: int) -> Legs:
     first = np.empty((problem.n, problem.m), np.int64)
     between = np.zeros((problem.m, problem.m), np.int64)
     for j, roi in enumerate(problem.rois):
-        for i, (start, drive) in enumerate(zip(problem.starts, problem.drives, strict=True)):
-            first[i, j] = _first(roi - start, drive, radius, most)
+        for i, drive in enumerate(problem.drives):
+            offset = roi - problem.starts[i]
+            first[i, j] = _first(offset, problem.velocities[i], drive, radius, most)
         for k in range(j):
             offset = np.abs(roi - problem.rois[k])
 
@@ -63,15 +64,16 @@ def _free_legs(problem: Problem, slack: float, most: int) -> Legs:
     return Legs(first, between)
 
 
-def _first(offset: Floats, drive: Drive, radius: float, most: int) -> int:
-    """Return the least number of steps whose box of reachable offsets meets the disc."""
+def _first(offset: Floats, velocity: Floats, drive: Drive, radius: float, most: int) -> int:
+    """Return the least number of steps within which the box of reachable offsets meets the disc."""
 
     def meets(steps: int) -> bool:
         gaps = []
         for axis in (0, 1):
             rate, _ = drive.rates(axis, offset[axis])
-            reach = reach_from_rest(rate, drive.top, drive.tau, steps)
-            gaps.append(max(abs(float(offset[axis])) - reach, 0.0))
+            along = float(velocity[axis] if offset[axis] > 0 else -velocity[axis])
+            far = reach(along, rate, drive.top, drive.tau, steps)
+            gaps.append(max(abs(float(offset[axis])) - far, 0.0))
         return math.hypot(*gaps) <= radius
 
     return max(_least(meets, most), 1)
@@ -86,14 +88,18 @@ def roadmap_legs(problem: Problem, roadmap: Roadmap, radius: float, most: int) -
     n, m, config = problem.n, problem.m, problem.config
     first = np.empty((n, m), np.int64)
     for i, drive in enumerate(problem.drives):
-        rate = max(*drive.rise, *drive.fall)
+        rate, speed = max(*drive.rise, *drive.fall), float(np.abs(problem.velocities[i]).max())
         for j in range(m):
             far = roadmap.lengths[i, n + j] - radius
 
             def reaches(
-                steps: int, far: float = far, rate: float = rate, top: float = drive.top
+                steps: int,
+                far: float = far,
+                speed: float = speed,
+                rate: float = rate,
+                top: float = drive.top,
             ) -> bool:
-                return far <= reach_from_rest(rate, top, config.tau, steps)
+                return far <= reach(speed, rate, top, config.tau, steps)
 
             first[i, j] = max(_least(reaches, most), 1)
     stride = config.top_speed * config.tau

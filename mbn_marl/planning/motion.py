@@ -91,11 +91,12 @@ class _ConicProgram:
         top = np.full(self.block, problem.drives[i].top * tau)
         force = np.repeat(problem.forces[i], self.steps) * tau
         push = np.repeat(problem.wind, self.steps) * tau
+        first = self._first_change(i)
         for rows, limits in (
             (self.speed, top),
             (-self.speed, top),
-            (self.change, np.maximum(force + push, 0.0)),
-            (-self.change, np.maximum(force - push, 0.0)),
+            (self.change, np.maximum(force + push, 0.0) + first),
+            (-self.change, np.maximum(force - push, 0.0) - first),
         ):
             self.linear.append(_shift(rows, i * self.block, self.width))
             self.limits.append(limits)
@@ -162,6 +163,7 @@ class _ConicProgram:
         problem, n, steps = self.problem, self.problem.n, self.steps
         offsets = x[: self.rooms].reshape(n, 2, steps).transpose(0, 2, 1)
         changes = np.stack([self.change @ x[self._span(i)] for i in range(n)])
+        changes -= np.stack([self._first_change(i) for i in range(n)])
         forces = changes.reshape(n, 2, steps) / problem.config.tau - problem.wind[:, None]
         actions = (forces / problem.forces[:, :, None]).transpose(2, 0, 1)
         return problem.starts[:, None] + offsets, np.clip(actions, -1.0, 1.0).astype(np.float32)
@@ -177,12 +179,19 @@ class _ConicProgram:
             scaled = sp.diags(scale) @ self.change
             wanted = random.uniform(-DRIFT, DRIFT, self.block) + push * scale
             blocks.append(EFFORT * 2.0 * (scaled.T @ scaled))
+            wanted += self._first_change(i) * scale
             linear[self._span(i)] = -EFFORT * 2.0 * (scaled.T @ wanted)
         rest = self.width - self.rooms
         square = sp.block_diag([*blocks, sp.csc_matrix((rest, rest))], format="csc")
         linear[self.rooms : self.shortfalls] = -PRICE
         linear[self.shortfalls :] = PRICE
         return sp.triu(square, format="csc"), linear
+
+    def _first_change(self, i: int) -> Floats:
+        """Return (2T,): what robot i's velocity at the start adds to the second differences."""
+        first = np.zeros((2, self.steps))
+        first[:, 0] = self.problem.velocities[i] * self.problem.config.tau
+        return first.ravel()
 
     def _append(self, rows: Parts, columns: Parts, values: Parts, limits: ArrayLike) -> None:
         """Add linear rows, given by the parts of their entries."""

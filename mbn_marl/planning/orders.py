@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import highspy
 import numpy as np
 
-from mbn_marl.planning.problem import Drive, Floats
+from mbn_marl.planning.problem import Drive, Floats, Start
 from mbn_marl.planning.relaxation import TIME, VX, Disc, Region, Relaxation, Solved, velocities
 from mbn_marl.planning.windows import StepWindows, fixed_windows
 
@@ -39,7 +39,7 @@ class Visits:
 class Search:
     """Searches steps at which one robot can visit discs in order, within windows."""
 
-    start: tuple[float, float]  # where it rests at step 0
+    start: Start  # of the robot, at step 0
     drive: Drive
     region: Region  # must not be left
     slack: float  # allowance of the discs for rounding, in units
@@ -122,10 +122,10 @@ def _branch(
     return (fewer, more) if whole[leg] > least[leg] else (more, fewer)
 
 
-def interpolate(start: tuple[float, float], drive: Drive, points: Floats) -> Floats:
+def interpolate(start: Start, drive: Drive, points: Floats) -> Floats:
     """Return the positions after every step of a motion through a relaxation's ``points``."""
     path = [np.zeros((0, 2))]
-    before = np.array([*start, 0.0, 0.0, 0.0])
+    before = np.array([*start, 0.0])
     for now in points:
         length = round(now[TIME] - before[TIME])
         if length > 0:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.config import Settings, make_config
 from mbn_marl.engine import FieldLike
@@ -84,32 +84,44 @@ class Plan:
         }
 
 
-def plan(field: FieldLike, *, time_limit: float = 60.0, **settings: Unpack[Settings]) -> Plan:
-    """Plan for a team that rests at the field's starts.
+def plan(
+    field: FieldLike,
+    *,
+    velocities: ArrayLike | None = None,
+    visited: Sequence[int] = (),
+    time_limit: float = 60.0,
+    **settings: Unpack[Settings],
+) -> Plan:
+    """Plan for a team at the field's starts.
 
     Args:
         field: a catalogue name, a file, or a :class:`Field`.
+        velocities: (n, 2), of the robots at the starts, units/step; ``None``: they rest.
+        visited: the ROIs that have been visited before, from 0 on; not all.
         time_limit: seconds after which the best interval so far is returned, not counting the
             engine's compilation for a new configuration.
         **settings: the fields of :class:`mbn_marl.config.NavigationConfig`.
 
     Raises:
         UnsolvableError: it is proved that no clean plan visits every ROI within an episode.
-        ConfigError: a setting or the time limit is not valid.
+        ConfigError: a setting, a velocity, a visited ROI or the time limit is not valid.
         FieldError: the field is not valid.
     """
     if not time_limit > 0.0:
         raise ConfigError("plan", [f"time_limit: expected more than 0 seconds, got {time_limit}"])
     problem = make_problem(load_field(field), make_config(settings))
-    player = Player(problem)
+    problem = problem if velocities is None else problem.moving(velocities)
+    left = sorted(set(range(problem.m)) - set(visited))
+    if not left or not set(visited) <= set(range(problem.m)):
+        raise ConfigError("plan", [f"visited: allowed: some of 0 to {problem.m - 1}, not all"])
+    player, part = Player(problem, visited), _hardest(problem.only(left))
     began = time.monotonic()
-    refuse_unsolvable(problem)
+    refuse_unsolvable(problem, left)
     best = plan_greedily(problem, player, began + GREEDY_SHARE * time_limit)
-    part = _hardest(problem)
     team = prove(part, began + BOUND_SHARE * time_limit)
-    if part is problem:
+    if part.m == len(left):
         most = problem.config.max_steps if best is None else len(best.actions) - 1
-        best = _search(problem, player, team, most, began + time_limit) or best
+        best = _search(part, player, team, most, began + time_limit) or best
     nothing = np.zeros((0, problem.n, 2), np.float32)
     return Plan(
         field=problem.field,
@@ -140,17 +152,17 @@ def _hardest(problem: Problem) -> Problem:
     return problem.only(chosen)
 
 
-def refuse_unsolvable(problem: Problem) -> None:
-    """Check that every ROI can be reached within an episode.
+def refuse_unsolvable(problem: Problem, left: Sequence[int]) -> None:
+    """Check that every ROI that is ``left`` can be reached within an episode.
 
     Raises:
         UnsolvableError: naming the ROIs that are too far.
     """
     limit = problem.config.max_steps
     legs = proved_legs(problem, problem.slack(limit), limit)
-    far = np.flatnonzero(legs.first.min(axis=0) > limit).tolist()
-    if far:
-        places = ", ".join(f"rois[{j}]" for j in far)
+    far = legs.first.min(axis=0) > limit
+    if far[left].any():
+        places = ", ".join(f"rois[{j}]" for j in left if far[j])
         raise UnsolvableError(
             f"{problem.field.name}: no robot can reach {places} by step {limit}, the end of an "
             "episode (max_steps), even on the shortest path"

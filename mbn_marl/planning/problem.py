@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.mdp.disturbances import OF_ROBOTS
@@ -19,6 +19,8 @@ from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
 Floats = NDArray[np.float64]
+Start = tuple[float, float, float, float]
+"""Position and velocity at step 0: x, y, vx, vy; units, units/step."""
 
 CALM = 1e-3
 """Winds that differ by less than this, units/step per step, count as equal."""
@@ -48,6 +50,7 @@ class Problem:
     field: Field
     config: NavigationConfig  # n_robots filled in
     starts: Floats  # (n, 2), units
+    velocities: Floats  # (n, 2), at the starts, units/step
     rois: Floats  # (m, 2), units
     drives: tuple[Drive, ...]  # of each robot
     forces: Floats  # (n, 2), the velocity that a full force adds in a step, units/step
@@ -76,8 +79,13 @@ class Problem:
 
     @cached_property
     def can_wait(self) -> bool:
-        """Return whether every robot can rest: its force balances the wind on both axes."""
-        return bool(np.all(np.abs(self.wind) <= self.forces))
+        """Return whether every robot rests and can go on to: its force balances the wind."""
+        return bool(np.all(np.abs(self.wind) <= self.forces) and not self.velocities.any())
+
+    def start(self, i: int) -> Start:
+        """Return where and how robot i starts."""
+        (x, y), (vx, vy) = self.starts[i].tolist(), self.velocities[i].tolist()
+        return x, y, vx, vy
 
     def with_wind(self, velocities: FloatArray, actions: FloatArray) -> Problem:
         """Return the same instance in the wind that the first step from rest reveals.
@@ -88,6 +96,25 @@ class Problem:
         if np.abs(wind - self.wind).max() < CALM:
             return self
         return replace(self, wind=wind)
+
+    def moving(self, velocities: ArrayLike) -> Problem:
+        """Return the same instance with these velocities (n, 2) at the starts, units/step.
+
+        Raises:
+            ConfigError: there are too few or too many, or one is above its robot's limit.
+        """
+        given = np.asarray(velocities, float)
+        if given.shape != (self.n, 2):
+            wrong = f"velocities: expected shape ({self.n}, 2), got {given.shape}"
+            raise ConfigError("plan", [wrong])
+        problems = [
+            f"velocities[{i}]: allowed: -{drive.top:g} to {drive.top:g} along each axis"
+            for i, drive in enumerate(self.drives)
+            if not np.all(np.abs(given[i]) <= drive.top)
+        ]
+        if problems:
+            raise ConfigError("plan", problems)
+        return replace(self, velocities=given)
 
     def only(self, rois: Sequence[int]) -> Problem:
         """Return the same instance with only these ROIs."""
@@ -107,7 +134,7 @@ class Problem:
 
 
 def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = False) -> Problem:
-    """Return the instance of a field and a configuration.
+    """Return the instance of a field and a configuration; its robots rest.
 
     Args:
         field: where.
@@ -149,6 +176,7 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
         field=field,
         config=config.model_copy(update={"n_robots": n}),
         starts=np.array(field.starts[:n]),
+        velocities=np.zeros((n, 2)),
         rois=np.array(field.rois),
         drives=drives,
         forces=forces,
@@ -178,9 +206,11 @@ def _pair(rates: Floats) -> tuple[float, float]:
     return x, y
 
 
-def reach_from_rest(rise: float, top: float, tau: float, steps: int) -> float:
-    """Return how far an axis can move from rest: ``tau sum_s min(top, rise s)``."""
-    if rise <= 0.0:
-        return 0.0
-    ramp = min(steps, math.floor(top / rise))
-    return tau * (rise * ramp * (ramp + 1) / 2.0 + top * (steps - ramp))
+def reach(speed: float, rise: float, top: float, tau: float, steps: int) -> float:
+    """Return how far an axis can get within ``steps``: ``tau sum_s min(top, speed + rise s)``.
+
+    That is 0 at least: the start counts as reached.
+    """
+    ramp = min(steps, math.floor((top - speed) / rise)) if rise > 0.0 else steps
+    ahead = speed * ramp + rise * ramp * (ramp + 1) / 2.0 + top * (steps - ramp)
+    return max(tau * ahead, 0.0)

@@ -22,7 +22,7 @@ import highspy
 import numpy as np
 
 from mbn_marl.planning.linear_program import Cut, LinearProgram
-from mbn_marl.planning.problem import Drive, Floats
+from mbn_marl.planning.problem import Drive, Floats, Start
 from mbn_marl.planning.windows import StepWindows
 
 PER_STOP = 5
@@ -66,14 +66,14 @@ class Solved:
 class Relaxation:
     """One robot's linear program."""
 
-    start: tuple[float, float]  # where the robot rests at step 0
+    start: Start  # of the robot, at step 0
     drive: Drive
     region: Region  # contains every stop
     discs: tuple[Disc, ...]  # the stops, in order
 
     def with_via(self, place: int) -> Relaxation:
         """Return it with one more stop, anywhere in the region, before the stop ``place``."""
-        via = Disc(self.start, None)
+        via = Disc(self.start[:2], None)
         return replace(self, discs=(*self.discs[:place], via, *self.discs[place:]))
 
     def tangents(self) -> list[Cut]:
@@ -109,7 +109,7 @@ class Relaxation:
 
     def excess(self, points: Floats, lengths: Sequence[int]) -> Floats:
         """Return (k,): by how much a solution overshoots each leg if the legs had ``lengths``."""
-        before = np.array([*self.start, 0.0, 0.0, 0.0])
+        before = np.array([*self.start, 0.0])
         far = np.zeros(len(points))
         for k, (now, length) in enumerate(zip(points, lengths, strict=True)):
             for axis in (0, 1):
@@ -137,9 +137,9 @@ class Relaxation:
         return np.array([*low, -min(radii, default=0.0)]), np.array([*high, most])
 
     def _top(self, axis: int, sign: float, step: int) -> float:
-        """Return the highest speed that is possible at a step, from rest at step 0."""
+        """Return the highest velocity along ``sign`` of an axis that is possible by a step."""
         rate, _ = self.drive.rates(axis, sign)
-        return min(self.drive.top, rate * step)
+        return min(self.drive.top, sign * self.start[VX + axis] + rate * step)
 
     def _rows(self, windows: StepWindows) -> list[Cut]:
         """Return the first rows: times, velocities, the field, the simplest cuts."""
@@ -154,10 +154,11 @@ class Relaxation:
                 for sign in (1.0, -1.0):
                     rate, _ = self.drive.rates(axis, sign)
                     columns, values = [base + VX + axis, base + TIME], [sign, -rate]
+                    limit = 0.0 if k else sign * self.start[VX + axis]
                     if k:
                         columns += [before + VX + axis, before + TIME]
                         values += [-sign, rate]
-                    rows.append(Cut(tuple(columns), tuple(values), 0.0))
+                    rows.append(Cut(tuple(columns), tuple(values), limit))
                     for a, b in {(0, 0), (least, 0), (least - least // 2, least // 2)}:
                         rows.append(self._reach(k, axis, sign, a, b, windows.last[k]))
             for normal, offset in zip(self.region.normals, self.region.offsets, strict=True):
@@ -185,14 +186,14 @@ class Relaxation:
             columns += [before + axis, before + VX + axis, before + TIME]
             values += [-sign / tau, -sign * a, top]
         else:
-            limit += sign * self.start[axis] / tau
+            limit += sign * (self.start[axis] / tau + a * self.start[VX + axis])
         return Cut(tuple(columns), tuple(values), limit)
 
     def _violated(self, points: Floats, inflation: float, windows: StepWindows) -> list[Cut]:
         """Return the cuts that a solution violates."""
         fresh = []
         rows = points.tolist()
-        before = [*self.start, 0.0, 0.0, 0.0]
+        before = [*self.start, 0.0]
         for k, (disc, now) in enumerate(zip(self.discs, rows, strict=True)):
             if disc.radius is not None:
                 dx, dy = now[0] - disc.centre[0], now[1] - disc.centre[1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,15 +34,24 @@ class Player:
     """Plays episodes of an instance in an engine with one world.
 
     The observation is always the default one: others would be compiled and never read.
+
+    Args:
+        problem: the instance, with the velocities at the starts.
+        visited: the ROIs that have been visited before.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, visited: Sequence[int] = ()) -> None:
         plain = {"observation": "relative", "one_hot": False}
         config = problem.config.model_copy(update=plain)
         settings = {name: getattr(config, name) for name in NavigationConfig.model_fields}
         self._engine = BatchEngine(problem.field, 1, autoreset="disabled", threads=1, **settings)
         self._engine.reset()
         self._engine.step(np.zeros((1, problem.n, 2), np.float32))
+        self._engine.reset()
+        self._start = self._engine.save_state()
+        self._start["now.vx"][:, 0], self._start["now.vy"][:, 0] = problem.velocities.T
+        last = len(problem.field.rois) - 1
+        self._start["now.visited"] |= sum(1 << last - j for j in set(visited))
 
     def replay(self, actions: NDArray[np.float32]) -> Playback:
         """Play the actions (T, n, 2) until they or the episode end."""
@@ -52,7 +61,7 @@ class Player:
     def play(self, choose: ChooseActions) -> Playback:
         """Play one episode to its end, or until ``choose`` returns ``None``."""
         engine, actions = self._engine, []
-        engine.reset()
+        engine.load_state(self._start)
         seen = engine.snapshot()
         visits: list[list[int]] = [[] for _ in range(engine.n_robots)]
         steps: list[int] = []

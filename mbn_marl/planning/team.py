@@ -162,9 +162,8 @@ class Team:
                 break
             longer, left = (*order, j), rest & ~(1 << j)
             discs, windows, rois = self._stops(i, longer, makespan - tail, ends=left == 0)
-            x, y = self.problem.starts[i].tolist()
-            drive = self.problem.drives[i]
-            search = Search((x, y), drive, self.region, self.slack, self.highs, self.deadline)
+            start, drive = self.problem.start(i), self.problem.drives[i]
+            search = Search(start, drive, self.region, self.slack, self.highs, self.deadline)
             if left == 0:
                 if (visits := search.visits(discs, windows)) is not None:
                     steps = tuple(visits.steps[k] for k in rois)

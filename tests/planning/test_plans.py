@@ -157,6 +157,27 @@ def test_plans_do_not_compile_what_robots_would_see(monkeypatch: pytest.MonkeyPa
     assert engines and {engine.config.observation for engine in engines} == {"relative"}
 
 
+@pytest.mark.parametrize(("name", "steps"), [("field_03", 8), ("field_06", 31)])
+def test_the_rest_of_a_shortest_plan_is_a_shortest_plan(name: str, steps: int) -> None:
+    whole = plan(name)
+    assert whole.makespan is not None
+    engine = BatchEngine(name, 1, autoreset="disabled", threads=1)
+    engine.reset()
+    for actions in whole.actions[:steps]:
+        engine.step(actions[None])
+    seen, field = engine.snapshot(), whole.field
+    assert 0 < seen.visited.sum() < 6
+    rest = Field(field.vertices, field.rois, seen.positions, arena=field.arena)
+    visited = np.flatnonzero(seen.visited).tolist()
+    found = plan(rest, velocities=seen.velocities, visited=visited)
+    left = whole.makespan - steps
+    assert (found.makespan, found.makespan_lower_bound) == (left, left)
+    assert sorted([*visited, *itertools.chain(*found.assignment)]) == list(range(6))
+    for actions in found.actions:
+        _, _, ended, _ = engine.step(actions[None])
+    assert ended[0] and engine.snapshot().success
+
+
 def test_bad_input_is_named() -> None:
     with pytest.raises(ConfigError, match="time_limit"):
         plan("field_03", time_limit=0.0)
@@ -164,5 +185,12 @@ def test_bad_input_is_named() -> None:
         plan("field_03", n_robots=4)
     with pytest.raises(ConfigError, match="random_starts"):
         plan("field_03", random_starts=True)
+    with pytest.raises(ConfigError, match=r"velocities: expected shape \(3, 2\)"):
+        plan("field_03", velocities=[(1.0, 0.0)])
+    with pytest.raises(ConfigError, match=r"velocities\[2\]: allowed: -5 to 5"):
+        plan("field_03", velocities=[(0.0, 0.0), (0.0, 0.0), (0.0, np.nan)])
+    for visited in ([6], [-1], range(6)):
+        with pytest.raises(ConfigError, match="visited: allowed: some of 0 to 5, not all"):
+            plan("field_03", visited=visited)
     with pytest.raises(ConfigError, match="mass"):
         plan("field_03", mass=(1.0, 2.0))

@@ -72,8 +72,15 @@ def star_field(seed: int) -> Field:
     )
 
 
-def brute_force(field: Field, radius: float, wind: tuple[float, float] = (0.0, 0.0)) -> int:
+Pair = tuple[float, float]
+
+
+def brute_force(
+    field: Field, radius: float, wind: Pair = (0.0, 0.0), velocity: Pair = (0.0, 0.0)
+) -> int:
     """The least makespan without collisions: every partition, every order, all visit times.
+
+    All robots have the same ``velocity`` at their starts.
 
     One linear program in the forces for each, discs as 48-gons of circumradius ``radius`` (so a
     radius of 10 is at most optimistic about nothing, 10 / cos(pi / 48) about everything).
@@ -81,7 +88,7 @@ def brute_force(field: Field, radius: float, wind: tuple[float, float] = (0.0, 0
     robots, rois = range(len(field.starts)), range(len(field.rois))
     for steps in range(1, 200):
         reach = {
-            (i, chosen): _can_visit(field, i, chosen, steps, radius, wind)
+            (i, chosen): _can_visit(field, i, chosen, steps, radius, wind, velocity)
             for i in robots
             for size in range(len(rois) + 1)
             for chosen in itertools.combinations(rois, size)
@@ -99,10 +106,11 @@ def _can_visit(
     chosen: tuple[int, ...],
     steps: int,
     radius: float,
-    wind: tuple[float, float],
+    wind: Pair,
+    velocity: Pair,
 ) -> bool:
     return any(
-        _feasible(field, i, order, times, steps, radius, wind)
+        _feasible(field, i, order, times, steps, radius, wind, velocity)
         for order in itertools.permutations(chosen)
         for times in itertools.combinations_with_replacement(range(1, steps + 1), len(chosen))
     )
@@ -115,14 +123,15 @@ def _feasible(
     times: tuple[int, ...],
     steps: int,
     radius: float,
-    wind: tuple[float, float],
+    wind: Pair,
+    velocity: Pair,
 ) -> bool:
     """Return whether forces, one for each step and axis, make the visits."""
     once = np.tril(np.ones((steps, steps)))
     pushes = np.arange(1, steps + 1)
-    velocity = [once * 0.5, once * 0.5]
-    drift = [w * pushes for w in wind]
-    position = [once @ v for v in velocity]
+    pushed = once * 0.5
+    drift = [v + w * pushes for v, w in zip(velocity, wind, strict=True)]
+    position = [once @ pushed] * 2
     carried = [start + once @ d for start, d in zip(field.starts[i], drift, strict=True)]
     rows: list[NDArray[np.float64]] = []
     limits: list[float] = []
@@ -135,7 +144,7 @@ def _feasible(
     zero = np.zeros((steps, steps))
     for axis in (0, 1):
         blocks = [zero, zero]
-        blocks[axis] = velocity[axis]
+        blocks[axis] = pushed
         rows += [*np.hstack(blocks), *-np.hstack(blocks)]
         limits += [*(5.0 - drift[axis]), *(5.0 + drift[axis])]
     corners = np.array(shapely.geometry.polygon.orient(field.polygon).exterior.coords)
