@@ -105,7 +105,7 @@ def draw_trajectories(episode: Episode, title: str | None = None) -> Figure:
         last.trail,
         visited=last.visited,
         collision=last.collision,
-        wind=last.wind,
+        wind=last.winds,
         headings=last.headings,
         failed=last.failed,
         roi_radius=last.roi_radius,

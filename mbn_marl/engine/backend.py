@@ -136,7 +136,7 @@ class Backend(ABC):
             trail=host(self.memory.trail[world, : (steps + 1) * n]).reshape(-1, n, 2),
             step=steps,
             team_return=float(now.team_return[world]),
-            wind=self.wind(world),
+            winds=np.array([self.wind(world)]),
             roi_radius=config.roi_radius,
             safety_distance=config.safety_distance,
             success=outcome & (SUCCESS | COLLISION) == SUCCESS,

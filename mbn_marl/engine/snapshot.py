@@ -28,8 +28,8 @@ class Snapshot:
             first, the current ones last.
         step: steps since the reset, 0 to T_max.
         team_return: sum of the centralised rewards since the reset, in reward units.
-        wind: ``(v_x, v_y)``, the velocity that the wind, with its gust, adds in the next step,
-            units/step.
+        winds: (k, 2), the velocity that the wind, with its gust, adds in a step, units/step: in the
+            next step, and before it in all steps since the reset, or in none.
         roi_radius: rho, units.
         safety_distance: C, units, from centre to centre.
         success: whether the episode ended with every ROI visited.
@@ -48,8 +48,14 @@ class Snapshot:
     trail: FloatArray
     step: int
     team_return: float
-    wind: tuple[float, float]
+    winds: FloatArray
     roi_radius: float
     safety_distance: float
     success: bool
     collision: bool
+
+    @property
+    def wind(self) -> tuple[float, float]:
+        """Return the last of ``winds``, ``(v_x, v_y)``."""
+        x, y = self.winds[-1].tolist()
+        return x, y

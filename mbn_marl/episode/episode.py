@@ -84,6 +84,7 @@ class Episode:
         Its velocities are the robots' displacements in that step.
         """
         config, trail = self.config, self.positions[: step + 1]
+        winds = np.array([config.wind_increment()]) if self.winds is None else self.winds
         last = step == self.steps
         return Snapshot(
             field=self.field,
@@ -95,7 +96,7 @@ class Episode:
             trail=trail,
             step=step,
             team_return=self.return_after(step),
-            wind=config.wind_increment() if self.winds is None else tuple(self.winds[step]),
+            winds=winds[: step + 1],
             roi_radius=config.roi_radius,
             safety_distance=config.safety_distance,
             success=last and self.outcome == "success",

@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.engine import Snapshot
 from mbn_marl.errors import MbnError
@@ -67,7 +67,7 @@ def trajectory_figure(
     *,
     visited: NDArray[np.bool_] | None = None,
     collision: bool = False,
-    wind: tuple[float, float] = (0.0, 0.0),
+    wind: ArrayLike = (0.0, 0.0),
     headings: NDArray[Any] | None = None,
     failed: NDArray[np.bool_] | None = None,
     roi_radius: float = maps.ROI_RADIUS,
@@ -83,7 +83,8 @@ def trajectory_figure(
         trails: (t + 1, n, 2), units: the positions of each robot, from the reset on.
         visited: (m,) bool, the ROIs that were visited; ``None`` if that is not known.
         collision: whether the episode ended in one; the closest pair is marked.
-        wind: ``(v_x, v_y)``, units/step per step; an arrow points that way unless it is 0.
+        wind: ``(v_x, v_y)``, units/step per step, or that of each step in gusts, (k, 2); an arrow
+            points that way, or a line each, unless it is 0.
         headings: (n,), radians: where the robots face at the end, NaN for a robot without a
             heading; ``None`` if none has one.
         failed: (n,) bool, the robots that failed, which get a cross; ``None`` for none.
@@ -104,6 +105,8 @@ def trajectory_figure(
     handles.append(maps.robot_handle("end of robot i"))
     if collision:
         handles.append(maps.mark_collision(axes, trails[-1]))
+    if failed is not None and failed.any():
+        handles.append(maps.failed_handle())
     maps.draw_wind(axes, wind)
     _explain(figure, handles)
     return figure
@@ -239,7 +242,7 @@ def _draw_place(axes: Axes, last: Snapshot, title: str, *, numbered: bool) -> No
     """Draw the field, the wind and the title."""
     radius = last.roi_radius
     maps.draw_field(axes, last.field, visited=last.visited, roi_radius=radius, numbered=numbered)
-    maps.draw_wind(axes, last.wind)
+    maps.draw_wind(axes, last.winds)
     axes.set_title(title, loc="left", fontsize=9.0)
 
 
@@ -254,6 +257,9 @@ def _draw_paths(axes: Axes, last: Snapshot, *, dashed: bool) -> None:
             axes.plot(x, y, "-", color=colour, lw=1.0, zorder=3.2)
             axes.plot(x[:1], y[:1], "o", color=colour, mfc=style.WHITE, ms=4, mew=1.1, zorder=3.5)
             axes.plot(x[-1:], y[-1:], "o", color=colour, ms=4.5, zorder=3.5)
+            end, heading = (float(x[-1]), float(y[-1])), float(last.headings[robot])
+            maps.draw_nose(axes, end, heading, 4.5, color=colour, zorder=3.4)
+    maps.mark_failed(axes, last.trail[-1], last.failed)
 
 
 def _short_outcome(last: Snapshot) -> str:

@@ -12,8 +12,8 @@ from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from matplotlib.text import OffsetFrom
-from matplotlib.transforms import Affine2D
-from numpy.typing import NDArray
+from matplotlib.transforms import Affine2D, ScaledTranslation
+from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.polygon import orient
 
 from mbn_marl.config import NavigationConfig
@@ -27,6 +27,8 @@ _ARROW = {
     **{"arrowstyle": "-|>", "mutation_scale": 11, "lw": 1.6, "color": style.WIND},
 }
 _NOSE = Path([(1.0, 0.0), (0.3, 0.4), (0.3, -0.4), (1.0, 0.0)], closed=True)
+_CROSS: dict[str, Any] = {"marker": "x", "ls": "none", "color": style.INK}
+_MOST = "\N{LESS-THAN OR EQUAL TO} "
 _BORDER = 0.06
 """Empty border round a field, as a share of its larger side."""
 
@@ -123,9 +125,7 @@ def draw_trails(
         axes.plot(x, y, ".", color=colour, ms=3.6, mew=0, zorder=3)
         axes.plot(x[:1], y[:1], "o", color=colour, mfc=style.WHITE, ms=5, mew=1.3, zorder=3.5)
     draw_robots(axes, trails[-1], headings=headings)
-    if failed is not None and failed.any():
-        look: dict[str, Any] = {"marker": "x", "ls": "none", "color": style.INK}
-        axes.plot(*trails[-1][failed].T, ms=11, mew=1.8, zorder=4.5, **look)
+    mark_failed(axes, trails[-1], failed)
 
 
 def draw_robots(
@@ -141,9 +141,8 @@ def draw_robots(
     """
     for index, (x, y) in enumerate(positions.tolist()):
         colour = style.robot_colour(index)
-        if headings is not None and np.isfinite(headings[index]):
-            nose = MarkerStyle(_NOSE, transform=Affine2D().rotate(float(headings[index])))
-            axes.plot([x], [y], ls="none", marker=nose, color=colour, ms=2 * size, mew=0, zorder=4)
+        if headings is not None:
+            draw_nose(axes, (x, y), float(headings[index]), size, color=colour, zorder=4)
         axes.plot([x], [y], "o", color=colour, ms=size, mec=style.WHITE, mew=0.8, zorder=4)
         axes.annotate(
             str(index),
@@ -157,6 +156,26 @@ def draw_robots(
         )
 
 
+def draw_nose(
+    axes: Axes, place: tuple[float, float], heading: float, size: float, **look: Any
+) -> None:
+    """Draw the point of a disc, ``size`` points wide, that faces ``heading`` unless it is NaN."""
+    if np.isfinite(heading):
+        nose = MarkerStyle(_NOSE, transform=Affine2D().rotate(heading))
+        axes.plot(*place, ls="none", marker=nose, ms=2 * size, mew=0, **look)
+
+
+def mark_failed(axes: Axes, positions: NDArray[Any], failed: NDArray[np.bool_] | None) -> None:
+    """Draw crosses over those robots at ``positions`` (n, 2), units, that have ``failed`` (n,)."""
+    if failed is not None and failed.any():
+        axes.plot(*positions[failed].T, ms=11, mew=1.8, zorder=4.5, **_CROSS)
+
+
+def failed_handle() -> Line2D:
+    """Return the legend entry of a robot that has failed."""
+    return Line2D([], [], ms=7, mew=1.4, label="failed", **_CROSS)
+
+
 def mark_collision(axes: Axes, positions: NDArray[np.floating]) -> Line2D:
     """Draw a square round the two robots that are closest; return its legend entry."""
     gaps = np.linalg.norm(positions[:, None] - positions[None], axis=2)
@@ -168,17 +187,34 @@ def mark_collision(axes: Axes, positions: NDArray[np.floating]) -> Line2D:
     return Line2D([], [], ms=8, mew=1.4, label="collision", **look)
 
 
-def draw_wind(axes: Axes, wind: tuple[float, float]) -> None:
-    """Draw an arrow the way the wind blows, and its speed, over the top right corner, if any."""
-    speed = float(np.hypot(*wind))
-    if speed < style.CALM:
+def draw_wind(axes: Axes, winds: ArrayLike) -> None:
+    """Draw the wind, or those of several steps, (2,) or (k, 2), over the top right corner, if any.
+
+    One is an arrow the way that it blows, with its speed. In gusts there is a line for each wind,
+    as long as it is strong, with the greatest speed.
+    """
+    winds = np.unique(np.atleast_2d(winds), axis=0)
+    speeds = np.linalg.norm(winds, axis=1)
+    if speeds.max() < style.CALM:
         return
     corner = OffsetFrom(axes.patch, (1.0, 1.0), unit="points")
     place: dict[str, Any] = {"xycoords": corner, "textcoords": corner, "annotation_clip": False}
-    middle, half = np.array([-11.0, 9.5]), 9.0 * np.asarray(wind) / speed
-    axes.annotate("", tuple(middle + half), tuple(middle - half), arrowprops=_ARROW, **place)
+    middle, arms = np.array([-11.0, 9.5]), 9.0 * winds / speeds.max()
+    if len(winds) == 1:
+        ends = tuple(middle + arms[0]), tuple(middle - arms[0])
+        axes.annotate("", *ends, arrowprops=_ARROW, **place)
+    else:
+        lines = np.full((len(winds), 3, 2), np.nan)
+        lines[:, 0], lines[:, 1] = middle, middle + arms
+        inches: Any = axes.get_figure()  # matplotlib types transforms too narrowly
+        whole: Any = axes.transAxes
+        points = Affine2D().scale(1.0 / 72.0) + inches.dpi_scale_trans
+        points += ScaledTranslation(1.0, 1.0, whole)
+        how: dict[str, Any] = {"lw": 0.6, "color": style.WIND, "clip_on": False}
+        axes.add_artist(Line2D(*lines.reshape(-1, 2).T, transform=points, **how))
     look: dict[str, Any] = {"ha": "right", "va": "center", "color": style.WIND}
-    axes.annotate(f"wind {speed:.3g}", (-25.0, middle[1]), **look, **place)
+    most = "" if len(winds) == 1 else _MOST
+    axes.annotate(f"wind {most}{speeds.max():.3g}", (-25.0, middle[1]), **look, **place)
 
 
 def robot_handle(label: str, **look: Any) -> Line2D:

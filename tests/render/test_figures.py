@@ -23,6 +23,7 @@ from matplotlib.colors import to_rgb  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from mbn_marl.render import figures  # noqa: E402
+from tests.support.pictures import snapshot  # noqa: E402
 
 SQUARE = [(100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0)]
 HOLE = [(180.0, 180.0), (220.0, 180.0), (220.0, 220.0), (180.0, 220.0)]
@@ -111,7 +112,18 @@ def test_a_cross_marks_a_robot_that_has_failed() -> None:
         figure = figures.trajectory_figure(FIELD, TRAILS, failed=failed)
         lines = [line for line in figure.axes[0].lines if line.get_marker() == "x"]
         crosses.append([line.get_xydata().tolist() for line in lines])
+        assert ("failed" in labels_of(figure)) == failed.any()
     assert crosses == [[], [TRAILS[-1:, 1].tolist()]]
+
+
+def test_paths_over_each_other_have_points_and_crosses_too() -> None:
+    turned = {"headings": np.array([0.5, np.nan]), "failed": np.array([False, True])}
+    pair = snapshot(TRAILS), snapshot(TRAILS, **turned)
+    (axes,) = figures.overlay_panels({"one": pair}, ("plane", "mujoco")).axes
+    crosses = [line for line in axes.lines if line.get_marker() == "x"]
+    assert [line.get_xydata().tolist() for line in crosses] == [TRAILS[-1:, 1].tolist()]
+    noses = [line for line in axes.lines if not isinstance(line.get_marker(), str)]
+    assert [line.get_xydata().tolist() for line in noses] == [TRAILS[-1:, 0].tolist()]
 
 
 def test_visited_rois_differ_in_colour_and_in_shape() -> None:
@@ -145,6 +157,25 @@ def test_the_wind_arrow_points_the_way_the_wind_blows(wind: tuple[float, float])
     assert direction == pytest.approx(np.array(wind) / np.hypot(*wind), abs=1e-3)
     shown = [text.get_text() for text in figure.axes[0].texts]
     assert f"wind {np.hypot(*wind):.3g}" in shown
+
+
+def test_gusts_are_a_line_each() -> None:
+    winds = [(0.3, 0.0), (-0.1, 0.0), (0.0, 0.2), (0.3, 0.0)]
+    figure = figures.trajectory_figure(FIELD, TRAILS, wind=winds)
+    FigureCanvasAgg(figure).draw()
+    (axes,) = figure.axes
+    assert not any(text.arrow_patch for text in axes.texts)
+    assert "wind \u2264 0.3" in [text.get_text() for text in axes.texts]
+    (gusts,) = (line for line in axes.lines if not line.get_clip_on())
+    ends = gusts.get_transform().transform(gusts.get_xydata()).reshape(-1, 3, 2)
+    arms = (ends[:, 1] - ends[:, 0]) / figure.dpi * 72.0 / 9.0 * 0.3
+    assert arms == pytest.approx(np.array([(-0.1, 0.0), (0.0, 0.2), (0.3, 0.0)]), abs=1e-6)
+
+
+def test_one_wind_in_all_steps_is_an_arrow() -> None:
+    figure = figures.trajectory_figure(FIELD, TRAILS, wind=[(0.3, 0.0)] * 3)
+    assert "wind 0.3" in [text.get_text() for text in figure.axes[0].texts]
+    assert any(text.arrow_patch for text in figure.axes[0].texts)
 
 
 def test_without_wind_there_is_no_arrow() -> None:

@@ -107,7 +107,7 @@ def test_circles_to_scale_appear_where_there_is_room() -> None:
 def test_the_wind_arrow_points_the_way_the_wind_blows(
     wind: tuple[float, float], towards: tuple[int, int]
 ) -> None:
-    corner = draw(snapshot(wind=wind))[:44, -42:]
+    corner = draw(snapshot(winds=np.array([wind])))[:44, -42:]
     mass = 255.0 - corner[:, :, 0]
     mass[(corner == style.rgb(style.OBSTACLE)).all(axis=2)] = 0.0
     rows, columns = np.indices(mass.shape)
@@ -120,7 +120,7 @@ def test_the_wind_arrow_points_the_way_the_wind_blows(
 
 
 def test_without_wind_there_is_no_arrow() -> None:
-    corner = draw(snapshot(wind=(1e-17, 0.0)))[:44, -150:]
+    corner = draw(snapshot(winds=np.array([(1e-17, 0.0)])))[:44, -150:]
     assert (corner == style.rgb(style.OBSTACLE)).all()
 
 
@@ -180,7 +180,7 @@ def test_a_trail_drawn_bit_by_bit_is_the_trail_drawn_at_once() -> None:
         snapshot(wander(5, 3, seed=1)),
         snapshot(wander(30, 3, seed=1)),
         snapshot(wander(20, 2)),
-        snapshot(wander(20, 3), wind=(0.1, 0.0)),
+        snapshot(wander(20, 3), winds=np.array([(0.1, 0.0)])),
         snapshot(
             wander(20, 3),
             field=Field([(90, 90), (320, 90), (270, 320)], rois=FIELD.rois, starts=[(120, 100)]),

@@ -35,7 +35,7 @@ def snapshot(trail: Any = ((120.0, 200.0),), **changes: Any) -> Snapshot:
         "trail": path,
         "step": len(path) - 1,
         "team_return": -10.0 * (len(path) - 1),
-        "wind": (0.0, 0.0),
+        "winds": np.zeros((1, 2)),
         "roi_radius": 10.0,
         "safety_distance": 10.0,
         "success": False,

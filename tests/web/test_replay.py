@@ -139,6 +139,26 @@ def test_robots_with_a_heading_show_it(browser: Chromium, tmp_path: Path) -> Non
 
 
 @needs_browser
+def test_gusts_turn_the_arrow(browser: Chromium, tmp_path: Path) -> None:
+    winds = np.zeros((7, 2))
+    winds[0], winds[4] = (0.3, 0.4), (-0.1, -0.1)
+    path = tmp_path / "one.html"
+    path.write_text(replay_page([replace(SHORT, winds=winds)]), encoding="utf-8")
+    browser.open(path)
+    wind = "[document.querySelector('.wind').textContent,"
+    wind += "document.querySelector('.wind path').getAttribute('transform')]"
+    for step, expected in (
+        (0, ["wind 0.5 at 53\u00b0", "rotate(-53)"]),
+        (4, ["wind 0.14 at \u2212135\u00b0", "rotate(135)"]),
+        (5, ["wind 0 at 0\u00b0", "rotate(0)"]),
+        (0, ["wind 0.5 at 53\u00b0", "rotate(-53)"]),
+    ):
+        scrub(browser, step)
+        assert browser.run(wind) == expected
+    assert browser.problems == []
+
+
+@needs_browser
 def test_rois_returns_and_cursor_follow(page: Chromium) -> None:
     visited = "document.querySelectorAll('.panel')[1].querySelectorAll('.roi.visited').length"
     cursor = "document.querySelectorAll('.panel')[1].querySelector('.cursor').style.transform"

@@ -43,6 +43,7 @@ class Episode {
     });
     this.places = unpack(file.positions);
     this.headings = file.headings ? unpack(file.headings) : null;
+    this.winds = file.winds ? unpack(file.winds) : null;
     const team = decode(file.rewards.team);
     this.returns = totals(this.steps, (t) => team[t]);
     this.terms = this.#termTotals(file.rewards);
@@ -84,6 +85,13 @@ class Episode {
   /** The last whole step at `time`. */
   step(time) {
     return Math.floor(Math.min(time, this.steps));
+  }
+
+  /** The wind in the step after `step`, with its gust: speed, and degrees from +x. */
+  windAfter(step) {
+    if (!this.winds) return this.wind;
+    const [x, y] = this.winds.subarray(2 * step, 2 * step + 2);
+    return [Math.hypot(x, y), Math.round((180 / Math.PI) * Math.atan2(y, x))];
   }
 
   isVisited(roi, time) {

@@ -9,16 +9,17 @@ const OUTCOMES = {
   unfinished: ["\u2026", "unfinished"],
 };
 
-/** An arrow the way the wind blows, with its speed. */
-function windArrow([speed, angle]) {
-  const arrow = svg(
-    "svg",
-    { viewBox: "-12 -12 24 24", "aria-hidden": "true" },
-    svg("circle", { r: 11 }),
-    svg("path", { d: "M-8 -1H2V-5L9 0L2 5V1H-8Z", transform: `rotate(${-angle})` }),
-  );
-  const text = `wind ${shown(speed)} at ${shown(angle)}\u00b0`;
-  return html("div", { class: "wind" }, html("span", {}, text), arrow);
+/** An arrow the way the wind blows, with its speed; `show` makes it another's. */
+function windArrow() {
+  const arrow = svg("path", { d: "M-8 -1H2V-5L9 0L2 5V1H-8Z" });
+  const ring = svg("circle", { r: 11 });
+  const picture = svg("svg", { viewBox: "-12 -12 24 24", "aria-hidden": "true" }, ring, arrow);
+  const text = html("span");
+  const show = ([speed, angle]) => {
+    arrow.setAttribute("transform", `rotate(${-angle})`);
+    text.textContent = `wind ${shown(speed)} at ${shown(angle)}\u00b0`;
+  };
+  return { node: html("div", { class: "wind" }, text, picture), show };
 }
 
 class Panel {
@@ -30,7 +31,10 @@ class Panel {
     const [sign, word] = OUTCOMES[episode.outcome];
     const ending = `${sign} ${word}, ${episode.steps} step${episode.steps === 1 ? "" : "s"}`;
     const facts = html("dl", {}, ...this.facts.map(({ node }) => node));
-    if (episode.wind[0] > 0) facts.append(windArrow(episode.wind));
+    if (episode.winds || episode.wind[0] > 0) {
+      this.wind = windArrow();
+      facts.append(this.wind.node);
+    }
     this.element = html(
       "section",
       { class: "panel" },
@@ -58,6 +62,7 @@ class Panel {
     const step = episode.step(time);
     if (step === this.step) return;
     this.step = step;
+    this.wind?.show(episode.windAfter(step));
     const rois = `${episode.visitedCount(step)}/${episode.visits.length}`;
     [`${step}`, shown(episode.returns[step]), rois].forEach((text, index) => {
       this.facts[index].value.textContent = text;
