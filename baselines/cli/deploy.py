@@ -188,8 +188,10 @@ def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     for row in rows:
         flat, makespan = row["sim"] == "plane", row["makespan"]
         best = None if flat else plane.get(world(row))
+        failed = sum(step is not None for step in row["failed"])
+        outcome = row["outcome"] + (f", {failed} failed" if failed else "")
         line = (
-            *(row["field"], row["sim"], row["outcome"], f"{row['wind_speed']:g}"),
+            *(row["field"], row["sim"], outcome, f"{row['wind_speed']:g}"),
             shown(makespan, 0),
             shown(makespan / best if makespan and best else None, 2),
             shown(row["return"], 0),

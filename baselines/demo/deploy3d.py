@@ -59,6 +59,7 @@ def summarise(deployment: Deployment, scale: Scale) -> dict[str, Any]:
         "return": episode.team_return,
         "rois_visited": episode.rois_visited,
         "wall_hits": deployment.wall_hits,
+        "failed": [int(step) or None for step in episode.failed],
         "separation": deployment.separation,
         "tracking_error": deployment.tracking_error,
         "times_real_time": simulated / taken if taken else None,

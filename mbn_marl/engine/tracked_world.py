@@ -35,7 +35,9 @@ class Command(NamedTuple):
 
     Attributes:
         velocities: (n, 2), units/step, in the engine's dtype; 0 where a robot has to stop.
-        allowed: (n,) bool, whether the robot would stay in the field. If not it pays r_l.
+        allowed: (n,) bool, whether the robot would stay in the field. If not it pays r_l, unless it
+            has failed.
+        failed: (n,) bool, whether the robot has failed, in this step or before.
 
     Source:
         ``docs/mdp.md``, "One step, in this order", 1 and 2.
@@ -43,6 +45,7 @@ class Command(NamedTuple):
 
     velocities: NDArray[Any]
     allowed: NDArray[np.bool_]
+    failed: NDArray[np.bool_]
 
 
 class TrackedWorld:
@@ -90,12 +93,13 @@ class TrackedWorld:
         forces = self._backend.checked_actions(np.asarray(actions)[None])
         velocities = np.empty((1, self.engine.n_robots, 2), self.engine.dtype)
         choose_velocities(self._chooser, forces, velocities, self._allowed)
-        return Command(velocities[0], self._allowed.copy())
+        return Command(velocities[0], self._allowed.copy(), self._backend.failed(0))
 
     def measure(self, positions: ArrayLike, velocities: ArrayLike) -> None:
         """The second half: the robots came to ``positions``; the outcome is in the engine.
 
-        A robot that was measured outside the field pays r_l, as one does that would leave it.
+        A robot that works and was measured outside the field pays r_l, as one does that would leave
+        it.
         Positions are clipped to the arena, velocities to v_clip.
 
         Args:

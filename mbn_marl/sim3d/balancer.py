@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from mbn_marl.sim3d.vehicle import GRAVITY, Array, Senses, Vehicle, add, add_air_shape
+from mbn_marl.sim3d.vehicle import GRAVITY, Array, Flags, Senses, Vehicle, add, add_air_shape
 
 BODY_MASS, WHEEL_MASS = 3.0, 0.3  # kg
 WHEEL_RADIUS, TRACK = 0.1, 0.3  # metres; the track is from wheel to wheel
@@ -60,8 +60,11 @@ class Balancer(Vehicle):
             torques = (-FULL_TORQUE, FULL_TORQUE)
             add(actuator, "motor", joint=f"{name}_{side}", gear=1, ctrlrange=torques)
 
-    def control(self, senses: Senses, commands: Array) -> Array:
-        """Return torques of left and right wheels (n, 2), N m, for ``commands`` (n, 2), m/s."""
+    def control(self, senses: Senses, commands: Array, parked: Flags) -> Array:
+        """Return torques of left and right wheels (n, 2), N m, for ``commands`` (n, 2), m/s.
+
+        Those that are ``parked``, (n,), keep their heading.
+        """
         heading = np.arctan2(senses.rotations[:, 1, 0], senses.rotations[:, 0, 0])
         ahead = np.column_stack([np.cos(heading), np.sin(heading)])
         up = senses.rotations[:, :, 2]
@@ -70,7 +73,8 @@ class Balancer(Vehicle):
         wanted_speed = (commands * ahead).sum(axis=1)
         wanted_lean = np.clip(VELOCITY_GAIN * (wanted_speed - speed) / GRAVITY, -STEEPEST, STEEPEST)
         both = LEAN_GAIN * (lean - wanted_lean) + LEAN_RATE_GAIN * senses.rates[:, 1]
-        turn = TURN_GAIN * (_wanted_turn(commands, heading) - senses.rates[:, 2])
+        turns = np.where(parked, 0.0, _wanted_turn(commands, heading))
+        turn = TURN_GAIN * (turns - senses.rates[:, 2])
         return np.column_stack([both - turn, both + turn]) / 2.0
 
 

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 QUADCOPTER = "models/robots/mobile/Quadcopter.ttm"  # ships with CoppeliaSim
 
+_SINKING = 0.2  # metres per second, of the target of a vehicle that lands
 _LEASH = 1.0  # metres that a target may be ahead of its vehicle: one held up stores up no more
 _POLL = 0.01  # seconds between two looks at a simulation that is coming to its end
 
@@ -26,10 +27,11 @@ _POLL = 0.01  # seconds between two looks at a simulation that is coming to its 
 class CoppeliaSimulator(Simulator):
     """Quadcopters in a running CoppeliaSim, whose own script flies each to a dummy, its target.
 
-    A command moves the targets: in every step of CoppeliaSim by the commanded velocity. Nothing is
-    connected before the first :meth:`reset`. Every method but :meth:`command` raises
-    :class:`~mbn_marl.errors.SimulatorError` if CoppeliaSim does not answer, and all that need a
-    :meth:`reset` do so without one.
+    A command moves the targets: in every step of CoppeliaSim by the commanded velocity; that of a
+    vehicle that has failed by braking sinks to the ground where it is to stand. Nothing is
+    connected before the first :meth:`reset`. Every method but :meth:`command` and :meth:`fail`
+    raises :class:`~mbn_marl.errors.SimulatorError` if CoppeliaSim does not answer, and all that
+    need a :meth:`reset` do so without one.
 
     Args:
         host: the machine that CoppeliaSim runs on.
@@ -67,6 +69,8 @@ class CoppeliaSimulator(Simulator):
         self._vehicles: list[Follower] = []
         self._targets: Array = np.zeros((0, 2))
         self._velocities: Array = np.zeros((0, 2))
+        self._heights: Array = np.zeros(0)
+        self._braking = np.zeros(0, np.bool_)
         self._bodies: Array = np.zeros((0, 3))
 
     def reset(self, mission: Mission) -> None:
@@ -96,6 +100,10 @@ class CoppeliaSimulator(Simulator):
         length = np.linalg.norm(lead, axis=1, keepdims=True)
         self._targets = self._bodies[:, :2] + lead * (_LEASH / np.maximum(length, _LEASH))
 
+    def fail(self, robot: int, kind: str) -> None:
+        """Let vehicle ``robot`` land where its command is to stand, if it brakes."""
+        self._braking[robot] = kind == "brake"
+
     def step(self) -> None:
         """Simulate one step of the MDP: as many steps of CoppeliaSim as it lasts.
 
@@ -107,8 +115,12 @@ class CoppeliaSimulator(Simulator):
         before, begun = self._bodies, link.call("getSimulationTime")
         for _ in range(self._substeps):
             self._targets = self._targets + self._velocities * self._time_step
-            for vehicle, (x, y) in zip(self._vehicles, self._targets.tolist(), strict=True):
-                link.call("setObjectPosition", vehicle.target, [x, y, self._altitude])
+            landing = self._braking & ~self._velocities.any(axis=1)
+            self._heights[landing] -= _SINKING * self._time_step
+            self._heights = np.maximum(self._heights, 0.0)
+            places = np.column_stack([self._targets, self._heights])
+            for vehicle, place in zip(self._vehicles, places.tolist(), strict=True):
+                link.call("setObjectPosition", vehicle.target, place)
             link.call("step")
         stopped = link.call("getSimulationState") == link.constant("simulation_stopped")
         lasted = link.call("getSimulationTime") - begun
@@ -155,6 +167,8 @@ class CoppeliaSimulator(Simulator):
         self._scene.plant(mission, self._frame)
         self._targets = self._frame.to_metres(mission.starts)
         self._velocities = np.zeros_like(self._targets)
+        self._heights = np.full(len(self._targets), self._altitude)
+        self._braking = np.zeros(len(self._targets), np.bool_)
         places = [(x, y, self._altitude) for x, y in self._targets.tolist()]
         self._vehicles = [self._scene.add_vehicle(self._model, place) for place in places]
         self._look(link)

@@ -9,9 +9,11 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from mbn_marl.config import Failures
 from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.episode import Episode
 from mbn_marl.episode.play import EpisodeLog
+from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 from mbn_marl.sim3d.simulator import Floats, Mission, Simulator
 
@@ -98,10 +100,12 @@ def deploy(
         source: what the policy is, in words.
 
     Raises:
-        ConfigError: field and settings do not fit together.
+        ConfigError: field and settings do not fit together, or the simulator's vehicles cannot fail
+            as the settings say.
         MbnError: the simulator cannot be used.
     """
     engine = BatchEngine(field, 1, seed=seed, autoreset=False, threads=1, **settings)
+    kind = _checked_kind(engine.config.failures, simulator)
     config, wind = engine.config, engine.config.wind_increment()
     if simulator.has_wind:
         calm = {**settings, "wind": (0.0, 0.0)}
@@ -112,11 +116,16 @@ def deploy(
     simulator.reset(Mission(field, starts, wind, config.tau, config.roi_radius))
     seconds, log = 0.0, EpisodeLog(engine)
     commands: list[Floats] = []
+    failed = np.zeros(engine.n_robots, np.bool_)
     while engine.running[0]:
         seen = engine.state() if policy.observes == "state" else observations
         actions = np.asarray(policy.act(seen, deterministic=True)[0])
-        commands.append(world.command(actions).velocities)
-        simulator.command(commands[-1])
+        command = world.command(actions)
+        for robot in np.flatnonzero(command.failed & ~failed):
+            simulator.fail(int(robot), kind)
+        failed = command.failed
+        commands.append(command.velocities)
+        simulator.command(command.velocities)
         begun = process_time()
         simulator.step()
         seconds += process_time() - begun
@@ -130,3 +139,13 @@ def deploy(
         wall_hits=int(engine.metrics()["wall_hits"].sum()),
         seconds=None if simulator.external else seconds,
     )
+
+
+def _checked_kind(failures: Failures | None, simulator: Simulator) -> str:
+    """Return what failed robots do; raise ``ConfigError`` if the simulator's vehicles cannot."""
+    kind = (failures or Failures()).kind
+    if failures is not None and kind not in simulator.failures:
+        allowed = f"allowed with its vehicles: {', '.join(map(repr, simulator.failures))}"
+        place = type(simulator).__name__
+        raise ConfigError("deployment", [f"failures.kind: {kind!r} with {place}; {allowed}"])
+    return kind

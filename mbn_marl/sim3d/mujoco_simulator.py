@@ -9,16 +9,19 @@ from typing import Any
 import numpy as np
 
 from mbn_marl.errors import ConfigError
+from mbn_marl.render import style
 from mbn_marl.sim3d.balancer import Balancer
 from mbn_marl.sim3d.film import Film, load_mujoco
 from mbn_marl.sim3d.quadrotor import Quadrotor
-from mbn_marl.sim3d.scene import SPRAYED_AREA, SPRAYED_WEED, Frame, build_scene
+from mbn_marl.sim3d.scene import SPRAYED_AREA, SPRAYED_WEED, Frame, build_scene, rgba
 from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Scale, Simulator
 from mbn_marl.sim3d.vehicle import Array, Senses, Vehicle
 
 VEHICLES: Mapping[str, type[Vehicle]] = {"quadrotor": Quadrotor, "balancer": Balancer}
 CONTROL_PERIOD = 0.01  # seconds between two runs of the controllers, at most
 SUBSTEPS = 2  # steps of the physics in a control period
+HOLDING_GAIN = 0.5  # 1/s: the velocity of a parked vehicle per distance from where it stands
+BROKEN = rgba(style.FAINT_INK)  # the colour of a vehicle that has failed
 
 
 class MujocoSimulator(Simulator):
@@ -72,7 +75,8 @@ class MujocoSimulator(Simulator):
         joints = [self.model.joint(f"robot_{index}") for index in robots]
         self._places = np.array([joint.qposadr[0] + np.arange(7) for joint in joints])
         self._speeds = np.array([joint.dofadr[0] + np.arange(6) for joint in joints])
-        self._commands = np.zeros((len(robots), 2))
+        self._commands, self._stands = np.zeros((len(robots), 2)), np.zeros((len(robots), 2))
+        self._braking, self._parked = np.zeros((2, len(robots)), np.bool_)
         resting = np.tile(self.vehicle.resting, len(robots))
         self.data.ctrl[:] = resting
         self.data.act[:] = resting[: self.model.na]
@@ -99,11 +103,24 @@ class MujocoSimulator(Simulator):
     def command(self, velocities: Floats) -> None:
         """Let the vehicles track these velocities, (n, 2) units/step, from now on."""
         self._commands = velocities.astype(float) * self.scale.speed
+        stopped = self._braking & ~self._parked & ~velocities.any(axis=1)
+        self._stands[stopped] = self.senses().positions[stopped, :2]
+        self._parked |= stopped
+
+    def fail(self, robot: int, kind: str) -> None:
+        """Paint vehicle ``robot`` grey. One that brakes parks where its command is to stand."""
+        self._braking[robot] = kind == "brake"
+        roots = self.model.body_rootid[self.model.geom_bodyid]
+        own = roots == self.model.body(f"robot_{robot}").id
+        self.model.geom_rgba[own] = np.array(BROKEN.split(), float)
 
     def step(self) -> None:
         """Simulate one step of the MDP: the controllers run every control period."""
         for _ in range(self._periods):
-            self.data.ctrl[:] = self.vehicle.control(self.senses(), self._commands).ravel()
+            senses, parked = self.senses(), self._parked
+            back = HOLDING_GAIN * (self._stands - senses.positions[:, :2])
+            commands = np.where(parked[:, None], back, self._commands)
+            self.data.ctrl[:] = self.vehicle.control(senses, commands, parked).ravel()
             self._mujoco.mj_step(self.model, self.data, SUBSTEPS)
             if self._film is not None:
                 self._film.look()

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from mbn_marl.engine.mdp.failures import KINDS
 from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Simulator
 
 
@@ -17,6 +18,7 @@ class PlaneSimulator(Simulator):
     """
 
     has_wind: ClassVar[bool] = False
+    failures: ClassVar[tuple[str, ...]] = tuple(KINDS)
 
     def reset(self, mission: Mission) -> None:
         """Put the point masses at the starts of ``mission``."""

@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from mbn_marl.sim3d.vehicle import GRAVITY, Array, Senses, Vehicle, add, add_air_shape
+from mbn_marl.sim3d.vehicle import GRAVITY, Array, Flags, Senses, Vehicle, add, add_air_shape
 
 MASS = 1.0  # kg
 INERTIA = np.array([0.008, 0.008, 0.014])  # about the centre, kg m^2: a disc of 0.18 m
@@ -26,12 +26,15 @@ HEIGHT_GAIN, CLIMB_GAIN = 9.0, 6.0
 """1/s^2 and 1/s: vertical acceleration per error of height and per climb; critically damped."""
 ATTITUDE_RATE, DAMPING = 16.0, 0.9  # rad/s and a ratio: the attitude is a second-order system
 STEEPEST = 3.0  # m/s^2, the most horizontal acceleration: a tilt of 17 degrees
+SINKING = 0.2  # m/s, of one that lands
+LANDED = 0.06  # metres above the ground, below which it has landed: it stands on its battery
 
 
 class Quadrotor(Vehicle):
     """Four rotors, and a cascade for velocity v, height z, attitude R and body rates w.
 
-    - velocity: ``a = k_v (v_command - v)`` along x and y, ``a_z = k_z (0.35 - z) - k_c v_z``;
+    - velocity: ``a = k_v (v_command - v)`` along x and y, ``a_z = k_z (0.35 - z) - k_c v_z``, and
+      ``k_c (-0.2 - v_z)`` of one that lands;
     - attitude: the rotors' axis ``b = (a + g) / |a + g|``, heading along +x; the total thrust is
       ``m (a + g) . R e_z``;
     - torque: ``J (-s^2 e_R - 2 d s w) + w x J w``, ``e_R`` half the skew part of ``R_d^T R``.
@@ -80,22 +83,28 @@ class Quadrotor(Vehicle):
             gear = (0, 0, 1, 0, 0, turn * REACTION)
             add(actuator, "general", site=f"{name}_rotor_{number}", gear=gear, **lag)
 
-    def control(self, senses: Senses, commands: Array) -> Array:
-        """Return thrusts of the rotors (n, 4), N, for velocities ``commands`` (n, 2), m/s."""
-        push = self._acceleration(senses, commands) + np.array([0.0, 0.0, GRAVITY])
+    def control(self, senses: Senses, commands: Array, parked: Flags) -> Array:
+        """Return thrusts of the rotors (n, 4), N, for velocities ``commands`` (n, 2), m/s.
+
+        Those that are ``parked``, (n,), sink to the ground, and switch their rotors off there.
+        """
+        push = self._acceleration(senses, commands, parked) + np.array([0.0, 0.0, GRAVITY])
         thrust = MASS * np.einsum("ni,ni->n", push, senses.rotations[:, :, 2])
         error, rates = attitude_error(senses.rotations, wanted_attitude(push)), senses.rates
         turning = -(ATTITUDE_RATE**2) * error - 2.0 * DAMPING * ATTITUDE_RATE * rates
         gyroscopic = INERTIA_STEPS * rates[:, (1, 2, 0)] * rates[:, (2, 0, 1)]
         torque = INERTIA * turning + gyroscopic
-        return np.column_stack([thrust, torque]) @ self._unmix.T
+        thrusts = np.column_stack([thrust, torque]) @ self._unmix.T
+        thrusts[parked & (senses.positions[:, 2] < LANDED)] = 0.0
+        return thrusts
 
-    def _acceleration(self, senses: Senses, commands: Array) -> Array:
+    def _acceleration(self, senses: Senses, commands: Array, parked: Flags) -> Array:
         """Return the acceleration (n, 3), m/s^2, that the velocity and the height ask for."""
         level = self._velocity_gain * (commands - senses.velocities[:, :2])
         size = np.linalg.norm(level, axis=1, keepdims=True)
         level *= STEEPEST / np.maximum(size, STEEPEST)
         climb = HEIGHT_GAIN * (HEIGHT - senses.positions[:, 2])
+        climb[parked] = -CLIMB_GAIN * SINKING
         climb -= CLIMB_GAIN * senses.velocities[:, 2]
         return np.column_stack([level, climb])
 

@@ -90,16 +90,19 @@ class Motion:
 class Simulator(AbstractContextManager["Simulator"]):
     """Vehicles in a field, in a ``with`` block or closed by hand.
 
-    A mission is a :meth:`reset`, and in each step :meth:`command`, :meth:`step`, :meth:`motion`.
+    A mission is a :meth:`reset`, and in each step :meth:`fail` for each vehicle that fails in it,
+    :meth:`command`, :meth:`step`, :meth:`motion`.
 
     Attributes:
         has_wind: whether the wind acts on its bodies. If not, the wind is part of the commands.
         external: whether it is another program, whose processor time is not known here.
+        failures: the kinds of failure that its vehicles can have.
         speed_limit: the vehicles' own limit per axis, units/step; ``None`` for none but the MDP's.
     """
 
     has_wind: ClassVar[bool] = True
     external: ClassVar[bool] = False
+    failures: ClassVar[tuple[str, ...]] = ("brake", "coast")
     speed_limit: float | None = None
 
     @abstractmethod
@@ -113,6 +116,13 @@ class Simulator(AbstractContextManager["Simulator"]):
     @abstractmethod
     def command(self, velocities: Floats) -> None:
         """Let the vehicles track ``velocities``, (n, 2) in units/step, from now on."""
+
+    def fail(self, robot: int, kind: str) -> None:
+        """Let vehicle ``robot``, 0 to n - 1, fail in a ``kind`` of ``failures``, for good.
+
+        Its commands are those of mdp.md, "Failures", from the next one on. One that brakes may do
+        more once its command is to stand: land, and switch off.
+        """
 
     @abstractmethod
     def step(self) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 GRAVITY = 9.81  # metres per second squared
 
@@ -49,8 +50,11 @@ class Vehicle(ABC):
         """Add the motors of the vehicle called ``name`` to MJCF's actuators."""
 
     @abstractmethod
-    def control(self, senses: Senses, commands: Array) -> Array:
-        """Motor controls (n, motors) that make the velocities ``commands``, (n, 2) m/s."""
+    def control(self, senses: Senses, commands: Array, parked: Flags) -> Array:
+        """Motor controls (n, motors) that make the velocities ``commands``, (n, 2) m/s.
+
+        Those that are ``parked``, (n,), have failed: one that flies lands, and none turns.
+        """
 
 
 def add(parent: Element, tag: str, **attributes: Any) -> Element:

@@ -153,6 +153,23 @@ def test_vehicles_track_the_commanded_velocities(server: CoppeliaServer) -> None
     assert motion.positions == pytest.approx(field.starts + 40 * wanted, abs=2.0)
 
 
+def test_a_vehicle_that_brakes_lands_where_it_stops(server: CoppeliaServer) -> None:
+    with connect(server) as simulator:
+        simulator.reset(mission(square()))
+        simulator.fail(0, "brake")
+        for speed, height in ((1.0, 0.35), (0.0, 0.15), (0.0, 0.0), (0.0, 0.0)):
+            simulator.command(np.array([[speed, 0.0], [1.0, 0.0]]))
+            simulator.step()
+            targets = np.array([target.place for target in server.named("target")])
+            assert targets[:, 2] == pytest.approx([height, 0.35])
+            assert targets[0, 0] == pytest.approx(-4.0 + 0.1)
+        for _ in range(6):
+            simulator.step()
+        motion = simulator.motion()
+    assert motion.heights == pytest.approx([0.0, 0.35], abs=0.01)
+    assert motion.positions[0] == pytest.approx(square().starts[0] + (1.0, 0.0), abs=0.1)
+
+
 def test_the_stand_in_reacts_late_as_the_real_quadcopter_does(server: CoppeliaServer) -> None:
     with connect(server, scale=Scale(seconds=0.05)) as simulator:
         simulator.reset(mission())

@@ -17,7 +17,7 @@ from mbn_marl.config import RewardProfile
 from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 from mbn_marl.field import load_field
-from mbn_marl.sim3d import PlaneSimulator, Scale, deploy
+from mbn_marl.sim3d import Mission, PlaneSimulator, Scale, deploy
 from tests.support.missions import SMALL, Wander
 from tests.support.worlds import DISTURBANCES
 
@@ -53,13 +53,45 @@ def test_the_plane_gives_the_environments_own_episode(
         assert (ours.terms[..., 2] < 0).any() == (theirs.terms[..., 2] < 0).any()
 
 
-def test_disturbed_robots_that_turn_are_on_the_plane_as_in_the_engine() -> None:
+@pytest.mark.parametrize("kind", ["brake", "coast", "vanish"])
+def test_disturbed_robots_that_turn_and_fail_are_on_the_plane_as_in_the_engine(kind: str) -> None:
     settings = {"dynamics": ("unicycle", "bicycle"), "f_max": 2.0, "max_steps": 60, **DISTURBANCES}
+    settings["failures"] = {"at": {1: 35}, "kind": kind}
     ours = deploy(Wander(), SMALL, settings, PlaneSimulator(), seed=3).episode
     theirs = record_episode(Wander(), SMALL, settings, seed=3)
-    for name in ("positions", "headings", "terms"):
+    for name in ("positions", "headings", "terms", "failed"):
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
     assert np.ptp(ours.headings) > 1.0 and (ours.terms[..., 2] < 0).any()
+    assert ours.failed.tolist() == [0, 35]
+
+
+class Notes(PlaneSimulator):
+    """Notes who fails, after how many steps; its vehicles cannot vanish."""
+
+    failures = ("brake", "coast")
+
+    def reset(self, mission: Mission) -> None:
+        super().reset(mission)
+        self.steps, self.notes = 0, list[tuple[int, int, str]]()
+
+    def fail(self, robot: int, kind: str) -> None:
+        self.notes.append((self.steps, robot, kind))
+
+    def step(self) -> None:
+        super().step()
+        self.steps += 1
+
+
+def test_a_simulator_learns_once_who_fails() -> None:
+    failing = {"failures": {"at": {1: 3, 0: 5}, "kind": "coast"}, "max_steps": 7}
+    simulator = Notes()
+    done = deploy(Wander(), SMALL, failing, simulator)
+    assert simulator.notes == [(2, 1, "coast"), (4, 0, "coast")]
+    assert done.episode.failed.tolist() == [5, 3]
+    failing["failures"] = {"kind": "vanish"}
+    refused = r"failures\.kind: 'vanish' with Notes; .*'brake', 'coast'"
+    with pytest.raises(ConfigError, match=refused):
+        deploy(Wander(), SMALL, failing, Notes())
 
 
 class Windy(PlaneSimulator):

@@ -28,7 +28,7 @@ from tests.support.missions import BEND, SMALL, Wander, drive, start
 if find_spec("mujoco") is None:
     pytest.skip("MuJoCo is not installed", allow_module_level=True)
 
-from mbn_marl.sim3d.mujoco_simulator import MujocoSimulator
+from mbn_marl.sim3d.mujoco_simulator import BROKEN, MujocoSimulator
 from mbn_marl.sim3d.quadrotor import Quadrotor, attitude_error, wanted_attitude
 from mbn_marl.sim3d.scene import SPRAYED_WEED
 
@@ -138,7 +138,7 @@ def test_the_balancer_stays_up_in_wind() -> None:
 
 def test_without_control_the_balancer_falls() -> None:
     class Idle(type(MujocoSimulator("balancer").vehicle)):  # type: ignore[misc]
-        def control(self, senses: Any, commands: Any) -> Any:
+        def control(self, senses: Any, commands: Any, parked: Any) -> Any:
             return np.zeros((len(commands), 2))
 
     simulator = MujocoSimulator(Idle())
@@ -147,6 +147,54 @@ def test_without_control_the_balancer_falls() -> None:
     for _ in range(4):
         simulator.step()
     assert lean(simulator) > 45.0
+
+
+# -- vehicles that fail ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("vehicle", "height"), [("quadrotor", 0.055), ("balancer", 0.1)])
+def test_a_vehicle_that_brakes_stands_where_it_stopped(vehicle: str, height: float) -> None:
+    """A quadrotor lands there. Wind does not move it, and the other one goes on."""
+    simulator = MujocoSimulator(vehicle)
+    start(simulator, wind=(0.3, 0.2))
+    drive(simulator, (1.5, 0.0), 4)
+    colours = simulator.model.geom_rgba.copy()
+    simulator.fail(0, "brake")
+    working = simulator.motion().heights[0]
+    for speed in (1.0, 0.5):
+        simulator.command(np.array([(speed, 0.0), (-1.0, 0.0)]))
+        simulator.step()
+        assert simulator.motion().heights[0] == pytest.approx(working, abs=0.02)
+    stopped = simulator.motion().positions[0]
+    simulator.command(np.array([(0.0, 0.0), (-1.0, 0.0)]))
+    places = []
+    for _ in range(12):
+        simulator.step()
+        simulator.command(np.array([(0.0, 0.0), (-1.0, 0.0)]))
+        places.append(simulator.motion().positions[0])
+    after = simulator.motion()
+    assert after.heights[0] == pytest.approx(height, abs=0.002)
+    assert np.linalg.norm(after.positions[0] - stopped) < 1.0  # of a unit
+    assert np.ptp(places[-4:], axis=0).max() < 0.1
+    assert np.linalg.norm(after.velocities[0]) < 0.02
+    assert after.velocities[1, 0] < -0.5
+    if vehicle == "quadrotor":
+        assert after.heights[1] == pytest.approx(0.35, abs=0.02)
+        assert not simulator.data.ctrl[:4].any() and simulator.data.ctrl[4:].all()
+    model = simulator.model
+    roots = [model.body(model.body_rootid[body]).name for body in model.geom_bodyid]
+    changed = np.flatnonzero((model.geom_rgba != colours).any(axis=1))
+    assert {roots[part] for part in changed} == {"robot_0"}
+    np.testing.assert_allclose(model.geom_rgba[changed[0]], np.array(BROKEN.split(), float))
+
+
+def test_a_vehicle_that_coasts_flies_on() -> None:
+    simulator = MujocoSimulator()
+    start(simulator)
+    simulator.fail(0, "coast")
+    drive(simulator, (1.0, 0.0), 3)
+    drive(simulator, (0.0, 0.0), 3)
+    assert np.abs(simulator.motion().heights - 0.35).max() < 0.02
 
 
 # -- deployments -----------------------------------------------------------------------------------

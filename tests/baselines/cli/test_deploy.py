@@ -137,12 +137,13 @@ def test_force_keeps_the_old_files(
 def test_numbers_and_names_stay_whole_at_80_columns() -> None:
     row = {"field": "a_field_of_my_own", "sim": "coppeliasim", "outcome": "truncated"}
     row |= {"wind_speed": 0.125, "makespan": 1234, "return": -11_972_196.0, "separation": 1234.5}
-    row |= {"tracking_error": 0.12, "times_real_time": None}
+    row |= {"tracking_error": 0.12, "times_real_time": None, "failed": [None, 3]}
     call = f"print_deployments([{row!r}], 'title')"
     program = f"from baselines.cli.deploy import print_deployments; {call}"
     shown = in_terminal([sys.executable, "-c", program], columns=80)
     words = shown.split()
-    for whole in ("a_field_of_my_own", "coppeliasim", "truncated", "1,234", "-11,972,196"):
+    for whole in ("a_field_of_my_own", "coppeliasim", "truncated,", "1,234", "-11,972,196"):
         assert whole in words, shown
+    assert "truncated, 1 failed" in shown
     assert all(len(line) <= 80 for line in shown.splitlines())
     assert "\N{HORIZONTAL ELLIPSIS}" not in shown
