@@ -15,6 +15,8 @@ PROGRAM = "python -m benchmarks"
 
 SUBJECTS = {
     "speed": ("speed.measure", "Speed", "engine and adapters, against a plain loop and peers"),
+    "features": ("speed.features", "Features", "the engine with dynamics, failures, disturbances"),
+    "conditions": ("conditions", "Conditions", "the zoo and classical policies, every condition"),
     "study": ("studies.learning", "Study", "comparisons of learning, benchmarks/studies/*.yaml"),
     "population": ("studies.population", "Population", "the best policies within a time"),
     "planning": ("planning", "Planning", "proofs and plans for the ten fields and random ones"),

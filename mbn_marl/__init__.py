@@ -14,13 +14,17 @@ from mbn_marl.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from mbn_marl.adapters.gymnasium import centralized_env
+    from mbn_marl.checked import Uniform
+    from mbn_marl.config import Failures
     from mbn_marl.engine import BatchEngine
     from mbn_marl.field import Field, load_field
     from mbn_marl.navigation_v0 import env, parallel_env, raw_env
 
 __all__ = [
     "BatchEngine",
+    "Failures",
     "Field",
+    "Uniform",
     "centralized_env",
     "env",
     "load_field",
@@ -30,7 +34,9 @@ __all__ = [
 
 _HOMES = {
     "BatchEngine": "mbn_marl.engine",
+    "Failures": "mbn_marl.config",
     "Field": "mbn_marl.field",
+    "Uniform": "mbn_marl.checked",
     "centralized_env": "mbn_marl.adapters.gymnasium",
     "env": "mbn_marl.navigation_v0",
     "load_field": "mbn_marl.field",

@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 import math
-import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from itertools import cycle, islice
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Discriminator,
-    Field,
-    Tag,
-    ValidationError,
-    field_validator,
-)
+from pydantic import Field, field_validator
 
+from mbn_marl.checked import Checked, Uniform, or_drawn, or_each
 from mbn_marl.errors import ConfigError, unknown
 
 MAX_ROBOTS = 64
 MAX_ROIS = 24
 """More ROIs than this would make the visit code inexact in float32."""
-
-_SHORT = reprlib.Repr()
-"""Shows values in messages: long ones without their middle."""
-_SHORT.maxstring = _SHORT.maxother = 80
 
 RobotIndex = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
 StepNumber = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -33,49 +22,30 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Turn = Annotated[float, Field(gt=0.0, le=math.pi)]
+Steering = Annotated[float, Field(gt=0.0, le=1.5)]
 Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
+TeamDynamics = Literal[Dynamics, "mixed"]
+MIXED: tuple[Dynamics, ...] = ("point_mass", "unicycle", "bicycle")
+"""The dynamics of a ``"mixed"`` team's robots, in turn."""
 
-_ONE, _EACH = "for all", "for each"
-"""Marks of a setting's two forms, one value for all robots or one per robot; not in messages."""
-
-
-def _form(value: object) -> str:
-    return _EACH if isinstance(value, tuple | list) else _ONE
-
-
-def _for_each(kind: Any) -> Any:
-    """The type of a setting that is one value of a ``kind`` for all robots, or a tuple of them."""
-    several = Annotated[tuple[kind, ...], Field(min_length=1, max_length=MAX_ROBOTS), Tag(_EACH)]
-    return Annotated[Annotated[kind, Tag(_ONE)] | several, Discriminator(_form)]
-
-
-if TYPE_CHECKING:
-    DynamicsOfEach = Dynamics | tuple[Dynamics, ...]
+if TYPE_CHECKING:  # a setting that draws its number has none before an episode: see ``drawn``
+    DynamicsOfEach = TeamDynamics | tuple[Dynamics, ...]
     PositiveOfEach = float | tuple[float, ...]
+    AnyNumber = float
+    AnyPositive = float
+    AnyNonNegative = float
+    AnyProbability = float
+    AnyTurn = float
+    AnySteering = float
 else:
-    DynamicsOfEach, PositiveOfEach = map(_for_each, (Dynamics, Positive))
+    AnyNumber, AnyPositive, AnyNonNegative = map(or_drawn, (Finite, Positive, NonNegative))
+    AnyProbability, AnyTurn, AnySteering = map(or_drawn, (Probability, Turn, Steering))
+    DynamicsOfEach = or_each(Dynamics, MAX_ROBOTS, TeamDynamics)
+    PositiveOfEach = or_each(AnyPositive, MAX_ROBOTS)
 
-
-class Checked(BaseModel):
-    """A model whose constructor lists all problems of its arguments as one error.
-
-    Raises:
-        ConfigError: naming every unknown or invalid argument and what is allowed.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
-
-    if not TYPE_CHECKING:  # type checkers know the arguments from the fields
-
-        def __init__(self, **values: Any) -> None:
-            try:
-                super().__init__(**values)
-            except ValidationError as error:
-                raise ConfigError(self._source(), describe(error, type(self))) from None
-
-    @classmethod
-    def _source(cls) -> str:
-        return cls.__name__
+Number = float | Uniform
+"""A number, or the range that each episode draws it from."""
 
 
 class RewardProfile(Checked):
@@ -117,6 +87,8 @@ class Failures(Checked):
     Attributes:
         rate: the probability that a robot fails in a step, in [0, 1].
         at: the step, from 1 on, in which a robot fails, by the robot's index, from 0 on.
+        between: the first and the last step of those from which each episode draws one, in which a
+            robot fails that it draws too; ``None``: no such robot.
         kind: what a failed robot does: ``"brake"``, ``"coast"`` or ``"vanish"``.
         most: how many robots of the team can have failed before ``rate`` fails no more, 0 to n;
             ``None`` is n - 1.
@@ -125,14 +97,36 @@ class Failures(Checked):
         ConfigError: naming every unknown or invalid argument and what is allowed.
     """
 
-    rate: Probability = 0.0
-    at: dict[RobotIndex, StepNumber] = {}
+    rate: AnyProbability = 0.0
+    at: dict[RobotIndex, StepNumber] = Field(default_factory=dict)
+    between: tuple[StepNumber, StepNumber] | None = None
     kind: Literal["brake", "coast", "vanish"] = "brake"
     most: Annotated[int, Field(ge=0, le=MAX_ROBOTS)] | None = None
+
+    @field_validator("between")
+    @classmethod
+    def _in_order(cls, value: tuple[int, int] | None) -> tuple[int, int] | None:
+        if value is not None and value[0] > value[1]:
+            raise ValueError("the first step must not be after the last")
+        return value
+
+
+_NO_FAILURES = Failures()
+NUMBERS = (
+    *("gust", "gust_time", "action_noise", "action_loss"),
+    *("position_noise", "velocity_noise", "dropout"),
+    *("tau", "turn_max", "wheelbase", "steer_max", "safety_distance", "roi_radius"),
+)
+"""Settings that are one number, which may be drawn."""
+LIMITS = ("mass", "f_max", "v_clip")
+"""Settings that are a number of each robot, which may be drawn."""
 
 
 class NavigationConfig(Checked):
     """Everything about the MDP that is not the field. Symbols are those of the paper.
+
+    A number that may be drawn (*drawn* below) may be given as a :class:`Uniform`: each episode then
+    draws it (mdp.md, "Drawn numbers").
 
     Attributes:
         n_robots: team size, 1 to 64; ``None`` takes as many as the field has starts.
@@ -140,33 +134,42 @@ class NavigationConfig(Checked):
         reward_sharing: ``"individual"`` (each robot its own share; the shares sum to the team's
             reward) or ``"team"`` (every robot gets the team's reward).
         dynamics: how robots move: ``"point_mass"``, ``"holonomic"``, ``"unicycle"`` or
-            ``"bicycle"`` (mdp.md, "Dynamics"); one name for all robots or one per robot.
+            ``"bicycle"`` (mdp.md, "Dynamics"); one name for all robots or one per robot;
+            ``"mixed"``: point mass, unicycle and bicycle in turn.
         observation: ``"relative"``, ``"state"``, ``"local"``, ``"lidar"`` or ``"lidar_local"``,
             see ``engine.mdp.observations``.
         one_hot: append the robot's index as a one-hot vector to its observation.
         sensing_radius: how far ``"local"``, ``"lidar"`` and ``"lidar_local"`` see, in units.
-        wind: ``(v_a, beta_a)``: speed in units/step per step, angle in degrees from +x.
-        gust: standard deviation of the gusts along each axis, units/step per step; 0: none.
-        gust_time: correlation time of the gusts, steps, > 0.
-        action_noise: standard deviation of what is added to each number of an action, >= 0.
-        action_loss: probability that an action is lost and the one before it repeated, in [0, 1].
+        wind: ``(v_a, beta_a)``: speed in units/step per step, angle in degrees from +x;
+            each may be drawn.
+        gust: standard deviation of the gusts along each axis, units/step per step; 0: none; may
+            be drawn.
+        gust_time: correlation time of the gusts, steps, > 0; may be drawn.
+        action_noise: standard deviation of what is added to each number of an action, >= 0;
+            may be drawn.
+        action_loss: probability that an action is lost and the one before it repeated, in [0, 1];
+            may be drawn.
         action_delay: how late actions arrive, steps, 0 to 100.
-        position_noise: standard deviation of what a robot observes of positions, units, >= 0.
-        velocity_noise: the same of velocities, units/step, >= 0.
-        dropout: probability that a robot or ROI is not observed in a step, in [0, 1].
+        position_noise: standard deviation of what a robot observes of positions, units, >= 0;
+            may be drawn.
+        velocity_noise: the same of velocities, units/step, >= 0; may be drawn.
+        dropout: probability that a robot or ROI is not observed in a step, in [0, 1]; may be
+            drawn.
         max_steps: T_max; reaching it truncates the episode.
         dtype: precision of the simulation, ``"float32"`` or ``"float64"``.
         f_max: force of a full-scale action, mass x units/step^2, > 0; one number for all robots
-            or one per robot.
+            or one per robot; may be drawn.
         v_clip: speed limit, units/step, > 0, per axis, or along the heading of a robot that has
-            one; one number for all robots or one per robot.
-        tau: time of one step.
-        mass: M_i, one number for all robots or one per robot, > 0.
-        turn_max: the most that a unicycle turns, rad/step, > 0 and at most pi.
-        wheelbase: distance of a bicycle's axles, units, > 0.
-        steer_max: the most that a bicycle steers, rad, > 0 and at most 1.5.
-        safety_distance: C; two robots closer than this (strictly) have collided, in units.
-        roi_radius: rho; an ROI within this distance of a robot is visited, in units.
+            one; one number for all robots or one per robot; may be drawn.
+        tau: time of one step, > 0; may be drawn.
+        mass: M_i, one number for all robots or one per robot, > 0; may be drawn.
+        turn_max: the most that a unicycle turns, rad/step, > 0 and at most pi; may be drawn.
+        wheelbase: distance of a bicycle's axles, units, > 0; may be drawn.
+        steer_max: the most that a bicycle steers, rad, > 0 and at most 1.5; may be drawn.
+        safety_distance: C; two robots closer than this (strictly) have collided, in units;
+            may be drawn.
+        roi_radius: rho; an ROI within this distance of a robot is visited, in units; may be
+            drawn.
         random_starts: start at random points of the field, at least C apart, instead of the
             field's own starts.
         failures: how robots fail during an episode, :class:`Failures`; ``None``: they do not.
@@ -185,26 +188,26 @@ class NavigationConfig(Checked):
     observation: Literal["relative", "state", "local", "lidar", "lidar_local"] = "relative"
     one_hot: bool = False
     sensing_radius: Positive = 100.0
-    wind: tuple[NonNegative, Finite] = (0.0, 0.0)
-    gust: NonNegative = 0.0
-    gust_time: Positive = 10.0
-    action_noise: NonNegative = 0.0
-    action_loss: Probability = 0.0
+    wind: tuple[AnyNonNegative, AnyNumber] = (0.0, 0.0)
+    gust: AnyNonNegative = 0.0
+    gust_time: AnyPositive = 10.0
+    action_noise: AnyNonNegative = 0.0
+    action_loss: AnyProbability = 0.0
     action_delay: Annotated[int, Field(ge=0, le=100)] = 0
-    position_noise: NonNegative = 0.0
-    velocity_noise: NonNegative = 0.0
-    dropout: Probability = 0.0
+    position_noise: AnyNonNegative = 0.0
+    velocity_noise: AnyNonNegative = 0.0
+    dropout: AnyProbability = 0.0
     max_steps: StepNumber = 1000
     dtype: Literal["float32", "float64"] = "float32"
     f_max: PositiveOfEach = 0.5
     v_clip: PositiveOfEach = 5.0
-    tau: Positive = 1.0
+    tau: AnyPositive = 1.0
     mass: PositiveOfEach = 1.0
-    turn_max: Annotated[float, Field(gt=0.0, le=math.pi)] = 0.3
-    wheelbase: Positive = 4.0
-    steer_max: Annotated[float, Field(gt=0.0, le=1.5)] = 0.5
-    safety_distance: NonNegative = 10.0
-    roi_radius: NonNegative = 10.0
+    turn_max: AnyTurn = 0.3
+    wheelbase: AnyPositive = 4.0
+    steer_max: AnySteering = 0.5
+    safety_distance: AnyNonNegative = 10.0
+    roi_radius: AnyNonNegative = 10.0
     random_starts: bool = False
     failures: Failures | None = None
 
@@ -225,6 +228,8 @@ class NavigationConfig(Checked):
     def of_each(self, name: str, n: int) -> tuple[Any, ...]:
         """The values of the setting ``name`` for the robots of a team of ``n``."""
         value = getattr(self, name)
+        if value == "mixed":
+            return tuple(islice(cycle(MIXED), n))
         return value if isinstance(value, tuple) else (value,) * n
 
     @property
@@ -232,13 +237,51 @@ class NavigationConfig(Checked):
         """Whether episodes or observations depend on random numbers."""
         chances = (self.gust, self.action_noise, self.action_loss)
         sight = (self.position_noise, self.velocity_noise, self.dropout)
-        fails = self.failures is not None and self.failures.rate > 0.0
-        return self.random_starts or fails or any((*chances, *sight))
+        failures = self.failures or _NO_FAILURES
+        fails = bool(failures.rate) or failures.between is not None
+        return bool(self.random_starts or fails or self.drawn or any((*chances, *sight)))
+
+    @property
+    def drawn(self) -> dict[str, Uniform]:
+        """The ranges of what each episode draws, by name, such as ``wind_speed`` or ``mass_0``."""
+        return {name: one for name, one in self.numbers() if isinstance(one, Uniform)}
+
+    def numbers(self) -> Iterator[tuple[str, Number]]:
+        """Yield all numbers that may be drawn, by name, a robot's own last."""
+        yield from zip(("wind_speed", "wind_angle"), self.wind, strict=True)
+        for name in NUMBERS:
+            yield name, getattr(self, name)
+        yield "failure_rate", (self.failures or _NO_FAILURES).rate
+        for name in LIMITS:
+            value = getattr(self, name)
+            own = isinstance(value, tuple)
+            yield from ((f"{name}_{i}", v) for i, v in enumerate(value)) if own else [(name, value)]
+
+    def with_drawn(self, drawn: Mapping[str, float]) -> NavigationConfig:
+        """Return the configuration of an episode that has ``drawn`` these, in settings' units."""
+        if not drawn:
+            return self
+        known = {**dict(self.numbers()), **drawn}
+        update: dict[str, Any] = {name: known[name] for name in NUMBERS}
+        update["wind"] = known["wind_speed"], known["wind_angle"]
+        for name in LIMITS:
+            value = getattr(self, name)
+            own = isinstance(value, tuple)
+            each = tuple(known[f"{name}_{i}"] for i in range(len(value))) if own else known[name]
+            update[name] = each
+        if self.failures is not None:
+            rate = {"rate": known["failure_rate"]}
+            update["failures"] = self.failures.model_copy(update=rate)
+        return self.model_copy(update=update)
+
+    def at_most(self) -> NavigationConfig:
+        """Return it with the highest value of every drawn number."""
+        return self.with_drawn({name: ends.high for name, ends in self.drawn.items()})
 
     @property
     def top_speed(self) -> float:
         """The highest speed limit of a robot, units/step."""
-        limits: tuple[float, ...] = self.of_each("v_clip", 1)
+        limits: tuple[float, ...] = self.at_most().of_each("v_clip", 1)
         return max(limits)
 
     def wind_increment(self) -> tuple[float, float]:
@@ -247,84 +290,108 @@ class NavigationConfig(Checked):
         return speed * math.cos(math.radians(angle)), speed * math.sin(math.radians(angle))
 
 
-class FixedSettings(TypedDict, total=False):
-    """The keyword arguments of :class:`NavigationConfig` but the team size, typed."""
+Condition = Literal["calm", "windy", "gusty", "noisy", "delayed", "failing", "mixed", "storm"]
+_NOISY = {"position_noise": 1.0, "velocity_noise": 0.1, "action_noise": 0.05}
+_DELAYED = {"action_delay": 2, "action_loss": 0.1}
+_FAILING = {"failures": Failures(between=(5, 60), kind="brake")}
+CONDITIONS: Mapping[str, Mapping[str, Any]] = {
+    "calm": {},
+    "windy": {"wind": (Uniform(0.1, 0.35), Uniform(0.0, 360.0))},
+    "gusty": {"gust": 0.15, "gust_time": 10.0},
+    "noisy": _NOISY,
+    "delayed": _DELAYED,
+    "failing": _FAILING,
+    "mixed": {"dynamics": "mixed", "turn_max": 0.3, "wheelbase": 4.0, "steer_max": 0.5},
+    "storm": {
+        "wind": (Uniform(0.1, 0.25), Uniform(0.0, 360.0)),
+        **{"gust": 0.08, "gust_time": 10.0},
+        **_NOISY,
+        **_DELAYED,
+        **_FAILING,
+    },
+}
+"""The settings of each named condition (mdp.md, "Conditions")."""
 
+
+class FixedSettings(TypedDict, total=False):
+    """The keyword arguments of :class:`NavigationConfig` but the team size, and ``condition``."""
+
+    condition: Condition
     reward: str | RewardProfile
     reward_sharing: Literal["individual", "team"]
-    dynamics: Dynamics | tuple[Dynamics, ...]
+    dynamics: TeamDynamics | tuple[Dynamics, ...]
     observation: Literal["relative", "state", "local", "lidar", "lidar_local"]
     one_hot: bool
     sensing_radius: float
-    wind: tuple[float, float]
-    gust: float
-    gust_time: float
-    action_noise: float
-    action_loss: float
+    wind: tuple[Number, Number]
+    gust: Number
+    gust_time: Number
+    action_noise: Number
+    action_loss: Number
     action_delay: int
-    position_noise: float
-    velocity_noise: float
-    dropout: float
+    position_noise: Number
+    velocity_noise: Number
+    dropout: Number
     max_steps: int
     dtype: Literal["float32", "float64"]
-    f_max: float | tuple[float, ...]
-    v_clip: float | tuple[float, ...]
-    tau: float
-    mass: float | tuple[float, ...]
-    turn_max: float
-    wheelbase: float
-    steer_max: float
-    safety_distance: float
-    roi_radius: float
+    f_max: Number | tuple[Number, ...]
+    v_clip: Number | tuple[Number, ...]
+    tau: Number
+    mass: Number | tuple[Number, ...]
+    turn_max: Number
+    wheelbase: Number
+    steer_max: Number
+    safety_distance: Number
+    roi_radius: Number
     random_starts: bool
     failures: Failures | None
 
 
 class Settings(FixedSettings, total=False):
-    """All keyword arguments of :class:`NavigationConfig`, for typed signatures."""
+    """All keyword arguments of :class:`NavigationConfig`, and ``condition``, typed."""
 
     n_robots: int | None
+
+
+def expand(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``settings`` with those of their ``condition``, if they name one, in its place.
+
+    Raises:
+        ConfigError: there is no such condition, or it sets what is given too.
+    """
+    values = dict(settings)
+    name = values.pop("condition", "calm")
+    if name not in CONDITIONS:
+        problems = [f"condition: {unknown('condition', str(name), CONDITIONS)}"]
+        raise ConfigError("configuration", problems)
+    both = sorted(CONDITIONS[name].keys() & values.keys())
+    if both:
+        why = f"is set by condition {name!r}; allowed: one of the two"
+        raise ConfigError("configuration", [f"{one}: {why}" for one in both])
+    return {**values, **CONDITIONS[name]}
 
 
 def make_config(settings: Mapping[str, Any]) -> NavigationConfig:
     """Validate ``settings``, values by name, into a configuration.
 
-    Raises:
-        ConfigError: naming every unknown or invalid setting and what is allowed.
-    """
-    return NavigationConfig(**settings)
-
-
-def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
-    """One line for each problem that pydantic found: the place, what is wrong, what is allowed.
-
     Args:
-        error: raised by pydantic.
-        model: the model to be made; its fields, and those of the models in it, are the known names.
+        settings: the arguments of :class:`NavigationConfig`; ``condition``, the name of one of
+            ``CONDITIONS``, stands for the settings listed there.
+
+    Raises:
+        ConfigError: naming every unknown or invalid setting and what is allowed; a setting that is
+            given beside a condition that sets it is one of them.
     """
-    lines = []
-    for problem in error.errors():
-        path = [part for part in problem["loc"] if part not in (_ONE, _EACH)]
-        place = ".".join(map(str, path)) or model.__name__
-        cause = problem.get("ctx", {}).get("error")
-        if isinstance(cause, ConfigError):  # of a part that is a model
-            lines += [f"{place}.{line}" for line in cause.problems]
-            continue
-        if problem["type"] == "extra_forbidden":
-            *path, name = problem["loc"]
-            message = unknown("name", str(name), _level(model, path).model_fields)
-        else:
-            message = problem["msg"].removeprefix("Value error, ")
-            if problem["type"] != "missing":  # else the input is all that is around it
-                message += f" (got {_SHORT.repr(problem['input'])})"
-        lines.append(f"{place}: {message}")
-    return lines
-
-
-def _level(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseModel]:
-    """Return the model that the value at ``path`` inside ``model`` is validated as."""
-    for name in path:
-        field = model.model_fields.get(str(name))
-        if field is not None and isinstance(field.annotation, type):
-            model = field.annotation if issubclass(field.annotation, BaseModel) else model
-    return model
+    problems: list[str] = []
+    try:
+        values = expand(settings)
+    except ConfigError as error:
+        problems += error.problems
+        values = {name: value for name, value in settings.items() if name != "condition"}
+    try:
+        config = NavigationConfig(**values)
+    except ConfigError as error:
+        problems += error.problems
+    if problems:
+        raise ConfigError("configuration", problems)
+    return config

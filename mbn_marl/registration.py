@@ -1,4 +1,6 @@
-"""The environments' ids in the registries of Gymnasium and PettingZoo: ``mbn/field_03-v0`` ...
+"""The environments' ids in the registries of Gymnasium and PettingZoo.
+
+They are ``mbn/field_03-v0`` and the like, and ``mbn/field_03-gusty-v0`` under a condition.
 
 Entry points are strings, so that an environment is imported only when one is made. Without an
 import of this package, use ``gymnasium.make("mbn_marl:mbn/field_03-v0")``.
@@ -6,32 +8,37 @@ import of this package, use ``gymnasium.make("mbn_marl:mbn/field_03-v0")``.
 
 from __future__ import annotations
 
+from itertools import product
+from typing import get_args
+
 import gymnasium
 import pettingzoo
 
+from mbn_marl.config import Condition
 from mbn_marl.field import catalogue_names
 
 
-def environment_id(field_name: str) -> str:
-    """Return the id of the catalogue field ``field_name``, such as ``mbn/field_03-v0``."""
-    return f"mbn/{field_name}-v0"
+def environment_id(field_name: str, condition: Condition = "calm") -> str:
+    """Return the id of the catalogue field ``field_name`` under a ``condition``."""
+    return f"mbn/{field_name}-v0" if condition == "calm" else f"mbn/{field_name}-{condition}-v0"
 
 
 def register_environments() -> None:
-    """Register every catalogue field, centralised in Gymnasium, decentralised in PettingZoo.
+    """Register every catalogue field under every condition.
 
-    PettingZoo has a registry from 1.27 on.
+    Centralised in Gymnasium, decentralised in PettingZoo, which has a registry from 1.27 on.
     """
     forms = {"parallel": "parallel_env", "aec": "env"} if hasattr(pettingzoo, "register") else {}
-    for name in catalogue_names():
+    for name, condition in product(catalogue_names(), get_args(Condition)):
+        settings = {"field": name} | ({} if condition == "calm" else {"condition": condition})
         gymnasium.register(
-            environment_id(name),
+            environment_id(name, condition),
             entry_point="mbn_marl.adapters.gymnasium:CentralizedEnv",
             vector_entry_point="mbn_marl.adapters.gymnasium:CentralizedVectorEnv",
-            kwargs={"field": name},
+            kwargs=settings,
         )
         for form, function in forms.items():
             entry = f"mbn_marl.navigation_v0:{function}"
             pettingzoo.register(
-                form, environment_id(name), entry_point=entry, kwargs={"field": name}
+                form, environment_id(name, condition), entry_point=entry, kwargs=settings
             )

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import check_options
+from mbn_marl.config import CONDITIONS, Condition
 from mbn_marl.optimum import optimality_gap
 
 ONE_EPISODE = "deterministic:\none episode"
@@ -35,6 +36,8 @@ class Evaluate:
     record: Path | None = None
     """A new folder for the best, the median and the worst episode with sampled actions, as files
     for `mbn replay`."""
+    condition: Condition = "calm"
+    """A named condition, whose settings replace those of the run."""
     wind_speeds: str | None = None
     """Wind speeds to evaluate at, such as 0,0.1,..,0.5 (units/step per step)."""
     wind_angle: float = 30.0
@@ -62,6 +65,7 @@ class Evaluate:
             "json, figure: of a policy without a run folder in wind, name both": in_wind
             and homeless
             and None in (self.json, self.figure),
+            "condition: allowed without --wind-speeds": self.condition != "calm" and in_wind,
             f"field: {field}": classical != (self.field is not None),
         }
         check_options("evaluation", wrong)
@@ -82,12 +86,13 @@ class Evaluate:
 
         if self.field is not None:
             field = load_field(self.field)
-            policy = make_classical(self.source, field, {})
-            return {"policy": policy, "field": field, "settings": {}}, Path()
+            settings = {**CONDITIONS[self.condition]}
+            policy = make_classical(self.source, field, settings)
+            return {"policy": policy, "field": field, "settings": settings}, Path()
         run = open_run(self.source)
         if run.unfinished is not None:
             print(run.unfinished)
-        settings = run.config["environment"]
+        settings = {**run.config["environment"], **CONDITIONS[self.condition]}
         return {"policy": load_policy(run), "field": run.field, "settings": settings}, run.path
 
     def _evaluate(self, how: dict[str, Any], command_line: str) -> None:

@@ -10,6 +10,7 @@ from tyro.conf import arg
 
 from baselines.cli.options import check_options
 from baselines.training.config import TrainConfig
+from mbn_marl.config import Condition
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,8 @@ class Train:
     set: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE ...")] = ()
     """Hyperparameters, or environment.NAME=VALUE for settings of the environment, that replace the
     recorded ones; a value is JSON or a word, for example entropy=0.01 model.gamma=0.9."""
+    condition: Condition = "calm"
+    """A named condition: settings of the environment."""
     wandb: str | None = None
     """Log to this project of Weights & Biases too (pip install wandb)."""
     out: Path | None = None
@@ -41,6 +44,8 @@ class Train:
         check_options("training", wrong)
         changes = parse(self.set)
         environment = changes.pop(ENVIRONMENT, {})
+        if self.condition != "calm":
+            environment = {**environment, "condition": self.condition}
         config = replace(self.config, environment=environment, hyperparameters=changes)
         for line in notes(config):
             print(line)

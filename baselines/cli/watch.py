@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
+
+from mbn_marl.config import Condition, expand
 
 
 @dataclass(frozen=True)
@@ -20,6 +22,8 @@ class _Window:
     field if there is one, else random."""
     wind: tuple[float, float] | None = None
     """Speed (units/step per step) and angle (degrees from +x) of the wind."""
+    condition: Condition = "calm"
+    """A named condition, whose settings replace those of the run."""
     sampled: bool = False
     """Sample the policy's actions instead of taking their mean."""
     seed: int = 0
@@ -42,8 +46,9 @@ class _Window:
         from mbn_marl.files import check_free, claim_file
 
         actor = find_actor(self.source, self.policy or zoo_policy(self.source), seed=self.seed)
-        wind = {} if self.wind is None else {"wind": self.wind}
-        actor = replace(actor, settings={**actor.settings, **wind})
+        asked: dict[str, Any] = {} if self.wind is None else {"wind": self.wind}
+        asked = expand({**asked, "condition": self.condition})
+        actor = replace(actor, settings={**actor.settings, **asked})
         if self.save is not None:
             if self.save.suffix.lower() != ".json":
                 raise MbnError(f"{self.save}: the file name has to end in .json")

@@ -77,8 +77,12 @@ class RunRecord:
     @property
     def label(self) -> str:
         """The name in tables and figures."""
-        config = self.config
-        return config.get("label") or default_label(config["algorithm"], config["setting"])
+        return self.config.get("label") or self.default_label
+
+    @property
+    def default_label(self) -> str:
+        """The name of runs that differ from others by algorithm and setting alone."""
+        return default_label(self.config["algorithm"], self.config["setting"])
 
     @cached_property
     def optimum(self) -> float | None:

@@ -53,7 +53,10 @@ class Results:
         }
         for one in sorted(records, key=lambda one: int(one.config["seed"])):
             cells[one.label, one.field.name].append(one)
-        problems = [*_unequal_seeds(cells), *_differences(records, "all runs", _everywhere)]
+        unnamed = [one for one in records if one.label == one.default_label]
+        problems = _unequal_seeds(cells)
+        for alike, names in ((records, _budget), (unnamed, _task)):
+            problems += _differences(alike, "all runs", names)
         for label in looks:
             own = [one for one in records if one.label == label]
             problems += _differences(
@@ -93,9 +96,13 @@ class Results:
 
     @property
     def optima(self) -> dict[str, float]:
-        """The proved best return (reward units) of each field that has one."""
-        firsts = {field: self.cells[self.labels[0], field][0] for field in self.fields}
-        return {field: one.optimum for field, one in firsts.items() if one.optimum is not None}
+        """The proved best return (reward units) of each field that has one, for every label."""
+        optima = {
+            field: {runs[0].optimum for runs in self.of_field(field).values()}
+            for field in self.fields
+        }
+        alike = {field: one for field, (one, *more) in optima.items() if not more}
+        return {field: one for field, one in alike.items() if one is not None}
 
     def on(self, fields: Collection[str]) -> Results:
         """The part on some fields."""
@@ -125,22 +132,26 @@ def _differences(
     records: Sequence[RunRecord], whose: str, values_of: Callable[[RunRecord], Mapping[str, Any]]
 ) -> list[str]:
     """Name each value in which a run differs from the first one, once."""
-    first, problems = records[0], []
-    for name, value in values_of(first).items():
+    problems: list[str] = []
+    for name, value in (values_of(records[0]) if records else {}).items():
         others = (one for one in records if values_of(one).get(name) != value)
         if other := next(others, None):
             problems.append(
-                f"{name}: must be the same in {whose}; {first.run.path} has {value!r}, "
+                f"{name}: must be the same in {whose}; {records[0].run.path} has {value!r}, "
                 f"{other.run.path} {values_of(other).get(name)!r}"
             )
     return problems
 
 
-def _everywhere(record: RunRecord) -> dict[str, Any]:
-    """Return what all runs have in common: budget, evaluations, and the task."""
+def _budget(record: RunRecord) -> dict[str, Any]:
+    """Return what all runs have in common: budget and evaluations."""
+    return {name: record.config[name] for name in BUDGET}
+
+
+def _task(record: RunRecord) -> dict[str, Any]:
+    """Return what runs whose label does not name a difference have in common too."""
     world = record.config["environment"]
-    task = {f"environment.{name}": world[name] for name in world if name not in VIEW}
-    return {name: record.config[name] for name in BUDGET} | task
+    return {f"environment.{name}": world[name] for name in world if name not in VIEW}
 
 
 def _different_fields(records: Sequence[RunRecord]) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from baselines.demo.resolve import Actor
+from baselines.evaluation.evaluate import fitted
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.errors import ConfigError
@@ -79,6 +80,7 @@ def _run(actor: Actor, how: Show, driven: int | None, keys: str) -> list[Episode
     caption = f"{actor.field.name} - {actor.name}"
     viewer = Viewer("human", frame_rate=how.speed, caption=caption, own=driven, keys=keys)
     engine = BatchEngine(actor.field, 1, seed=how.seed, autoreset=False, **actor.settings)
+    actor = dataclasses.replace(actor, policy=fitted(actor.policy, engine))
     name = actor.name if driven is None else f"a person as robot {driven}, with {actor.name}"
     finished = 0
     with torch.random.fork_rng(devices=[]), EpisodeRecorder(engine, source=name) as recorder:

@@ -15,7 +15,7 @@ from baselines.evaluation.policy import Origin, Policy, RandomPolicy
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.mdp.dynamics import count_headings
-from mbn_marl.engine.mdp.observations import WITH_RADIUS
+from mbn_marl.engine.mdp.observations import WITH_RADIUS, observation_table
 from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
@@ -133,10 +133,9 @@ def roll_out(
     Sampled actions come from torch's generator, which is seeded, and at the end put back.
 
     Raises:
-        ConfigError: naming all that a loaded policy was trained with otherwise: robots, ROIs and,
-            if it acts on the robots' own observations, their kind and what they are scaled by.
+        ConfigError: see :func:`fitted`.
     """
-    _check_fits(policy, engine)
+    policy = fitted(policy, engine)
     observations = engine.reset()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -182,21 +181,67 @@ def evaluate_both(
     }
 
 
-def _check_fits(policy: Policy, engine: BatchEngine) -> None:
-    """Check that a loaded policy would see what it was trained to see."""
+class Narrowed:
+    """A policy that acts on some of the entries of what it is shown.
+
+    Args:
+        policy: the policy.
+        entries: the places of the entries that it was trained with.
+    """
+
+    def __init__(self, policy: Policy, entries: list[int]) -> None:
+        self.observes = policy.observes
+        self._policy, self._entries = policy, entries
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        """See :class:`Policy`."""
+        return self._policy.act(seen[..., self._entries], deterministic=deterministic)
+
+
+def fitted(policy: Policy, engine: BatchEngine) -> Policy:
+    """Return a policy that acts on what the engine shows.
+
+    Of the headings of robots and the flags of those that have failed, a loaded policy that was
+    trained without them sees nothing.
+
+    Raises:
+        ConfigError: naming all that a loaded policy was trained with otherwise: robots, ROIs and,
+            if it acts on the robots' own observations, their kind and what they are scaled by.
+    """
     trained: Origin | None = getattr(policy, "origin", None)
     if trained is None:
-        return
+        return policy
     ours, theirs = _sizes(*trained), _sizes(engine.field, engine.config)
+    new = {name for name in ("headings", "failures") if theirs[name] and not ours[name]}
     problems = [
         f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
         for name in (
             ("robots", "ROIs", "headings", "failures") if policy.observes == "state" else ours
         )
-        if ours[name] != theirs[name]
+        if ours[name] != theirs[name] and name not in new
     ]
     if problems:
         raise ConfigError(f"policy in {engine.field.name}", problems)
+    return Narrowed(policy, _known_entries(policy, trained, engine)) if new else policy
+
+
+def _known_entries(policy: Policy, trained: Origin, engine: BatchEngine) -> list[int]:
+    """Return the places of what a policy was trained with in what the engine shows."""
+    n = engine.n_robots
+    if policy.observes == "state":
+        headings, failures = 4 * n, engine.state().shape[1] - 1 - n
+        kept = [*range(4 * n), *(range(headings, 5 * n) if _turns(trained.config) else ())]
+        kept += range(failures, failures + n) if trained.config.failures is not None else ()
+        return [*kept, engine.state().shape[1] - 1]
+    m, arena = len(trained.field.rois), trained.field.arena
+    places = {entry.name: entry.offset for entry in engine.observation_table}
+    table = observation_table(trained.config, n, m, arena)
+    return [places[entry.name] for entry in table]
+
+
+def _turns(config: NavigationConfig) -> bool:
+    """Return whether a robot of the team has a heading."""
+    return count_headings(config.of_each("dynamics", 3)) > 0
 
 
 def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
@@ -205,7 +250,7 @@ def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
         "robots": config.n_robots or len(field.starts),
         "ROIs": len(field.rois),
         "arena": tuple(map(float, field.arena)),
-        "headings": count_headings(config.of_each("dynamics", 1)) > 0,
+        "headings": _turns(config),
         "failures": config.failures is not None,
         "v_clip": config.top_speed,
         **{name: getattr(config, name) for name in ("observation", "one_hot")},

@@ -13,6 +13,7 @@ from shapely import Point
 
 from baselines.training.config import Task
 from baselines.training.hyperparameters import Hyperparameters
+from mbn_marl.checked import Uniform
 from mbn_marl.config import make_config
 from mbn_marl.field import Field
 from mbn_marl.field.limits import SAFETY_DISTANCE
@@ -68,7 +69,8 @@ class TrainingAids(Hyperparameters):
         """The environment's arguments in training: ``field``, one for all worlds or one each."""
         true, radius = make_config(task.settings), curriculum.radius
         longest = min(true.max_steps, self.episode_steps or true.max_steps)
-        settings: dict[str, Any] = {"roi_radius": true.roi_radius * radius, "max_steps": longest}
+        settings: dict[str, Any] = {"roi_radius": _times(true.roi_radius, radius)}
+        settings["max_steps"] = longest
         if true.failures is not None:  # later ones are of no training episode
             at = {i: step for i, step in true.failures.at.items() if step <= longest}
             settings["failures"] = true.failures.model_copy(update={"at": at})
@@ -144,3 +146,10 @@ class RoiCurriculum:
         elif rate < low:
             self.stage = max(self.stage - 1, 0)
         return self.radius != before
+
+
+def _times(number: float | Uniform, factor: float) -> float | Uniform:
+    """Return a number, or the range that it is drawn from, ``factor`` times as large."""
+    if isinstance(number, Uniform):
+        return Uniform(number.low * factor, number.high * factor)
+    return number * factor

@@ -17,7 +17,7 @@ from baselines.training.hyperparameters import Hyperparameters
 from baselines.training.loggers import find_wandb
 from baselines.training.progress_bar import Listener
 from baselines.training.run_logger import Recorder
-from mbn_marl.config import make_config
+from mbn_marl.config import expand, make_config
 from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
 from mbn_marl.field import Field, load_field
 
@@ -116,7 +116,7 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
         )
     if problems:
         raise ConfigError("training", problems)
-    settings = {**hyperparameters.environment, **config.environment}
+    settings = {**hyperparameters.environment, **expand(config.environment)}
     make_config(settings)
     task = Task(config, load_field(config.field), settings)
     if config.transferred_from is not None:

@@ -75,7 +75,7 @@ def step_parts(store, actions, last, lo, hi):  # type: ignore[no-untyped-def]  #
             for i in range(now.x.shape[0]):
                 hash_positions(mem, now, out, to, i, lo, end)
         if last >= REWARDS:
-            pass_time(p, mem.key, now.gust, now.steps, lo, end)
+            pass_time(p, now.drawn, mem.key, now.gust, now.steps, lo, end)
         if last >= OBSERVATIONS:
             observe(p, g, mem, now, lo, end, to.tile, out.observations)
         if last >= MEMORY:

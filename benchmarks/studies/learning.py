@@ -32,6 +32,7 @@ from mbn_marl.field import catalogue_names, safe_yaml
 StudyName = Literal[
     "ablations",
     "aids",
+    "conditions",
     "forms",
     "learning",
     "records",

@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.adapters.infos import INFO_KEYS, NOTHING, Infos
+from mbn_marl.adapters.infos import Infos
 from mbn_marl.adapters.one_world import OneWorld, rename_max_steps
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings
@@ -103,7 +103,7 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
         """
         super().reset(seed=seed)
         self._start(seed)
-        return self.engine.state()[0], dict(NOTHING)
+        return self.engine.state()[0], self._infos.of_reset()
 
     def step(self, action: ArrayLike) -> tuple[State, float, bool, bool, dict[str, Any]]:
         """Move all robots.
@@ -211,8 +211,8 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
             mask = np.ones(self.num_envs, np.bool_)
         else:
             self._reset_some(mask, seed)
-        nothing = np.where(mask[:, None], list(NOTHING.values()), 0.0)
-        return self.engine.state(), self._by_key(nothing, mask)
+        rows = np.where(mask[:, None], self._infos.of_resets(), 0.0)
+        return self.engine.state(), self._by_key(rows, mask)
 
     def step(
         self, actions: ArrayLike
@@ -268,7 +268,7 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         ):
             states[world] = state
         return {
-            **self._by_key(np.where(ended[:, None], list(NOTHING.values()), rows), everywhere),
+            **self._by_key(np.where(ended[:, None], self._infos.of_resets(), rows), everywhere),
             "final_obs": states,
             "_final_obs": ended,
             "final_info": self._by_key(np.where(ended[:, None], rows, 0.0), ended),
@@ -277,7 +277,7 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
 
     def _by_key(self, rows: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
         """Split rows of infos ``(W, keys)`` by key; ``_key`` is the mask of valid worlds."""
-        infos = dict(zip(INFO_KEYS, rows.T.copy(), strict=True))
+        infos = dict(zip(self._infos.keys, rows.T.copy(), strict=True))
         return {**infos, **{f"_{key}": mask for key in infos}}
 
 

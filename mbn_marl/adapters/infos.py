@@ -13,6 +13,8 @@ key                 value (float)
 ``reward/<term>``   the terms of this step's reward, which sum to the robot's own reward
 ``optimality_gap``  at the end of the episode, by how much its return falls short of the proved
                     optimum, as a share of that; NaN before, and where no optimum is proved
+``drawn/<name>``    each number that the episode has drawn (``NavigationConfig.drawn``), in the
+                    unit of the setting
 ==================  =========================================================================
 
 In a team's info the robots' own values (from ``wall_hits`` on) are summed over the team.
@@ -38,11 +40,7 @@ class Undefined(np.float64):
 
 UNDEFINED = Undefined("nan")
 GAP = "optimality_gap"
-INFO_KEYS = (*INFO_COLUMNS, GAP)
-"""The keys of every info."""
-NOTHING = {**dict.fromkeys(INFO_COLUMNS, 0.0), GAP: UNDEFINED}
-"""The info of a reset."""
-TEAM_WIDE = slice(0, INFO_KEYS.index("wall_hits"))
+TEAM_WIDE = slice(0, INFO_COLUMNS.index("wall_hits"))
 """The first keys describe the team and are the same for all robots."""
 
 
@@ -50,36 +48,56 @@ class Infos:
     """Makes the infos of the worlds of ``engine``.
 
     Attributes:
+        keys: the keys of every info.
         optima: (W,), reward units: the proved optimum of each world, NaN where there is none.
     """
 
     def __init__(self, engine: BatchEngine) -> None:
         self._engine = engine
+        self.keys = (*INFO_COLUMNS, GAP, *(f"drawn/{name}" for name in engine.config.drawn))
         optima = [optimal_return(field, engine.config) for field in engine.fields]
         self.optima = np.resize(np.array(optima, np.float64), engine.num_worlds)
 
+    def of_reset(self) -> dict[str, float]:
+        """The info of a reset of the first world, of a robot or of the team."""
+        return self._named(self.of_resets()[0].tolist())
+
+    def of_resets(self) -> NDArray[np.float64]:
+        """The info of a reset of every world, (W, keys), ordered as ``keys``, in their units."""
+        worlds = self._engine.num_worlds
+        gaps, drawn = np.full(worlds, np.nan), self._engine.drawn().values()
+        return np.column_stack([np.zeros((worlds, len(INFO_COLUMNS))), gaps, *drawn])
+
     def of_robots(self, ended: bool) -> list[dict[str, float]]:
         """One info for each robot of the first world; ``ended``: whether its episode has."""
-        gap = self._gaps(np.array([ended])).tolist()
-        return [_named(row + gap) for row in self._engine.infos()[0].tolist()]
+        more = self._team_wide(np.array([ended]))[0].tolist()
+        return [self._named(row + more) for row in self._engine.infos()[0].tolist()]
 
     def of_team(self, ended: bool) -> dict[str, float]:
         """The info of the first world's team; ``ended``: whether its episode has."""
-        return _named(self.of_teams(np.array([ended]))[0].tolist())
+        return self._named(self.of_teams(np.array([ended]))[0].tolist())
 
     def of_teams(self, ended: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """The info of every world's team, ordered as ``INFO_KEYS``.
+        """The info of every world's team as of the last step, before any automatic reset.
 
         Args:
             ended: (W,) bool, the worlds whose episode has ended.
 
         Returns:
-            (W, keys), in the units of the keys.
+            (W, keys), ordered as ``keys``, in their units.
         """
         robots = self._engine.infos()
         team: NDArray[np.float64] = robots.sum(axis=1)
         team[:, TEAM_WIDE] = robots[:, 0, TEAM_WIDE]
-        return np.column_stack([team, self._gaps(ended)])
+        return np.column_stack([team, self._team_wide(ended)])
+
+    def _team_wide(self, ended: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """The entries from the gap on, (W, entries)."""
+        engine = self._engine
+        replaced = ended & (engine.autoreset == "same_step")
+        present, final = engine.drawn(), engine.final_drawn()
+        drawn = [np.where(replaced, final[name], present[name]) for name in present]
+        return np.column_stack([self._gaps(ended), *drawn])
 
     def _gaps(self, ended: NDArray[np.bool_]) -> NDArray[np.float64]:
         if not ended.any():
@@ -87,7 +105,6 @@ class Infos:
         returns = self._engine.metrics()["episode_return"]
         return np.where(ended, 1.0 - returns / self.optima, np.nan)
 
-
-def _named(row: list[float]) -> dict[str, float]:
-    info = dict(zip(INFO_KEYS, row, strict=True))
-    return {**info, GAP: UNDEFINED} if np.isnan(info[GAP]) else info
+    def _named(self, row: list[float]) -> dict[str, float]:
+        info = dict(zip(self.keys, row, strict=True))
+        return {**info, GAP: UNDEFINED} if np.isnan(info[GAP]) else info

@@ -13,7 +13,6 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from mbn_marl.adapters.infos import NOTHING
 from mbn_marl.adapters.one_world import OneWorld, rename_max_steps
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import FieldLike
@@ -146,7 +145,7 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         if seed is not None:
             self.np_random, _ = np_random(seed)
         self.agents = list(self.possible_agents)
-        infos = {agent: dict(NOTHING) for agent in self.agents}
+        infos = {agent: self._infos.of_reset() for agent in self.agents}
         return dict(zip(self.agents, observations, strict=True)), infos
 
     def step(self, actions: Mapping[str, ArrayLike]) -> StepResult:

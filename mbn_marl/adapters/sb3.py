@@ -181,7 +181,8 @@ class NavigationVecEnv(VecEnv):
         metrics = {name: self._by_row(one) for name, one in self.engine.metrics().items()}
         returns = metrics[self._return][ended].tolist()
         del metrics["return_"]
-        columns = {name: metric[ended].tolist() for name, metric in metrics.items()}
+        drawn = {f"drawn/{name}": self._by_row(one) for name, one in self.engine.drawn().items()}
+        columns = {name: one[ended].tolist() for name, one in (metrics | drawn).items()}
         observations = self._observations(last)[ended]
         seconds = round(time.time() - self._start_time, 6)
         for index, row in enumerate(ended.tolist()):

@@ -129,7 +129,9 @@ class NavigationEnv(EnvBase):
             **settings,
         )
         self._give = _to_numpy if self.engine.device == "cpu" else _as_it_is
-        self._state, self._team_reward, self._metrics = state, team_reward, tuple(metrics)
+        self._state, self._team_reward, self._measures = state, team_reward, tuple(metrics)
+        self._drawn = tuple(f"drawn/{name}" for name in self.engine.config.drawn if metrics)
+        self._metrics = self._measures + self._drawn
         self.action_repeat = action_repeat
         self._no_rows = torch.zeros(0, num_worlds, device=self.device)
         self.n_agents = self.engine.n_robots
@@ -293,8 +295,9 @@ class NavigationEnv(EnvBase):
 
     def _rows(self) -> torch.Tensor:
         """Return the metrics to report, (count, W) float32."""
-        known = self.engine.metrics(self._metrics)
-        rows = [torch.as_tensor(known[name], device=self.device) for name in self._metrics]
+        known = [*self.engine.metrics(self._measures).values()]
+        known += self.engine.drawn().values() if self._drawn else []
+        rows = [torch.as_tensor(one, device=self.device) for one in known]
         return torch.stack([row.float() for row in rows]) if rows else self._no_rows
 
     def _entries(self, outcome: _Outcome) -> TensorDict:

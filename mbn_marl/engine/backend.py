@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import state
 from mbn_marl.engine.kernels import INFO_COLUMNS
+from mbn_marl.engine.mdp.drawn import WIND_X, WIND_Y, rows_of_drawn
 from mbn_marl.engine.mdp.rewards import COLLISION, SUCCESS
 from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.engine.state import Array, Episode, Geometry, Memory, Output
@@ -121,7 +122,7 @@ class Backend(ABC):
     def snapshot(self, field: Field, world: int) -> Snapshot:
         """See ``BatchEngine.snapshot``; ``field`` is the world's."""
         self.raise_fault()
-        now, config, host = self.now, self.spec.config, self.host
+        now, config, host = self.now, self.config_in(world), self.host
         n, steps, visited = now.x.shape[0], int(now.steps[world]), int(now.visited[world])
         outcome = int(self.output.outcomes[world]) if steps else 0
         roi_bits = self.spec.geometry.roi_bits
@@ -145,11 +146,27 @@ class Backend(ABC):
 
     def wind(self, world: int) -> tuple[float, float]:
         """The velocity that wind and gust add in the next step of a world, units/step."""
-        x, y = self.spec.config.wind_increment()
+        if self.now.drawn.ndim == 2:
+            x, y = self.host(self.now.drawn[WIND_X : WIND_Y + 1, world]).tolist()
+        else:
+            x, y = self.spec.config.wind_increment()
         if self.now.gust.ndim != 2:
             return x, y
         gust_x, gust_y = self.host(self.now.gust[:, world]).tolist()
         return x + gust_x, y + gust_y
+
+    def config_in(self, world: int) -> NavigationConfig:
+        """The configuration with the numbers that a world's present episode has drawn."""
+        drawn = self.drawn(final=False)
+        own = {name: float(numbers[world]) for name, numbers in drawn.items()}
+        return self.spec.config.with_drawn(own)
+
+    def drawn(self, *, final: bool) -> dict[str, Array]:
+        """See ``BatchEngine.drawn`` and ``BatchEngine.final_drawn``."""
+        episode = self.final if final else self.now
+        rows = rows_of_drawn(self.spec.config, self.spec.actions_shape[1])
+        copied = self.xp.concatenate
+        return {name: copied([episode.drawn[row]]) for name, row in rows.items()}
 
     def headings(self, world: int) -> NDArray[Any]:
         """The robots' headings in a world, (n,), radians; NaN for those without one."""

@@ -9,7 +9,7 @@ from typing import Any, TypeGuard, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.config import Settings, make_config
+from mbn_marl.config import NavigationConfig, Settings, make_config
 from mbn_marl.engine import validation
 from mbn_marl.engine.backend import BackendSpec
 from mbn_marl.engine.constants import make_record
@@ -115,10 +115,9 @@ class BatchEngine:
         self.n_rois = max(len(one.rois) for one in self.fields)
         self.dtype = np.dtype(config.dtype)
         table = observation_table(self.config, n, self.n_rois, self.field.arena)
-        self.observation_table = table
+        self.observation_table, self.obs_size = table, len(table)
         self.observation_low = np.array([entry.low for entry in table], np.float32)
         self.observation_high = np.array([entry.high for entry in table], np.float32)
-        self.obs_size = len(table)
         self.listeners: list[Listener] = []
         self._backend = make_backend(
             device,
@@ -291,9 +290,8 @@ class BatchEngine:
             tau|``, mass x units/step; ``failed`` (W, n) bool; ``return_`` (W, n) float64: what
             each agent was given.
         """
-        backend = self._backend
+        backend, outcomes = self._backend, self._backend.output.outcomes
         now, final, xp = backend.now, backend.final, backend.xp
-        outcomes = backend.output.outcomes
         collision = (outcomes & COLLISION) > 0
         ended = backend.output.terminated | backend.output.truncated
         ended &= self.autoreset == "same_step"
@@ -319,6 +317,18 @@ class BatchEngine:
                 "impulse": lambda: columns["impulse"],
             }
         return {name: measures[name]() for name in names}
+
+    def drawn(self) -> dict[str, Array]:
+        """What each present episode has drawn, by name: fresh (W,) real, in settings' units."""
+        return self._backend.drawn(final=False)
+
+    def final_drawn(self) -> dict[str, Array]:
+        """:meth:`drawn` of the last finished episodes, (W,), with autoreset same-step only."""
+        return self._backend.drawn(final=True)
+
+    def config_in(self, world: int = 0) -> NavigationConfig:
+        """The configuration with the numbers that the present episode of ``world`` has drawn."""
+        return self._backend.config_in(world)
 
     def sample_actions(self) -> Floats:
         """Uniform random actions, (W, n, 2) float32 in [-1, 1): the seed's next ones."""

@@ -71,6 +71,8 @@ class Constants(NamedTuple):
     random_starts: int
     failure_kind: int
     most_failures: int
+    failing_first: int  # the first and the last step of those one of which a failure draws, or 0
+    failing_last: int
     first_world: int  # the number of the world with index 0
     autoreset: int
 
@@ -91,10 +93,12 @@ def make_record(
     """
     real = np.dtype(config.dtype)
     weights = [getattr(config.reward, name) for name in WEIGHTS]
+    config = config.at_most()  # for constants, which take no part where episodes draw numbers
     wind_x, wind_y = config.wind_increment()
     gust_kept, gust_added = gust_factors(config)
     width, height = arena
     failures = config.failures or Failures()
+    failing_first, failing_last = failures.between or (0, 0)
     values = {
         **{name: getattr(config, name, None) for name in Constants._fields},
         "zero": 0.0,
@@ -123,6 +127,8 @@ def make_record(
         "failure_rate": failures.rate,
         "failure_kind": FAILURE_KINDS[failures.kind],
         "most_failures": n - 1 if failures.most is None else failures.most,
+        "failing_first": failing_first,
+        "failing_last": failing_last,
         "failures": n if config.failures else 0,
         "rules": RULES[config.reward.rules],
         "team_sharing": config.reward_sharing == "team",

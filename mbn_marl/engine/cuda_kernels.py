@@ -108,6 +108,7 @@ geometry_of = _view_of(
     robots="",
     kinds="",
     fail_at="",
+    ranges="",
     rays="",
 )
 memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="", seen="[:, w:end]")

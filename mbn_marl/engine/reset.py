@@ -11,11 +11,12 @@ from mbn_marl.engine.jit import compiled, generated
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import in_field
 from mbn_marl.engine.mdp.disturbances import begin_disturbances
+from mbn_marl.engine.mdp.drawn import draw_numbers, numbers_of
 from mbn_marl.engine.mdp.dynamics import face_along_x
 from mbn_marl.engine.mdp.failures import repair
 from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES, clear_filter, joint_state_known
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
-from mbn_marl.engine.mdp.rng import FOR_STARTS, stream_key, uniform, world_number
+from mbn_marl.engine.mdp.rng import FOR_STARTS, episode_key, stream_of, uniform, world_number
 from mbn_marl.engine.mdp.visits import all_visited, visit_code
 from mbn_marl.engine.scalars import column
 from mbn_marl.engine.state import HEADING, OPTIONAL, Episode
@@ -61,11 +62,11 @@ copy_motion = _copy_of("copy_motion", MOTION)
 
 
 @compiled
-def place_at_random(p, g, mem, now, w):
+def place_at_random(p, g, key, now, w):
     """Put the robots at random points of the field, none closer than C; False if that failed."""
     f = column(g, w)
-    key = stream_key(mem.seed[0], world_number(p, w), mem.episode[w], FOR_STARTS)
-    counter = 0
+    key = stream_of(key, FOR_STARTS)
+    counter, safety_squared = 0, numbers_of(p, now.drawn, w).safety_squared
     for i in range(now.x.shape[0]):
         placed = False
         for _ in range(DRAWS_PER_ROBOT):
@@ -75,7 +76,7 @@ def place_at_random(p, g, mem, now, w):
                 counter += 2
                 placed = in_field(g, w, x, y)
                 for j in range(i):
-                    near = too_close(now.x[j, w] - x, now.y[j, w] - y, p.safety_squared)
+                    near = too_close(now.x[j, w] - x, now.y[j, w] - y, safety_squared)
                     placed = placed and not near
                 now.x[i, w] = x
                 now.y[i, w] = y
@@ -90,9 +91,11 @@ def reset_world(p, g, mem, now, w):
     f = column(g, w)
     n = now.x.shape[0]
     mem.episode[w] += 1
+    key = episode_key(mem.seed[0], world_number(p, w), mem.episode[w])
+    draw_numbers(p, g.ranges, now.drawn, key, w)
     at_random = False
     if p.random_starts:
-        at_random = place_at_random(p, g, mem, now, w)
+        at_random = place_at_random(p, g, key, now, w)
     for i in range(n):
         if not at_random:
             now.x[i, w] = g.starts[0, i, f]
@@ -111,8 +114,7 @@ def reset_world(p, g, mem, now, w):
     now.team_return[w] = 0.0
     now.visited[w] = all_visited(g.rois.shape[1]) & ~g.codes[f]
     now.steps[w] = 0
-    seed, episode = mem.seed[0], mem.episode[w]
-    begin_disturbances(p, mem.key, now.gust, now.queue, seed, episode, w)
+    begin_disturbances(p, now.drawn, mem.key, now.gust, now.queue, key, w)
     mem.words[w] = np.uint64(
         LEAST_WORDS if p.rules == RELEASED else mem.filter.shape[1] - ODD_LINES
     )

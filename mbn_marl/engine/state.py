@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.config import NavigationConfig
+from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine.mdp.disturbances import DISTURBANCES, OF_ACTIONS, OF_SIGHT, any_on
-from mbn_marl.engine.mdp.dynamics import DYNAMICS, LIMITS, POINT_MASS, count_headings
+from mbn_marl.engine.mdp.drawn import is_drawn, make_ranges, rows_drawn
+from mbn_marl.engine.mdp.dynamics import DYNAMICS, POINT_MASS, count_headings
 from mbn_marl.engine.mdp.lidar import rays_of
 from mbn_marl.engine.mdp.observations import WITH_RAYS
 from mbn_marl.engine.mdp.revisits import ODD_LINES, filter_size
@@ -38,6 +39,7 @@ class Geometry(NamedTuple):
     robots: Array  # (3, n) real: see dynamics.LIMITS
     kinds: Array  # (n,) int32: dynamics; (0, 0) if all are point masses, the others left out
     fail_at: Array  # (n,) int32: the step in which each robot fails, 0 for none; (0,) without
+    ranges: Array  # (3, numbers) float64: what episodes draw, see drawn.make_ranges; (0,) if none
     rays: Array  # (2, 8) real: lidar's rays, units; (0,) without it, whose code is then left out
 
 
@@ -61,12 +63,13 @@ class Episode(NamedTuple):
     sin: Array
     gust: Array  # (2, W) real, units/step per step: x, y; (0, 0, W) without gusts
     queue: Array  # (2 n (delay + 1), W) real: the last actions sent; (0, 0, W) if undisturbed
+    drawn: Array  # (rows_drawn, W) real: drawn numbers; (0, 0, W) if nothing is drawn
     failed: Array  # (n, W) bool; (0, 0, W) without failures, whose code is then left out
 
 
 HEADING = ("heading", "cos", "sin")
 """The parts of an episode that only teams with headings have."""
-OPTIONAL = ("gust", "queue", "failed")
+OPTIONAL = ("gust", "queue", "drawn", "failed")
 """Those of what can be off: of two dimensions where it is on, of three where it is not."""
 
 
@@ -142,7 +145,7 @@ def make_geometry(
     if count > 1:
         own_field = np.arange(worlds) % count
         tables = tuple(np.take(table, own_field, axis=-1) for table in tables)
-    robots = np.array([config.of_each(name, n) for name in LIMITS], real)
+    robots = np.array([config.at_most().of_each(name, n) for name in LIMITS], real)
     kinds = np.array([DYNAMICS[name] for name in config.of_each("dynamics", n)], np.int32)
     if (kinds == POINT_MASS).all():
         kinds = np.zeros((0, 0), np.int32)
@@ -150,7 +153,8 @@ def make_geometry(
     fail_at = np.array([at.get(i, 0) for i in range(0 if config.failures is None else n)], np.int32)
     has_rays = config.observation in WITH_RAYS
     rays = rays_of(config.sensing_radius, fields[0].arena) if has_rays else np.zeros(0)
-    return Geometry._make([*tables, robots, kinds, fail_at, rays.astype(real)])
+    ranges = make_ranges(config, n)
+    return Geometry._make([*tables, robots, kinds, fail_at, ranges, rays.astype(real)])
 
 
 def _directed_edges(field: Field) -> Array:
@@ -169,7 +173,7 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
     reals = {name: xp.zeros(robots, dtype=real) for name in Episode._fields[:7]}
     reals |= {name: xp.zeros(headings, dtype=real) for name in HEADING}
     off = (0, 0, worlds)
-    sent = 2 * n * (config.action_delay + 1)
+    sent, rows = 2 * n * (config.action_delay + 1), rows_drawn(config, n)
     return Episode(
         **reals,
         wall_hits=xp.zeros(robots, dtype=xp.int32),
@@ -177,8 +181,9 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
         team_return=xp.zeros(worlds, dtype=xp.float64),
         visited=xp.zeros(worlds, dtype=xp.int32),
         steps=xp.zeros(worlds, dtype=xp.int32),
-        gust=xp.zeros((2, worlds) if config.gust > 0 else off, dtype=real),
+        gust=xp.zeros((2, worlds) if any_on(config, ("gust",)) else off, dtype=real),
         queue=xp.zeros((sent, worlds) if any_on(config, OF_ACTIONS) else off, dtype=real),
+        drawn=xp.zeros((rows, worlds) if rows else off, dtype=real),
         failed=xp.zeros(off if config.failures is None else robots, dtype=xp.bool),
     )
 
@@ -192,7 +197,7 @@ def make_memory(
     formal = config.reward.rules == "formal"
     motion = 3 if now.heading.shape[0] else 2
     seen = (rows_seen(n, m), worlds) if any_on(config, OF_SIGHT) else (0, 0, worlds)
-    drawn = any_on(config, DISTURBANCES) or config.failures is not None
+    keyed = any_on(config, DISTURBANCES) or config.failures is not None or is_drawn(config)
     words = filter_size(length * (1 if formal else n)) + ODD_LINES
     trail = xp.zeros((worlds, length * n, 2), dtype=real)
     memory = Memory(
@@ -208,7 +213,7 @@ def make_memory(
         pending=xp.ones(worlds, dtype=xp.bool),
         episode=xp.full((worlds,), -1, dtype=xp.int64),
         seed=xp.zeros(1, dtype=xp.int64),
-        key=xp.zeros(worlds if drawn else 0, dtype=xp.uint64),
+        key=xp.zeros(worlds if keyed else 0, dtype=xp.uint64),
         draw=xp.zeros(1, dtype=xp.int64),
         acted=xp.zeros((worlds if now.queue.ndim == 2 else 0, n, 2), dtype=real),
         seen=xp.zeros(seen, dtype=real),

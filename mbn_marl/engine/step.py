@@ -22,6 +22,7 @@ from mbn_marl.engine.mdp import revisits, rewards
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import cross_edge
 from mbn_marl.engine.mdp.disturbances import arrived_actions, change_gust
+from mbn_marl.engine.mdp.drawn import numbers_of
 from mbn_marl.engine.mdp.dynamics import keep_heading
 from mbn_marl.engine.mdp.failures import is_gone, move_or_fail
 from mbn_marl.engine.mdp.observations import observe
@@ -132,12 +133,14 @@ def forgive_walls(failed, now, out, i, lo, hi):
 @compiled
 def mark_visits(p, g, failed, now, out, i, lo, hi):
     """Step 5: every unvisited ROI within reach becomes visited, to robot i's credit."""
+    drawn = now.drawn
     for j in range(g.rois.shape[1]):
         for w in range(lo, hi):
             f = column(g, w)
             bit = g.roi_bits[j, f]
             dx, dy = now.x[i, w] - g.rois[0, j, f], now.y[i, w] - g.rois[1, j, f]
-            near = within(dx, dy, p.roi_squared) & (not is_gone(p, failed, i, w))
+            near = within(dx, dy, numbers_of(p, drawn, w).roi_squared)
+            near &= not is_gone(p, failed, i, w)
             new = near & ((now.visited[w] & bit) == 0)
             now.visited[w] |= bit if new else 0
             out.events[i, w] += (1 << rewards.ROIS_SHIFT) if new else 0
@@ -173,11 +176,11 @@ def hash_positions(mem, now, out, to, i, lo, hi):
 
 
 @compiled
-def pass_time(p, keys, gust, steps, lo, hi):
+def pass_time(p, drawn, keys, gust, steps, lo, hi):
     """The robots have moved: the step counts, and the gust changes."""
     for w in range(lo, hi):
         steps[w] += 1
-    change_gust(p, keys, gust, steps, lo, hi)
+    change_gust(p, drawn, keys, gust, steps, lo, hi)
 
 
 @compiled
@@ -211,6 +214,7 @@ def grow_filter(mem, now, lo, hi):
 @compiled
 def find_collisions(p, failed, now, to, lo, hi):
     """Step 7: any two robots closer than the safety distance."""
+    drawn = now.drawn
     for k in range(hi - lo):
         to.collided[k] = False
     for i in range(now.x.shape[0]):
@@ -218,7 +222,8 @@ def find_collisions(p, failed, now, to, lo, hi):
             for w in range(lo, hi):
                 dx, dy = now.x[i, w] - now.x[j, w], now.y[i, w] - now.y[j, w]
                 there = not (is_gone(p, failed, i, w) | is_gone(p, failed, j, w))
-                to.collided[w - lo] |= too_close(dx, dy, p.safety_squared) & there
+                near = too_close(dx, dy, numbers_of(p, drawn, w).safety_squared)
+                to.collided[w - lo] |= near & there
 
 
 @compiled
@@ -313,7 +318,7 @@ def move_robots(p, g, mem, failed, now, out, to, actions, lo, hi):
     Then the time passes. ``failed`` are the flags of ``now``, an argument so that conditions on
     their type are settled.
     """
-    taken = arrived_actions(p, mem.key, now.queue, mem.acted, now.steps, actions, lo, hi)
+    taken = arrived_actions(p, now.drawn, mem.key, now.queue, mem.acted, now.steps, actions, lo, hi)
     for i in range(now.x.shape[0]):
         move_or_fail(p, g, mem, failed, now, to, taken, i, lo, hi)
         test_containment(g, to, lo, hi)
@@ -326,7 +331,7 @@ def move_robots(p, g, mem, failed, now, out, to, actions, lo, hi):
         record_positions(mem, now, lo, hi)
         for i in range(now.x.shape[0]):
             hash_positions(mem, now, out, to, i, lo, hi)
-    pass_time(p, mem.key, now.gust, now.steps, lo, hi)
+    pass_time(p, now.drawn, mem.key, now.gust, now.steps, lo, hi)
 
 
 @compiled

@@ -19,7 +19,8 @@ from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.cpu import CpuBackend
 from mbn_marl.engine.jit import entry_point
 from mbn_marl.engine.mdp.disturbances import arrived_actions
-from mbn_marl.engine.mdp.dynamics import V_CLIP, keep_heading
+from mbn_marl.engine.mdp.drawn import limits_in
+from mbn_marl.engine.mdp.dynamics import V_CLIP, keep_heading, limits_of
 from mbn_marl.engine.mdp.failures import has_failed, move_or_fail
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
@@ -127,7 +128,8 @@ def choose_velocities(store, actions, velocities, allowed):
     g, mem, now = store.geometry, store.memory, store.now
     n = now.x.shape[0]
     to = step.make_scratch(HI, n, 1, now.x.dtype)
-    taken = arrived_actions(p, mem.key, now.queue, mem.acted, now.steps, actions, LO, HI)
+    keys, drawn = mem.key, now.drawn
+    taken = arrived_actions(p, drawn, keys, now.queue, mem.acted, now.steps, actions, LO, HI)
     for i in range(n):
         move_or_fail(p, g, mem, now.failed, now, to, taken, i, LO, HI)
         step.test_containment(g, to, LO, HI)
@@ -147,7 +149,7 @@ def take_positions(store, positions, velocities, allowed):
     to = step.make_scratch(HI, n, out.observations.shape[2], now.x.dtype)
     for i in range(n):
         to.x[0], to.y[0] = positions[0, i, 0], positions[0, i, 1]
-        v_clip = g.robots[V_CLIP, i]
+        _, _, v_clip = limits_in(limits_of(g, i), now.drawn, i, LO)
         to.vx[0] = clip(velocities[0, i, 0], -v_clip, v_clip)
         to.vy[0] = clip(velocities[0, i, 1], -v_clip, v_clip)
         step.test_containment(g, to, LO, HI)
@@ -161,7 +163,7 @@ def take_positions(store, positions, velocities, allowed):
         step.record_positions(mem, now, LO, HI)
         for i in range(n):
             step.hash_positions(mem, now, out, to, i, LO, HI)
-    step.pass_time(p, mem.key, now.gust, now.steps, LO, HI)
+    step.pass_time(p, now.drawn, mem.key, now.gust, now.steps, LO, HI)
     observe(p, g, mem, now, LO, HI, to.tile, out.observations)
     step.score_step(p, g, mem, now.failed, now, out, to, LO, HI)
     return step.autoreset(p, g, mem, now, final, out, to, LO, HI)

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import Point
 
-from mbn_marl.config import NavigationConfig
+from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine.constants import AUTORESET_MODES
-from mbn_marl.engine.mdp.dynamics import LIMITS
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
@@ -67,7 +66,7 @@ def check_setup(
     if starts is not None and (wrong := _given_starts_problems(starts, config, n)):
         problems, starts = [*problems, *wrong], None
     for field in fields:
-        problems += _field_problems(field, config, n, fields[0].arena, starts)
+        problems += _field_problems(field, config.at_most(), n, fields[0].arena, starts)
     if problems:
         raise ConfigError("configuration", problems)
 
@@ -83,9 +82,12 @@ def _failure_problems(config: NavigationConfig, n: int) -> list[str]:
         for i, step in at.items()
         if step > config.max_steps
     ]
+    if config.failures.between and config.failures.between[0] > config.max_steps:
+        late = f"failures.between: from step {config.failures.between[0]}"
+        problems.append(f"{late}; allowed: from 1 to {config.max_steps}, max_steps")
     if most is not None and most > n:
         problems.append(f"failures.most: {most}; allowed: 0 to {n}, the size of the team")
-    if rate > 0.0 and (most == 0 or (most is None and n == 1)):
+    if rate and (most == 0 or (most is None and n == 1)):
         found = "0" if most == 0 else "None, 0 for one robot"
         problems.append(f"failures.most: {found}; allowed with a rate: 1 to {n}")
     return problems

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from dataclasses import field as attribute
 from typing import Any, Literal
 
 import numpy as np
@@ -37,6 +38,7 @@ class Episode:
         outcome: how it ended.
         winds: (T + 1, 2), units/step, what wind and gust add to a velocity in the next step;
             ``None`` without gusts.
+        drawn: the numbers that the episode has drawn, by name, in the units of the settings.
         source: the name of what acted.
         seed: of the world and of what acted; ``None`` if unknown.
         world: the number of the world: with the seed and ``number`` the key of what is random.
@@ -54,6 +56,7 @@ class Episode:
     team_rewards: NDArray[np.float64]
     outcome: Outcome
     winds: NDArray[np.float64] | None = None
+    drawn: Mapping[str, float] = attribute(default_factory=dict)
     source: str = ""
     seed: int | None = None
     world: int = 0
@@ -83,7 +86,7 @@ class Episode:
 
         Its velocities are the robots' displacements in that step.
         """
-        config, trail = self.config, self.positions[: step + 1]
+        config, trail = self.config.with_drawn(self.drawn), self.positions[: step + 1]
         winds = np.array([config.wind_increment()]) if self.winds is None else self.winds
         last = step == self.steps
         return Snapshot(

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mbn_marl import field as fields
-from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, NavigationConfig, describe, make_config
+from mbn_marl.checked import describe
+from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, NavigationConfig, make_config
 from mbn_marl.engine import REWARD_TERMS
 from mbn_marl.episode.episode import Episode, Outcome
 from mbn_marl.errors import EpisodeError, MbnError
@@ -108,7 +109,9 @@ class EpisodeFile(_Strict):
     team_return: float = Field(description="Sum of the centralised rewards.")
     wind: tuple[float, float] = Field(description="Speed (units/step per step), angle (degrees).")
     field: dict[str, Any] = Field(description="As in a field file of the format mbn-field/1.")
-    config: dict[str, Any] = Field(description="Every setting of NavigationConfig but the wind.")
+    config: dict[str, Any] = Field(
+        description="Every setting of NavigationConfig; of the wind the range, if it was drawn."
+    )
     visits: Annotated[list[int | None], Len(1, MAX_ROIS)] = Field(
         description="The step in which each ROI was visited, from 1 on; null for never."
     )
@@ -120,6 +123,9 @@ class EpisodeFile(_Strict):
     winds: PackedArray | None = Field(
         default=None,
         description="(T + 1, 2), units/step, of wind and gust in the next step; null without.",
+    )
+    drawn: dict[str, float] = Field(
+        default_factory=dict, description="The numbers that the episode has drawn, by name."
     )
     failed: Annotated[list[int | None], Len(1, MAX_ROBOTS)] | None = Field(
         default=None,
@@ -188,7 +194,8 @@ def is_episode_file(path: str | Path) -> bool:
 def to_file(episode: Episode) -> EpisodeFile:
     """Return the content of the file of ``episode``."""
     robots, team = CodedArray.pack(episode.terms), CodedArray.pack(episode.team_rewards)
-    missing = np.isnan(episode.headings)
+    missing, config = np.isnan(episode.headings), episode.config
+    fixed = config.wind == config.with_drawn(episode.drawn).wind
     return EpisodeFile(
         format=FORMAT,
         version=__version__,
@@ -200,13 +207,14 @@ def to_file(episode: Episode) -> EpisodeFile:
         steps=episode.steps,
         outcome=episode.outcome,
         team_return=episode.team_return,
-        wind=episode.config.wind,
+        wind=config.with_drawn(episode.drawn).wind,
         field=episode.field.to_dict(),
-        config=episode.config.model_dump(mode="json", exclude={"wind"}),
+        config=config.model_dump(mode="json", exclude={"wind"} if fixed else set()),
         visits=[int(step) or None for step in episode.visits],
         positions=PackedArray.pack(episode.positions),
         headings=None if missing.all() else PackedArray.pack(episode.headings),
         winds=None if episode.winds is None else PackedArray.pack(episode.winds),
+        drawn=dict(episode.drawn),
         failed=[int(step) or None for step in episode.failed] if episode.failed.any() else None,
         actions=PackedArray.pack(episode.actions),
         rewards=Rewards(terms=list(REWARD_TERMS), robots=robots, team=team),
@@ -244,6 +252,8 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
             problems.append(f"{part}: allowed: finite numbers, {expected}{as_in}")
     if len(set(terms)) < len(terms) or not set(terms) <= set(known):
         problems.append(f"rewards.terms: {terms}; allowed: each at most once of {known}")
+    if set(content.drawn) != set(config.drawn):
+        problems.append(f"drawn: {sorted(content.drawn)}; allowed: {sorted(config.drawn)}")
     if config.n_robots != robots:
         problems.append(f"config.n_robots: {config.n_robots}; allowed: {robots}, as in robots")
     failed = content.failed or [None] * robots
@@ -265,6 +275,7 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         team_rewards=arrays["rewards.team"],
         outcome=content.outcome,
         winds=arrays.get("winds"),
+        drawn=content.drawn,
         source=content.source,
         seed=content.seed,
         world=content.world,
@@ -290,6 +301,6 @@ def _place(content: EpisodeFile, name: str) -> tuple[fields.Field, NavigationCon
     try:
         field = fields.Field(**content.field)
         part = "config"
-        return field, make_config({**content.config, "wind": content.wind})
+        return field, make_config({"wind": content.wind, **content.config})
     except (TypeError, MbnError) as error:
         raise EpisodeError(name, [f"{part}: {error}"]) from None

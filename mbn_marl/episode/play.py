@@ -46,7 +46,9 @@ class EpisodeLog:
         """Return the episode so far; ``config`` may have a wind that the engine's has not."""
         engine, steps, last = self._engine, len(self._actions), self._engine.snapshot()
         ended: Outcome = "unfinished" if engine.running[0] else "truncated"
-        own_wind = np.subtract(config.wind_increment(), engine.config.wind_increment())
+        drawn = {name: float(one[0]) for name, one in engine.drawn().items()}
+        asked, had = (one.with_drawn(drawn).wind_increment() for one in (config, engine.config))
+        own_wind = np.subtract(asked, had)
         shape = (steps, engine.n_robots)
         return Episode(
             field=engine.field,
@@ -59,8 +61,9 @@ class EpisodeLog:
             terms=np.array(self._terms, np.float64).reshape(*shape, len(REWARD_TERMS)),
             team_rewards=np.array(self._rewards),
             outcome="collision" if last.collision else "success" if last.success else ended,
-            winds=np.array(self._winds) + own_wind if config.gust > 0 else None,
+            winds=np.array(self._winds) + own_wind if config.gust else None,
             source=source,
+            drawn=drawn,
             seed=seed,
             world=engine.first_world,
             number=int(engine.episode_numbers[0]),
@@ -154,7 +157,7 @@ def check_episode(episode: Episode, name: str = "episode") -> None:
             step = int(np.argmax((~same).reshape(len(same), -1).any(axis=1))) + 1 - late
             problem = f"{what}: the engine gives others from step {step} on; it does not replay"
             raise EpisodeError(name, [problem])
-    for what in ("failed", "visits", "outcome"):
+    for what in ("failed", "visits", "outcome", "drawn"):
         ours, theirs = getattr(episode, what), getattr(again, what)
         if not np.array_equal(ours, theirs):
             raise EpisodeError(name, [f"{what}: {ours}; replayed in the engine: {theirs}"])

@@ -11,9 +11,8 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.config import NavigationConfig
+from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine.mdp.disturbances import OF_ROBOTS
-from mbn_marl.engine.mdp.dynamics import LIMITS
 from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
@@ -148,6 +147,12 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
     """
     n = config.n_robots or len(field.starts)
     problems = []
+    if closed_loop:  # nobody knows what an episode draws
+        middles = {name: (ends.low + ends.high) / 2 for name, ends in config.drawn.items()}
+        config = config.with_drawn(middles)
+    elif config.drawn:
+        drawn = ", ".join(config.drawn)
+        problems.append(f"{drawn}: drawn; allowed: numbers, a plan is for those that it knows")
     if n > len(field.starts):
         problems.append(f"n_robots: {field.name} has {len(field.starts)} starts, not {n}")
     if config.random_starts:

@@ -105,6 +105,10 @@ def deploy(
         MbnError: the simulator cannot be used.
     """
     engine = BatchEngine(field, 1, seed=seed, autoreset=False, threads=1, **settings)
+    if engine.config.drawn:  # a simulator needs numbers
+        engine.reset()
+        settings = engine.config_in().model_dump()
+        return deploy(policy, field, settings, simulator, seed=seed, source=source)
     kind = _checked_kind(engine.config.failures, simulator)
     config, wind = engine.config, engine.config.wind_increment()
     if simulator.has_wind:

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from mbn_marl import Field
 from mbn_marl.adapters.infos import GAP
+from mbn_marl.checked import Uniform
 from mbn_marl.config import Failures
 from mbn_marl.engine.mdp.disturbances import OF_ACTIONS
 from tests.support.forms import BatchForm, CentralizedForm, Outcome, ParallelForm, TeamSharingForm
 from tests.support.oracle import Oracle
 from tests.support.scores import TERMS, Step
-from tests.support.worlds import DISTURBANCES, Pilot, World, random_field, worlds
+from tests.support.worlds import DRAWN, Pilot, World, random_field, worlds
 
 EXAMPLES = 4  # for each number of robots
 STEPS = 60
@@ -101,7 +102,7 @@ def check_team_info(outcome: Outcome, infos: list[dict[str, float]], rounding: f
     (team,) = outcome.infos
     assert team.keys() == infos[0].keys()
     for name, value in team.items():
-        shared = name in ("success", "collision", "rois_visited", GAP)
+        shared = name in ("success", "collision", "rois_visited", GAP) or name[:6] == "drawn/"
         expected = infos[0][name] if shared else sum(info[name] for info in infos)
         close = pytest.approx(expected, rel=rounding, abs=rounding * 1e5, nan_ok=True)
         assert value == close, name
@@ -189,23 +190,26 @@ def test_all_forms_agree_with_the_oracle(rules: Any, dtype: str) -> None:
 def test_all_forms_agree_with_the_oracle_when_robots_fail(
     rules: Any, dtype: str, seen_as: list[str]
 ) -> None:
-    """In gusts and bad sight, with robots of every dynamics."""
+    """In gusts and bad sight, with robots of every dynamics, whose numbers are drawn."""
     seen: Counter[str] = Counter()
     order = ["bicycle", "holonomic", "unicycle", "point_mass"]
 
     def agree(world: World, failures: Failures, observation: str) -> None:
         n = len(world.behaviours)
-        options = {**world.settings, **DISTURBANCES, **dict.fromkeys(OF_ACTIONS, 0)}
+        options = {**world.settings, **DRAWN, **dict.fromkeys(OF_ACTIONS, 0)}
         options |= {"failures": failures, "observation": observation}
         options["dynamics"] = tuple((order * n)[:n])
         seen.update(compare(replace(world, settings=options), dtype, 3, 0))
 
     for n in (1, 2, 3, 5):
-        chances = [(0.0, 0), (0.1, n), (1.0, n)] + [(rate, None) for rate in (0.0, 0.1, 1.0)[:n]]
+        chances = [(0.0, 0), (0.1, n), (1.0, n), (Uniform(0.0, 0.3), n)] + [
+            (rate, None) for rate in (0.0, 0.1, 1.0)[:n]
+        ]
         failing = st.builds(
             lambda chance, **how: Failures(rate=chance[0], most=chance[1], **how),
             st.sampled_from(chances),
             at=st.dictionaries(st.integers(0, n - 1), st.integers(1, 7)),
+            between=st.sampled_from([None, None, (1, 1), (3, 7)]),
             kind=st.sampled_from(["brake", "coast", "vanish"]),
         )
         repeat = settings(max_examples=3 * EXAMPLES)

@@ -17,6 +17,7 @@ from matplotlib.image import imread
 from rich.console import Console
 
 from benchmarks.__main__ import SUBJECTS, benchmark_class, main
+from benchmarks.conditions import Conditions
 from benchmarks.report import (
     Findings,
     Measurement,
@@ -25,11 +26,13 @@ from benchmarks.report import (
     print_findings,
 )
 from benchmarks.speed.adapters import measure_sb3, measure_torchrl
+from benchmarks.speed.features import FEATURES, Features
 from benchmarks.speed.measure import Speed
 from benchmarks.speed.parts import OBSERVATIONS, PARTS, REWARDS, partial_step
 from benchmarks.speed.sizes import SIZES, USUAL, make_field, measure_sizes
 from benchmarks.speed.timing import Budget, Case, interleaved
 from mbn_marl import BatchEngine, load_field
+from mbn_marl.config import make_config
 
 TINY = Budget(
     rounds=2, seconds=0.0, warm_up=3, worlds=8, many_worlds=16, sized_worlds=2, startup=False
@@ -145,6 +148,29 @@ def test_rewards_without_memory_differ_in_revisits_only() -> None:
         revisits += np.count_nonzero(difference)
         assert np.isin(difference, [0.0, medium - small]).all()
     assert revisits > 0
+
+
+def test_features_are_measured_against_the_plain_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    for settings in FEATURES.values():
+        assert make_config(settings) != make_config({})
+    only = {"gusts": FEATURES["gusts"]}
+    monkeypatch.setattr("benchmarks.speed.features.FEATURES", only)
+    monkeypatch.setattr(Features, "budget", TINY)
+    stages: list[None] = []
+    (row,) = Features().measure(lambda: stages.append(None)).measurements
+    assert (row.name, row.unit, row.target) == ("gusts", "%", 50.0)
+    assert row.value is not None and 1.0 < row.value < 500.0
+    assert len(stages) == Features.stages
+
+
+def test_conditions_are_those_of_the_zoo_and_the_classical_policies() -> None:
+    found = Conditions(fields=("field_03",), episodes=2).measure(lambda: None)
+    for name, rows in found.details["evaluations"].items():
+        assert rows["calm"]["field_03"]["success_rate"] == 1.0, name
+    assert not found.details["evaluations"]["planner"]["failing"]
+    assert found.details["evaluations"]["zoo, sampled"]["storm"]["field_03"]["episodes"] == 2
+    (success, _) = found.tables.values()
+    assert success.lines[0][:2] == ("calm", "100.0% (100%)")
 
 
 @pytest.mark.parametrize("quantity", SIZES)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbn_marl import BatchEngine
+from mbn_marl import BatchEngine, Uniform
 from mbn_marl.config import make_config
 from mbn_marl.engine.constants import constants_of, make_record
 from mbn_marl.engine.mdp.observations import observation_table
@@ -101,6 +101,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
         {"dynamics": "bicycle"},
         {"gust": 0.1, "action_delay": 2, "dropout": 0.1},
         {"dynamics": "bicycle", "failures": {"rate": 0.1}},
+        {"condition": "storm", "v_clip": Uniform(4.0, 6.0)},
     ],
     ids=str,
 )

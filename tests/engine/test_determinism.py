@@ -15,16 +15,17 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from mbn_marl import BatchEngine, centralized_env, parallel_env
+from mbn_marl import BatchEngine, Failures, Uniform, centralized_env, parallel_env
 from mbn_marl.errors import ConfigError, MbnError, StepError
 
 STEPS = 2000
 SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 90, "wind": (0.05, 40.0)}
 N = 3
-MIXED = ("point_mass", "unicycle", "bicycle")
 DISTURBED: dict[str, Any] = {
     **{"gust": 0.1, "action_noise": 0.2, "action_loss": 0.3, "action_delay": 2},
-    **{"position_noise": 1.0, "velocity_noise": 0.1, "dropout": 0.2, "dynamics": MIXED},
+    **{"position_noise": Uniform(0.5, 1.0), "velocity_noise": 0.1, "dropout": 0.2},
+    **{"dynamics": "mixed", "mass": Uniform(0.8, 1.5), "tau": Uniform(0.8, 1.2)},
+    "failures": Failures(rate=0.002, between=(5, 80)),
 }
 """Every random number of the engine, for robots of every kind."""
 

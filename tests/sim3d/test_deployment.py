@@ -13,6 +13,7 @@ from baselines.classical.controller import make_classical
 from baselines.evaluation.policy import load_policy
 from baselines.evaluation.rollout import record_episode
 from baselines.zoo.entries import open_run
+from mbn_marl.checked import Uniform
 from mbn_marl.config import RewardProfile
 from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
@@ -114,6 +115,15 @@ def test_the_wind_of_a_simulator_is_in_the_episode() -> None:
 def measured(**settings: Any) -> tuple[BatchEngine, TrackedWorld]:
     engine = BatchEngine(SMALL, 1, autoreset=False, threads=1, **settings)
     return engine, TrackedWorld(engine)
+
+
+def test_a_deployed_episode_has_the_numbers_that_the_engine_draws() -> None:
+    settings: dict[str, Any] = {"condition": "windy", "mass": Uniform(1.0, 2.0), "max_steps": 5}
+    engine = BatchEngine(SMALL, 1, seed=3, **settings)
+    engine.reset()
+    shown = deploy(Wander(), SMALL, settings, Windy(), seed=3).episode
+    assert shown.config == engine.config_in()
+    assert not shown.config.drawn and not shown.drawn
 
 
 def test_positions_are_judged_where_they_were_measured() -> None:

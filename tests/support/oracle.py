@@ -18,6 +18,7 @@ import shapely
 from numpy.typing import NDArray
 
 from tests.support.disturbances import FAILURES, Disturbances, key_of, uniform
+from tests.support.draws import NUMBERS, drawn_settings, highest, is_range
 from tests.support.scores import Profile, Step, formal_reward, released_reward
 from tests.support.vehicles import REALS, Robot, Vehicle, clip
 from tests.support.wall_senses import WallSenses
@@ -42,7 +43,12 @@ class Oracle:
     attributes of ``Failures``.
     """
 
-    def __init__(
+    def __init__(self, field: FieldLike, *, seed: int = 0, world: int = 0, **settings: Any) -> None:
+        self.field, self.place, self.settings = field, (seed, world), settings
+        self.episode = -1
+        self.reset()
+
+    def _configure(
         self,
         field: FieldLike,
         *,
@@ -66,10 +72,12 @@ class Oracle:
         one_hot: bool = False,
         sensing_radius: float = 100.0,
         failures: Any = None,
-        seed: int = 0,
-        world: int = 0,
+        failure_rate: float = 0.0,
+        fails: dict[int, int] | None = None,
+        wind_vector: tuple[float, float] | None = None,
         **disturbances: Any,
     ) -> None:
+        """Take the settings of an episode, numbers all of them."""
         real = self.real = REALS[dtype]
         self.n = len(field.starts) if n_robots is None else n_robots
         self.starts = [(float(x), float(y)) for x, y in field.starts]
@@ -82,8 +90,8 @@ class Oracle:
         self.profile = Profile(rules=reward) if isinstance(reward, str) else reward
         self.team_sharing = reward_sharing == "team"
         speed, angle = wind
-        wind_x = real(speed * math.cos(math.radians(angle)))
-        wind_y = real(speed * math.sin(math.radians(angle)))
+        east, north = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+        wind_x, wind_y = map(real, wind_vector or (speed * east, speed * north))
         self.tau = real(tau)
         common = (self.tau, wind_x, wind_y, real(turn_max), real(wheelbase), real(steer_max))
         own = (self._each(values) for values in (dynamics, mass, f_max, v_clip))
@@ -91,7 +99,7 @@ class Oracle:
             Vehicle(name, real, *map(real, numbers), *common)
             for name, *numbers in zip(*own, strict=True)
         ]
-        self.top_speed = max(vehicle.v_clip for vehicle in self.vehicles)
+        self.top_speed = real(max(highest(self._each(self.settings.get("v_clip", 5.0)))))
         zero, top = real(0.0), self.top_speed
         self.bounds = [(zero, self.width), (zero, self.height), (-top, top), (-top, top)]
         self.turning = any(vehicle.turns for vehicle in self.vehicles)
@@ -99,16 +107,17 @@ class Oracle:
         self.max_steps = max_steps
         self.observation, self.one_hot = observation, one_hot
         self.sensing_radius = sensing_radius
-        self.failures = failures
-        self.disturbances = Disturbances(real, seed, world, **disturbances)
-        self.reset(episode=0)
+        self.failures, self.failure_rate, self.fails = failures, failure_rate, fails or {}
+        self.disturbances = Disturbances(real, *self.place, **disturbances)
 
     def reset(
         self, positions: Sequence[Sequence[float]] | None = None, episode: int | None = None
     ) -> None:
         """Start the next episode, or number ``episode``, at the field's starts or ``positions``."""
-        last = self.disturbances
-        last.begin(last.episode + 1 if episode is None else episode)
+        self.episode = self.episode + 1 if episode is None else episode
+        key = key_of(*self.place, self.episode, NUMBERS)
+        self._configure(self.field, **drawn_settings(self.settings, len(self.field.starts), key))
+        self.disturbances.begin(self.episode)
         zero = self.real(0.0)
         spots = self.starts[: self.n] if positions is None else positions
         self.robots = [
@@ -247,7 +256,8 @@ class Oracle:
 
     def _each(self, value: Any) -> list[Any]:
         """A setting's value for each robot."""
-        return [value] * self.n if isinstance(value, str | int | float) else list(value)
+        one = isinstance(value, str | int | float) or is_range(value)
+        return [value] * self.n if one else list(value)
 
     def metrics(self) -> dict[str, Any]:
         """Sums over the episode so far, under the engine's names."""
@@ -269,12 +279,13 @@ class Oracle:
         if self.failures is None:
             return
         most = self.n - 1 if self.failures.most is None else self.failures.most
-        rate = np.float32(self.failures.rate)
+        rate = np.float32(self.failure_rate)
         key = key_of(*self.disturbances.place, self.disturbances.episode, FAILURES)
         for i, robot in enumerate(self.robots):
             count = sum(other.failed for other in self.robots)
             number = uniform(key, self.steps * self.n + i)
-            if self.failures.at.get(i) == self.steps + 1 or (count < most and number < rate):
+            due = self.steps + 1 in (self.failures.at.get(i), self.fails.get(i))
+            if due or (count < most and number < rate):
                 robot.failed = True
 
     def _move(self, robot: Robot, action: Sequence[float], step: Step) -> bool:

@@ -19,7 +19,8 @@ from numba.cuda.simulator.kernel import BlockThread
 from numba.cuda.simulator.kernelapi import FakeCUDAShared
 from numpy.typing import NDArray
 
-from mbn_marl import BatchEngine
+from mbn_marl import BatchEngine, Uniform
+from mbn_marl.config import CONDITIONS
 from mbn_marl.engine import cuda, cuda_kernels
 from mbn_marl.errors import ActionError, ConfigError, StepError
 from tests.engine.test_golden import golden_field
@@ -98,6 +99,7 @@ def assert_same(cpu: BatchEngine, gpu: BatchEngine) -> None:
             gpu.final_observations[torch.from_numpy(terminated)],
         )
         told["final state"] = (cpu.final_state()[terminated], gpu.final_state()[terminated])
+    told |= {name: (drawn, gpu.drawn()[name]) for name, drawn in cpu.drawn().items()}
     theirs = gpu.metrics()
     told |= {name: (value, theirs[name]) for name, value in cpu.metrics().items()}
     for name, (expected, tensor) in told.items():
@@ -138,6 +140,7 @@ def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
         {"gust": 0.1, "action_loss": 0.3, "dropout": 0.2, "observation": "lidar_local"},
         {"failures": {"rate": 0.05, "at": {2: 9}, "most": 3, "kind": "coast"}, "dynamics": MIXED},
         {"failures": {"rate": 0.05, "kind": "vanish"}, "observation": "lidar", "reward": "formal"},
+        {**CONDITIONS["storm"], "mass": Uniform(0.5, 2.0), "tau": Uniform(0.8, 1.2)},
     ],
     ids=lambda settings: ", ".join(settings),
 )

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mbn_marl import Field
+from mbn_marl.checked import Uniform
 from mbn_marl.config import RewardProfile
 from mbn_marl.engine.mdp.dynamics import DYNAMICS
 from mbn_marl.engine.mdp.observations import OBSERVATIONS
@@ -25,6 +26,16 @@ DISTURBANCES = {
     **{"action_noise": 0.3, "action_loss": 0.3, "action_delay": 2},
     **{"position_noise": 4.0, "velocity_noise": 0.5, "dropout": 0.3},
 }
+
+DRAWN = {
+    **{name: Uniform(0.2 * value, value) for name, value in DISTURBANCES.items()},
+    **{"action_delay": 1, "wind": (Uniform(0.0, 0.3), Uniform(-720.0, 720.0))},
+    **{"mass": Uniform(0.5, 2.0), "f_max": Uniform(1.0, 3.0), "v_clip": Uniform(3.0, 6.0)},
+    **{"tau": Uniform(0.7, 1.2), "roi_radius": Uniform(10.0, 30.0)},
+    **{"safety_distance": Uniform(8.0, APART), "turn_max": Uniform(0.1, 3.0)},
+    **{"wheelbase": Uniform(0.6, 4.0), "steer_max": Uniform(0.1, 1.2)},
+}
+"""Every number that may be drawn, but the failures'."""
 
 
 @dataclass(frozen=True)

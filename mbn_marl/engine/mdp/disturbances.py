@@ -17,15 +17,14 @@ import numpy as np
 
 from mbn_marl.config import MAX_ROBOTS, NavigationConfig
 from mbn_marl.engine.jit import compiled
+from mbn_marl.engine.mdp.drawn import numbers_of
 from mbn_marl.engine.mdp.elementary import exponential
 from mbn_marl.engine.mdp.rng import (
     FOR_GUSTS,
     FOR_SENDING,
-    episode_key,
     normal,
     stream_of,
     uniform,
-    world_number,
 )
 from mbn_marl.engine.scalars import clip, select
 
@@ -44,7 +43,7 @@ def any_on(config: NavigationConfig, names: Iterable[str]) -> bool:
 
 def gust_factors(config: NavigationConfig) -> tuple[float, float]:
     """Return the factors ``r`` and ``sigma sqrt(1 - r^2)`` of a gust's recursion."""
-    r = exponential(-1.0 / config.gust_time)
+    r: float = exponential.py_func(-1.0 / config.gust_time)
     return r, config.gust * math.sqrt(1.0 - r * r)
 
 
@@ -55,31 +54,32 @@ def add_wind(velocity, wind):
 
 
 @compiled
-def wind_along(p, gust, axis, w):
+def wind_along(q, gust, axis, w):
     """The wind's increment along an axis, x or y, in world w: the wind's own, and the gust's."""
-    wind = p.wind_x if axis == 0 else p.wind_y
+    wind = q.wind_x if axis == 0 else q.wind_y
     if gust.ndim == 2:
         wind += gust[axis, w]
     return wind
 
 
 @compiled
-def begin_gust(p, keys, gust, w):
+def begin_gust(q, keys, gust, w):
     """The gust that world w begins an episode with: ``g = sigma xi`` along each axis."""
     if gust.ndim == 2:
         key = stream_of(keys[w], FOR_GUSTS)
         for axis in range(2):
-            gust[axis, w] = p.gust * normal(key, axis)
+            gust[axis, w] = q.gust * normal(key, axis)
 
 
 @compiled
-def change_gust(p, keys, gust, steps, lo, hi):
+def change_gust(p, drawn, keys, gust, steps, lo, hi):
     """``g' = r g + sigma sqrt(1 - r^2) xi`` along each axis; ``steps`` are those before g'."""
     if gust.ndim == 2:
         for axis in range(2):
             for w in range(lo, hi):
+                q = numbers_of(p, drawn, w)
                 xi = normal(stream_of(keys[w], FOR_GUSTS), 2 * steps[w] + axis)
-                gust[axis, w] = p.gust_kept * gust[axis, w] + p.gust_added * xi
+                gust[axis, w] = q.gust_kept * gust[axis, w] + q.gust_added * xi
 
 
 @compiled
@@ -89,29 +89,29 @@ def row_of(p, n, i, step):
 
 
 @compiled
-def send(p, keys, queue, acted, steps, actions, i, lo, hi):
+def send(p, drawn, keys, queue, acted, steps, actions, i, lo, hi):
     """Robot i's actions: clipped, lost, delayed, noised and clipped again, into ``acted``."""
     n, late = actions.shape[1], p.action_delay
     for w in range(lo, hi):
-        step = steps[w]
+        step, q = steps[w], numbers_of(p, drawn, w)
         key = stream_of(keys[w], FOR_SENDING)
         counter = (np.uint64(step) * MOST_ROBOTS + np.uint64(i)) * DRAWS
-        lost = uniform(key, counter) < p.action_loss
+        lost = uniform(key, counter) < q.action_loss
         for axis in range(2):
             last = queue[row_of(p, n, i, step + late) + axis, w]
             given = clip(actions[w, i, axis], -p.one, p.one)
             queue[row_of(p, n, i, step) + axis, w] = select(lost, last, given)
-            noise = p.action_noise * normal(key, counter + np.uint64(1 + axis))
+            noise = q.action_noise * normal(key, counter + np.uint64(1 + axis))
             arrived = queue[row_of(p, n, i, step + 1) + axis, w] + noise
             acted[w, i, axis] = clip(arrived, -p.one, p.one)
 
 
 @compiled
-def arrived_actions(p, keys, queue, acted, steps, actions, lo, hi):
+def arrived_actions(p, drawn, keys, queue, acted, steps, actions, lo, hi):
     """The actions (W, n, 2) that a block's robots take: those given, or disturbed, in ``acted``."""
     if queue.ndim == 2:
         for i in range(actions.shape[1]):
-            send(p, keys, queue, acted, steps, actions, i, lo, hi)
+            send(p, drawn, keys, queue, acted, steps, actions, i, lo, hi)
         return acted
     return actions
 
@@ -125,9 +125,9 @@ def begin_queue(p, queue, w):
 
 
 @compiled
-def begin_disturbances(p, keys, gust, queue, seed, episode, w):
-    """Begin an episode of world w: the key of its random numbers, and what they disturb first."""
+def begin_disturbances(p, drawn, keys, gust, queue, key, w):
+    """Begin the episode of world w with this key: keep it, and what is disturbed first."""
     if keys.shape[0] > 0:
-        keys[w] = episode_key(seed, world_number(p, w), episode)
-    begin_gust(p, keys, gust, w)
+        keys[w] = key
+    begin_gust(numbers_of(p, drawn, w), keys, gust, w)
     begin_queue(p, queue, w)

@@ -17,8 +17,9 @@ import numpy as np
 
 from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp.disturbances import add_wind, wind_along
-from mbn_marl.engine.mdp.elementary import cosine, sine, tangent
-from mbn_marl.engine.scalars import HALF, MANY, clip, select
+from mbn_marl.engine.mdp.drawn import limits_in, numbers_of
+from mbn_marl.engine.mdp.elementary import cosine, sine, tangent, turned
+from mbn_marl.engine.scalars import clip, select
 
 POINT_MASS, HOLONOMIC, UNICYCLE, BICYCLE = range(4)
 DYNAMICS = {
@@ -28,9 +29,8 @@ DYNAMICS = {
     "bicycle": BICYCLE,
 }
 """Robots of those from the unicycle on have a heading."""
-LIMITS = ("mass", "f_max", "v_clip")
-"""The settings that each robot has its own of, as the rows of ``Geometry.robots``."""
 MASS, F_MAX, V_CLIP = range(3)
+"""The rows of ``Geometry.robots``, whose names are ``config.LIMITS``."""
 
 
 @compiled
@@ -87,16 +87,6 @@ def part_along(x, y, cos, sin):
 
 
 @compiled
-def turned(heading, turn, pi):
-    """``h + turn``, in [-pi, pi)."""
-    angle, circle = heading + turn, pi + pi
-    turns = angle / circle
-    turns = clip(turns + select(turns > 0, HALF, -HALF), -MANY, MANY)
-    angle -= np.float32(np.int32(turns)) * circle
-    return select((angle >= -pi) & (angle < pi), angle, -pi)
-
-
-@compiled
 def limits_of(g, i):
     """The mass, the force and the speed limit of robot i."""
     return g.robots[MASS, i], g.robots[F_MAX, i], g.robots[V_CLIP, i]
@@ -105,36 +95,38 @@ def limits_of(g, i):
 @compiled
 def move_point_mass(p, g, now, to, actions, i, lo, hi):
     """The paper's robot i: a mass that its force accelerates along both axes."""
-    mass, f_max, v_clip = limits_of(g, i)
+    limits, drawn = limits_of(g, i), now.drawn
     for w in range(lo, hi):
+        q, (mass, f_max, v_clip) = numbers_of(p, drawn, w), limits_in(limits, drawn, i, w)
         fx = force(actions[w, i, 0], f_max, p.one)
         fy = force(actions[w, i, 1], f_max, p.one)
-        vx = next_velocity(now.vx[i, w], fx, mass, wind_along(p, now.gust, 0, w), v_clip)
-        vy = next_velocity(now.vy[i, w], fy, mass, wind_along(p, now.gust, 1, w), v_clip)
+        vx = next_velocity(now.vx[i, w], fx, mass, wind_along(q, now.gust, 0, w), v_clip)
+        vy = next_velocity(now.vy[i, w], fy, mass, wind_along(q, now.gust, 1, w), v_clip)
         to.vx[w - lo] = vx
         to.vy[w - lo] = vy
-        to.x[w - lo] = next_position(now.x[i, w], vx, p.tau)
-        to.y[w - lo] = next_position(now.y[i, w], vy, p.tau)
-        now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], fx, p.tau)
-        now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], fy, p.tau)
+        to.x[w - lo] = next_position(now.x[i, w], vx, q.tau)
+        to.y[w - lo] = next_position(now.y[i, w], vy, q.tau)
+        now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], fx, q.tau)
+        now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], fy, q.tau)
 
 
 @compiled
 def move_holonomic(p, g, now, to, actions, i, lo, hi):
     """A robot i whose action is a velocity, which it takes as fast as its force allows."""
-    mass, f_max, v_clip = limits_of(g, i)
-    most = f_max / mass
+    limits, drawn = limits_of(g, i), now.drawn
     for w in range(lo, hi):
+        q, (mass, f_max, v_clip) = numbers_of(p, drawn, w), limits_in(limits, drawn, i, w)
+        most = f_max / mass
         dx = held_velocity(actions[w, i, 0], now.vx[i, w], most, v_clip, p.one)
         dy = held_velocity(actions[w, i, 1], now.vy[i, w], most, v_clip, p.one)
-        vx = next_velocity(now.vx[i, w], dx, p.one, wind_along(p, now.gust, 0, w), v_clip)
-        vy = next_velocity(now.vy[i, w], dy, p.one, wind_along(p, now.gust, 1, w), v_clip)
+        vx = next_velocity(now.vx[i, w], dx, p.one, wind_along(q, now.gust, 0, w), v_clip)
+        vy = next_velocity(now.vy[i, w], dy, p.one, wind_along(q, now.gust, 1, w), v_clip)
         to.vx[w - lo] = vx
         to.vy[w - lo] = vy
-        to.x[w - lo] = next_position(now.x[i, w], vx, p.tau)
-        to.y[w - lo] = next_position(now.y[i, w], vy, p.tau)
-        now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], mass * dx, p.tau)
-        now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], mass * dy, p.tau)
+        to.x[w - lo] = next_position(now.x[i, w], vx, q.tau)
+        to.y[w - lo] = next_position(now.y[i, w], vy, q.tau)
+        now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], mass * dx, q.tau)
+        now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], mass * dy, q.tau)
 
 
 @compiled
@@ -148,33 +140,37 @@ def face(to, lo, hi):
 @compiled
 def drive(p, g, now, actions, i, w, limits, cos, sin):
     """``s' = clip(s + u / M + wind . e, -v_clip, v_clip)`` with the force along e = (cos, sin)."""
-    mass, f_max, v_clip = limits
+    drawn = now.drawn
+    q, (mass, f_max, v_clip) = numbers_of(p, drawn, w), limits_in(limits, drawn, i, w)
     speed = part_along(now.vx[i, w], now.vy[i, w], now.cos[i, w], now.sin[i, w])
     thrust = force(actions[w, i, 0], f_max, p.one)
-    now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], thrust * cos, p.tau)
-    now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], thrust * sin, p.tau)
-    wind_x, wind_y = wind_along(p, now.gust, 0, w), wind_along(p, now.gust, 1, w)
+    now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], thrust * cos, q.tau)
+    now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], thrust * sin, q.tau)
+    wind_x, wind_y = wind_along(q, now.gust, 0, w), wind_along(q, now.gust, 1, w)
     return next_velocity(speed, thrust, mass, part_along(wind_x, wind_y, cos, sin), v_clip)
 
 
 @compiled
 def go_ahead(p, now, to, i, lo, hi):
     """Where the speeds in ``to.vx`` take robot i along its new headings: ``v' = s' (cos, sin)``."""
+    drawn = now.drawn
     for w in range(lo, hi):
+        q = numbers_of(p, drawn, w)
         k = w - lo
         speed = to.vx[k]
         to.vx[k] = speed * to.cos[k]
         to.vy[k] = speed * to.sin[k]
-        to.x[k] = next_position(now.x[i, w], to.vx[k], p.tau)
-        to.y[k] = next_position(now.y[i, w], to.vy[k], p.tau)
+        to.x[k] = next_position(now.x[i, w], to.vx[k], q.tau)
+        to.y[k] = next_position(now.y[i, w], to.vy[k], q.tau)
 
 
 @compiled
 def move_unicycle(p, g, now, to, actions, i, lo, hi):
     """A robot i that turns on the spot by up to ``turn_max``, then speeds up along its heading."""
-    limits = limits_of(g, i)
+    limits, drawn = limits_of(g, i), now.drawn
     for w in range(lo, hi):
-        turn = clip(actions[w, i, 1], -p.one, p.one) * p.turn_max * p.tau
+        q = numbers_of(p, drawn, w)
+        turn = clip(actions[w, i, 1], -p.one, p.one) * q.turn_max * q.tau
         to.heading[w - lo] = turned(now.heading[i, w], turn, p.pi)
     face(to, lo, hi)
     for w in range(lo, hi):
@@ -186,13 +182,14 @@ def move_unicycle(p, g, now, to, actions, i, lo, hi):
 @compiled
 def move_bicycle(p, g, now, to, actions, i, lo, hi):
     """A robot i that speeds up along its heading, then turns by its speed and steering angle."""
-    limits = limits_of(g, i)
+    limits, drawn = limits_of(g, i), now.drawn
     for w in range(lo, hi):  # the tangent is kept where it is rounded to the engine's precision
-        to.sin[w - lo] = tangent(clip(actions[w, i, 1], -p.one, p.one) * p.steer_max)
+        steering = clip(actions[w, i, 1], -p.one, p.one) * numbers_of(p, drawn, w).steer_max
+        to.sin[w - lo] = tangent(steering)
     for w in range(lo, hi):
-        k = w - lo
+        k, q = w - lo, numbers_of(p, drawn, w)
         speed = drive(p, g, now, actions, i, w, limits, now.cos[i, w], now.sin[i, w])
-        turn = speed / p.wheelbase * to.sin[k] * p.tau
+        turn = speed / q.wheelbase * to.sin[k] * q.tau
         to.heading[k] = turned(now.heading[i, w], turn, p.pi)
         to.vx[k] = speed
     face(to, lo, hi)

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from mbn_marl.engine.jit import compiled, generated
-from mbn_marl.engine.scalars import clip, select
+from mbn_marl.engine.scalars import HALF, MANY, clip, select
 
 PI, HALF_PI = math.pi, math.pi / 2
 
@@ -34,6 +34,14 @@ sine_series = generated("series", f"def series(x):\n    return {_horner(SINE)}\n
 EXPONENTIAL = [1.0 / math.factorial(k) for k in range(23)]
 """``exp(x)`` for x in [-1.25, 0], from powers of x."""
 HALVINGS, LEAST = 5, -40.0
+exponential = generated(
+    "exponential",
+    "def exponential(x):\n"
+    f"    x = max(x, {LEAST}) / {2.0**HALVINGS}\n"
+    f"    power = {_horner(EXPONENTIAL)}\n"
+    f"    for _ in range({HALVINGS}):\n        power *= power\n    return power\n",
+)
+"""``exp(x)`` for x of at most 0, float64, to 3e-14 of it; below -40 it is that of -40."""
 
 
 @compiled
@@ -57,11 +65,11 @@ def tangent(angle):
     return sine(angle) / cosine(angle)
 
 
-def exponential(x: float) -> float:
-    """``exp(x)`` for x of at most 0, to 3e-14 of it, on the host; below -40 it is that of -40."""
-    part, power = max(x, LEAST) / 2.0**HALVINGS, 0.0
-    for coefficient in reversed(EXPONENTIAL):
-        power = power * part + coefficient
-    for _ in range(HALVINGS):
-        power *= power
-    return power
+@compiled
+def turned(heading, turn, pi):
+    """``h + turn``, in [-pi, pi)."""
+    angle, circle = heading + turn, pi + pi
+    turns = angle / circle
+    turns = clip(turns + select(turns > 0, HALF, -HALF), -MANY, MANY)
+    angle -= np.float32(np.int32(turns)) * circle
+    return select((angle >= -pi) & (angle < pi), angle, -pi)

@@ -13,6 +13,7 @@ import numpy as np
 
 from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp.disturbances import wind_along
+from mbn_marl.engine.mdp.drawn import is_failing_step, limits_in, numbers_of
 from mbn_marl.engine.mdp.dynamics import (
     has_heading,
     limits_of,
@@ -65,12 +66,14 @@ def fail(p, g, mem, failed, now, to, i, lo, hi):
 
     Its impulse, which the action may change, is kept in ``to.own`` and ``to.share``.
     """
-    n = failed.shape[0]
+    n, drawn = failed.shape[0], now.drawn
     for w in range(lo, hi):
         step = now.steps[w]
         number = uniform(stream_of(mem.key[w], FOR_FAILURES), step * n + i)
-        drawn = (number < np.float32(p.failure_rate)) & (count_failed(failed, w) < p.most_failures)
-        failed[i, w] |= drawn | (step + 1 == g.fail_at[i])
+        by_chance = number < np.float32(numbers_of(p, drawn, w).failure_rate)
+        by_chance &= count_failed(failed, w) < p.most_failures
+        due = (step + 1 == g.fail_at[i]) | is_failing_step(drawn, i, step + 1, w)
+        failed[i, w] |= by_chance | due
         to.own[w - lo] = now.impulse_x[i, w]
         to.share[w - lo] = now.impulse_y[i, w]
 
@@ -87,13 +90,14 @@ def failed_velocity(p, velocity, brake, wind, v_clip):
 @compiled
 def move_failed(p, g, kinds, failed, now, to, i, lo, hi):
     """Steps 1 and 2 of robot i where it has failed, after ``fail`` and the move that it lost."""
-    (mass, f_max, v_clip), gust = limits_of(g, i), now.gust
-    brake = f_max / mass
+    limits, drawn, gust = limits_of(g, i), now.drawn, now.gust
     for w in range(lo, hi):
         if failed[i, w]:
-            k = w - lo
+            k, q = w - lo, numbers_of(p, drawn, w)
+            mass, f_max, v_clip = limits_in(limits, drawn, i, w)
+            brake = f_max / mass
             vx, vy = now.vx[i, w], now.vy[i, w]
-            wind_x, wind_y = wind_along(p, gust, 0, w), wind_along(p, gust, 1, w)
+            wind_x, wind_y = wind_along(q, gust, 0, w), wind_along(q, gust, 1, w)
             if kinds.ndim == 1 and has_heading(kinds[i]):
                 cos, sin = now.cos[i, w], now.sin[i, w]
                 wind = part_along(wind_x, wind_y, cos, sin)
@@ -104,8 +108,8 @@ def move_failed(p, g, kinds, failed, now, to, i, lo, hi):
                 vx = failed_velocity(p, vx, brake, wind_x, v_clip)
                 vy = failed_velocity(p, vy, brake, wind_y, v_clip)
             to.vx[k], to.vy[k] = vx, vy
-            to.x[k] = next_position(now.x[i, w], vx, p.tau)
-            to.y[k] = next_position(now.y[i, w], vy, p.tau)
+            to.x[k] = next_position(now.x[i, w], vx, q.tau)
+            to.y[k] = next_position(now.y[i, w], vy, q.tau)
             now.impulse_x[i, w], now.impulse_y[i, w] = to.own[k], to.share[k]
 
 

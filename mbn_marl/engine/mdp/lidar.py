@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp.containment import cross_edge
+from mbn_marl.engine.mdp.drawn import limits_in, numbers_of
 from mbn_marl.engine.mdp.dynamics import has_heading, limits_of, part_along
 from mbn_marl.engine.mdp.sight import spot
 from mbn_marl.engine.scalars import HALF, MANY, clip, column, select
@@ -68,7 +69,7 @@ def distance_squared(p, ax, ay, ex, ey):
 
 
 @compiled
-def braking_path(p, velocity, brake, wind, beyond):
+def braking_path(p, tau, velocity, brake, wind, beyond):
     """How far a robot goes until the force that brakes it by ``brake`` a step has stopped it.
 
     One axis; ``beyond``, and on, if the wind is stronger. The speed falls by the same amount each
@@ -79,7 +80,7 @@ def braking_path(p, velocity, brake, wind, beyond):
     slower = brake - select(velocity > 0, wind, -wind)
     ratio = speed / slower
     count = np.float32(np.int32(select(ratio < MANY, ratio, MANY)))  # also where it is no number
-    path = count * ((speed - slower) + (speed - slower * count)) * HALF * p.tau
+    path = count * ((speed - slower) + (speed - slower * count)) * HALF * tau
     path = select(slower > 0, path, select(speed > 0, beyond, p.zero))
     return select(velocity > 0, path, -path)
 
@@ -162,16 +163,16 @@ def put_margins(p, g, rays, ep, lo, hi, i, tile, k):
 
 
 @compiled
-def place_of_rest(p, kinds, ep, brake, i, w):
+def place_of_rest(p, q, kinds, ep, brake, i, w):
     """Where robot i would stop if it braked from now on: along its heading, if it has one."""
     x, y, vx, vy = ep.x[i, w], ep.y[i, w], ep.vx[i, w], ep.vy[i, w]
     if kinds.ndim == 1 and has_heading(kinds[i]):
         cos, sin = ep.cos[i, w], ep.sin[i, w]
-        wind, beyond = part_along(p.wind_x, p.wind_y, cos, sin), p.arena_x + p.arena_y
-        path = braking_path(p, part_along(vx, vy, cos, sin), brake, wind, beyond)
+        wind, beyond = part_along(q.wind_x, q.wind_y, cos, sin), p.arena_x + p.arena_y
+        path = braking_path(p, q.tau, part_along(vx, vy, cos, sin), brake, wind, beyond)
         return x + path * cos, y + path * sin
-    x += braking_path(p, vx, brake, p.wind_x, p.arena_x)
-    y += braking_path(p, vy, brake, p.wind_y, p.arena_y)
+    x += braking_path(p, q.tau, vx, brake, q.wind_x, p.arena_x)
+    y += braking_path(p, q.tau, vy, brake, q.wind_y, p.arena_y)
     return x, y
 
 
@@ -181,8 +182,7 @@ def put_brake(p, g, kinds, ep, lo, hi, i, tile, k):
 
     The entry holds the bits of ``cross_edge`` until all edges have been seen.
     """
-    mass, f_max, _ = limits_of(g, i)
-    brake = f_max / mass
+    limits, drawn = limits_of(g, i), ep.drawn
     for w in range(lo, hi):
         tile[k, w - lo] = p.zero
     for e in range(g.edges.shape[1]):
@@ -190,7 +190,9 @@ def put_brake(p, g, kinds, ep, lo, hi, i, tile, k):
             f = column(g, w)
             ax, ay = g.edges[0, e, f], g.edges[1, e, f]
             bx, by = g.edges[2, e, f], g.edges[3, e, f]
-            x, y = place_of_rest(p, kinds, ep, brake, i, w)
+            mass, f_max, _ = limits_in(limits, drawn, i, w)
+            q = numbers_of(p, drawn, w)
+            x, y = place_of_rest(p, q, kinds, ep, f_max / mass, i, w)
             tile[k, w - lo] = cross_edge(np.int32(tile[k, w - lo]), x, y, ax, ay, bx, by)
     for w in range(lo, hi):
         tile[k, w - lo] = min(tile[k, w - lo], p.one)

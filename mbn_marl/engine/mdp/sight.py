@@ -12,6 +12,7 @@ import numpy as np
 
 from mbn_marl.config import MAX_ROBOTS
 from mbn_marl.engine.jit import compiled
+from mbn_marl.engine.mdp.drawn import numbers_of
 from mbn_marl.engine.mdp.rng import FOR_SIGHT, normal, stream_of, uniform
 from mbn_marl.engine.scalars import clip, column, select
 
@@ -89,17 +90,18 @@ def blurred(key, counter, value, noise, low, high):
 @compiled
 def look(p, g, keys, seen, ep, lo, hi, i):
     """Write what robot i sees in each world of a block to ``seen``."""
-    n, m = ep.x.shape[0], g.roi_bits.shape[0]
+    n, m, drawn = ep.x.shape[0], g.roi_bits.shape[0], ep.drawn
     for j in range(n):
         for w in range(lo, hi):
+            q = numbers_of(p, drawn, w)
             key = stream_of(keys[w], FOR_SIGHT)
             counter = draws_of(ep.steps[w], i, np.uint64(j))
-            lost = (uniform(key, counter) < p.dropout) & (i != j)
-            sd, top = p.position_noise, p.top_speed
+            lost = (uniform(key, counter) < q.dropout) & (i != j)
+            sd, top = q.position_noise, p.top_speed
             x = blurred(key, counter + ONE, ep.x[j, w], sd, p.zero, p.arena_x)
             y = blurred(key, counter + TWO, ep.y[j, w], sd, p.zero, p.arena_y)
-            vx = blurred(key, counter + THREE, ep.vx[j, w], p.velocity_noise, -top, top)
-            vy = blurred(key, counter + FOUR, ep.vy[j, w], p.velocity_noise, -top, top)
+            vx = blurred(key, counter + THREE, ep.vx[j, w], q.velocity_noise, -top, top)
+            vy = blurred(key, counter + FOUR, ep.vy[j, w], q.velocity_noise, -top, top)
             seen[j, w] = select(lost, p.zero, p.one)
             seen[n + m + j, w] = x
             seen[2 * n + m + j, w] = y
@@ -107,10 +109,10 @@ def look(p, g, keys, seen, ep, lo, hi, i):
             seen[4 * n + m + j, w] = vy
     for j in range(m):
         for w in range(lo, hi):
-            f = column(g, w)
+            f, q = column(g, w), numbers_of(p, drawn, w)
             key = stream_of(keys[w], FOR_SIGHT)
             counter = draws_of(ep.steps[w], i, MOST_ROBOTS + np.uint64(j))
-            lost, sd = uniform(key, counter) < p.dropout, p.position_noise
+            lost, sd = uniform(key, counter) < q.dropout, q.position_noise
             x = blurred(key, counter + ONE, g.rois[0, j, f], sd, p.zero, p.arena_x)
             y = blurred(key, counter + TWO, g.rois[1, j, f], sd, p.zero, p.arena_y)
             seen[n + j, w] = select(lost, p.zero, p.one)

@@ -188,6 +188,14 @@ def test_learners_may_see_different_things(tmp_path: Path) -> None:
     Results.of([make_run(tmp_path), make_run(tmp_path, label="team", environment=TEAM)])
 
 
+def test_labels_may_name_different_tasks(tmp_path: Path) -> None:
+    runs = [make_run(tmp_path), make_run(tmp_path, label="in wind", environment=WIND)]
+    assert [*Results.of(runs[:1]).optima] == ["field_03"]
+    assert not Results.of(runs).optima  # the wind's is another
+    with pytest.raises(ConfigError, match=r"environment\.wind: "):
+        Results.of([runs[0], make_run(tmp_path, algorithm="ppo", environment=WIND)])
+
+
 def test_fields_of_one_name_must_be_the_same(tmp_path: Path) -> None:
     known = load_field("field_01")
     other = Field(

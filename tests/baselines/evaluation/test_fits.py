@@ -7,10 +7,11 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from baselines.evaluation.evaluate import evaluate
+from baselines.evaluation.evaluate import evaluate, fitted
 from baselines.evaluation.policy import Origin, load_policy
 from baselines.evaluation.rollout import record_episode
 from baselines.zoo.entries import open_run
+from mbn_marl import BatchEngine, Uniform
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
@@ -58,11 +59,55 @@ def test_a_policy_on_the_state_has_to_fit_in_its_sizes_alone() -> None:
     assert refused(Trained("state"), larger, {"n_robots": 1}) == ["robots"]
 
 
-def test_headings_have_to_be_there_or_not_as_in_training() -> None:
-    turning = {"dynamics": ("point_mass", "unicycle"), "v_clip": (5.0, 4.0)}
-    assert refused(Trained(), HOME, turning) == refused(Trained("state"), HOME, turning)
-    assert refused(Trained(), HOME, turning) == ["headings"]
+SHOWN: dict[str, Any] = {
+    **{"dynamics": ("point_mass", "unicycle"), "failures": {"at": {1: 3}}},
+    **{"wind": (0.1, 30.0), "max_steps": 6},
+}
+"""Every observation has entries of headings and failures."""
+
+
+@pytest.mark.parametrize("observes", ["observations", "state"])
+def test_what_a_policy_was_not_trained_with_is_not_shown_to_it(
+    observes: Literal["observations", "state"],
+) -> None:
+    engine = BatchEngine(HOME, 1, **SHOWN)
+    engine.reset()
+    if observes == "state":
+        shown, plain = engine.state(), BatchEngine(HOME, 1).state_low.size
+        expected = np.delete(shown[0], [8, 9, 10, 11])  # headings, failures
+    else:
+        shown, plain = engine.step(np.ones((1, 2, 2)))[0], BatchEngine(HOME, 1).obs_size
+        names = [entry.name for entry in engine.observation_table]
+        more = [k for k, name in enumerate(names) if name.endswith(("_cos", "_sin", "_failed"))]
+        expected = np.delete(shown, more, axis=2)[0]
+    seen: list[np.ndarray] = []
+
+    class Watching(Trained):
+        def act(self, shown: np.ndarray, *, deterministic: bool) -> np.ndarray:
+            seen.append(shown.copy())
+            return super().act(shown, deterministic=deterministic)
+
+    fitted(Watching(observes), engine).act(shown, deterministic=True)
+    assert seen[0].shape[-1] == plain
+    assert np.array_equal(seen[0][0], expected)
+    assert len(evaluate(Watching(observes), HOME, SHOWN, episodes=2).steps) == 2
+
+
+@pytest.mark.parametrize("observes", ["observations", "state"])
+def test_what_a_policy_was_trained_with_has_to_be_shown(
+    observes: Literal["observations", "state"],
+) -> None:
+    trained = Trained(observes)
+    trained.origin = Origin(HOME, make_config(SHOWN))
+    assert refused(trained, HOME, {}) == ["headings", "failures"]
+
+
+def test_the_scale_of_speeds_has_to_be_that_of_training() -> None:
     assert refused(Trained(), HOME, {"v_clip": (5.0, 6.0)}) == ["v_clip"]
+    with pytest.raises(
+        ConfigError, match=r"v_clip: the policy was trained with 5\.0, here it is 7"
+    ):
+        evaluate(Trained(), HOME, {"v_clip": Uniform(4.0, 7.0)}, episodes=1)
 
 
 def test_what_does_not_scale_may_differ() -> None:

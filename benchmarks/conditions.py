@@ -1,0 +1,97 @@
+"""The zoo's policies and the classical ones under every named condition."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, get_args
+
+import numpy as np
+
+from baselines.classical.controller import CLASSICAL, make_classical
+from baselines.compare.text_table import TextTable
+from baselines.evaluation.evaluate import Evaluation, evaluate
+from baselines.evaluation.policy import load_policy
+from baselines.zoo.entries import PREFIX, open_run
+from benchmarks.report import Advance, Benchmark, Findings, Measurement
+from mbn_marl.config import CONDITIONS, Condition
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import catalogue_names, load_field
+
+ZOO = {"zoo, sampled": False, "zoo, mean actions": True}
+POLICIES = (*ZOO, *CLASSICAL)
+TARGETS = {"windy": 0.95, "gusty": 0.95, "failing": 0.95}
+"""The success that greedy and the replanning planner are to have on every field."""
+TARGETED = ("greedy", "replan")
+
+
+@dataclass(frozen=True)
+class Conditions(Benchmark):
+    """Evaluate the zoo's policies, trained in calm, and the classical ones under each condition."""
+
+    name: ClassVar[str] = "conditions"
+    stages: ClassVar[int] = len(POLICIES) * len(CONDITIONS)
+
+    fields: tuple[str, ...] = tuple(catalogue_names())
+    """Names of `mbn fields` that are in the zoo."""
+    episodes: int = 100
+    """How many episodes of each."""
+
+    def measure(self, advance: Advance) -> Findings:
+        """Evaluate every policy on every field under every condition."""
+        found: dict[str, dict[str, dict[str, Any]]] = {}
+        for policy in POLICIES:
+            for condition in get_args(Condition):
+                cells = {field: self._evaluate(policy, field, condition) for field in self.fields}
+                known = {field: cell.summary() for field, cell in cells.items() if cell}
+                found.setdefault(policy, {})[condition] = known
+                advance()
+        rows = [
+            Measurement(f"{policy}, {condition}: lowest success of a field", worst, "", target)
+            for policy in TARGETED
+            for condition, target in TARGETS.items()
+            if (worst := _lowest(found.get(policy, {}).get(condition, {}))) is not None
+        ]
+        return Findings(
+            f"{len(self.fields)} fields, {self.episodes} episodes each",
+            rows,
+            tables={"success: mean over fields (lowest)": _table(found, _success)}
+            | {"return: mean over fields": _table(found, _return)},
+            details={"evaluations": found},
+        )
+
+    def _evaluate(self, policy: str, name: str, condition: Condition) -> Evaluation | None:
+        """Evaluate on a field; ``None`` if the policy refuses the condition."""
+        field, settings = load_field(name), dict(CONDITIONS[condition])
+        try:
+            if policy not in ZOO:
+                acting = make_classical(policy, field, settings)
+                return evaluate(acting, field, settings, episodes=self.episodes)
+            run = open_run(f"{PREFIX}{name}")
+            settings = {**run.config["environment"], **settings}
+            how: dict[str, Any] = {"deterministic": ZOO[policy], "episodes": self.episodes}
+            return evaluate(load_policy(run), run.field, settings, **how)
+        except ConfigError:
+            return None
+
+
+def _lowest(cells: Mapping[str, Mapping[str, Any]]) -> float | None:
+    return min((cell["success_rate"] for cell in cells.values()), default=None)
+
+
+def _success(cells: Mapping[str, Mapping[str, Any]]) -> str:
+    mean = np.mean([cell["success_rate"] for cell in cells.values()])
+    return f"{mean:.1%} ({_lowest(cells):.0%})"
+
+
+def _return(cells: Mapping[str, Mapping[str, Any]]) -> str:
+    return f"{np.mean([cell['return_mean'] for cell in cells.values()]):,.0f}"
+
+
+def _table(found: Mapping[str, Mapping[str, Any]], show: Any) -> TextTable:
+    """Return a row for each condition, a column for each policy; - where it refuses."""
+    lines = (
+        (name, *(show(rows[name]) if rows[name] else "-" for rows in found.values()))
+        for name in get_args(Condition)
+    )
+    return TextTable("", ("condition", *found), tuple(lines))

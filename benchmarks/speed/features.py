@@ -1,0 +1,53 @@
+"""The speed of the engine with a feature on: dynamics, failures, disturbances, drawn numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from benchmarks.report import Advance, Benchmark, Findings, Measurement
+from benchmarks.speed.adapters import FIELD
+from benchmarks.speed.timing import Budget, engine_case, interleaved
+from mbn_marl import BatchEngine, Failures, Uniform
+from mbn_marl.config import CONDITIONS
+
+FEATURES: dict[str, dict[str, Any]] = {
+    "holonomic": {"dynamics": "holonomic"},
+    "unicycle": {"dynamics": "unicycle"},
+    "bicycle": {"dynamics": "bicycle"},
+    "failures": {"failures": Failures(rate=0.005)},
+    "gusts": dict(CONDITIONS["gusty"]),
+    "late, lost and noisy actions": {**CONDITIONS["delayed"], "action_noise": 0.05},
+    "noisy sight and dropout": {"position_noise": 1.0, "velocity_noise": 0.1, "dropout": 0.05},
+    "drawn numbers": {**CONDITIONS["windy"], "mass": Uniform(1.0, 2.0)},
+    "storm": dict(CONDITIONS["storm"]),
+}
+PLAIN = "plain"
+
+
+@dataclass(frozen=True)
+class Features(Benchmark):
+    """Measure the engine with each feature on, as a share of its speed with all of them off."""
+
+    name: ClassVar[str] = "features"
+    stages: ClassVar[int] = 2
+    budget: ClassVar[Budget] = Budget()
+
+    def measure(self, advance: Advance) -> Findings:
+        """Measure all of them in turn, on one thread."""
+        budget, worlds = self.budget, self.budget.worlds
+        cases = [
+            engine_case(name, BatchEngine(FIELD, worlds, threads=1, **settings), budget.warm_up)
+            for name, settings in {PLAIN: {}, **FEATURES}.items()
+        ]
+        advance()
+        timings = interleaved(cases, budget)
+        advance()
+        shares = {name: 100 * (timings[PLAIN] / timings[name]).median() for name in FEATURES}
+        rows = [
+            Measurement(name, share, "%", None if name == "storm" else 50.0)
+            for name, share in shares.items()
+        ]
+        rate = 1e-6 / timings[PLAIN].median()
+        title = f"speed with a feature on, of {rate:.2f} M env-steps/s without, {worlds:,} worlds"
+        return Findings(title, rows)

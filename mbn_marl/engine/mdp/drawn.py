@@ -1,0 +1,184 @@
+"""Numbers of the configuration that each episode draws (mdp.md, "Drawn numbers").
+
+``Episode.drawn`` has them for each world: what they are made into, then the numbers themselves.
+Where nothing is drawn it has three dimensions and no entries, and its code is left out when it is
+compiled: ``numbers_of`` and ``limits_in`` then return the constants.
+
+Source: this package.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbn_marl.checked import Uniform
+from mbn_marl.config import LIMITS, NUMBERS, NavigationConfig
+from mbn_marl.engine.jit import compiled, generated
+from mbn_marl.engine.mdp.elementary import cosine, exponential, sine, turned
+from mbn_marl.engine.mdp.rng import FOR_NUMBERS, stream_of, uniform
+
+SINGLE = ("wind_speed", "wind_angle", *NUMBERS, "failure_rate")
+"""The names of the numbers that are not a robot's own, in the order of ``numbers``."""
+MADE = (
+    *("wind_x", "wind_y", "gust_kept", "gust_added", "safety_squared", "roi_squared"),
+    *("failing_robot", "failing_step"),
+)
+"""The first rows of ``Episode.drawn``; those of ``SINGLE`` and of each robot follow."""
+WIND_X, WIND_Y, GUST_KEPT, GUST_ADDED, SAFETY, ROI, ROBOT, STEP = range(len(MADE))
+SPEED, ANGLE, GUST, GUST_TIME = map(SINGLE.index, ("wind_speed", "wind_angle", *NUMBERS[:2]))
+DISTANCE, RADIUS = SINGLE.index("safety_distance"), SINGLE.index("roi_radius")
+FIRST, FIRST_LIMIT = len(MADE), len(MADE) + len(SINGLE)
+LOW, WIDTH, COUNTER = range(3)
+"""The rows of ``Geometry.ranges``, whose columns are the numbers of ``SINGLE`` and each robot's."""
+FAILING = 1000
+"""The counter of the draw of the robot that fails; its step's is the next."""
+RADIANS = math.pi / 180.0
+
+
+class Numbers(NamedTuple):
+    """The constants of a step that an episode may draw, for one world."""
+
+    wind_x: Any
+    wind_y: Any
+    gust: Any
+    gust_kept: Any
+    gust_added: Any
+    action_noise: Any
+    action_loss: Any
+    position_noise: Any
+    velocity_noise: Any
+    dropout: Any
+    failure_rate: Any
+    tau: Any
+    turn_max: Any
+    wheelbase: Any
+    steer_max: Any
+    safety_squared: Any
+    roi_squared: Any
+
+
+def _row(name: str) -> int:
+    """The row of a number in ``Episode.drawn``."""
+    return MADE.index(name) if name in MADE else FIRST + SINGLE.index(name)
+
+
+_DRAWN = ", ".join(f"drawn[{_row(name)}, w]" for name in Numbers._fields)
+_FIXED = ", ".join(f"p.{name}" for name in Numbers._fields)
+numbers_of = generated(
+    "numbers_of",
+    "def numbers_of(p, drawn, w):\n"
+    f"    if drawn.ndim == 2:\n        return Numbers({_DRAWN})\n"
+    f"    return Numbers({_FIXED})\n",
+    Numbers=Numbers,
+)
+"""The numbers of world w: its own, or the constants ``p`` where nothing is drawn."""
+
+
+def is_drawn(config: NavigationConfig) -> bool:
+    """Return whether episodes draw any number."""
+    failures = config.failures
+    return bool(config.drawn) or (failures is not None and failures.between is not None)
+
+
+def _columns(config: NavigationConfig, n: int) -> list[tuple[str, float | Uniform]]:
+    """The names and values of all numbers, those of the robots one by one."""
+    known = dict(config.numbers())
+    own = [(limit if limit in known else f"{limit}_{i}") for limit in LIMITS for i in range(n)]
+    return [(name, known[name]) for name in (*SINGLE, *own)]
+
+
+def make_ranges(config: NavigationConfig, n: int) -> NDArray[np.float64]:
+    """The table of what is drawn, (3, numbers): lowest value, range and counter; or (0,)."""
+    if not is_drawn(config):
+        return np.zeros(0)
+    columns = _columns(config, n)
+    first = {name: k for k, (name, _) in reversed([*enumerate(columns)])}
+    ends = [(v.low, v.high) if isinstance(v, Uniform) else (v, v) for _, v in columns]
+    lows, highs = np.array(ends, np.float64).T
+    return np.array([lows, highs - lows, [first[name] for name, _ in columns]])
+
+
+def rows_drawn(config: NavigationConfig, n: int) -> int:
+    """How many rows ``Episode.drawn`` has for a team of n; 0 if nothing is drawn."""
+    return FIRST_LIMIT + len(LIMITS) * n if is_drawn(config) else 0
+
+
+def rows_of_drawn(config: NavigationConfig, n: int) -> dict[str, int]:
+    """The row in ``Episode.drawn`` of each number that is drawn, by name."""
+    names = [name for name, _ in _columns(config, n)]
+    return {name: FIRST + names.index(name) for name in config.drawn}
+
+
+@compiled
+def limits_in(limits, drawn, i, w):
+    """Mass, force and speed limit of robot i in world w, from those of all worlds.
+
+    A speed limit that is drawn is at most that of all worlds.
+    """
+    if drawn.ndim == 2:
+        n = (drawn.shape[0] - FIRST_LIMIT) // len(LIMITS)
+        first = FIRST_LIMIT + i
+        return drawn[first, w], drawn[first + n, w], min(drawn[first + 2 * n, w], limits[2])
+    return limits
+
+
+@compiled
+def draw(ranges, key, k):
+    """Number k of an episode."""
+    return ranges[LOW, k] + ranges[WIDTH, k] * np.float64(uniform(key, ranges[COUNTER, k]))
+
+
+@compiled
+def varies(ranges, k):
+    """Return whether number k is drawn."""
+    return ranges[WIDTH, k] > 0.0
+
+
+@compiled
+def squared(number):
+    """``number^2``, one product."""
+    return number * number
+
+
+@compiled
+def choose_failing(p, drawn, key, w):
+    """Draw the robot that fails in world w, and its step, 0 for none."""
+    n = (drawn.shape[0] - FIRST_LIMIT) // len(LIMITS)
+    count = p.failing_last - p.failing_first + 1
+    drawn[ROBOT, w] = np.int64(np.float64(uniform(key, FAILING)) * n)
+    step = p.failing_first + np.int64(np.float64(uniform(key, FAILING + 1)) * count)
+    drawn[STEP, w] = step if p.failing_last > 0 else 0
+
+
+@compiled
+def is_failing_step(drawn, i, step, w):
+    """Return whether this is the step, from 1 on, that was drawn for robot i to fail in."""
+    if drawn.ndim == 2:
+        return (drawn[STEP, w] == step) & (drawn[ROBOT, w] == i)
+    return False
+
+
+@compiled
+def draw_numbers(p, ranges, drawn, episode_key, w):
+    """Draw the numbers of the episode that world w begins."""
+    if drawn.ndim == 2:
+        key = stream_of(episode_key, FOR_NUMBERS)
+        for k in range(ranges.shape[1]):
+            drawn[FIRST + k, w] = draw(ranges, key, k)
+        drawn[WIND_X, w], drawn[WIND_Y, w] = p.wind_x, p.wind_y
+        if varies(ranges, SPEED) | varies(ranges, ANGLE):
+            speed = draw(ranges, key, SPEED)
+            angle = turned(0.0, draw(ranges, key, ANGLE) * RADIANS, math.pi)
+            drawn[WIND_X, w], drawn[WIND_Y, w] = speed * cosine(angle), speed * sine(angle)
+        drawn[GUST_KEPT, w], drawn[GUST_ADDED, w] = p.gust_kept, p.gust_added
+        if varies(ranges, GUST) | varies(ranges, GUST_TIME):
+            kept = exponential(-1.0 / draw(ranges, key, GUST_TIME))
+            drawn[GUST_KEPT, w] = kept
+            drawn[GUST_ADDED, w] = draw(ranges, key, GUST) * math.sqrt(1.0 - kept * kept)
+        drawn[SAFETY, w] = squared(draw(ranges, key, DISTANCE))
+        drawn[ROI, w] = squared(draw(ranges, key, RADIUS))
+        choose_failing(p, drawn, key, w)

@@ -1,0 +1,138 @@
+"""Numbers that episodes draw, by hand; ``test_forms`` has the oracle draw them too.
+
+What holds for every random number, such as that the batch does not matter, is in
+``test_determinism``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from mbn_marl import BatchEngine, Failures, Uniform
+from mbn_marl.config import CONDITIONS, NUMBERS, NavigationConfig, make_config
+from mbn_marl.engine.state import make_episode
+from mbn_marl.errors import ConfigError
+from mbn_marl.registration import environment_id
+from tests.support.disturbances import key_of
+from tests.support.draws import NUMBERS as PURPOSE
+from tests.support.draws import drawn_settings
+from tests.support.pages import ROOT
+
+DRAWN: dict[str, Any] = {
+    "wind": (0.2, Uniform(30.0, 400.0)),
+    "mass": (1.0, Uniform(1.0, 2.0), Uniform(3.0, 4.0)),
+    "v_clip": Uniform(4.0, 6.0),
+    "roi_radius": Uniform(5.0, 15.0),
+    "gust_time": Uniform(2.0, 4.0),
+    "failures": Failures(between=(1, 3), kind="vanish"),
+}
+NAMES = ["wind_angle", "gust_time", "roi_radius", "mass_1", "mass_2", "v_clip"]
+
+
+@pytest.fixture(scope="module")
+def engine() -> BatchEngine:
+    """An engine in float64 that restarts its worlds."""
+    return BatchEngine("field_03", 200, dtype="float64", threads=1, max_steps=4, **DRAWN)
+
+
+def test_an_episode_draws_what_the_page_says(engine: BatchEngine) -> None:
+    engine.reset(seed=5)
+    for episode in range(2):
+        drawn = engine.drawn()
+        assert [*drawn] == [*engine.config.drawn] == NAMES
+        for world in (0, 7, 199):
+            expected = drawn_settings(DRAWN, 3, key_of(5, world, episode, PURPOSE))
+            known = dict(make_config({k: expected[k] for k in DRAWN}).numbers())
+            assert [drawn[name][world] for name in NAMES] == [known[name] for name in NAMES]
+            assert engine.config_in(world).with_drawn({}) == engine.config_in(world)
+            assert engine.config_in(world).mass == expected["mass"]
+            assert engine.snapshot(world).roi_radius == expected["roi_radius"]
+            assert engine.snapshot(world).wind == expected["wind_vector"]
+        engine.reset()
+
+
+def test_numbers_fill_their_ranges_and_hold_for_an_episode(engine: BatchEngine) -> None:
+    engine.reset(seed=1)
+    first = engine.drawn()
+    for name, ends in engine.config.drawn.items():
+        assert ((first[name] >= ends.low) & (first[name] <= ends.high)).all()
+        assert np.ptp(first[name]) > 0.9 * (ends.high - ends.low)
+    for step in range(4):
+        assert all(np.array_equal(engine.drawn()[name], first[name]) for name in NAMES)
+        failed = engine.failed.sum(axis=1)
+        assert failed.max() == (step > 0) and failed.min() == (step == 3)
+        _, _, _, truncated = engine.step(np.zeros((200, 3, 2)))
+    assert truncated.all() and (engine.metrics(["failed"])["failed"].sum(axis=1) == 1).all()
+    for name in NAMES:  # the worlds have begun again
+        assert np.array_equal(engine.final_drawn()[name], first[name])
+        assert (engine.drawn()[name] != first[name]).all()
+
+
+def test_the_robot_that_fails_is_any_of_them(engine: BatchEngine) -> None:
+    engine.reset(seed=2)
+    for _ in range(3):
+        engine.step(np.zeros((200, 3, 2)))
+    assert (engine.failed.sum(axis=0) > 40).all()
+
+
+def test_a_range_of_one_number_is_that_number() -> None:
+    """In float32, where what numbers are made into is rounded."""
+    numbers = dict(NavigationConfig().numbers())
+    numbers |= {"gust": 0.1, "gust_time": 7.0, "action_noise": 0.1, "position_noise": 2.0}
+    ranges = {name: Uniform(numbers[name], numbers[name]) for name in NUMBERS}
+    each = {"mass": 1.3, "f_max": 0.7, "v_clip": 4.1, "wind": (0.1, 40.0)}
+    fixed = {name: numbers[name] for name in NUMBERS} | each
+    drawn = ranges | each | {"mass": Uniform(1.3, 1.3)}
+    engines = [BatchEngine("field_03", 3, threads=1, **one) for one in (fixed, drawn)]
+    for engine in engines:
+        engine.reset(seed=3)
+    for _ in range(150):
+        actions = engines[0].sample_actions()
+        one, other = ([*engine.step(actions), engine.state()] for engine in engines)
+        assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_what_is_not_drawn_has_no_entries() -> None:
+    assert make_episode(2, 3, make_config({})).drawn.shape == (0, 0, 2)
+
+
+def test_wrong_ranges_are_named() -> None:
+    with pytest.raises(ConfigError) as caught:
+        make_config(
+            {
+                **{"gust": Uniform(-1.0, 1.0), "mass": (1.0, Uniform(0.0, 1.0))},
+                **{"tau": {"low": 2, "high": 1}, "wind": (0.1, {"low": 2, "top": 3})},
+                **{"max_steps": Uniform(1.0, 2.0), "failures": {"between": (3, 1)}},
+            }
+        )
+    places = [problem.split(": ")[0] for problem in caught.value.problems]
+    assert places == [
+        *("wind.1.high", "wind.1.top", "gust", "max_steps"),
+        *("tau.high", "mass.1", "failures.between"),
+    ]
+    assert "gust: low: Input should be greater than or equal to 0" in str(caught.value)
+
+
+def test_conditions_are_those_of_the_page() -> None:
+    page = (ROOT / "docs" / "mdp.md").read_text(encoding="utf-8")
+    for name, settings in CONDITIONS.items():
+        row = next(line for line in page.splitlines() if line.startswith(f"| `{name}` |"))
+        assert all(f"`{setting}`" in row or name == "storm" for setting in settings)
+        assert make_config({"condition": name}) == NavigationConfig(**settings)
+    assert make_config({"condition": "calm"}) == NavigationConfig()
+    with pytest.raises(ConfigError) as caught:
+        make_config({"condition": "windy", "wind": (0.1, 0.0), "gust": -1.0})
+    assert [problem.split(":")[0] for problem in caught.value.problems] == ["wind", "gust"]
+    with pytest.raises(ConfigError, match=r"did you mean gusty\?\); known: calm, windy"):
+        make_config({"condition": "gustly"})
+
+
+def test_every_condition_has_an_id() -> None:
+    for name in CONDITIONS:
+        env = gymnasium.make(environment_id("field_03", name), disable_env_checker=True)
+        expected = BatchEngine("field_03", 1, condition=name).config
+        assert env.unwrapped.engine.config == expected  # type: ignore[attr-defined]
