@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import check_options
+from mbn_marl.config import CONDITIONS, Condition
 
 if TYPE_CHECKING:
     from mbn_marl.sim3d import Deployment, Scale, Simulator
@@ -29,6 +30,8 @@ class Deploy:
     """The simulator of the vehicles; plane is the environment's own point mass."""
     vehicle: Literal["quadrotor", "balancer"] = "quadrotor"
     """In MuJoCo."""
+    condition: Condition = "calm"
+    """A named condition, whose settings replace those of the policy's run."""
     wind: tuple[float, float] = (0.0, 0.0)
     """Speed (units/step per step) and angle (degrees from +x) of the wind."""
     wind_speeds: str | None = None
@@ -75,7 +78,8 @@ class Deploy:
             simulators = self._simulators(scale)
             for simulator in simulators.values():
                 stack.enter_context(simulator)
-            pilots = find_pilots(self.policy, self.field, simulators[self.sim].speed_limit)
+            speed_limit = simulators[self.sim].speed_limit
+            pilots = find_pilots(self.policy, self.field, speed_limit, self.condition)
             if self.video is not None:
                 claim_file(self.video, force=self.force)
             for actor in pilots:
@@ -91,7 +95,8 @@ class Deploy:
             "plane": "point masses in the plane",
             "coppeliasim": "quadcopters in CoppeliaSim",
         }
-        print_deployments(rows, title=f"{self.policy}, {names[self.sim]}")
+        under = "" if self.condition == "calm" else f", {self.condition}"
+        print_deployments(rows, title=f"{self.policy}, {names[self.sim]}{under}")
         if self.figure is not None:
             self._draw(flights, claim_file(self.figure, force=self.force))
         if self.json is not None:
@@ -100,11 +105,15 @@ class Deploy:
             write_json(claim_file(self.json, force=self.force), numbers)
 
     def _check(self) -> tuple[list[float], float]:
-        """Check the options and the outputs before anything is touched; return the winds."""
+        """Check the options and the outputs before anything is touched; return the winds.
+
+        There is none where the condition has a wind.
+        """
         from baselines.evaluation.wind import parse_speeds
         from mbn_marl.files import check_free
         from mbn_marl.render.figures import check_name
 
+        blown = "wind" in CONDITIONS[self.condition]
         other = f"vehicle: {self.vehicle!r}; allowed with coppeliasim: quadrotor"
         ending = f"video: {self.video}; allowed: a name that ends in .mp4"
         checks = {
@@ -115,6 +124,8 @@ class Deploy:
             "figure: allowed with --compare or --wind-speeds": self.figure
             and not (self.compare or self.wind_speeds),
             "wind: allowed without --wind-speeds": self.wind_speeds and any(self.wind),
+            f"wind: allowed without --condition {self.condition}, which has one": blown
+            and (self.wind_speeds or any(self.wind)),
         }
         check_options("deployment", checks)
         if self.figure is not None:
@@ -122,7 +133,7 @@ class Deploy:
         for output in filter(None, (self.video, self.figure, self.json)):
             check_free(output, force=self.force)
         if self.wind_speeds is None:
-            return [self.wind[0]], self.wind[1]
+            return [] if blown else [self.wind[0]], self.wind[1]
         return parse_speeds(self.wind_speeds), self.wind_angle
 
     def _simulators(self, scale: Scale) -> dict[str, Simulator]:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from baselines.classical.controller import CLASSICAL, make_classical
 from baselines.demo.resolve import Actor, find_actor
+from baselines.evaluation.evaluate import fitted
+from mbn_marl.config import CONDITIONS, Condition
+from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field
 from mbn_marl.sim3d import Deployment, Scale, Simulator, deploy
@@ -16,7 +20,10 @@ ZOO = "zoo"  # the zoo's own policy for each field
 
 
 def find_pilots(
-    policy: str, fields: Sequence[str], speed_limit: float | None = None
+    policy: str,
+    fields: Sequence[str],
+    speed_limit: float | None = None,
+    condition: Condition = "calm",
 ) -> list[Actor]:
     """Find who acts in each of some fields.
 
@@ -24,23 +31,30 @@ def find_pilots(
         policy: ``"zoo"``, ``zoo:NAME``, a run's folder, ``"greedy"``, ``"planner"``, ``"random"``.
         fields: names or files; without any, a run's or a zoo policy's own.
         speed_limit: of the vehicles, units/step: classical policies plan with it.
+        condition: whose settings replace those that the policy brings.
 
     Raises:
         ConfigError: a policy that needs a field has none.
         MbnError: a field, or a policy for it, is not there.
     """
+    changes = CONDITIONS[condition]
     if not fields:
         if policy in (ZOO, "random", *CLASSICAL):
             problem = f"field: {policy} has none of its own; name one or more"
             raise ConfigError("deployment", [problem])
-        return [find_actor(policy)]
+        return [_under(changes, find_actor(policy))]
     if policy in CLASSICAL:
-        settings = {} if speed_limit is None else {"v_clip": speed_limit}
+        settings = {**({} if speed_limit is None else {"v_clip": speed_limit}), **changes}
         return [
             Actor(make_classical(policy, field, settings), field, settings, policy)
             for field in map(load_field, fields)
         ]
-    return [find_actor(name, f"zoo:{name}" if policy == ZOO else policy) for name in fields]
+    found = (find_actor(name, f"zoo:{name}" if policy == ZOO else policy) for name in fields)
+    return [_under(changes, actor) for actor in found]
+
+
+def _under(changes: Mapping[str, Any], actor: Actor) -> Actor:
+    return replace(actor, settings={**actor.settings, **changes})
 
 
 def summarise(deployment: Deployment, scale: Scale) -> dict[str, Any]:
@@ -69,19 +83,23 @@ def summarise(deployment: Deployment, scale: Scale) -> dict[str, Any]:
 def sweep_wind(
     actor: Actor, simulator: Simulator, speeds: Sequence[float], angle: float, *, every: bool
 ) -> list[Deployment]:
-    """Deploy an actor in winds instead of its own, the weakest first.
+    """Deploy an actor in winds instead of its own, the weakest first, or in its own.
 
     Args:
         actor: who, where.
         simulator: is reset each time, and left open.
-        speeds: of the wind, in any order, units/step per step.
+        speeds: of the wind, in any order, units/step per step; without any, its own wind.
         angle: of the wind, degrees from +x.
         every: continue after the first failure.
+
+    Raises:
+        ConfigError: the policy does not fit the settings, or they the simulator.
     """
+    policy = fitted(actor.policy, BatchEngine(actor.field, 1, threads=1, **actor.settings))
     deployments: list[Deployment] = []
-    for speed in sorted(set(speeds)):
-        settings = {**actor.settings, "wind": (speed, angle)}
-        flown = deploy(actor.policy, actor.field, settings, simulator, source=actor.name)
+    for wind in [{"wind": (speed, angle)} for speed in sorted(set(speeds))] or [{}]:
+        settings = {**actor.settings, **wind}
+        flown = deploy(policy, actor.field, settings, simulator, source=actor.name)
         deployments.append(flown)
         if not (flown.success or every):
             break

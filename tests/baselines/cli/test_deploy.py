@@ -63,6 +63,7 @@ def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
         (["zoo:field_03", "--figure", "x.png"], "figure: allowed with --compare"),
         (["zoo:field_03", "--metres-per-unit", "0"], "metres: 0"),
         (["zoo:field_03", "--video", "x.avi"], "video: x.avi"),
+        (["zoo:field_03", "--condition", "windy", "--wind-speeds", "0.1"], "windy, which has one"),
     ],
 )
 def test_the_command_says_what_is_wrong(
@@ -79,6 +80,21 @@ def test_winds_in_any_order_are_swept_from_the_weakest(tmp_path: Path) -> None:
     rows = json.loads(numbers.read_text())["deployments"]
     assert [(row["wind_speed"], row["success"]) for row in rows] == [(0.1, True), (0.3, False)]
     assert {row["strongest_wind"] for row in rows} == {0.1}
+
+
+def test_the_command_deploys_under_a_condition(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A policy that knows nothing of failures; in the plane it is the environment's episode."""
+    numbers = tmp_path / "numbers.json"
+    command = ["deploy", "zoo:field_01", "--sim", "plane", "--condition", "storm"]
+    assert main([*command, "--json", str(numbers)]) == 0
+    (row,) = json.loads(numbers.read_text())["deployments"]
+    assert 0.1 <= row["wind_speed"] <= 0.25
+    failed = [step for step in row["failed"] if step is not None]
+    assert len(failed) == 1 and 5 <= failed[0] <= 60
+    shown = capsys.readouterr().out
+    assert f"{row['outcome']}, 1 failed" in shown and "storm" in shown
 
 
 @pytest.mark.parametrize(
