@@ -1,61 +1,85 @@
-"""Policies without learning: the greedy controller, and the planner in closed loop."""
+"""Policies without learning: greedy, the planner in closed loop, and one that plans again."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from copy import copy
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.evaluation.policy import Policy
-from mbn_marl.config import make_config
+from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.engine.mdp.disturbances import OF_ACTIONS, OF_SIGHT
+from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.errors import MbnError, unknown
 from mbn_marl.field import Field
 from mbn_marl.planning import Plan, plan
 from mbn_marl.planning.greedy import Greedy
-from mbn_marl.planning.problem import Floats, Problem, make_problem
+from mbn_marl.planning.problem import Problem, make_problem
+from mbn_marl.planning.replanning import Replanner
 from mbn_marl.planning.tracking import Tracker
 
-CLASSICAL = ("greedy", "planner")
+Flags = NDArray[np.bool_]
+
+CLASSICAL = ("greedy", "planner", "replan")
 """The names of these policies."""
-Controller = Greedy | Tracker
+UNSEEN = ("wind", "gust", "gust_time", "failures", *OF_ACTIONS, *OF_SIGHT)
+"""Settings that ``replan`` does not plan with: it finds out."""
+
+
+class Controller(Protocol):
+    """Controls one team through one episode; a copy goes on from the same state."""
+
+    def act(
+        self, positions: FloatArray, velocities: FloatArray, visited: Flags, failed: Flags
+    ) -> NDArray[np.float32]:
+        """Actions (n, 2) in [-1, 1]; arguments as for :meth:`Greedy.act`."""
+        ...
 
 
 class ControllerPolicy:
-    """A controller for each world, which ``begin`` makes of its starts (n, 2); equal ones share."""
+    """A controller for each world; worlds share one as long as they have been the same.
+
+    Args:
+        problem: the instance.
+        begin: makes the controller of an episode.
+    """
 
     observes: Literal["observations", "state"] = "state"
     samples = False
 
-    def __init__(self, problem: Problem, begin: Callable[[Floats], Controller]) -> None:
+    def __init__(self, problem: Problem, begin: Callable[[], Controller]) -> None:
         self.problem, self.begin = problem, begin
-        self._groups: dict[bytes, Controller] = {}
-        self._of_world: list[bytes] = []
+        self._of_world: list[Controller | None] = []
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """Return actions (worlds, n, 2) for states (worlds, 4n+1); nothing is sampled."""
+        """Return actions (worlds, n, 2) for states (worlds, 4n+1); nothing is sampled.
+
+        Where robots may fail, states have n flags more, (worlds, 5n+1).
+        """
         n, m = self.problem.n, self.problem.m
         positions = seen[:, : 2 * n].reshape(-1, n, 2)
         velocities = seen[:, 2 * n : 4 * n].reshape(-1, n, 2)
         codes = seen[:, -1].astype(np.int64)
         visited = (codes[:, None] >> np.arange(m - 1, -1, -1) & 1).astype(bool)
-        self._of_world += [b""] * (len(seen) - len(self._of_world))
+        failed = np.zeros((len(seen), n), bool)
+        if seen.shape[1] > 4 * n + 1:
+            failed = seen[:, 4 * n : -1] > 0
         fresh = ~velocities.any(axis=(1, 2)) & (codes == 0)
-        begun = set()
+        before = self._of_world + [None] * (len(seen) - len(self._of_world))
         actions = np.empty((len(seen), n, 2), np.float32)
-        chosen: dict[bytes, NDArray[np.float32]] = {}
+        chosen: dict[tuple[int, bytes], tuple[Controller, NDArray[np.float32]]] = {}
         for world, row in enumerate(seen):
-            if fresh[world] or not self._of_world[world]:
-                key = self._of_world[world] = row.tobytes()
-                if key not in begun:
-                    self._groups[key] = self.begin(positions[world].astype(float))
-                    begun.add(key)
-            key = self._of_world[world]
+            last = None if fresh[world] else before[world]
+            key = id(last), row.tobytes()
             if key not in chosen:
-                state = positions[world], velocities[world], visited[world]
-                chosen[key] = self._groups[key].act(*state)
-            actions[world] = chosen[key]
+                state = positions[world], velocities[world], visited[world], failed[world]
+                controller = self.begin() if last is None else copy(last)
+                chosen[key] = controller, controller.act(*state)
+            before[world], actions[world] = chosen[key]
+        self._of_world = before
         return actions
 
 
@@ -67,13 +91,18 @@ def make_classical(
     Raises:
         MbnError: there is no such policy, or the planner found no plan.
     """
-    problem = make_problem(field, make_config(settings), closed_loop=name == "greedy")
-    if name == "greedy":
-        return ControllerPolicy(problem, lambda positions: Greedy(problem, positions))
-    if name != "planner":
+    if name not in CLASSICAL:
         raise MbnError(f"{name}: {unknown('policy', name, CLASSICAL)}")
-    found = plan(field, time_limit=time_limit, **settings)
-    return ControllerPolicy(problem, lambda _: make_tracker(found, settings))
+    problem = make_problem(field, make_config(settings), closed_loop=name != "planner")
+    if name == "greedy":
+        return ControllerPolicy(problem, lambda: Greedy(problem))
+    if name == "planner":
+        found = plan(field, time_limit=time_limit, **settings)
+        return ControllerPolicy(problem, lambda: make_tracker(found, settings))
+    config = problem.config
+    seen = {name: getattr(config, name) for name in NavigationConfig.model_fields}
+    first = plan(field, time_limit=time_limit, **{k: v for k, v in seen.items() if k not in UNSEEN})
+    return ControllerPolicy(problem, lambda: Replanner(problem, first))
 
 
 def make_tracker(found: Plan, settings: Mapping[str, Any]) -> Tracker:

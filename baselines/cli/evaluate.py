@@ -22,11 +22,11 @@ ONE_EPISODE = "deterministic:\none episode"
 class Evaluate:
     """Evaluate a policy on fresh episodes, with sampled and with mean actions."""
 
-    source: Positional[Annotated[str, arg(metavar="RUN|greedy|planner")]]
-    """The folder of a run; zoo:NAME, a policy of `mbn zoo`; greedy, nearest ROIs first; or planner,
-    the best plan, followed in closed loop."""
+    source: Positional[Annotated[str, arg(metavar="RUN|greedy|planner|replan")]]
+    """The folder of a run; zoo:NAME, a policy of `mbn zoo`; greedy, nearest ROIs first; planner,
+    the best plan, followed in closed loop; or replan, which plans again if the world leaves it."""
     field: str | None = None
-    """For greedy and planner: a name of `mbn fields`, or a field file."""
+    """For greedy, planner and replan: a name of `mbn fields`, or a field file."""
     episodes: int = 100
     """How many episodes."""
     seed: int | None = None
@@ -54,7 +54,7 @@ class Evaluate:
         from baselines.zoo.entries import PREFIX
 
         in_wind, classical = self.wind_speeds is not None, self.source in CLASSICAL
-        field = f"{self.source} has its own; --field is for {' and '.join(CLASSICAL)}"
+        field = f"{self.source} has its own; --field is for {', '.join(CLASSICAL)}"
         if classical:
             field = f"needed, for example: mbn evaluate {self.source} --field field_03"
         homeless = classical or self.source.startswith(PREFIX)

@@ -28,7 +28,8 @@ def find_pilots(
     """Find who acts in each of some fields.
 
     Args:
-        policy: ``"zoo"``, ``zoo:NAME``, a run's folder, ``"greedy"``, ``"planner"``, ``"random"``.
+        policy: ``"zoo"``, ``zoo:NAME``, a run's folder, ``"greedy"``, ``"planner"``,
+            ``"replan"``, ``"random"``.
         fields: names or files; without any, a run's or a zoo policy's own.
         speed_limit: of the vehicles, units/step: classical policies plan with it.
         condition: whose settings replace those that the policy brings.

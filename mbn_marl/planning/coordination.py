@@ -1,16 +1,17 @@
-"""From routes to a verified plan: collision-free motions of the team, replayed in the engine."""
+"""From routes to a verified plan: collision-free motions of the team."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbn_marl.planning.motion import PAIR_ROOM, Separation, solve_motion
 from mbn_marl.planning.problem import Floats, Problem
-from mbn_marl.planning.replay import Playback, Player
 from mbn_marl.planning.surroundings import surroundings
 from mbn_marl.planning.team import Route
 
@@ -18,13 +19,15 @@ ROUNDS = 12
 """Linearisations of the distances in one attempt."""
 WATCH = 1.5
 """Pairs closer than this many safety distances are kept apart from the next round on."""
-GRIDS = (0.0, 1e-6, 1e-4, 1e-2)
-"""Actions this close to a whole number are rounded to it, which makes motions exact."""
+
+T = TypeVar("T")
+Verify = Callable[[Floats, NDArray[np.float32]], T | None]
+"""A plan from paths (n, T, 2), units, and actions (T, n, 2), if it holds."""
 
 
 def coordinate(
-    problem: Problem, player: Player, steps: int, routes: Sequence[Route], deadline: float
-) -> Playback | None:
+    problem: Problem, verify: Verify[T], steps: int, routes: Sequence[Route], deadline: float
+) -> T | None:
     """Return a verified plan of ``steps`` steps along the routes, ``None`` if none was found.
 
     The distances between robots, and the field where it is not convex, are linearised about the
@@ -42,12 +45,8 @@ def coordinate(
         if motion is None:
             return None
         paths, actions = motion
-        for grid in GRIDS:
-            whole = np.round(actions)
-            snapped = np.where(np.abs(actions - whole) <= grid, whole, actions)
-            playback = player.replay(snapped.astype(np.float32))
-            if playback.clean:
-                return playback
+        if (verified := verify(paths, actions)) is not None:
+            return verified
         close = list(close_pairs(problem, paths, random))
         if (problem.convex and not close) or time.monotonic() > deadline:
             return None
@@ -69,8 +68,11 @@ def close_pairs(
     Pairs that never come closer than the safety distance are skipped.
     """
     least = problem.config.safety_distance
-    for i, j in combinations(range(problem.n), 2):
-        apart = paths[i] - paths[j]
+    ways = np.concatenate([paths, problem.others_for(paths.shape[1])])
+    for i, j in combinations(range(len(ways)), 2):
+        if i >= problem.n:
+            break
+        apart = ways[i] - ways[j]
         distance = np.hypot(apart[:, 0], apart[:, 1])
         if distance.min() >= least + 0.5 * PAIR_ROOM:
             continue

@@ -139,7 +139,7 @@ def _steppable(problem: Problem, slack: float) -> shapely.Geometry:
     """
     config = problem.config
     half = math.hypot(0.5, 0.5) * config.top_speed * config.tau + slack
-    grown = problem.field.polygon.buffer(half, join_style="mitre")
+    grown = problem.area.buffer(half, join_style="mitre")
     outer = (config.roi_radius + slack) / math.cos(math.pi / 16.0)
     discs = shapely.buffer(shapely.points(problem.rois), outer, quad_segs=4)
     return shapely.union_all([grown, *discs])

@@ -36,7 +36,10 @@ HalfPlanes = tuple[Floats, Floats]
 
 @dataclass(frozen=True)
 class Separation:
-    """Robots ``i`` and ``j`` keep their distance at ``step`` along ``normal``, from j to i."""
+    """Robots ``i`` and ``j`` keep their distance at ``step`` along ``normal``, from j to i.
+
+    From n on, j is one of the problem's ``others``, whose way is known.
+    """
 
     i: int
     j: int
@@ -129,15 +132,21 @@ class _ConicProgram:
         count = len(separations)
         if not count:
             return
+        n, starts, others = self.problem.n, self.problem.starts, self.problem.others_for(self.steps)
         normals = np.array([pair.normal for pair in separations])
-        ends = np.array([(pair.i, pair.j) for pair in separations])
+        moves = np.array([pair.j < n for pair in separations])
+        ends = np.array([(pair.i, pair.j if pair.j < n else pair.i) for pair in separations])
+        origins = np.array(
+            [starts[p.j] if p.j < n else others[p.j - n, p.step - 1] for p in separations]
+        )
         base = ends * self.block + np.array([[pair.step - 1] for pair in separations])
         spare, one = self.shortfalls + np.arange(count), -np.ones(count)
         columns = [base[:, 0], base[:, 0] + self.steps, base[:, 1], base[:, 1] + self.steps, spare]
-        apart = self.problem.starts[ends[:, 0]] - self.problem.starts[ends[:, 1]]
+        apart = starts[ends[:, 0]] - origins
         least = self.problem.config.safety_distance + PAIR_ROOM
         limits = (normals * apart).sum(axis=1) - least
-        self._append([np.arange(count)] * 5, columns, [*-normals.T, *normals.T, one], limits)
+        pulls = [*-normals.T, *(normals * moves[:, None]).T, one]
+        self._append([np.arange(count)] * 5, columns, pulls, limits)
         self._append([np.arange(count)], [spare], [one], np.zeros(count))
 
     def solve(self) -> Floats | None:

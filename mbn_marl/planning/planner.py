@@ -211,7 +211,7 @@ def _search(
         guide.deadline = deadline
         for steps in makespans:
             for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
-                playback = coordinate(problem, player, steps, routes, deadline)
+                playback = coordinate(problem, player.verify, steps, routes, deadline)
                 if playback is not None:
                     return playback
                 if time.monotonic() > deadline:
@@ -233,6 +233,6 @@ def _makespans(guide: Team, bound: int, most: int) -> Sequence[int]:
 
 def plan_greedily(problem: Problem, player: Player, deadline: float) -> Playback | None:
     """Return the greedy controller's episode if it is clean and complete by the deadline."""
-    greedy = Greedy(problem, problem.starts)
+    greedy = Greedy(problem)
     playback = player.play(lambda *seen: None if time.monotonic() > deadline else greedy.act(*seen))
     return playback if playback.clean else None

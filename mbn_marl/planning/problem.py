@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -54,6 +54,10 @@ class Problem:
     drives: tuple[Drive, ...]  # of each robot
     forces: Floats  # (n, 2), the velocity that a full force adds in a step, units/step
     wind: Floats  # (2,), the velocity that the wind adds in a step, units/step
+    area: shapely.Polygon  # where robots may be: the field, or less of it
+    others: (
+        Floats  # (k, H, 2), the next positions of robots in the way, the last one theirs for good
+    )
 
     @property
     def n(self) -> int:
@@ -68,13 +72,19 @@ class Problem:
     @cached_property
     def convex(self) -> bool:
         """Return whether the field is its own convex hull."""
-        hull = self.field.polygon.convex_hull
-        return not self.field.holes and hull.area - self.field.polygon.area <= 1e-9 * hull.area
+        hull = self.area.convex_hull
+        return not self.area.interiors and hull.area - self.area.area <= 1e-9 * hull.area
 
     @cached_property
     def half_planes(self) -> tuple[Floats, Floats]:
         """The convex hull as ``normals @ p <= offsets``: (k, 2) unit vectors and (k,) units."""
-        return half_planes(self.field.polygon.convex_hull)
+        return half_planes(self.area.convex_hull)
+
+    @cached_property
+    def walls(self) -> Floats:
+        """The edges of the area, (E, 4): the ends of each, units."""
+        rings = [np.array(ring.coords) for ring in (self.area.exterior, *self.area.interiors)]
+        return np.concatenate([np.hstack([ring[:-1], ring[1:]]) for ring in rings])
 
     @cached_property
     def can_wait(self) -> bool:
@@ -92,9 +102,14 @@ class Problem:
         Its actions and the velocities after it, in units/step, are (n, 2).
         """
         wind = (velocities - actions * self.forces).mean(axis=0)
-        if np.abs(wind - self.wind).max() < CALM:
-            return self
-        return replace(self, wind=wind)
+        return self if np.abs(wind - self.wind).max() < CALM else self.in_wind(wind)
+
+    def in_wind(self, wind: Floats, share: float = 1.0) -> Problem:
+        """Return it in a wind (2,), units/step per step, with a share of what both can change."""
+        forces, wind = share * self.forces, share * wind
+        tops = [drive.top for drive in self.drives]
+        drives = _drives(forces, wind, tops, self.config.tau)
+        return replace(self, forces=forces, wind=wind, drives=drives)
 
     def moving(self, velocities: ArrayLike) -> Problem:
         """Return the same instance with these velocities (n, 2) at the starts, units/step.
@@ -114,6 +129,10 @@ class Problem:
         if problems:
             raise ConfigError("plan", problems)
         return replace(self, velocities=given)
+
+    def others_for(self, steps: int) -> Floats:
+        """Return (k, steps, 2): where the robots in the way are after each step."""
+        return self.others[:, np.minimum(np.arange(steps), self.others.shape[1] - 1)]
 
     def only(self, rois: Sequence[int]) -> Problem:
         """Return the same instance with only these ROIs."""
@@ -138,8 +157,8 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
     Args:
         field: where.
         config: the configuration.
-        closed_loop: whether it is for a controller that sees where the robots are, and so may be
-            disturbed.
+        closed_loop: whether it is for a controller that sees where the robots are. They may then
+            fail and be disturbed, and nobody knows the wind.
 
     Raises:
         ConfigError: the field has too few starts, the starts are random, a robot is no point mass,
@@ -157,7 +176,7 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
         problems.append(f"n_robots: {field.name} has {len(field.starts)} starts, not {n}")
     if config.random_starts:
         problems.append("random_starts: allowed: False; a plan is for the field's own starts")
-    if config.failures is not None:
+    if config.failures is not None and not closed_loop:
         problems.append("failures: allowed: None; a plan is for robots that do not fail")
     others = sorted(set(config.of_each("dynamics", n)) - {"point_mass"})
     if others:
@@ -170,22 +189,20 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
             problems.append(f"{name}: expected {n} numbers, one per robot, got {len(values)}")
     if problems:
         raise ConfigError("plan", problems)
-    wind = np.array(config.wind_increment())
+    wind = np.zeros(2) if closed_loop else np.array(config.wind_increment())
     rates = [force / mass for force, mass in zip(limits["f_max"], limits["mass"], strict=True)]
     forces = np.array([[rate] * 2 for rate in rates])
-    drives = tuple(
-        Drive(_pair(force + wind), _pair(force - wind), top, config.tau)
-        for force, top in zip(forces, limits["v_clip"], strict=True)
-    )
     return Problem(
         field=field,
         config=config.model_copy(update={"n_robots": n}),
         starts=np.array(field.starts[:n]),
         velocities=np.zeros((n, 2)),
         rois=np.array(field.rois),
-        drives=drives,
+        drives=_drives(forces, wind, limits["v_clip"], config.tau),
         forces=forces,
         wind=wind,
+        area=field.polygon,
+        others=np.zeros((0, 1, 2)),
     )
 
 
@@ -204,6 +221,13 @@ def half_planes(convex: shapely.Polygon) -> tuple[Floats, Floats]:
     ring, edges = ring[:-1][lengths > 0], edges[lengths > 0] / lengths[lengths > 0, None]
     normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
     return normals, np.einsum("ij,ij->i", normals, ring)
+
+
+def _drives(forces: Floats, wind: Floats, tops: Iterable[float], tau: float) -> tuple[Drive, ...]:
+    return tuple(
+        Drive(_pair(force + wind), _pair(force - wind), top, tau)
+        for force, top in zip(forces, tops, strict=True)
+    )
 
 
 def _pair(rates: Floats) -> tuple[float, float]:

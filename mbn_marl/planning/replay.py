@@ -13,6 +13,9 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.planning.problem import Floats, Problem
 
+GRIDS = (0.0, 1e-6, 1e-4, 1e-2)
+"""Actions this close to a whole number are rounded to it, which makes motions exact."""
+
 
 @dataclass(frozen=True, eq=False)
 class Playback:
@@ -57,6 +60,16 @@ class Player:
         """Play the actions (T, n, 2) until they or the episode end."""
         rows = iter(actions)
         return self.play(lambda *_: next(rows, None))
+
+    def verify(self, _: Floats, actions: NDArray[np.float32]) -> Playback | None:
+        """Return the episode with the actions (T, n, 2), rounded if need be, if it is clean."""
+        whole = np.round(actions)
+        for grid in GRIDS:
+            snapped = np.where(np.abs(actions - whole) <= grid, whole, actions)
+            playback = self.replay(snapped.astype(np.float32))
+            if playback.clean:
+                return playback
+        return None
 
     def play(self, choose: ChooseActions) -> Playback:
         """Play one episode to its end, or until ``choose`` returns ``None``."""

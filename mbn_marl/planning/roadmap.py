@@ -36,15 +36,19 @@ class Roadmap:
         return points[chain[::-1]]
 
     def toward(self, point: Floats, place: int) -> Floats:
-        """Return the next point in sight of ``point`` on the shortest path to a place."""
+        """Return the next point in sight of ``point`` on the shortest path to a place.
+
+        Outside the area, the nearest point inside looks for it.
+        """
         goal: Floats = self.places[place]
         count = len(self.places)
         targets: Floats = np.concatenate([goal[None], self.corners])
         rest = np.concatenate([[0.0], self.lengths[place, count:]])
-        total = rest + np.hypot(*(targets - point).T)
-        for k in np.argsort(total):
-            if np.isfinite(total[k]) and sees(self.area, point, targets[k][None])[0]:
-                return np.asarray(targets[k])
+        for eye in (point, _moved_into(self.area, point[None])[0]):
+            total = rest + np.hypot(*(targets - eye).T)
+            for k in np.argsort(total):
+                if np.isfinite(total[k]) and sees(self.area, eye, targets[k][None])[0]:
+                    return np.asarray(targets[k])
         return goal
 
 
@@ -53,10 +57,7 @@ def make_roadmap(area: shapely.Geometry, places: Floats, *, largest: bool = Fals
 
     With ``largest``, a path's pieces are measured by their larger coordinate, not by their length.
     """
-    points = shapely.points(places)
-    inside = shapely.covers(area, points)
-    lines = shapely.shortest_line(points, area)
-    moved = np.where(inside[:, None], places, shapely.get_coordinates(lines)[1::2])
+    moved = _moved_into(area, places)
     corners = _corners(area)
     nodes = np.concatenate([moved, corners])
     a, b = np.triu_indices(len(nodes), 1)
@@ -78,6 +79,14 @@ def sees(area: shapely.Geometry, point: Floats, targets: Floats) -> NDArray[np.b
     ends = np.stack([np.broadcast_to(point, targets.shape), targets], axis=1)
     seen: NDArray[np.bool_] = shapely.covers(shapely.buffer(area, TOUCH), shapely.linestrings(ends))
     return seen
+
+
+def _moved_into(area: shapely.Geometry, places: Floats) -> Floats:
+    """Return the places (k, 2), those outside the area moved to its nearest points."""
+    points = shapely.points(places)
+    inside = shapely.covers(area, points)
+    lines = shapely.shortest_line(points, area)
+    return np.where(inside[:, None], places, shapely.get_coordinates(lines)[1::2])
 
 
 def _corners(area: shapely.Geometry) -> Floats:

@@ -22,8 +22,8 @@ def surroundings(problem: Problem, paths: Floats) -> list[list[HalfPlanes]]:
     """
     if problem.convex:
         return [[problem.half_planes]] * len(paths)
-    centres = _inside(problem.field.polygon, paths.reshape(-1, 2))
-    edges = problem.field.edges
+    centres = _inside(problem.area, paths.reshape(-1, 2))
+    edges = problem.walls
     pieces = [_piece(edges, centre) for centre in centres]
     steps = paths.shape[1]
     return [pieces[i * steps : (i + 1) * steps] for i in range(len(paths))]

@@ -65,7 +65,7 @@ class Team:
         self.bounds, self.tail = set_bounds(self.legs)
         self.masks = np.arange(self.bounds.shape[1])
         normals, offsets = self.problem.half_planes
-        low_x, low_y, high_x, high_y = self.problem.field.polygon.bounds
+        low_x, low_y, high_x, high_y = self.problem.area.bounds
         self.region = Region(
             normals,
             offsets + self.slack,

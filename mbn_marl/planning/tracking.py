@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,17 @@ EXACT = 1e-3
 RESERVE = 0.9
 """Share of the force left by the wind that a slower reference uses; the loop has the rest."""
 SLOWEST = 0.2
+
+
+def corrected(problem: Problem, actions: Floats, lag: Floats, slip: Floats) -> NDArray[np.float32]:
+    """Return actions (n, 2) that also make up for a lag and a slip.
+
+    These are by how much positions and velocities fall short of what was planned, (n, 2) each,
+    units and units/step.
+    """
+    lag, slip = (np.where(np.abs(one) < EXACT, 0.0, one) for one in (lag, slip))
+    change = POSITION_GAIN * lag / problem.config.tau + VELOCITY_GAIN * slip
+    return np.clip(actions + change / problem.forces, -1.0, 1.0).astype(np.float32)
 
 
 class Tracker:
@@ -41,7 +53,11 @@ class Tracker:
         self.actions: Floats = plan.actions.astype(float)
 
     def act(
-        self, positions: FloatArray, velocities: FloatArray, visited: NDArray[np.bool_]
+        self,
+        positions: FloatArray,
+        velocities: FloatArray,
+        visited: NDArray[np.bool_],
+        failed: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float32]:
         """Return actions (n, 2) in [-1, 1]; arguments as for :meth:`Greedy.act`."""
         problem, k = self.problem, self.step
@@ -49,14 +65,10 @@ class Tracker:
         if k == 1:
             self._notice_wind(velocities)
         if k + 1 >= len(self.path):
-            if self.rest is None:
-                self.rest = Greedy(problem, positions.astype(float))
-            return self.rest.act(positions, velocities, visited)
+            self.rest = Greedy(problem) if self.rest is None else copy(self.rest)
+            return self.rest.act(positions, velocities, visited, failed)
         lag, slip = self.path[k] - positions, self.speeds[k] - velocities
-        lag, slip = (np.where(np.abs(one) < EXACT, 0.0, one) for one in (lag, slip))
-        change = POSITION_GAIN * lag / problem.config.tau + VELOCITY_GAIN * slip
-        actions = np.clip(self.actions[k] + change / problem.forces, -1.0, 1.0)
-        return np.asarray(actions, np.float32)
+        return corrected(problem, self.actions[k], lag, slip)
 
     def _follow(self, times: Floats) -> None:
         """Make the plan's positions at ``times``, in steps of the plan, the reference."""

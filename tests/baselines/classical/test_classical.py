@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,14 +15,15 @@ from baselines.classical.demonstrations import record_demonstrations
 from baselines.cli import main
 from baselines.evaluation.evaluate import evaluate
 from mbn_marl import BatchEngine
+from mbn_marl.config import Failures
 from mbn_marl.episode import check_episode, load_episode
 from mbn_marl.errors import MbnError
 from mbn_marl.field import load_field
 from mbn_marl.planning import plan
 
 
-@pytest.mark.parametrize(("name", "makespan"), [("greedy", 22.0), ("planner", 17.0)])
-def test_classical_policies(name: str, makespan: float) -> None:
+@pytest.mark.parametrize(("name", "makespan"), [("greedy", 22), ("planner", 17), ("replan", 17)])
+def test_classical_policies(name: str, makespan: int) -> None:
     field = load_field("field_03")
     summary = evaluate(make_classical(name, field, {}), field, {}, episodes=3).summary()
     assert summary["success_rate"] == 1.0
@@ -47,6 +49,51 @@ def test_one_policy_serves_many_worlds_and_episodes() -> None:
         _, _, terminated, _ = engine.step(policy.act(engine.state(), deterministic=True))
         ends += int(terminated.sum())
     assert ends == 6
+
+
+WINDS = tuple({"wind": wind} for wind in ((0.35, 0), (0.35, 90), (0.2, 215)))
+FAULTS = tuple({"failures": Failures(at={i: t})} for i, t in ((0, 5), (1, 8), (2, 7), (2, 12)))
+
+
+@pytest.mark.parametrize(("name", "most"), [("greedy", 36), ("replan", 31)])
+@pytest.mark.parametrize("worlds", [WINDS, FAULTS], ids=["windy", "failing"])
+def test_a_policy_finds_out_what_each_of_its_worlds_is_like(
+    name: str, most: int, worlds: tuple[dict[str, Any], ...]
+) -> None:
+    field = load_field("field_03")
+    policy = make_classical(name, field, worlds[0])
+    engines = [BatchEngine(field, 1, autoreset="disabled", **world) for world in worlds]
+    for engine in engines:
+        engine.reset()
+    for _ in range(most):
+        states = np.concatenate([engine.state() for engine in engines])
+        actions = policy.act(states, deterministic=True)
+        for engine, action in zip(engines, actions, strict=True):
+            assert not action[engine.failed[0]].any()
+            if engine.running[0]:
+                engine.step(action[None])
+    assert [engine.snapshot().success for engine in engines] == [True] * len(worlds)
+
+
+@pytest.mark.parametrize(("name", "most"), [("greedy", 36), ("replan", 26)])
+def test_policies_hold_out_in_gusts_world_by_world(name: str, most: int) -> None:
+    field, gusty = load_field("field_03"), {"gust": 0.15}
+    both = evaluate(make_classical(name, field, gusty), field, gusty, episodes=4)
+    assert both.successes == [True] * 4
+    assert max(both.steps) <= most
+    assert len(set(both.returns)) > 1
+    first = evaluate(make_classical(name, field, gusty), field, gusty, episodes=1)
+    assert first.returns == both.returns[:1]
+
+
+def test_replan_does_what_plan_does_while_nothing_disturbs_it() -> None:
+    found, engine = plan("field_06"), BatchEngine("field_06", 1, autoreset="disabled", threads=1)
+    policy = make_classical("replan", found.field, {})
+    engine.reset()
+    for actions in found.actions:
+        np.testing.assert_array_equal(policy.act(engine.state(), deterministic=True)[0], actions)
+        engine.step(actions[None])
+    assert engine.snapshot().success
 
 
 def test_unknown_classical_policy() -> None:

@@ -1,0 +1,208 @@
+"""A team that follows a plan, and plans again whenever the world leaves it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from mbn_marl.engine.snapshot import FloatArray
+from mbn_marl.planning.coordination import coordinate
+from mbn_marl.planning.foresight import FORESEEN, GUST_SHARE, Flags, Weather, ways_of_failed
+from mbn_marl.planning.greedy import Greedy
+from mbn_marl.planning.guide import make_guide
+from mbn_marl.planning.legs import proved_legs
+from mbn_marl.planning.orders import OutOfTimeError
+from mbn_marl.planning.partition import least_makespan
+from mbn_marl.planning.planner import MOST_ROIS, Plan
+from mbn_marl.planning.problem import CALM, Floats, Problem
+from mbn_marl.planning.team import Team
+from mbn_marl.planning.tracking import corrected
+
+TUBE = 3.0
+"""A plan is followed while every robot is within this of its place, along each axis, in units."""
+CARE = ((GUST_SHARE, 0.3), (0.8, 0.1), (1.0, 0.0))
+"""Shares of the force to plan with in gusts, and room to discs, walls and each other, in ROI radii.
+
+The first with which there is a plan is used.
+"""
+STRIDE, TRIES = 1.05, 16
+"""Makespans are tried from the bound of single legs on, each this many times the one before."""
+PARTITIONS = 2
+"""Partitions of the ROIs that are tried at one makespan."""
+TIME_LIMIT = 3.0
+"""Of one plan, in seconds; the slowest of the catalogue's took 1.3."""
+PATIENCE = 20
+"""Steps of the greedy controller where no plan was found, before the next try."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What all robots are to do from now on, for T steps; those that have failed too."""
+
+    path: Floats  # (T + 1, n, 2), units
+    speeds: Floats  # (T + 1, n, 2), units/step
+    efforts: Floats  # (T, n, 2), the actions if there were no wind
+    due: NDArray[np.int64]  # (m,), the step at which each ROI is closest
+    works: Flags  # (n,)
+    weather: Weather  # for which it was made
+
+    def holds(self, step: int, places: Floats, visited: Flags, works: Flags) -> bool:
+        """Return whether the world is where it was to be after ``step`` steps."""
+        return (
+            step < len(self.efforts)
+            and np.array_equal(works, self.works)
+            and bool(np.abs(self.path[step] - places).max() <= TUBE)
+            and not np.any((step > self.due) & ~visited)
+        )
+
+    def suits(self, weather: Weather) -> bool:
+        """Return whether it was made for the weather."""
+        if weather.gusty or self.weather.gusty:
+            return weather.gusty and self.weather.gusty
+        return bool(np.abs(weather.push - self.weather.push).max() < CALM)
+
+
+class Replanner:
+    """Controls one team through one episode. A copy goes on from the same state.
+
+    Args:
+        problem: the instance, without wind.
+        found: the plan to begin with.
+    """
+
+    def __init__(self, problem: Problem, found: Plan) -> None:
+        self.problem, self.weather = problem, Weather(problem.wind)
+        self.before: tuple[Floats, Floats] | None = None  # velocities and actions of the last step
+        self.rest = Greedy(problem)  # for where there is no plan
+        self.step = 0
+        works = np.ones(problem.n, bool)
+        first = self._motion(found.trail, np.zeros((problem.n, 2)), works)
+        self.motion: Motion | None = replace(first, efforts=found.actions.astype(float))
+
+    def act(
+        self,
+        positions: FloatArray,
+        velocities: FloatArray,
+        visited: Flags,
+        failed: Flags | None = None,
+    ) -> NDArray[np.float32]:
+        """Return actions (n, 2) in [-1, 1]; arguments as for :meth:`Greedy.act`."""
+        places, speeds = np.asarray(positions, float), np.asarray(velocities, float)
+        works = np.ones(self.problem.n, bool) if failed is None else ~failed
+        if self.before is not None:
+            self.weather = self.weather.after(self.problem, *self.before, speeds, works)
+        if not self._goes_on(places, visited, works):
+            self.motion, self.step = self._plan(places, speeds, visited, works), 0
+            self.rest = Greedy(self.problem, self.weather)
+        if self.motion is None:
+            self.rest = copy(self.rest)
+            actions = self.rest.act(places, speeds, visited, failed)
+        else:
+            actions = self._follow(self.motion, places, speeds)
+        self.step += 1
+        self.before = speeds, actions.astype(float)
+        return actions
+
+    def _goes_on(self, places: Floats, visited: Flags, works: Flags) -> bool:
+        """Return whether what the team does still suits the world."""
+        if self.motion is None:
+            return self.step < PATIENCE
+        holds = self.motion.holds(self.step, places, visited, works)
+        return holds and self.motion.suits(self.weather)
+
+    def _follow(self, motion: Motion, places: Floats, speeds: Floats) -> NDArray[np.float32]:
+        """Return the next actions of a motion, against the present wind."""
+        forces, k = self.problem.forces, self.step
+        wanted = motion.efforts[k] - self.weather.push / forces
+        lag, slip = motion.path[k] - places, motion.speeds[k] - speeds
+        return corrected(self.problem, wanted, lag, slip) * motion.works[:, None]
+
+    def _plan(self, places: Floats, speeds: Floats, visited: Flags, works: Flags) -> Motion | None:
+        """Return a motion from here on that visits the remaining ROIs, if one is found."""
+        left = np.flatnonzero(~visited)
+        if not works.any() or not 0 < len(left) <= MOST_ROIS:
+            return None
+        ways = ways_of_failed(self.problem, places, speeds, works, self.weather.push)
+        for share, margin in CARE if self.weather.gusty else CARE[-1:]:
+            whole = self.weather.problem(self.problem, share)
+            rest = replace(
+                whole.only(left.tolist()),
+                starts=places[works],
+                velocities=speeds[works],
+                forces=whole.forces[works],
+                drives=tuple(whole.drives[i] for i in np.flatnonzero(works)),
+                others=np.array(list(ways.values())).reshape(-1, FORESEEN, 2),
+            )
+            paths = search(rest, margin * rest.config.roi_radius)
+            if paths is not None:
+                path = np.repeat(places[None], paths.shape[1] + 1, axis=0)
+                path[1:, works] = paths.swapaxes(0, 1)
+                path[1:, list(ways)] = rest.others_for(paths.shape[1]).swapaxes(0, 1)
+                return self._motion(path, speeds, works)
+        return None
+
+    def _motion(self, path: Floats, speeds: Floats, works: Flags) -> Motion:
+        """Return the motion along a path (T + 1, n, 2) of robots that have these speeds (n, 2)."""
+        after = np.diff(path, axis=0) / self.problem.config.tau
+        reached = np.concatenate([speeds[None], after])
+        efforts = np.diff(reached, axis=0) / self.problem.forces
+        far = np.linalg.norm(path[:, :, None] - self.problem.rois, axis=-1).min(axis=1)
+        return Motion(path, reached, efforts, far.argmin(axis=0), works, self.weather)
+
+
+def search(problem: Problem, margin: float) -> Floats | None:
+    """Return paths (n, T, 2) of a short plan, units, or ``None``.
+
+    Where it can, it keeps a ``margin`` to the discs, the walls and other robots, in units.
+    """
+    area = problem.area.buffer(-margin, join_style="mitre")
+    if not isinstance(area, shapely.Polygon) or area.is_empty:
+        return None
+    config = problem.config
+    room = {
+        "roi_radius": config.roi_radius - margin,
+        "safety_distance": config.safety_distance + margin,
+    }
+    inner = replace(problem, area=area, config=config.model_copy(update=room))
+    deadline, horizon = time.monotonic() + TIME_LIMIT, config.max_steps
+    if problem.convex:
+        team = Team(inner, proved_legs(inner, 0.0, horizon), 0.0, horizon, deadline)
+    else:
+        team = make_guide(inner, horizon, deadline)
+    steps = least_makespan(team.bounds)
+    try:
+        for _ in range(TRIES):
+            if steps > horizon or time.monotonic() > deadline:
+                break
+            for routes in itertools.islice(team.solutions(steps), PARTITIONS):
+                verify = partial(_verified, problem)
+                if (paths := coordinate(inner, verify, steps, routes, deadline)) is not None:
+                    return paths
+            steps = max(steps + 1, math.ceil(STRIDE * steps))
+    except OutOfTimeError:
+        pass
+    return None
+
+
+def _verified(problem: Problem, paths: Floats, _: NDArray[np.float32]) -> Floats | None:
+    """Return the paths (n, T, 2) if they stay in the area, visit every ROI, and nobody collides."""
+    config = problem.config
+    ways = np.concatenate([paths, problem.others_for(paths.shape[1])])
+    i, j = np.triu_indices(len(ways), 1)
+    own = i < problem.n  # pairs of robots in the way are not the team's
+    apart = np.linalg.norm(ways[i[own]] - ways[j[own]], axis=-1)
+    near = np.linalg.norm(paths[:, :, None] - problem.rois, axis=-1).min(axis=(0, 1))
+    good = (
+        shapely.intersects_xy(problem.area, paths[..., 0], paths[..., 1]).all()
+        and np.all(apart >= config.safety_distance)
+        and np.all(near <= config.roi_radius)
+    )
+    return paths if good else None

@@ -1,0 +1,115 @@
+"""What controllers foresee, and plans round robots in the way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbn_marl import BatchEngine
+from mbn_marl.config import Failures, NavigationConfig, make_config
+from mbn_marl.field import Field, load_field
+from mbn_marl.planning.foresight import Weather, ways_of_failed
+from mbn_marl.planning.greedy import Greedy
+from mbn_marl.planning.problem import make_problem
+from mbn_marl.planning.replanning import search
+from tests.support.planning_cases import SQUARE
+
+ALL = np.ones(3, bool)
+STILL = np.zeros((3, 2))
+
+
+def test_weather_by_hand() -> None:
+    problem = make_problem(load_field("field_03"), NavigationConfig())
+    before = np.array([[0.0, 0.0], [1.0, -1.0], [4.9, 2.0]])
+    actions = np.array([[1.0, 0.0], [0.0, -1.0], [1.0, 0.0]])
+    # Half a unit for a full action, and a push of (0.2, -0.1); robot 2 is at the limit along x.
+    now = np.array([[0.7, -0.1], [1.2, -1.6], [5.0, 1.9]])
+    windy = Weather(np.zeros(2)).after(problem, before, actions, now, ALL)
+    np.testing.assert_allclose(windy.push, [0.2, -0.1])
+    assert not windy.gusty, "it may always have been so"
+    same = windy.after(problem, STILL, STILL, STILL + windy.push, ALL)
+    assert not same.gusty
+    # A wall has stopped robot 0, robot 1 has failed: robot 2 alone shows a push.
+    before, now = (
+        np.array([[3.0, 3.0], [1.0, 1.0], [2.0, 1.0]]),
+        np.array([[0, 0], [1, 0], [2.3, 1]]),
+    )
+    gusty = same.after(problem, before, STILL, now, np.array([True, False, True]))
+    np.testing.assert_allclose(gusty.push, [0.3, 0.0], atol=1e-12)
+    assert gusty.gusty
+    # Planned for are the mean, (0.2 + 0.2 + 0.3) / (3 + 10) along x, and six tenths of the force.
+    careful = gusty.problem(problem)
+    np.testing.assert_allclose(careful.wind[0], 0.6 * 0.7 / 13.0)
+    np.testing.assert_allclose(careful.forces, 0.3)
+    # Robots that are pushed differently are disturbed otherwise.
+    apart = gusty.after(problem, STILL, STILL, np.array([[0.5, 0.1], [0.1, 0.1], [0.3, 0.1]]), ALL)
+    np.testing.assert_allclose(apart.push, [0.3, 0.1], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["brake", "coast"])
+def test_the_ways_of_failed_robots_are_foreseen(kind: Any) -> None:
+    settings: dict[str, Any] = {
+        "failures": Failures(at={0: 9, 1: 7}, kind=kind),
+        "wind": (0.1, 200.0),
+    }
+    engine = BatchEngine("field_03", 1, autoreset="disabled", threads=1, **settings)
+    engine.reset()
+    for step in range(9):
+        if step == 8:
+            seen = engine.snapshot()
+        engine.step(np.array([[[0.9, 0.3], [-0.5, 0.2], [0.0, 0.0]]]))
+    problem = make_problem(load_field("field_03"), make_config(settings), closed_loop=True)
+    push = np.array(engine.config.wind_increment())
+    state = seen.positions.astype(float), seen.velocities.astype(float)
+    ways = ways_of_failed(problem, *state, np.array([False, False, True]), push)
+    assert set(ways) == {0, 1}
+    for k in range(30):
+        now = engine.snapshot().positions[:2]
+        np.testing.assert_allclose([way[k] for way in ways.values()], now, atol=1e-3)
+        if not engine.running[0]:
+            break
+        engine.step(np.zeros((1, 3, 2)))
+    assert k > 8
+    assert (kind == "brake") == np.array_equal(ways[1][8], ways[1][9])
+
+
+def test_plans_lead_round_robots_in_the_way() -> None:
+    # One stands on the straight line to the ROI; one flies across it, to be met halfway.
+    field = Field(SQUARE, [(280, 200)], [(120, 200)])
+    problem = make_problem(field, NavigationConfig())
+    straight = search(problem, 0.0)
+    assert straight is not None and np.abs(straight[0, :, 1] - 200.0).max() < 10.0
+    halfway = straight.shape[1] // 2
+    steps = np.arange(1, 61)
+    standing = np.tile((200.0, 203.0), (60, 1))
+    x, y = straight[0, halfway]
+    flying = np.stack([np.full(60, x), y + 3.0 * (steps - halfway - 1)], axis=1)
+    for others in ([standing], [flying]):
+        paths = search(replace(problem, others=np.array(others)), 0.0)
+        assert paths is not None
+        count = paths.shape[1]
+        apart = np.hypot(*(paths[0] - others[0][:count]).T)
+        assert 10.0 <= apart.min() < 20.0
+        assert count <= 1.2 * straight.shape[1] + 1
+        assert np.hypot(*(straight[0] - others[0][: straight.shape[1]]).T).min() < 10.0
+
+
+def test_greedy_leaves_the_way_of_a_robot_that_coasts() -> None:
+    field = Field(SQUARE, [(290, 290)], [(200, 200), (120, 203)])
+    settings: dict[str, Any] = {"failures": Failures(at={1: 15}, kind="coast")}
+    engine = BatchEngine(field, 1, autoreset="disabled", threads=1, max_steps=60, **settings)
+    engine.reset()
+    for _ in range(14):  # robot 1 comes at 4 units a step, robot 0 has not begun
+        engine.step(np.array([[[0.0, 0.0], [0.571, 0.0]]]))
+    problem = make_problem(field, make_config(settings), closed_loop=True)
+    greedy = Greedy(problem)
+    visited = np.ones(1, bool)  # so that robot 0 has nothing to do
+    for _ in range(25):
+        seen = engine.snapshot()
+        actions = greedy.act(seen.positions, seen.velocities, visited, seen.failed)
+        engine.step(actions[None])
+    assert not engine.metrics()["collision"][0]
+    assert engine.snapshot().positions[1, 0] > 220.0, "it has passed"
