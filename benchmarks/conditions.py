@@ -15,10 +15,11 @@ from baselines.evaluation.policy import load_policy
 from baselines.zoo.entries import PREFIX, open_run
 from benchmarks.report import Advance, Benchmark, Findings, Measurement
 from mbn_marl.config import CONDITIONS, Condition
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import catalogue_names, load_field
 
-ZOO = {"zoo, sampled": False, "zoo, mean actions": True}
+ZOO = {"zoo": True, "zoo-sampled": False}
+"""Whether they take mean actions."""
 POLICIES = (*ZOO, *CLASSICAL)
 TARGETS = {"windy": 0.95, "gusty": 0.95, "failing": 0.95}
 """The success that greedy and the replanning planner are to have on every field."""
@@ -30,18 +31,33 @@ class Conditions(Benchmark):
     """Evaluate the zoo's policies, trained in calm, and the classical ones under each condition."""
 
     name: ClassVar[str] = "conditions"
-    stages: ClassVar[int] = len(POLICIES) * len(CONDITIONS)
 
+    policies: tuple[str, ...] = POLICIES
+    """Which of them."""
+    conditions: tuple[Condition, ...] = get_args(Condition)
+    """Under which conditions."""
     fields: tuple[str, ...] = tuple(catalogue_names())
     """Names of `mbn fields` that are in the zoo."""
     episodes: int = 100
     """How many episodes of each."""
 
+    @property
+    def stages(self) -> int:  # type: ignore[override]
+        """One for each policy and condition."""
+        return len(self.policies) * len(self.conditions)
+
     def measure(self, advance: Advance) -> Findings:
         """Evaluate every policy on every field under every condition."""
+        wrong = [
+            f"policies: {unknown('policy', p, POLICIES)}"
+            for p in self.policies
+            if p not in POLICIES
+        ]
+        if wrong:
+            raise ConfigError("conditions", wrong)
         found: dict[str, dict[str, dict[str, Any]]] = {}
-        for policy in POLICIES:
-            for condition in get_args(Condition):
+        for policy in self.policies:
+            for condition in self.conditions:
                 cells = {field: self._evaluate(policy, field, condition) for field in self.fields}
                 known = {field: cell.summary() for field, cell in cells.items() if cell}
                 found.setdefault(policy, {})[condition] = known
@@ -92,6 +108,6 @@ def _table(found: Mapping[str, Mapping[str, Any]], show: Any) -> TextTable:
     """Return a row for each condition, a column for each policy; - where it refuses."""
     lines = (
         (name, *(show(rows[name]) if rows[name] else "-" for rows in found.values()))
-        for name in get_args(Condition)
+        for name in next(iter(found.values()))
     )
     return TextTable("", ("condition", *found), tuple(lines))

@@ -168,7 +168,7 @@ def test_conditions_are_those_of_the_zoo_and_the_classical_policies() -> None:
     for name, rows in found.details["evaluations"].items():
         assert rows["calm"]["field_03"]["success_rate"] == 1.0, name
     assert not found.details["evaluations"]["planner"]["failing"]
-    assert found.details["evaluations"]["zoo, sampled"]["storm"]["field_03"]["episodes"] == 2
+    assert found.details["evaluations"]["zoo-sampled"]["storm"]["field_03"]["episodes"] == 2
     (success, _) = found.tables.values()
     assert success.lines[0][:2] == ("calm", "100.0% (100%)")
 
