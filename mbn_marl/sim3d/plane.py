@@ -14,7 +14,7 @@ class PlaneSimulator(Simulator):
     """Point masses that have every commanded velocity at once (mdp.md, steps 1 and 2).
 
     A deployment here is the environment's own episode, number for number. ``has_wind`` is false:
-    the wind is part of the commands.
+    the wind is part of the commands. ``failures`` are of all kinds.
     """
 
     has_wind: ClassVar[bool] = False
