@@ -11,6 +11,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from mbn_marl.planning.problem import Floats
 
+PASSED = 0.1
+"""Within this distance a corner has been reached, in units."""
 TOUCH = 1e-7
 """Tolerance of sight lines along walls, in units."""
 
@@ -38,14 +40,17 @@ class Roadmap:
     def toward(self, point: Floats, place: int) -> Floats:
         """Return the next point in sight of ``point`` on the shortest path to a place.
 
-        Outside the area, the nearest point inside looks for it.
+        A corner that is reached looks for it, or the nearest point inside the area.
         """
         goal: Floats = self.places[place]
         count = len(self.places)
         targets: Floats = np.concatenate([goal[None], self.corners])
         rest = np.concatenate([[0.0], self.lengths[place, count:]])
-        for eye in (point, _moved_into(self.area, point[None])[0]):
-            total = rest + np.hypot(*(targets - eye).T)
+        reached = np.hypot(*(targets - point).T) < PASSED
+        reached[0] = False  # the place itself
+        corner = targets[reached.argmax()] if reached.any() else point
+        for eye in (corner, _moved_into(self.area, point[None])[0]):
+            total = np.where(reached, np.inf, rest + np.hypot(*(targets - eye).T))
             for k in np.argsort(total):
                 if np.isfinite(total[k]) and sees(self.area, eye, targets[k][None])[0]:
                     return np.asarray(targets[k])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
 from mbn_marl import BatchEngine
 from mbn_marl.config import Failures, NavigationConfig, make_config
@@ -15,6 +16,7 @@ from mbn_marl.planning.foresight import Weather, ways_of_failed
 from mbn_marl.planning.greedy import Greedy
 from mbn_marl.planning.problem import make_problem
 from mbn_marl.planning.replanning import search
+from mbn_marl.planning.roadmap import make_roadmap
 from tests.support.planning_cases import SQUARE
 
 ALL = np.ones(3, bool)
@@ -113,3 +115,11 @@ def test_greedy_leaves_the_way_of_a_robot_that_coasts() -> None:
         engine.step(actions[None])
     assert not engine.metrics()["collision"][0]
     assert engine.snapshot().positions[1, 0] > 220.0, "it has passed"
+
+
+def test_a_corner_that_is_reached_is_passed() -> None:
+    area = shapely.box(0, 0, 100, 100) - shapely.box(40, 40, 60, 60)
+    roadmap = make_roadmap(area, np.array([(10.0, 45.0), (90.0, 45.0)]))
+    assert roadmap.toward(np.array([10.0, 45.0]), 1).tolist() == [40.0, 40.0]
+    for place in ((40.0, 40.0), (40.003, 40.003), (39.95, 40.0), (40.05, 40.0)):
+        assert roadmap.toward(np.array(place), 1).tolist() == [60.0, 40.0]
