@@ -10,11 +10,11 @@ import numpy as np
 
 from baselines.classical.controller import CLASSICAL, make_classical
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.evaluate import Evaluation, evaluate
+from baselines.evaluation.evaluate import Evaluation, evaluate, under
 from baselines.evaluation.policy import load_policy
 from baselines.zoo.entries import PREFIX, open_run
 from benchmarks.report import Advance, Benchmark, Findings, Measurement
-from mbn_marl.config import CONDITIONS, Condition
+from mbn_marl.config import Condition
 from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import catalogue_names, load_field
 
@@ -78,13 +78,13 @@ class Conditions(Benchmark):
 
     def _evaluate(self, policy: str, name: str, condition: Condition) -> Evaluation | None:
         """Evaluate on a field; ``None`` if the policy refuses the condition."""
-        field, settings = load_field(name), dict(CONDITIONS[condition])
+        field, settings = load_field(name), under({}, condition)
         try:
             if policy not in ZOO:
                 acting = make_classical(policy, field, settings)
                 return evaluate(acting, field, settings, episodes=self.episodes)
             run = open_run(f"{PREFIX}{name}")
-            settings = {**run.config["environment"], **settings}
+            settings = under(run.config["environment"], condition)
             how: dict[str, Any] = {"deterministic": ZOO[policy], "episodes": self.episodes}
             return evaluate(load_policy(run), run.field, settings, **how)
         except ConfigError:

@@ -87,8 +87,8 @@ class Failures(Checked):
     Attributes:
         rate: the probability that a robot fails in a step, in [0, 1].
         at: the step, from 1 on, in which a robot fails, by the robot's index, from 0 on.
-        between: the first and the last step of those from which each episode draws one, in which a
-            robot fails that it draws too; ``None``: no such robot.
+        between: a first and a last step: each episode draws one robot, and the step from the first
+            to the last in which it fails; ``None``: it draws none.
         kind: what a failed robot does: ``"brake"``, ``"coast"`` or ``"vanish"``.
         most: how many robots of the team can have failed before ``rate`` fails no more, 0 to n;
             ``None`` is n - 1.
@@ -361,7 +361,7 @@ def expand(settings: Mapping[str, Any]) -> dict[str, Any]:
     """
     values = dict(settings)
     name = values.pop("condition", "calm")
-    if name not in CONDITIONS:
+    if not isinstance(name, str) or name not in CONDITIONS:
         problems = [f"condition: {unknown('condition', str(name), CONDITIONS)}"]
         raise ConfigError("configuration", problems)
     both = sorted(CONDITIONS[name].keys() & values.keys())

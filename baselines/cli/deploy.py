@@ -30,8 +30,9 @@ class Deploy:
     """The simulator of the vehicles; plane is the environment's own point mass."""
     vehicle: Literal["quadrotor", "balancer"] = "quadrotor"
     """In MuJoCo."""
-    condition: Condition = "calm"
-    """A named condition, whose settings replace those of the policy's run."""
+    condition: Condition | None = None
+    """A named condition, whose weather and failures replace the run's; by default as it was
+    trained."""
     wind: tuple[float, float] = (0.0, 0.0)
     """Speed (units/step per step) and angle (degrees from +x) of the wind."""
     wind_speeds: str | None = None
@@ -95,7 +96,7 @@ class Deploy:
             "plane": "point masses in the plane",
             "coppeliasim": "quadcopters in CoppeliaSim",
         }
-        under = "" if self.condition == "calm" else f", {self.condition}"
+        under = "" if self.condition is None else f", {self.condition}"
         print_deployments(rows, title=f"{self.policy}, {names[self.sim]}{under}")
         if self.figure is not None:
             self._draw(flights, claim_file(self.figure, force=self.force))
@@ -113,7 +114,7 @@ class Deploy:
         from mbn_marl.files import check_free
         from mbn_marl.render.figures import check_name
 
-        blown = "wind" in CONDITIONS[self.condition]
+        blown = "wind" in CONDITIONS[self.condition or "calm"]
         other = f"vehicle: {self.vehicle!r}; allowed with coppeliasim: quadrotor"
         ending = f"video: {self.video}; allowed: a name that ends in .mp4"
         checks = {

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import check_options
-from mbn_marl.config import CONDITIONS, Condition
+from mbn_marl.config import Condition
 from mbn_marl.optimum import optimality_gap
 
 ONE_EPISODE = "deterministic:\none episode"
@@ -36,8 +36,9 @@ class Evaluate:
     record: Path | None = None
     """A new folder for the best, the median and the worst episode with sampled actions, as files
     for `mbn replay`."""
-    condition: Condition = "calm"
-    """A named condition, whose settings replace those of the run."""
+    condition: Condition | None = None
+    """A named condition, whose weather and failures replace the run's; by default as it was
+    trained."""
     wind_speeds: str | None = None
     """Wind speeds to evaluate at, such as 0,0.1,..,0.5 (units/step per step)."""
     wind_angle: float = 30.0
@@ -65,7 +66,7 @@ class Evaluate:
             "json, figure: of a policy without a run folder in wind, name both": in_wind
             and homeless
             and None in (self.json, self.figure),
-            "condition: allowed without --wind-speeds": self.condition != "calm" and in_wind,
+            "condition: allowed without --wind-speeds": self.condition is not None and in_wind,
             f"field: {field}": classical != (self.field is not None),
         }
         check_options("evaluation", wrong)
@@ -80,23 +81,24 @@ class Evaluate:
     def _subject(self) -> tuple[dict[str, Any], Path]:
         """Return policy, field and settings, and the folder that files go to by default."""
         from baselines.classical.controller import make_classical
+        from baselines.evaluation.evaluate import under
         from baselines.evaluation.policy import load_policy
         from baselines.zoo.entries import open_run
         from mbn_marl.field import load_field
 
         if self.field is not None:
             field = load_field(self.field)
-            settings = {**CONDITIONS[self.condition]}
+            settings = under({}, self.condition)
             policy = make_classical(self.source, field, settings)
             return {"policy": policy, "field": field, "settings": settings}, Path()
         run = open_run(self.source)
         if run.unfinished is not None:
             print(run.unfinished)
-        settings = {**run.config["environment"], **CONDITIONS[self.condition]}
+        settings = under(run.config["environment"], self.condition)
         return {"policy": load_policy(run), "field": run.field, "settings": settings}, run.path
 
     def _evaluate(self, how: dict[str, Any], command_line: str) -> None:
-        """Evaluate as the policy was trained."""
+        """Evaluate as the policy was trained, or under the condition."""
         from baselines.evaluation.evaluate import evaluate_both, is_one_episode, record_evaluation
         from baselines.runs.files import claim_folder, write_json
         from mbn_marl.config import make_config
@@ -112,13 +114,15 @@ class Evaluate:
         optimum = optimal_return(how["field"], make_config(how["settings"]))
         one = partial(is_one_episode, how["policy"], how["settings"])
         summaries = {name: result.summary() for name, result in results.items()}
-        print_evaluations(summaries.values(), self.source, optimum, one)
+        title = self.source if self.condition is None else f"{self.source}, {self.condition}"
+        print_evaluations(summaries.values(), title, optimum, one)
         if self.json is not None:
             gaps = {
                 name: optimality_gap(summary["return_mean"], optimum)
                 for name, summary in summaries.items()
             }
-            heading = {"command": command_line, "optimum": optimum, "optimality_gap": gaps}
+            heading: dict[str, Any] = {"command": command_line, "condition": self.condition}
+            heading |= {"optimum": optimum, "optimality_gap": gaps}
             episodes = {name: result.to_json() for name, result in results.items()}
             write_json(claim_file(self.json, force=self.force), {**heading, **episodes})
         if self.record is not None:

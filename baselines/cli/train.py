@@ -21,7 +21,7 @@ class Train:
     set: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE ...")] = ()
     """Hyperparameters, or environment.NAME=VALUE for settings of the environment, that replace the
     recorded ones; a value is JSON or a word, for example entropy=0.01 model.gamma=0.9."""
-    condition: Condition = "calm"
+    condition: Condition | None = None
     """A named condition: settings of the environment."""
     wandb: str | None = None
     """Log to this project of Weights & Biases too (pip install wandb)."""
@@ -44,7 +44,9 @@ class Train:
         check_options("training", wrong)
         changes = parse(self.set)
         environment = changes.pop(ENVIRONMENT, {})
-        if self.condition != "calm":
+        twice = self.condition is not None and "condition" in environment
+        check_options("training", {"condition: is set twice": twice})
+        if self.condition is not None:
             environment = {**environment, "condition": self.condition}
         config = replace(self.config, environment=environment, hyperparameters=changes)
         for line in notes(config):

@@ -22,8 +22,9 @@ class _Window:
     field if there is one, else random."""
     wind: tuple[float, float] | None = None
     """Speed (units/step per step) and angle (degrees from +x) of the wind."""
-    condition: Condition = "calm"
-    """A named condition, whose settings replace those of the run."""
+    condition: Condition | None = None
+    """A named condition, whose weather and failures replace the run's; by default as it was
+    trained."""
     sampled: bool = False
     """Sample the policy's actions instead of taking their mean."""
     seed: int = 0
@@ -41,14 +42,16 @@ class _Window:
         """Show episodes until the window is closed, and keep the last one if asked to."""
         from baselines.demo.interactive import Show, play, watch
         from baselines.demo.resolve import find_actor, zoo_policy
+        from baselines.evaluation.evaluate import under
         from mbn_marl.episode import save_episode
         from mbn_marl.errors import MbnError
         from mbn_marl.files import check_free, claim_file
 
         actor = find_actor(self.source, self.policy or zoo_policy(self.source), seed=self.seed)
-        asked: dict[str, Any] = {} if self.wind is None else {"wind": self.wind}
-        asked = expand({**asked, "condition": self.condition})
-        actor = replace(actor, settings={**actor.settings, **asked})
+        wind: dict[str, Any] = {} if self.wind is None else {"wind": self.wind}
+        expand({**wind, "condition": self.condition or "calm"})  # not a wind twice
+        settings = {**under(actor.settings, self.condition), **wind}
+        actor = replace(actor, settings=settings)
         if self.save is not None:
             if self.save.suffix.lower() != ".json":
                 raise MbnError(f"{self.save}: the file name has to end in .json")

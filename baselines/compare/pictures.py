@@ -48,7 +48,8 @@ def draw_learning_curves(
 ) -> Figure:
     """The learning curves of one field's runs, by label."""
     found = {label: [*map(_curve, group)] for label, group in groups.items()}
-    optimum = next(iter(groups.values()))[0].optimum
+    optimum, *others = {one.optimum for group in groups.values() for one in group}
+    optimum = None if others else optimum
     return curves.learning_curves(found, RETURN_THRESHOLD, optimum, looks=looks)
 
 

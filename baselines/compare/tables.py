@@ -73,8 +73,11 @@ def field_tables(comparison: Comparison) -> dict[str, TextTable]:
 def gaps(comparison: Comparison) -> TextTable:
     """How far each label falls short of the proved optimum on each field."""
     proved = [row for row in comparison.rows if row["optimum"] is not None]
-    lines = tuple((field, *map(_gap, rows)) for field, rows in _by_field(proved).items())
-    return TextTable(OF_GAPS, ("field", *comparison.looks), lines)
+    lines = []
+    for field, rows in _by_field(proved).items():
+        cells = {row["label"]: _gap(row) for row in rows}
+        lines.append((field, *(cells.get(label, UNKNOWN) for label in comparison.looks)))
+    return TextTable(OF_GAPS, ("field", *comparison.looks), tuple(lines))
 
 
 def _by_field(rows: Sequence[Numbers]) -> dict[str, list[Numbers]]:
@@ -85,7 +88,7 @@ def _by_field(rows: Sequence[Numbers]) -> dict[str, list[Numbers]]:
 def _aggregates(comparison: Comparison) -> TextTable:
     left_out = ", ".join(comparison.unproved)
     caption = OF_AGGREGATES + (
-        f" Left out, with no proved optimum: {left_out}." if left_out else ""
+        f" Left out, without one proved optimum for all: {left_out}." if left_out else ""
     )
     headings = ("algo", "IQM", "interval", "gap", "gap, mean\nactions", "success", *THRESHOLD)
     lines = tuple(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 from baselines.classical.controller import CLASSICAL, make_classical
 from baselines.demo.resolve import Actor, find_actor
-from baselines.evaluation.evaluate import fitted
-from mbn_marl.config import CONDITIONS, Condition
+from baselines.evaluation.evaluate import fitted, under
+from mbn_marl.config import Condition
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field
@@ -23,7 +23,7 @@ def find_pilots(
     policy: str,
     fields: Sequence[str],
     speed_limit: float | None = None,
-    condition: Condition = "calm",
+    condition: Condition | None = None,
 ) -> list[Actor]:
     """Find who acts in each of some fields.
 
@@ -32,30 +32,29 @@ def find_pilots(
             ``"replan"``, ``"random"``.
         fields: names or files; without any, a run's or a zoo policy's own.
         speed_limit: of the vehicles, units/step: classical policies plan with it.
-        condition: whose settings replace those that the policy brings.
+        condition: whose weather and failures replace those that the policy brings.
 
     Raises:
         ConfigError: a policy that needs a field has none.
         MbnError: a field, or a policy for it, is not there.
     """
-    changes = CONDITIONS[condition]
     if not fields:
         if policy in (ZOO, "random", *CLASSICAL):
             problem = f"field: {policy} has none of its own; name one or more"
             raise ConfigError("deployment", [problem])
-        return [_under(changes, find_actor(policy))]
+        return [_under(condition, find_actor(policy))]
     if policy in CLASSICAL:
-        settings = {**({} if speed_limit is None else {"v_clip": speed_limit}), **changes}
+        settings = under({} if speed_limit is None else {"v_clip": speed_limit}, condition)
         return [
             Actor(make_classical(policy, field, settings), field, settings, policy)
             for field in map(load_field, fields)
         ]
     found = (find_actor(name, f"zoo:{name}" if policy == ZOO else policy) for name in fields)
-    return [_under(changes, actor) for actor in found]
+    return [_under(condition, actor) for actor in found]
 
 
-def _under(changes: Mapping[str, Any], actor: Actor) -> Actor:
-    return replace(actor, settings={**actor.settings, **changes})
+def _under(condition: Condition | None, actor: Actor) -> Actor:
+    return replace(actor, settings=under(actor.settings, condition))
 
 
 def summarise(deployment: Deployment, scale: Scale) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import torch
 
 from baselines.evaluation.intervals import mean_of_known
 from baselines.evaluation.policy import Origin, Policy, RandomPolicy
-from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.config import CONDITIONS, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.observations import WITH_RADIUS, observation_table
@@ -181,6 +181,18 @@ def evaluate_both(
     }
 
 
+def under(settings: Mapping[str, Any], condition: Condition | None) -> dict[str, Any]:
+    """Return the settings of a policy under a condition; ``None`` leaves them as they are.
+
+    Weather, disturbances and failures are those of the condition alone.
+    """
+    if condition is None:
+        return dict(settings)
+    weather = {name for one in CONDITIONS if one != "mixed" for name in CONDITIONS[one]}
+    others = {name: value for name, value in settings.items() if name not in weather}
+    return {**others, **CONDITIONS[condition]}
+
+
 class Narrowed:
     """A policy that acts on some of the entries of what it is shown.
 
@@ -230,7 +242,7 @@ def _known_entries(policy: Policy, trained: Origin, engine: BatchEngine) -> list
     n = engine.n_robots
     if policy.observes == "state":
         headings, failures = 4 * n, engine.state().shape[1] - 1 - n
-        kept = [*range(4 * n), *(range(headings, 5 * n) if _turns(trained.config) else ())]
+        kept = [*range(4 * n), *(range(headings, 5 * n) if _turns(trained.config, n) else ())]
         kept += range(failures, failures + n) if trained.config.failures is not None else ()
         return [*kept, engine.state().shape[1] - 1]
     m, arena = len(trained.field.rois), trained.field.arena
@@ -239,9 +251,9 @@ def _known_entries(policy: Policy, trained: Origin, engine: BatchEngine) -> list
     return [places[entry.name] for entry in table]
 
 
-def _turns(config: NavigationConfig) -> bool:
-    """Return whether a robot of the team has a heading."""
-    return count_headings(config.of_each("dynamics", 3)) > 0
+def _turns(config: NavigationConfig, n: int) -> bool:
+    """Return whether a robot of a team of n has a heading."""
+    return count_headings(config.of_each("dynamics", n)) > 0
 
 
 def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
@@ -250,7 +262,7 @@ def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
         "robots": config.n_robots or len(field.starts),
         "ROIs": len(field.rois),
         "arena": tuple(map(float, field.arena)),
-        "headings": _turns(config),
+        "headings": _turns(config, config.n_robots or len(field.starts)),
         "failures": config.failures is not None,
         "v_clip": config.top_speed,
         **{name: getattr(config, name) for name in ("observation", "one_hot")},

@@ -73,11 +73,14 @@ class TrainingAids(Hyperparameters):
         settings["max_steps"] = longest
         if true.failures is not None:  # later ones are of no training episode
             at = {i: step for i, step in true.failures.at.items() if step <= longest}
-            settings["failures"] = true.failures.model_copy(update={"at": at})
+            first, last = true.failures.between or (longest + 1, 0)
+            between = (first, last) if first <= longest else None
+            changes = {"at": at, "between": between}
+            settings["failures"] = true.failures.model_copy(update=changes)
         fields: Field | list[Field] = task.field
         count = round(self.scattered * worlds) if radius > 1.0 and not true.random_starts else 0
         if count:
-            apart = max(true.safety_distance, SAFETY_DISTANCE)
+            apart = max(true.at_most().safety_distance, SAFETY_DISTANCE)
             rng = np.random.default_rng((task.config.seed, curriculum.stage))
             others = [with_other_starts(task.field, apart, rng) for _ in range(count)]
             fields = [task.field] * (worlds - count) + others

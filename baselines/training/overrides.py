@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pydantic_core import to_jsonable_python
+
 from mbn_marl.errors import ConfigError
 
 ENVIRONMENT = "environment"
@@ -46,7 +48,7 @@ def parse(words: Sequence[str]) -> dict[str, Any]:
 def words_of(values: Mapping[str, Any]) -> list[str]:
     """Return the words that :func:`parse` reads ``values`` from."""
     words = []
-    for name, value in values.items():
+    for name, value in to_jsonable_python(dict(values)).items():
         if isinstance(value, Mapping) and value:
             words += [f"{name}.{word}" for word in words_of(value)]
         else:

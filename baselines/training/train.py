@@ -116,7 +116,7 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
         )
     if problems:
         raise ConfigError("training", problems)
-    settings = {**hyperparameters.environment, **expand(config.environment)}
+    settings = {**expand(hyperparameters.environment), **expand(config.environment)}
     make_config(settings)
     task = Task(config, load_field(config.field), settings)
     if config.transferred_from is not None:

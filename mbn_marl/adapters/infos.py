@@ -22,6 +22,8 @@ In a team's info the robots' own values (from ``wall_hits`` on) are summed over 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,7 +72,7 @@ class Infos:
 
     def of_robots(self, ended: bool) -> list[dict[str, float]]:
         """One info for each robot of the first world; ``ended``: whether its episode has."""
-        more = self._team_wide(np.array([ended]))[0].tolist()
+        more = [float(column[0]) for column in self._team_wide(np.array([ended]))]
         return [self._named(row + more) for row in self._engine.infos()[0].tolist()]
 
     def of_team(self, ended: bool) -> dict[str, float]:
@@ -89,15 +91,17 @@ class Infos:
         robots = self._engine.infos()
         team: NDArray[np.float64] = robots.sum(axis=1)
         team[:, TEAM_WIDE] = robots[:, 0, TEAM_WIDE]
-        return np.column_stack([team, self._team_wide(ended)])
+        return np.column_stack([team, *self._team_wide(ended)])
 
-    def _team_wide(self, ended: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """The entries from the gap on, (W, entries)."""
-        engine = self._engine
-        replaced = ended & (engine.autoreset == "same_step")
-        present, final = engine.drawn(), engine.final_drawn()
-        drawn = [np.where(replaced, final[name], present[name]) for name in present]
-        return np.column_stack([self._gaps(ended), *drawn])
+    def _team_wide(self, ended: NDArray[np.bool_]) -> list[NDArray[Any]]:
+        """The entries from the gap on, (W,) each."""
+        if self.keys[-1] == GAP:  # nothing is drawn
+            return [self._gaps(ended)]
+        drawn = self._engine.drawn()
+        if self._engine.autoreset == "same_step":
+            final = self._engine.final_drawn()
+            drawn = {name: np.where(ended, final[name], one) for name, one in drawn.items()}
+        return [self._gaps(ended), *drawn.values()]
 
     def _gaps(self, ended: NDArray[np.bool_]) -> NDArray[np.float64]:
         if not ended.any():

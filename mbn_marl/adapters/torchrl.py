@@ -51,6 +51,7 @@ class NavigationEnv(EnvBase):
     ``"state"``, the paper's vector                ``(W, 4n + 1)``  D        see the engine
     ``"team_reward"``, the centralised reward      ``(W, 1)``       D        reward units
     ``("metrics", name)``, name of ``METRICS``     ``(W, 1)``       float32
+    ``("metrics", "drawn/...")``, drawn numbers    ``(W, 1)``       float32
     ``"terminated"``, ``"truncated"``, ``"done"``  ``(W, 1)``       bool
     =============================================  ===============  =======  ==============
 
@@ -61,7 +62,8 @@ class NavigationEnv(EnvBase):
     - ``terminated`` is success or collision, ``truncated`` is the step limit, ``done`` is either.
       The robots of a world end together, so these are at the root, as in TorchRL's VMAS
       environments; a loss on the robots' rewards wants them expanded to ``(W, n, 1)``.
-    - ``team_reward`` and ``metrics`` describe the step that led here and are zero after a reset.
+    - ``team_reward`` and ``metrics`` describe the step that led here and are zero after a reset,
+      but for the numbers that the episode has drawn.
       They are observations for TorchRL, so that ``reward_key`` stays the robots' reward.
     - Worlds that have ended wait for a reset of their rows (``"_reset"``), which collectors and
       ``rollout`` do themselves; ``"_step"`` masks, as ``rollout(break_when_all_done=True)`` writes
@@ -251,7 +253,9 @@ class NavigationEnv(EnvBase):
                 tensordict["state"] = self._tensor(self.engine.state())
             for name in FLAGS:
                 tensordict[name] = torch.zeros_like(ended)
-            past = [("metrics", name) for name in self._metrics]
+            for name, numbers in self.engine.drawn().items() if self._drawn else ():
+                tensordict["metrics", f"drawn/{name}"] = self._tensor(numbers).float()[:, None]
+            past = [("metrics", name) for name in self._measures]
             for key in (*past, *(("team_reward",) if self._team_reward else ())):
                 tensordict[key] = tensordict[key].masked_fill(ended, 0)
         return tensordict

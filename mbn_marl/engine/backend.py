@@ -82,6 +82,7 @@ class Backend(ABC):
         (worlds, n, _), config, xp = spec.actions_shape, spec.config, self.xp
         m = spec.geometry.rois.shape[1]
         self.spec, self._real = spec, getattr(xp, config.dtype)
+        self._drawn_rows = rows_of_drawn(config, n)
         self.now = state.make_episode(worlds, n, config, xp)
         self.final = state.make_episode(worlds, n, config, xp)
         self.memory = state.make_memory(worlds, n, m, config, self.now, xp)
@@ -163,10 +164,8 @@ class Backend(ABC):
 
     def drawn(self, *, final: bool) -> dict[str, Array]:
         """See ``BatchEngine.drawn`` and ``BatchEngine.final_drawn``."""
-        episode = self.final if final else self.now
-        rows = rows_of_drawn(self.spec.config, self.spec.actions_shape[1])
-        copied = self.xp.concatenate
-        return {name: copied([episode.drawn[row]]) for name, row in rows.items()}
+        episode, copied = self.final if final else self.now, self.xp.concatenate
+        return {name: copied([episode.drawn[row]]) for name, row in self._drawn_rows.items()}
 
     def headings(self, world: int) -> NDArray[Any]:
         """The robots' headings in a world, (n,), radians; NaN for those without one."""

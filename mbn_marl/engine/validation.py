@@ -65,8 +65,10 @@ def check_setup(
         problems.append("field: an empty sequence; allowed: at least one field")
     if starts is not None and (wrong := _given_starts_problems(starts, config, n)):
         problems, starts = [*problems, *wrong], None
+    lowest = config.with_drawn({name: ends.low for name, ends in config.drawn.items()})
+    checked = config.at_most() if starts is None else lowest  # those of an episode that drew less
     for field in fields:
-        problems += _field_problems(field, config.at_most(), n, fields[0].arena, starts)
+        problems += _field_problems(field, checked, n, fields[0].arena, starts)
     if problems:
         raise ConfigError("configuration", problems)
 

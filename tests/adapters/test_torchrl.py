@@ -1,5 +1,7 @@
 """The TorchRL environment: specs, equality with the engine, resets, and that losses train on it."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -12,7 +14,7 @@ from torchrl.envs.utils import check_env_specs
 from torchrl.modules import MultiAgentMLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
-from mbn_marl import parallel_env
+from mbn_marl import Uniform, parallel_env
 from mbn_marl.adapters.torchrl import GROUP, METRICS, NavigationEnv
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, StepError
@@ -114,9 +116,10 @@ def test_rollout_is_the_engine_step_by_step(transformed: bool, dtype: str) -> No
     assert data["next", "terminated"].any() and data["next", "truncated"].any()
 
 
-def test_own_maybe_reset_equals_torchrls() -> None:
-    own = NavigationEnv("field_03", WORLDS, seed=1, **LIVELY)
-    plain = TransformedEnv(NavigationEnv("field_03", WORLDS, seed=1, **LIVELY))
+@pytest.mark.parametrize("more", [{}, {"v_clip": Uniform(3.0, 5.0)}], ids=["calm", "drawn"])
+def test_own_maybe_reset_equals_torchrls(more: dict[str, Any]) -> None:
+    own = NavigationEnv("field_03", WORLDS, seed=1, **LIVELY, **more)
+    plain = TransformedEnv(NavigationEnv("field_03", WORLDS, seed=1, **LIVELY, **more))
     expected = play(plain)
     assert expected["next", "done"][:, :-1].any()
     assert_close(play(own), expected, rtol=0.0, atol=0.0)

@@ -6,13 +6,15 @@ What holds for every random number, such as that the batch does not matter, is i
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
-from mbn_marl import BatchEngine, Failures, Uniform
+from mbn_marl import BatchEngine, Failures, Field, Uniform
 from mbn_marl.config import CONDITIONS, NUMBERS, NavigationConfig, make_config
 from mbn_marl.engine.state import make_episode
 from mbn_marl.errors import ConfigError
@@ -117,16 +119,49 @@ def test_wrong_ranges_are_named() -> None:
     assert "gust: low: Input should be greater than or equal to 0" in str(caught.value)
 
 
+def numbers_in(value: Any) -> Iterator[float]:
+    """Yield the numbers of a setting."""
+    if isinstance(value, Failures | Uniform):
+        yield from numbers_in(tuple(value.model_dump().values()))
+    elif isinstance(value, tuple):
+        for one in value:
+            yield from numbers_in(one)
+    elif isinstance(value, int | float):
+        yield float(value)
+
+
+def test_a_range_of_starts_is_checked_for_its_lowest_distance() -> None:
+    """As a recorded episode has them, which drew less than the highest."""
+    near = [(200.0, 200.0), (200.0, 206.0)]
+    field = Field([(0, 0), (400, 0), (400, 400), (0, 400)], [(300, 300)], [(50, 50), (90, 90)])
+    drawn = {"safety_distance": Uniform(5.0, 20.0), "n_robots": 2}
+    BatchEngine(field, 1, starts=near, **drawn)
+    with pytest.raises(ConfigError, match=r"safety_distance: 5\.0; allowed: at most 4"):
+        BatchEngine(field, 1, starts=[near[0], (200.0, 204.0)], **drawn)
+    with pytest.raises(ConfigError, match=r"safety_distance: 70\.0; allowed: at most 56"):
+        BatchEngine(field, 1, n_robots=2, safety_distance=Uniform(5.0, 70.0))
+
+
 def test_conditions_are_those_of_the_page() -> None:
     page = (ROOT / "docs" / "mdp.md").read_text(encoding="utf-8")
     for name, settings in CONDITIONS.items():
         row = next(line for line in page.splitlines() if line.startswith(f"| `{name}` |"))
-        assert all(f"`{setting}`" in row or name == "storm" for setting in settings)
+        own = row.split("; and all of")[0]
+        others = [other for other in re.findall(r"`(\w+)`", row[len(own) :]) if other in CONDITIONS]
+        parts = {key: value for other in others for key, value in CONDITIONS[other].items()}
+        assert parts.items() <= settings.items()
+        for setting in settings.keys() - parts.keys():
+            assert f"`{setting}`" in own
+            whole = {0.0, 360.0}  # any angle
+            numbers = set(numbers_in(settings[setting])) - whole
+            assert numbers <= {float(word) for word in re.findall(r"\d+(?:\.\d+)?", own)}
         assert make_config({"condition": name}) == NavigationConfig(**settings)
     assert make_config({"condition": "calm"}) == NavigationConfig()
     with pytest.raises(ConfigError) as caught:
         make_config({"condition": "windy", "wind": (0.1, 0.0), "gust": -1.0})
     assert [problem.split(":")[0] for problem in caught.value.problems] == ["wind", "gust"]
+    with pytest.raises(ConfigError, match="unknown condition"):
+        make_config({"condition": ["windy"]})
     with pytest.raises(ConfigError, match=r"did you mean gusty\?\); known: calm, windy"):
         make_config({"condition": "gustly"})
 

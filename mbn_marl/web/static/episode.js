@@ -28,6 +28,7 @@ function totals(steps, step) {
 
 class Episode {
   constructor(file) {
+    const numbers = { ...file.config, ...file.drawn };
     Object.assign(this, {
       field: file.field,
       source: file.source || "episode",
@@ -38,8 +39,8 @@ class Episode {
       wind: file.wind,
       visits: file.visits,
       failures: file.failed ?? [],
-      roiRadius: file.config.roi_radius,
-      safetyDistance: file.config.safety_distance,
+      roiRadius: numbers.roi_radius,
+      safetyDistance: numbers.safety_distance,
     });
     this.places = unpack(file.positions);
     this.headings = file.headings ? unpack(file.headings) : null;

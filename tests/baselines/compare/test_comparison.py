@@ -13,7 +13,7 @@ from baselines.algorithms import ALGORITHMS
 from baselines.compare.records import find_records, ordered
 from baselines.compare.results import Results
 from baselines.compare.summary import THRESHOLDS, summarise
-from baselines.compare.tables import print_comparison
+from baselines.compare.tables import gaps, print_comparison
 from baselines.console import WholeCells
 from baselines.runs.files import RunError
 from mbn_marl.config import NavigationConfig
@@ -191,7 +191,11 @@ def test_learners_may_see_different_things(tmp_path: Path) -> None:
 def test_labels_may_name_different_tasks(tmp_path: Path) -> None:
     runs = [make_run(tmp_path), make_run(tmp_path, label="in wind", environment=WIND)]
     assert [*Results.of(runs[:1]).optima] == ["field_03"]
-    assert not Results.of(runs).optima  # the wind's is another
+    comparison = summarise(Results.of(runs))
+    assert not comparison.aggregates and comparison.unproved == ["field_03"]
+    (line,) = gaps(comparison).lines
+    cells = dict(zip(comparison.looks, line[1:], strict=True))
+    assert cells["in wind"] == "-" and cells["mappo"].endswith("%")
     with pytest.raises(ConfigError, match=r"environment\.wind: "):
         Results.of([runs[0], make_run(tmp_path, algorithm="ppo", environment=WIND)])
 

@@ -9,6 +9,7 @@ import pytest
 from baselines.compare.variants import parse_variant, read_variants
 from baselines.training.config import TrainConfig
 from baselines.training.overrides import parse, words_of
+from mbn_marl import Uniform
 from mbn_marl.errors import ConfigError
 
 
@@ -24,6 +25,8 @@ def test_overrides_are_read_and_written() -> None:
         "on": True,
     }
     assert parse(words_of(values)) == values
+    drawn = {"environment": {"mass": Uniform(1.0, 2.0)}}
+    assert parse(words_of(drawn)) == {"environment": {"mass": {"low": 1.0, "high": 2.0}}}
 
 
 @pytest.mark.parametrize(

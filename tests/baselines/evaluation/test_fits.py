@@ -7,12 +7,12 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from baselines.evaluation.evaluate import evaluate, fitted
+from baselines.evaluation.evaluate import evaluate, fitted, under
 from baselines.evaluation.policy import Origin, load_policy
 from baselines.evaluation.rollout import record_episode
 from baselines.zoo.entries import open_run
 from mbn_marl import BatchEngine, Uniform
-from mbn_marl.config import make_config
+from mbn_marl.config import CONDITIONS, make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
@@ -119,3 +119,11 @@ def test_a_loaded_policy_knows_where_it_was_trained() -> None:
     run = open_run("zoo:field_03")
     larger = Field(run.field.vertices, run.field.rois, run.field.starts, arena=(900, 900))
     assert refused(load_policy(run), larger, run.config["environment"]) == ["arena"]
+
+
+def test_a_condition_replaces_weather_and_failures_but_not_the_robots() -> None:
+    trained = {"wind": (0.1, 30.0), "dynamics": "unicycle", "failures": {"rate": 0.1}, "tau": 2.0}
+    assert under(trained, None) == trained
+    assert under(trained, "calm") == {"dynamics": "unicycle", "tau": 2.0}
+    assert under(trained, "gusty") == {**CONDITIONS["gusty"], "dynamics": "unicycle", "tau": 2.0}
+    assert under(trained, "mixed")["dynamics"] == "mixed"

@@ -9,7 +9,7 @@ import pytest
 
 from baselines.training.aids import RoiCurriculum, TrainingAids, between, with_other_starts
 from baselines.training.config import Task, TrainConfig
-from mbn_marl.config import Failures
+from mbn_marl import Failures, Uniform
 from mbn_marl.field import load_field
 
 FIELD = load_field("field_02")
@@ -46,6 +46,19 @@ def test_a_training_without_aids_has_the_environments_own_settings() -> None:
     shorter = TrainingAids(episode_steps=256).in_training(task, large, 4)
     assert shorter == {**own, "max_steps": 256, "roi_radius": 20.0}
     assert TrainingAids(episode_steps=500, scattered=0.5).in_training(task, small, 4) == own
+
+
+def test_numbers_may_be_drawn_in_training() -> None:
+    drawn: dict[str, Any] = {"roi_radius": Uniform(5.0, 8.0), "safety_distance": Uniform(5.0, 12.0)}
+    failures = Failures(between=(5, 60))
+    curriculum = RoiCurriculum(2.0, 2, (0.4, 0.8), 4)
+    aids = TrainingAids(episode_steps=50, scattered=0.5)
+    settings = aids.in_training(task_of(**drawn, failures=failures), curriculum, 4)
+    assert settings["roi_radius"] == Uniform(10.0, 16.0)
+    assert settings["failures"] == failures
+    assert len(settings["field"]) == 4 and settings["field"][3] != FIELD
+    short = TrainingAids(episode_steps=4).in_training(task_of(failures=failures), curriculum, 4)
+    assert short["failures"] == Failures()
 
 
 def test_failures_after_the_end_of_a_training_episode_are_left_out() -> None:
