@@ -20,7 +20,9 @@ from mbn_marl import parallel_env, registration
 from mbn_marl.adapters.gymnasium import CentralizedEnv, CentralizedVectorEnv
 from mbn_marl.adapters.rendering import RENDER_FPS
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, SharedPolicyVecEnv
+from mbn_marl.config import CONDITIONS
 from mbn_marl.errors import ConfigError
+from mbn_marl.field import catalogue_names
 from mbn_marl.render.viewer import RENDER_SIZE
 
 ID = "mbn/field_03-v0"
@@ -120,5 +122,5 @@ def test_without_a_registry_of_pettingzoo_gymnasiums_is_filled(monkeypatch) -> N
     monkeypatch.delattr(pettingzoo, "register")
     monkeypatch.setattr(gymnasium.envs.registration, "registry", registry := {})
     registration.register_environments()
-    assert len(registry) == 10
+    assert len(registry) == len(catalogue_names()) * len(CONDITIONS)
     assert gymnasium.make(ID).unwrapped.engine.field.name == "field_03"

@@ -19,9 +19,11 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from mbn_marl import Field, centralized_env, parallel_env
 from mbn_marl.adapters.gymnasium import CentralizedVectorEnv
-from mbn_marl.adapters.infos import GAP, INFO_KEYS, NOTHING
+from mbn_marl.adapters.infos import GAP
+from mbn_marl.config import CONDITIONS
 from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
 from mbn_marl.field import catalogue_names
+from tests.support.forms import INFO_KEYS, NOTHING
 from tests.support.worlds import DISTURBANCES
 
 MIXED = ("holonomic", "unicycle", "bicycle")
@@ -75,9 +77,10 @@ class TestOfficial:
         assert env.unwrapped.engine.field.name == name
         assert env.action_space.shape == (2, 2)
 
-    def test_ids_are_the_catalogue(self):
+    def test_ids_are_the_catalogue_under_every_condition(self):
         ids = {env_id for env_id in gymnasium.registry if env_id.startswith("mbn/")}
-        assert ids == {f"mbn/{name}-v0" for name in catalogue_names()}
+        marks = ["", *(f"-{name}" for name in CONDITIONS if name != "calm")]
+        assert ids == {f"mbn/{name}{mark}-v0" for name in catalogue_names() for mark in marks}
 
     def test_an_id_can_name_the_package_instead_of_importing_it(self):
         code = (

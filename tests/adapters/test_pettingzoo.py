@@ -21,9 +21,11 @@ from pettingzoo.test import (
 from pettingzoo.test.state_test import state_test
 
 from mbn_marl import Field, navigation_v0, parallel_env
-from mbn_marl.adapters.infos import GAP, INFO_KEYS, NOTHING
+from mbn_marl.adapters.infos import GAP
+from mbn_marl.config import CONDITIONS
 from mbn_marl.errors import ActionError, StepError
 from mbn_marl.field import catalogue_names
+from tests.support.forms import INFO_KEYS, NOTHING
 from tests.support.worlds import DISTURBANCES
 
 CONFIGURATIONS = {
@@ -368,7 +370,8 @@ class TestRegistry:
         assert aec.unwrapped.engine.config.max_steps == 7
         assert aec.unwrapped.engine.field.name == name
 
-    def test_ids_are_the_catalogue(self):
-        ids = {f"mbn/{name}-v0" for name in catalogue_names()}
+    def test_ids_are_the_catalogue_under_every_condition(self):
+        marks = ["", *(f"-{name}" for name in CONDITIONS if name != "calm")]
+        ids = {f"mbn/{name}{mark}-v0" for name in catalogue_names() for mark in marks}
         for registry in (pettingzoo.parallel_registry, pettingzoo.aec_registry):
             assert {env_id for env_id in registry if env_id.startswith("mbn/")} == ids

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, Field, centralized_env, parallel_env
-from mbn_marl.engine import REWARD_TERMS
+from mbn_marl.adapters.infos import GAP, UNDEFINED
+from mbn_marl.engine import INFO_COLUMNS, REWARD_TERMS
 
 
 @dataclass
@@ -183,5 +184,9 @@ class BatchForm:
         assert ((observations >= low) & (observations <= high)).all()
 
 
+INFO_KEYS = (*INFO_COLUMNS, GAP)
+"""The keys of every info where nothing is drawn."""
+NOTHING = {**dict.fromkeys(INFO_COLUMNS, 0.0), GAP: UNDEFINED}
+"""The info of a reset."""
 TEAM_METRICS = ("success", "collision", "rois_visited")
 ROBOT_METRICS = ("wall_hits", "path_length", "impulse", "failed")
