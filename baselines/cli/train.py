@@ -45,7 +45,8 @@ class Train:
         changes = parse(self.set)
         environment = changes.pop(ENVIRONMENT, {})
         twice = self.condition is not None and "condition" in environment
-        check_options("training", {"condition: is set twice": twice})
+        allowed = "--condition or --set environment.condition"
+        check_options("training", {f"condition: is set twice; allowed: {allowed}": twice})
         if self.condition is not None:
             environment = {**environment, "condition": self.condition}
         config = replace(self.config, environment=environment, hyperparameters=changes)
