@@ -10,7 +10,7 @@ import numpy as np
 
 from baselines.classical.controller import CLASSICAL, make_classical
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.evaluate import Evaluation, evaluate, under
+from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate, under
 from baselines.evaluation.policy import load_policy
 from baselines.zoo.entries import PREFIX, open_run
 from benchmarks.report import Advance, Benchmark, Findings, Measurement
@@ -19,7 +19,7 @@ from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import catalogue_names, load_field
 
 ZOO = {"zoo": True, "zoo-sampled": False}
-"""Whether they take mean actions."""
+"""The zoo's two ways to act, and whether actions are the mean ones."""
 POLICIES = (*ZOO, *CLASSICAL)
 TARGETS = {"windy": 0.95, "gusty": 0.95, "failing": 0.95}
 """The success that greedy and the replanning planner are to have on every field."""
@@ -40,6 +40,8 @@ class Conditions(Benchmark):
     """Names of `mbn fields` that are in the zoo."""
     episodes: int = 100
     """How many episodes of each."""
+    seed: int = EVALUATION_SEED
+    """Of the episodes; by default that of all evaluations."""
 
     @property
     def stages(self) -> int:  # type: ignore[override]
@@ -69,7 +71,7 @@ class Conditions(Benchmark):
             if (worst := _lowest(found.get(policy, {}).get(condition, {}))) is not None
         ]
         return Findings(
-            f"{len(self.fields)} fields, {self.episodes} episodes each",
+            f"{len(self.fields)} fields, {self.episodes} episodes each, seed {self.seed}",
             rows,
             tables={"success: mean over fields (lowest)": _table(found, _success)}
             | {"return: mean over fields": _table(found, _return)},
@@ -82,11 +84,13 @@ class Conditions(Benchmark):
         try:
             if policy not in ZOO:
                 acting = make_classical(policy, field, settings)
-                return evaluate(acting, field, settings, episodes=self.episodes)
+                return evaluate(acting, field, settings, episodes=self.episodes, seed=self.seed)
             run = open_run(f"{PREFIX}{name}")
             settings = under(run.config["environment"], condition)
-            how: dict[str, Any] = {"deterministic": ZOO[policy], "episodes": self.episodes}
-            return evaluate(load_policy(run), run.field, settings, **how)
+            how: dict[str, Any] = {"episodes": self.episodes, "seed": self.seed}
+            return evaluate(
+                *(load_policy(run), run.field, settings), deterministic=ZOO[policy], **how
+            )
         except ConfigError:
             return None
 

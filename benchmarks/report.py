@@ -131,7 +131,8 @@ def print_findings(found: Findings, record: Mapping[str, Any], screen: Console) 
         highlight=False,
     )
     tables = {found.title: measurement_table(found.measurements), **found.tables}
-    screen.print(*(table.rich(title) for title, table in tables.items()))
+    for title, table in tables.items():
+        screen.print(table.rich(title) if table.lines else title)
     screen.print(*found.remarks, f"{record['seconds']:.0f} s in all", sep="\n", highlight=False)
     others = record["other_cores"]
     if others is not None and others > ALLOWED:

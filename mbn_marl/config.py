@@ -226,7 +226,7 @@ class NavigationConfig(Checked):
         return value
 
     def of_each(self, name: str, n: int) -> tuple[Any, ...]:
-        """The values of the setting ``name`` for the robots of a team of ``n``."""
+        """Return the values of the setting ``name`` for the robots of a team of ``n``."""
         value = getattr(self, name)
         if value == "mixed":
             return tuple(islice(cycle(MIXED), n))
@@ -234,7 +234,7 @@ class NavigationConfig(Checked):
 
     @property
     def is_random(self) -> bool:
-        """Whether episodes or observations depend on random numbers."""
+        """Return whether episodes or observations depend on random numbers."""
         chances = (self.gust, self.action_noise, self.action_loss)
         sight = (self.position_noise, self.velocity_noise, self.dropout)
         failures = self.failures or _NO_FAILURES
@@ -243,7 +243,7 @@ class NavigationConfig(Checked):
 
     @property
     def drawn(self) -> dict[str, Uniform]:
-        """The ranges of what each episode draws, by name, such as ``wind_speed`` or ``mass_0``."""
+        """Return the ranges of drawn numbers by name, such as ``wind_speed`` or ``mass_0``."""
         return {name: one for name, one in self.numbers() if isinstance(one, Uniform)}
 
     def numbers(self) -> Iterator[tuple[str, Number]]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from mbn_marl.config import Condition, expand
+from mbn_marl.config import Condition
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,7 @@ class _Window:
 
         actor = find_actor(self.source, self.policy or zoo_policy(self.source), seed=self.seed)
         wind: dict[str, Any] = {} if self.wind is None else {"wind": self.wind}
-        expand({**wind, "condition": self.condition or "calm"})  # not a wind twice
-        settings = {**under(actor.settings, self.condition), **wind}
-        actor = replace(actor, settings=settings)
+        actor = replace(actor, settings=under(actor.settings, self.condition, **wind))
         if self.save is not None:
             if self.save.suffix.lower() != ".json":
                 raise MbnError(f"{self.save}: the file name has to end in .json")

@@ -20,7 +20,7 @@ from baselines.compare.aggregate import (
 )
 from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
-from baselines.evaluation.intervals import RETURN_THRESHOLD, mean_interval, mean_of_known
+from baselines.evaluation.intervals import RETURN_THRESHOLD, mean_interval, mean_of_known, passes
 
 THRESHOLDS = np.concatenate([np.arange(90) / 100, np.arange(900, 1001) / 1000])
 """Scores at which performance profiles are taken: more closely near the best possible one."""
@@ -102,10 +102,11 @@ def summarise(results: Results) -> Comparison:
 def _common(records: Sequence[RunRecord], seeds: int) -> Numbers:
     """The numbers that rows and aggregates have both."""
     first = records[0]
-    passing = (
+    finals = [one.evaluation for one in records]
+    reaching = (
         (e for e in one.evaluations if e["return_mean"] >= RETURN_THRESHOLD) for one in records
     )
-    hits = [hit for entries in passing if (hit := next(entries, None))]
+    hits = [hit for entries in reaching if (hit := next(entries, None))]
 
     def mean(*path: str) -> float:
         return float(np.mean([one.final(*path) for one in records]))
@@ -118,6 +119,9 @@ def _common(records: Sequence[RunRecord], seeds: int) -> Numbers:
         "env_steps": max(one.evaluation["env_steps"] for one in records),
         "success_rate": mean("stochastic", "success_rate"),
         "deterministic_success_rate": mean("deterministic", "success_rate"),
+        "passed": sum(
+            passes(final["stochastic"], final["deterministic"]["success_rate"]) for final in finals
+        ),
         "reached": len(hits),
         "env_steps_to_threshold": mean_of_known(hit["env_steps"] for hit in hits),
         "seconds_to_threshold": mean_of_known(hit["seconds"] for hit in hits),

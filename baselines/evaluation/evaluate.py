@@ -12,7 +12,7 @@ import torch
 
 from baselines.evaluation.intervals import mean_of_known
 from baselines.evaluation.policy import Origin, Policy, RandomPolicy
-from mbn_marl.config import CONDITIONS, Condition, NavigationConfig, make_config
+from mbn_marl.config import CONDITIONS, Condition, NavigationConfig, expand, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.observations import WITH_RADIUS, observation_table
@@ -181,16 +181,20 @@ def evaluate_both(
     }
 
 
-def under(settings: Mapping[str, Any], condition: Condition | None) -> dict[str, Any]:
+def under(settings: Mapping[str, Any], condition: Condition | None, **asked: Any) -> dict[str, Any]:
     """Return the settings of a policy under a condition; ``None`` leaves them as they are.
 
-    Weather, disturbances and failures are those of the condition alone.
+    Weather, disturbances and failures are those of the condition alone; ``asked`` are settings
+    that replace others too.
+
+    Raises:
+        ConfigError: the condition sets what is asked for.
     """
     if condition is None:
-        return dict(settings)
+        return {**settings, **asked}
     weather = {name for one in CONDITIONS if one != "mixed" for name in CONDITIONS[one]}
     others = {name: value for name, value in settings.items() if name not in weather}
-    return {**others, **CONDITIONS[condition]}
+    return {**others, **expand({**asked, "condition": condition})}
 
 
 class Narrowed:

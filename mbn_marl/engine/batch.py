@@ -319,15 +319,15 @@ class BatchEngine:
         return {name: measures[name]() for name in names}
 
     def drawn(self) -> dict[str, Array]:
-        """What each present episode has drawn, by name: fresh (W,) real, in settings' units."""
+        """Return the drawn numbers of the present episodes by name, (W,) in the settings' units."""
         return self._backend.drawn(final=False)
 
     def final_drawn(self) -> dict[str, Array]:
-        """:meth:`drawn` of the last finished episodes, (W,), with autoreset same-step only."""
+        """Return :meth:`drawn` of the last finished episodes, (W,); autoreset same-step only."""
         return self._backend.drawn(final=True)
 
     def config_in(self, world: int = 0) -> NavigationConfig:
-        """The configuration with the numbers that the present episode of ``world`` has drawn."""
+        """Return the configuration with the drawn numbers of the present episode of ``world``."""
         return self._backend.config_in(world)
 
     def sample_actions(self) -> Floats:

@@ -1,4 +1,4 @@
-"""What controllers can tell of the steps to come: the wind, and the ways of robots that failed."""
+"""Estimates of the wind, and of where failed robots will be."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GUST_SHARE = 0.6
 
 @dataclass(frozen=True, eq=False)
 class Weather:
-    """What has pushed the team so far, as its changes of velocity show."""
+    """The pushes on the team so far, estimated from its changes of velocity."""
 
     push: Floats  # (2,), in the last step, units/step per step
     gusty: bool = False  # whether it has changed

@@ -100,7 +100,7 @@ class Greedy:
         works: NDArray[np.bool_],
         plans: dict[int, Floats],
     ) -> None:
-        """Assign the ROIs to the robots that work, anew when one fails or comes to rest."""
+        """Assign the ROIs to the robots that work; repeat it when one fails or comes to rest."""
         ways = [plan for i, plan in plans.items() if not works[i]]
         resting = [way[-1] for way in ways if np.array_equal(way[-1], way[-2])]
         parked = np.array(resting).reshape(-1, 2)

@@ -113,6 +113,19 @@ def test_the_threshold_is_reached_at_the_first_evaluation_that_has_it(tmp_path: 
     assert [row[name] for name in names[:4]] == [0, 1, None, None]
 
 
+def test_runs_that_pass_are_counted(tmp_path: Path) -> None:
+    entry = {"env_steps": 400, "seconds": 1.0, "return_mean": 0.0}
+    runs = []
+    for seed, (mean, sampled, own) in enumerate(
+        [(1e5, 0.99, 1.0), (9e4, 1.0, 1.0), (1e5, 1.0, 0.9)]
+    ):
+        stochastic = {"return_mean": mean, "success_rate": sampled, "makespan": None}
+        final = {"env_steps": 400, "seconds": 1.0, "stochastic": stochastic}
+        final["deterministic"] = {**stochastic, "success_rate": own}
+        runs.append(make_run(tmp_path, seed=seed, recorded=([entry], final)))
+    assert summarise(Results.of(runs)).aggregates[0]["passed"] == 1
+
+
 def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
     (tmp_path / "runs").mkdir()
     for seed, share in enumerate((1.0, 0.5)):
@@ -124,7 +137,7 @@ def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
     text = out.getvalue()
     assert "field_03: 400 env-steps a run, 2 seeds each" in text
     line = next(line for line in text.splitlines() if "25.0..50.0" in line)
-    assert " ".join(line.split()) == "mappo 37.5% 25.0..50.0 62.50% 25.00% 75.0% 0k 1/2 3.0"
+    assert " ".join(line.split()) == "mappo 0/2 37.5% 25.0..50.0 62.50% 25.00% 75.0% 0k 1/2 3.0"
     encoded = json.loads(json.dumps(comparison.to_json(), allow_nan=False))
     assert encoded["aggregates"][0]["iqm"] == {"value": 0.375, "low": 0.25, "high": 0.5}
     assert encoded["probability_of_improvement"]["other"]["mappo"]["value"] == 0.5

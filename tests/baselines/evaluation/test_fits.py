@@ -127,3 +127,6 @@ def test_a_condition_replaces_weather_and_failures_but_not_the_robots() -> None:
     assert under(trained, "calm") == {"dynamics": "unicycle", "tau": 2.0}
     assert under(trained, "gusty") == {**CONDITIONS["gusty"], "dynamics": "unicycle", "tau": 2.0}
     assert under(trained, "mixed")["dynamics"] == "mixed"
+    assert under(trained, "gusty", wind=(0.2, 0.0))["wind"] == (0.2, 0.0)
+    with pytest.raises(ConfigError, match="wind: is set by condition 'windy'"):
+        under(trained, "windy", wind=(0.2, 0.0))
