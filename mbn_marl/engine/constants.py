@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from mbn_marl.compiled.jit import generated
 from mbn_marl.config import Failures, NavigationConfig, RewardProfile
-from mbn_marl.engine.jit import generated
 from mbn_marl.engine.mdp.disturbances import gust_factors
 from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.failures import KINDS as FAILURE_KINDS

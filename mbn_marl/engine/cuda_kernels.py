@@ -21,8 +21,9 @@ from numba import cuda
 from numba.core import config
 from numba.core.compiler_lock import global_compiler_lock
 
+from mbn_marl.compiled.jit import compiled, generated
+from mbn_marl.compiled.scalars import column
 from mbn_marl.engine.constants import AUTORESET_MODES
-from mbn_marl.engine.jit import compiled, generated
 from mbn_marl.engine.kernels import draw_world, is_final, put_infos
 from mbn_marl.engine.mdp.observations import describe, put_state
 from mbn_marl.engine.reset import (
@@ -35,7 +36,6 @@ from mbn_marl.engine.reset import (
     copy_motion,
     reset_world,
 )
-from mbn_marl.engine.scalars import column
 from mbn_marl.engine.state import Episode, Geometry, Memory, Output
 from mbn_marl.engine.step import close_step, move_robots, score_step, scratch_of
 

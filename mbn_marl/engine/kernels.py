@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
+from mbn_marl.compiled.jit import compiled, entry_point, parallel_entry_point
+from mbn_marl.compiled.rng import FOR_ACTIONS, stream_key, uniform, world_number
+from mbn_marl.compiled.scalars import count_bits, is_set
 from mbn_marl.engine.constants import unpack
-from mbn_marl.engine.jit import compiled, entry_point, parallel_entry_point
 from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
 from mbn_marl.engine.mdp.failures import has_failed
 from mbn_marl.engine.mdp.observations import observe, put_state
-from mbn_marl.engine.mdp.rng import FOR_ACTIONS, stream_key, uniform, world_number
 from mbn_marl.engine.mdp.visits import visit_code
 from mbn_marl.engine.reset import begin_world, clear_output
-from mbn_marl.engine.scalars import count_bits, is_set
 from mbn_marl.engine.step import SAME_STEP, step_worlds
 
 FIRST, NEXT = np.uint64(0), np.uint64(1)

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from mbn_marl.engine.jit import compiled, generated
+from mbn_marl.compiled.jit import compiled, generated
+from mbn_marl.compiled.rng import FOR_STARTS, episode_key, stream_of, uniform, world_number
+from mbn_marl.compiled.scalars import column
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import in_field
 from mbn_marl.engine.mdp.disturbances import begin_disturbances
@@ -16,9 +18,7 @@ from mbn_marl.engine.mdp.dynamics import face_along_x
 from mbn_marl.engine.mdp.failures import repair
 from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES, clear_filter, joint_state_known
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
-from mbn_marl.engine.mdp.rng import FOR_STARTS, episode_key, stream_of, uniform, world_number
 from mbn_marl.engine.mdp.visits import all_visited, visit_code
-from mbn_marl.engine.scalars import column
 from mbn_marl.engine.state import HEADING, OPTIONAL, Episode
 
 DRAWS_PER_ROBOT = 1000

@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbn_marl.compiled.jit import compiled, entry_point
+from mbn_marl.compiled.scalars import clip, column, is_set, select
 from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.intrinsics import prefetch
-from mbn_marl.engine.jit import compiled, entry_point
 from mbn_marl.engine.mdp import revisits, rewards
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import cross_edge
@@ -29,7 +30,6 @@ from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.termination import is_terminated, is_truncated
 from mbn_marl.engine.mdp.visits import all_visited, visit_code, within
 from mbn_marl.engine.reset import ENDED, RESTARTS, clear_output, copy_episode, reset_world
-from mbn_marl.engine.scalars import clip, column, is_set, select
 
 BLOCK = 256
 """Worlds per block."""

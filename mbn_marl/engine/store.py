@@ -10,7 +10,7 @@ from typing import Any
 from numba.core import types
 from numba.experimental import structref
 
-from mbn_marl.engine.jit import entry_point
+from mbn_marl.compiled.jit import entry_point
 
 PARTS = ("constants", "geometry", "memory", "now", "final", "output")
 

@@ -13,18 +13,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mbn_marl.compiled.jit import entry_point
+from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.engine import step
 from mbn_marl.engine.batch import BatchEngine
 from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.cpu import CpuBackend
-from mbn_marl.engine.jit import entry_point
 from mbn_marl.engine.mdp.disturbances import arrived_actions
 from mbn_marl.engine.mdp.drawn import limits_in
 from mbn_marl.engine.mdp.dynamics import V_CLIP, keep_heading, limits_of
 from mbn_marl.engine.mdp.failures import has_failed, move_or_fail
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
-from mbn_marl.engine.scalars import clip, select
 from mbn_marl.errors import ActionError, MbnError, StepError
 
 LO, HI = np.uint64(0), np.uint64(1)

@@ -17,8 +17,8 @@ import pytest
 from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, Field
+from mbn_marl.compiled import elementary, rng
 from mbn_marl.config import make_config
-from mbn_marl.engine.mdp import elementary, rng
 from mbn_marl.engine.mdp.disturbances import DISTURBANCES
 from mbn_marl.engine.state import make_episode, make_memory
 from mbn_marl.episode import EpisodeRecorder, check_episode, load_episode, save_episode

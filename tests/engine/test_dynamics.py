@@ -13,8 +13,9 @@ import pytest
 from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, Field
+from mbn_marl.compiled import elementary
 from mbn_marl.config import make_config
-from mbn_marl.engine.mdp import dynamics, elementary
+from mbn_marl.engine.mdp import dynamics
 from mbn_marl.engine.state import make_episode
 from mbn_marl.errors import ConfigError
 from mbn_marl.optimum import optimal_return

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import mbn_marl
-from mbn_marl.engine.jit import SOURCES, digest_of_sources
+from mbn_marl.compiled.jit import SOURCES, digest_of_sources
 
 PROBE = """
 from mbn_marl.engine.mdp.dynamics import next_velocity
@@ -41,13 +41,13 @@ def test_cache_is_used_and_renewed(tmp_path: Path) -> None:
 
 
 def test_every_source_counts_wherever_it_is(tmp_path: Path) -> None:
-    engine = tmp_path / "engine"
-    shutil.copytree(Path(mbn_marl.__file__).parent / "engine", engine)
-    digests = [digest_of_sources(engine)]
+    package = tmp_path / "mbn_marl"
+    shutil.copytree(Path(mbn_marl.__file__).parent, package)
+    digests, engine = [digest_of_sources(package)], package / "engine"
     assert digests == [SOURCES]
-    for path in (engine / "step.py", engine / "mdp" / "visits.py"):
+    for path in (engine / "step.py", engine / "mdp" / "visits.py", package / "compiled" / "rng.py"):
         path.write_text(path.read_text(encoding="utf-8") + "\n", encoding="utf-8")
-        digests.append(digest_of_sources(engine))
+        digests.append(digest_of_sources(package))
     (engine / "mdp" / "visits.py").rename(engine / "visits.py")
-    digests.append(digest_of_sources(engine))
-    assert len(set(digests)) == 4
+    digests.append(digest_of_sources(package))
+    assert len(set(digests)) == 5

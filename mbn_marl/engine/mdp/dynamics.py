@@ -15,11 +15,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbn_marl.engine.jit import compiled
+from mbn_marl.compiled.elementary import cosine, sine, tangent, turned
+from mbn_marl.compiled.jit import compiled
+from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.engine.mdp.disturbances import add_wind, wind_along
 from mbn_marl.engine.mdp.drawn import limits_in, numbers_of
-from mbn_marl.engine.mdp.elementary import cosine, sine, tangent, turned
-from mbn_marl.engine.scalars import clip, select
 
 POINT_MASS, HOLONOMIC, UNICYCLE, BICYCLE = range(4)
 DYNAMICS = {

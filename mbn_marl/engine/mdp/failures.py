@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbn_marl.engine.jit import compiled
+from mbn_marl.compiled.jit import compiled
+from mbn_marl.compiled.rng import FOR_FAILURES, stream_of, uniform
+from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.engine.mdp.disturbances import wind_along
 from mbn_marl.engine.mdp.drawn import is_failing_step, limits_in, numbers_of
 from mbn_marl.engine.mdp.dynamics import (
@@ -22,8 +24,6 @@ from mbn_marl.engine.mdp.dynamics import (
     part_along,
     propose_move,
 )
-from mbn_marl.engine.mdp.rng import FOR_FAILURES, stream_of, uniform
-from mbn_marl.engine.scalars import clip, select
 
 BRAKE, COAST, VANISH = range(3)
 KINDS = {"brake": BRAKE, "coast": COAST, "vanish": VANISH}

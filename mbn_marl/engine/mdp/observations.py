@@ -14,15 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbn_marl.compiled.jit import compiled
+from mbn_marl.compiled.scalars import FIRST, clip, column
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.intrinsics import SIDE, transpose
-from mbn_marl.engine.jit import compiled
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.failures import put_flag, put_other_flag
 from mbn_marl.engine.mdp.sight import drop, look, seen_places, seen_robots, spot
 from mbn_marl.engine.mdp.visits import visit_code, within
-from mbn_marl.engine.scalars import FIRST, clip, column
 
 RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL = range(5)
 OBSERVATIONS = {

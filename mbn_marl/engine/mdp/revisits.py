@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbn_marl.engine.jit import compiled
-from mbn_marl.engine.mdp.rng import GOLDEN, mix
+from mbn_marl.compiled.jit import compiled
+from mbn_marl.compiled.rng import GOLDEN, mix
 
 BITS_PER_KEY = 16
 KEYS_PER_WORD = np.uint64(64 // BITS_PER_KEY)

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from mbn_marl.engine.jit import compiled, generated
+from mbn_marl.compiled.jit import compiled, generated
+from mbn_marl.compiled.scalars import is_set, select
 from mbn_marl.engine.mdp.failures import count_failed
-from mbn_marl.engine.scalars import is_set, select
 
 RELEASED, FORMAL = 0, 1
 RULES = {"released": RELEASED, "formal": FORMAL}

@@ -13,8 +13,8 @@ import math
 
 import numpy as np
 
-from mbn_marl.engine.jit import compiled, generated
-from mbn_marl.engine.scalars import HALF, MANY, clip, select
+from mbn_marl.compiled.jit import compiled, generated
+from mbn_marl.compiled.scalars import HALF, MANY, clip, select
 
 PI, HALF_PI = math.pi, math.pi / 2
 

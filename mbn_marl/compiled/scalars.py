@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbn_marl.engine.jit import compiled
+from mbn_marl.compiled.jit import compiled
 
 FIRST = np.uint64(0)
 HALF, MANY = np.float32(0.5), np.float32(1e6)

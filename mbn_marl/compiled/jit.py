@@ -1,4 +1,4 @@
-"""How the engine's functions are compiled, and when compiled code is reused."""
+"""How functions are compiled, and when compiled code is reused."""
 
 from __future__ import annotations
 
@@ -15,15 +15,19 @@ COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Compiled code runs without the GIL, and divides as NumPy does."""
 
 
-def digest_of_sources(folder: Path) -> str:
-    """A hash of all source files in ``folder`` and the folders in it, and of where they are."""
+FOLDERS = ("compiled", "engine", "field")
+"""The folders of the package that have compiled functions."""
+
+
+def digest_of_sources(package: Path) -> str:
+    """A hash of all source files in ``FOLDERS`` and the folders in them, and of where they are."""
     digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    for path in sorted(path for name in FOLDERS for path in (package / name).rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 
 
-SOURCES = digest_of_sources(Path(__file__).parent)
+SOURCES = digest_of_sources(Path(__file__).parents[1])
 
 
 class Rule(CPUDispatcher):
@@ -70,8 +74,8 @@ def _cached(function: Callable[..., Any], **options: Any) -> Any:
     """Compile for the types of each call, and keep the machine code on disk.
 
     Numba renews a cached function when its own file changes, but a rule is compiled into every
-    function that calls it, wherever that is. So the cache is stamped with all of the engine's
-    sources instead. Where nothing can be written, each process compiles for itself.
+    function that calls it, wherever that is. So the cache is stamped with all such sources
+    instead. Where nothing can be written, each process compiles for itself.
     """
     options = {**COMMON, **options}
     try:

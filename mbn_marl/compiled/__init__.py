@@ -1,0 +1,1 @@
+"""What all compiled rules share: the compiler's settings, random numbers, exact functions."""
