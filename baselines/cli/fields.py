@@ -1,4 +1,4 @@
-"""``mbn fields``: fields as a table, or as a figure."""
+"""``mbn fields``: fields as a table or as a figure, and random ones as files."""
 
 from __future__ import annotations
 
@@ -9,28 +9,71 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
+from baselines.cli.options import check_options
+
 if TYPE_CHECKING:
     from mbn_marl.field import Field
 
 
 @dataclass(frozen=True)
 class Fields:
-    """List fields: robots, ROIs, edges, area, proved optimum."""
+    """List fields: robots, ROIs, edges, area, proved optimum. Or make random ones."""
 
     fields: Positional[Annotated[tuple[str, ...], arg(metavar="FIELD")]] = ()
     """Names or files; by default the whole catalogue."""
+    generate: Annotated[tuple[str, ...], arg(metavar="FAMILY ...")] = ()
+    """Random fields instead: of the families convex, concave, corridors, obstacles, farm."""
+    seed: int = 0
+    """Of the first random field of each family; the next one has the next seed."""
+    count: int = 1
+    """How many random fields of each family."""
+    robots: int = 3
+    """Of each random field."""
+    rois: int = 6
+    """Of each random field."""
+    size: tuple[float, float] = (110.0, 420.0)
+    """From what to what a random field's longest side is drawn, units."""
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """The folder to write random fields to, each as a field file."""
     figure: Path | None = None
     """Draw them in this file (.png, .pdf or .svg), side by side."""
     force: bool = False
-    """If that file exists, move it aside."""
+    """If files to write exist, move them aside."""
 
     def run(self, command_line: str) -> None:
-        """Print the table, and draw the figure if one is asked for."""
-        from baselines.compare.text_table import TextTable
+        """Print the table; write what is asked for."""
         from mbn_marl.field import catalogue_names, load_field
+
+        self._check()
+        made = [self._make(family, k) for k in range(self.count) for family in self.generate]
+        fields = made or [load_field(name) for name in self.fields or catalogue_names()]
+        self._print(fields)
+        if self.out is not None:
+            self._write(fields, self.out)
+        if self.figure is not None:
+            self._draw(fields, self.figure)
+
+    def _check(self) -> None:
+        untouched = {name: getattr(Fields, name) for name in ("seed", "count", "robots", "rois")}
+        own = [name for name, value in untouched.items() if getattr(self, name) != value]
+        own += ["size"] * (self.size != Fields.size) + ["out"] * (self.out is not None)
+        wrong: dict[str, object] = {
+            f"{', '.join(own)}: only with --generate": own and not self.generate,
+            "generate: not with names or files": self.generate and self.fields,
+            f"count: at least 1, not {self.count}": self.count < 1,
+        }
+        check_options("fields", wrong)
+
+    def _make(self, family: str, k: int) -> Field:
+        from mbn_marl.field import generate
+
+        seed = self.seed + k
+        return generate(family, seed, robots=self.robots, rois=self.rois, size=self.size)
+
+    def _print(self, fields: Sequence[Field]) -> None:
+        from baselines.compare.text_table import TextTable
         from mbn_marl.optimum import optimal_return
 
-        fields = [load_field(name) for name in self.fields or catalogue_names()]
         lines = []
         for field in fields:
             makespan, optimum = field.optimal_makespan, optimal_return(field)
@@ -43,8 +86,18 @@ class Fields:
         headings = ("field", "robots", "ROIs", "holes", "edges", "area", "makespan", "return")
         title = "fields (makespan, return: proved optima, released rewards, no wind)"
         TextTable("", headings, tuple(lines)).print(title)
-        if self.figure is not None:
-            self._draw(fields, self.figure)
+
+    def _write(self, fields: Sequence[Field], folder: Path) -> None:
+        from mbn_marl.field import save_field
+        from mbn_marl.files import check_free, claim_file
+
+        paths = [folder / f"{field.name}.yaml" for field in fields]
+        for path in paths:
+            check_free(path, force=self.force)
+        folder.mkdir(parents=True, exist_ok=True)
+        for field, path in zip(fields, paths, strict=True):
+            save_field(field, claim_file(path, force=self.force))
+        print(f"{len(paths)} written to {folder}")
 
     def _draw(self, fields: Sequence[Field], path: Path) -> None:
         from mbn_marl.files import claim_file

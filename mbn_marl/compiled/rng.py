@@ -25,6 +25,7 @@ FOR_GUSTS = np.uint64(4)
 FOR_SENDING = np.uint64(5)
 FOR_SIGHT = np.uint64(6)
 FOR_NUMBERS = np.uint64(7)
+FOR_FIELDS = np.uint64(8)
 
 HIGH, LOW, TWELVE = np.uint64(24), np.uint64(0xFFF), np.uint64(12)
 """Where the 40 bits begin that are counted, and the two numbers of twelve bits below them."""

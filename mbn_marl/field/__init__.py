@@ -1,10 +1,20 @@
-"""Fields: the polygon, ROIs and starts of an environment, from a file or from Python."""
+"""Fields: polygon, ROIs and starts of an environment, from a file, from Python, or at random."""
 
 from __future__ import annotations
 
 from mbn_marl.field.catalogue import catalogue_names
 from mbn_marl.field.field import Field
 from mbn_marl.field.files import load_field, save_field
+from mbn_marl.field.sampler import FieldSampler, generate
 from mbn_marl.field.schema import FORMAT, json_schema
 
-__all__ = ["FORMAT", "Field", "catalogue_names", "json_schema", "load_field", "save_field"]
+__all__ = [
+    "FORMAT",
+    "Field",
+    "FieldSampler",
+    "catalogue_names",
+    "generate",
+    "json_schema",
+    "load_field",
+    "save_field",
+]

@@ -1,4 +1,4 @@
-"""``mbn replay``, ``render``, ``evaluate --record`` and ``fields --figure``."""
+"""``mbn replay``, ``render``, ``evaluate --record`` and ``fields``."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from baselines.cli import main
 from mbn_marl import load_field
 from mbn_marl.config import make_config
 from mbn_marl.episode import load_episode, play, save_episode
+from mbn_marl.field import generate
 
 
 @pytest.fixture(scope="module")
@@ -120,3 +121,21 @@ def test_fields_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert main(["fields", "field_03", "field_05", "--figure", str(out)]) == 0
     assert "field_05" in capsys.readouterr().out and out.read_bytes().startswith(b"%PDF")
     assert main(["fields", "--figure", str(out)]) == 2
+
+
+def test_random_fields_are_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "fields"
+    words = ["fields", "--generate", "farm", "concave", "--seed", "7", "--count", "2"]
+    assert main([*words, "--robots", "4", "--size", "150", "160", "-o", str(out)]) == 0
+    assert "4 written to" in capsys.readouterr().out
+    made = [load_field(path) for path in sorted(out.iterdir())]
+    assert [field.name for field in made] == ["concave-7", "concave-8", "farm-7", "farm-8"]
+    assert made[3] == generate("farm", 8, robots=4, size=(150, 160))
+    assert main([*words, "-o", str(out)]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert load_field(out / "farm-8.yaml") == made[3], "nothing is written over"
+    assert main(["fields", "field_03", "--seed", "2", "-o", str(out)]) == 2
+    assert "seed, out: only with --generate" in capsys.readouterr().err
+    assert main(["fields", "field_03", "--generate", "farm", "--count", "0"]) == 2
+    problems = capsys.readouterr().err
+    assert "generate: not with names" in problems and "count: at least 1, not 0" in problems

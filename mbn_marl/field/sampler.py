@@ -1,0 +1,265 @@
+"""Fields without end: random fields of named families, each known by its numbers alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from itertools import accumulate
+from numbers import Integral, Real
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field as Described
+from pydantic import PlainValidator, ValidationInfo, field_validator
+
+from mbn_marl.checked import Checked
+from mbn_marl.config import MAX_ROBOTS, MAX_ROIS
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import layout
+from mbn_marl.field.field import DEFAULT_ARENA, Field
+from mbn_marl.field.limits import MAX_COORDINATE
+
+Family = Literal["convex", "concave", "corridors", "obstacles", "farm"]
+DEFAULT_SIZE = (110.0, 420.0)
+MAX_SEED, MAX_EPISODE = 2**63 - 1, 2**32 - 1
+"""Numbers of worlds go as far as seeds."""
+
+
+def least_size(robots: int, rois: int) -> float:
+    """Return the least size, in units, of fields that hold so many robots and ROIs."""
+    return 10.0 * max(10, math.ceil(5.0 * math.sqrt(robots + rois / 3) - 2.0))
+
+
+def _range_of(kind: type, least: float, most: float, allowed: str) -> Callable[[Any], Any]:
+    """Return what makes a range ``(low, high)`` of a number or a range."""
+
+    def read(value: object) -> tuple[Any, Any]:
+        ends = (value, value) if isinstance(value, Real) else value
+        if not (isinstance(ends, Sequence) and len(ends) == 2 and not isinstance(ends, str)):
+            raise ValueError(f"Input should be {allowed}, or a range (low, high)")
+        for end in ends:
+            fits = isinstance(end, Integral if kind is int else Real) and not isinstance(end, bool)
+            if not (fits and least <= end <= most):
+                raise ValueError(f"Input should be {allowed}, or a range (low, high) of such")
+        if ends[0] > ends[1]:
+            raise ValueError("Input should have a low end that is not above its high end")
+        return kind(ends[0]), kind(ends[1])
+
+    return read
+
+
+def _counts(most: int) -> Any:
+    return PlainValidator(_range_of(int, 1, most, f"a whole number from 1 to {most}"))
+
+
+_LEAST_SIZE = least_size(1, 1)
+_SIZES = f"a number of units from {_LEAST_SIZE:g} to {MAX_COORDINATE:g}"
+_Side = Annotated[float, Described(gt=0.0, le=MAX_COORDINATE)]
+
+
+class FieldSampler(Checked):
+    """Random fields of some families: one for each seed, world and episode.
+
+    The fields are the same on every processor. All are valid and connected; no passage is narrower
+    than 12 units. ROIs are at least 5 units apart, starts at least 12, and both at least 4 units
+    from walls; there is more room where it can be had. What was given as one number is kept as a
+    range with two equal ends. Samplers compare and hash by value, and can be pickled.
+
+    Attributes:
+        families: one or more of ``"convex"``, ``"concave"``, ``"corridors"``, ``"obstacles"`` and
+            ``"farm"``.
+        robots: how many starts, 1 to 64, or a range ``(low, high)`` that each field draws from.
+        rois: how many ROIs, 1 to 24, or a range.
+        arena: width and height in units, at most 1e6.
+        size: the longest side of a field's bounding box, units, or a range; at most the arena's
+            shorter side, and not too small for the most robots and ROIs.
+        weights: how often a family is drawn, one number >= 0 for each; ``None``: equally often.
+        seed: 0 to 2^63 - 1.
+
+    Raises:
+        ConfigError: naming every unknown or invalid argument and what is allowed.
+    """
+
+    families: tuple[Family, ...]
+    robots: Annotated[tuple[int, int], _counts(MAX_ROBOTS)]
+    rois: Annotated[tuple[int, int], _counts(MAX_ROIS)]
+    arena: tuple[_Side, _Side]
+    size: Annotated[
+        tuple[float, float], PlainValidator(_range_of(float, _LEAST_SIZE, MAX_COORDINATE, _SIZES))
+    ]
+    weights: tuple[Annotated[float, Described(ge=0.0, allow_inf_nan=False)], ...] | None
+    seed: Annotated[int, Described(ge=0, le=MAX_SEED)]
+
+    def __init__(
+        self,
+        families: Sequence[str] = ("convex",),
+        robots: int | Sequence[int] = 3,
+        rois: int | Sequence[int] = 6,
+        size: float | Sequence[float] = DEFAULT_SIZE,
+        arena: Sequence[float] = DEFAULT_ARENA,
+        weights: Sequence[float] | None = None,
+        seed: int = 0,
+        **others: Any,
+    ) -> None:
+        ranges = {"robots": robots, "rois": rois, "size": size}
+        given = {"families": families, **ranges, "arena": arena, "weights": weights, "seed": seed}
+        super().__init__(**given, **others)
+
+    @field_validator("families")
+    @classmethod
+    def _different(cls, families: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(families)) < len(families):
+            raise ValueError("Input should name each family once")
+        if not families:
+            raise ValueError("Input should name at least one family")
+        return families
+
+    @field_validator("size")
+    @classmethod
+    def _fitting(cls, size: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+        known = info.data
+        if "arena" in known and size[1] > min(known["arena"]):
+            raise ValueError(f"Input should be at most the arena's side, {min(known['arena']):g}")
+        if "robots" in known and "rois" in known:
+            robots, rois = known["robots"][1], known["rois"][1]
+            if size[0] < (least := least_size(robots, rois)):
+                team = f"{robots} robots and {rois} ROIs"
+                raise ValueError(f"Input should be at least {least:g}, the least for {team}")
+        return size
+
+    @field_validator("weights")
+    @classmethod
+    def _one_for_each(
+        cls, weights: tuple[float, ...] | None, info: ValidationInfo
+    ) -> tuple[float, ...] | None:
+        families = info.data.get("families")
+        if weights is not None and families is not None and len(weights) != len(families):
+            raise ValueError(f"Input should have one number for each of {len(families)} families")
+        if weights is not None and not any(weights):
+            raise ValueError("Input should have a number above 0")
+        return weights
+
+    @property
+    def fewest_robots(self) -> int:
+        """The least number of robots that a field can have."""
+        return self.robots[0]
+
+    @property
+    def most_robots(self) -> int:
+        """The greatest number of robots that a field can have."""
+        return self.robots[1]
+
+    @property
+    def most_rois(self) -> int:
+        """The greatest number of ROIs that a field can have."""
+        return self.rois[1]
+
+    @property
+    def most_edges(self) -> int:
+        """The greatest number of edges, of outline and holes, that a field can have."""
+        return max(layout.MOST_EDGES[family] for family in self.families)
+
+    @property
+    def scratch_rows(self) -> int:
+        """How many rows of int64 the making of a field needs to work in."""
+        return layout.scratch_rows(self.most_robots, self.most_rois)
+
+    def numbers(self) -> npt.NDArray[np.int64]:
+        """Return all but the seed as the whole numbers that ``families.make_field`` reads.
+
+        Returns:
+            Shape (13,), lengths in milli-units, each range as its two ends. The arena's sides; the
+            ranges of sizes, of robots and of ROIs; for each family, in the order of
+            ``layout.FAMILIES``, the sum of the weights up to it, 2^30 in all.
+        """
+        lengths = (*self.arena, *self.size)
+        given = self.weights or (1.0,) * len(self.families)
+        weights = dict.fromkeys(layout.FAMILIES, Fraction(0))
+        weights |= zip(self.families, map(Fraction, given), strict=True)
+        sums = list(accumulate(weights.values()))
+        shares = [math.floor(each / sums[-1] * layout.WEIGHT_SUM) for each in sums]
+        millis = [math.floor(Fraction(length) * layout.MILLI) for length in lengths]
+        return np.array([*millis, *self.robots, *self.rois, *shares], np.int64)
+
+    def field(self, world: int = 0, episode: int = 0) -> Field:
+        """Return the field that a world has in an episode.
+
+        Args:
+            world: number of the world, 0 to 2^63 - 1.
+            episode: number of the episode, 0 to 2^32 - 1.
+
+        Returns:
+            The field. Its name is that of the family, with the seed, and with the numbers of world
+            and episode unless both are 0: ``concave-7``, ``concave-7-12-3``. Fields of the same
+            name are equal if ``robots``, ``rois``, ``size`` and ``arena`` are, whatever the other
+            families are.
+
+        Raises:
+            ConfigError: a number is not in its range.
+            FieldError: the field is not valid, which is an error of this package: please report it.
+        """
+        from mbn_marl.field.families import make_fields
+
+        limits = {"world": (world, MAX_SEED), "episode": (episode, MAX_EPISODE)}
+        problems = [
+            f"{name}: expected a whole number from 0 to {most}"
+            for name, (number, most) in limits.items()
+            if not (isinstance(number, Integral) and 0 <= number <= most)
+        ]
+        if problems:
+            raise ConfigError("field", problems)
+        tables = layout.make_tables(self.most_edges, self.most_rois, self.most_robots, 1)
+        scratch = np.zeros((self.scratch_rows, 1), np.int64)
+        families = np.zeros(1, np.int64)
+        make_fields(self.numbers(), self.seed, world, episode, scratch, tables, families)
+        name = f"{layout.FAMILIES[families[0]]}-{self.seed}"
+        name += f"-{world}-{episode}" if world or episode else ""
+        return field_of(tables, self.arena, name)
+
+
+def field_of(tables: layout.Tables, arena: tuple[float, float], name: str, f: int = 0) -> Field:
+    """Return the field in column f of ``tables``."""
+    rings: list[list[tuple[float, float]]] = []
+    at = None
+    for ax, ay, bx, by in tables.edges[:, :, f].T.tolist():
+        if (ax, ay) == (bx, by):  # padding
+            break
+        if at != (ax, ay):
+            rings.append([])
+        rings[-1].append((ax, ay))
+        at = bx, by
+    rois = int(tables.codes[f]).bit_count()
+    return Field(
+        vertices=rings[0],
+        rois=tables.rois[:, :rois, f].T,
+        starts=tables.starts[:, : tables.robots_in[f], f].T,
+        holes=rings[1:],
+        arena=arena,
+        name=name,
+    )
+
+
+def generate(
+    family: str,
+    seed: int = 0,
+    *,
+    robots: int | Sequence[int] = 3,
+    rois: int | Sequence[int] = 6,
+    size: float | Sequence[float] = DEFAULT_SIZE,
+    arena: Sequence[float] = DEFAULT_ARENA,
+) -> Field:
+    """Return the random field of a family and a seed, on every processor the same.
+
+    ``family``, ``seed``, ``robots``, ``rois``, ``size`` (units) and ``arena`` (units) are arguments
+    as :class:`FieldSampler`.
+
+    Returns:
+        The field, whose name is such as ``convex-7``.
+
+    Raises:
+        ConfigError: naming every unknown or invalid argument and what is allowed.
+    """
+    sampler = FieldSampler((family,), robots, rois, size, arena, seed=seed)
+    return sampler.field()

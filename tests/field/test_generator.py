@@ -1,0 +1,327 @@
+"""Generated fields: the same everywhere, sound by shapely's word, and of the shapes promised."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from itertools import combinations, pairwise
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+import shapely
+from shapely.affinity import translate
+
+from mbn_marl.config import NavigationConfig
+from mbn_marl.engine.state import make_geometry
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field, FieldSampler, generate, load_field, save_field
+from mbn_marl.field.families import make_fields
+from mbn_marl.field.layout import FAMILIES, Tables, make_tables
+from mbn_marl.field.sampler import Family, field_of, least_size
+from tests.support.field_cases import circle
+
+ROUNDING = 1e-6
+"""Of shapely's distances, in units."""
+
+
+def sampler_of(*families: str, **changes: Any) -> FieldSampler:
+    """A sampler of fields of many sizes."""
+    return FieldSampler(families, **{"robots": (1, 6), "size": (140, 420), **changes})
+
+
+def made(sampler: FieldSampler, count: int, numbers: Any = None, dtype: Any = float) -> Tables:
+    """The tables of the fields of the first ``count`` worlds, in the first episode."""
+    tables = make_tables(sampler.most_edges, sampler.most_rois, sampler.most_robots, count)
+    reals = {name: getattr(tables, name).astype(dtype) for name in ("edges", "rois", "starts")}
+    tables = tables._replace(**reals, boxes=tables.boxes.astype(dtype))
+    scratch = np.full((sampler.scratch_rows, count), -7, np.int64)
+    numbers = sampler.numbers() if numbers is None else numbers
+    make_fields(numbers, sampler.seed, 0, 0, scratch, tables, np.zeros(count, np.int64))
+    return tables
+
+
+def millis(field: Field) -> str:
+    """A hash of a field's coordinates, as whole milli-units."""
+    parts = (field.vertices, *field.holes, field.rois, field.starts)
+    numbers = np.concatenate(parts) * 1000
+    assert np.abs(numbers - np.rint(numbers)).max() < ROUNDING
+    return hashlib.sha256(np.rint(numbers).astype("<i8").tobytes()).hexdigest()[:16]
+
+
+PINNED = {
+    "convex": "4241e0adb2fac2f3",
+    "concave": "be6b3df5cc96ae89",
+    "corridors": "c2a40f5018a1317f",
+    "obstacles": "ecaa95f7165afa37",
+    "farm": "fb6d8e0905edb3f7",
+}
+"""Hashes of the fields of seed 7, as whole milli-units."""
+
+
+class TestSameEverywhere:
+    def test_pinned(self) -> None:
+        found = {family: millis(generate(family, 7)) for family in FAMILIES}
+        assert found == PINNED
+
+    def test_seed_world_and_episode_decide(self) -> None:
+        sampler = sampler_of(*FAMILIES, seed=3)
+        field = sampler.field(4, 5)
+        assert field == sampler_of(*FAMILIES, seed=3).field(4, 5)
+        others = [sampler.field(), sampler.field(5, 4), sampler_of(*FAMILIES, seed=4).field(4, 5)]
+        assert len({millis(each) for each in (field, *others)}) == 4
+
+    def test_the_name_is_that_of_the_family_seed_world_and_episode(self) -> None:
+        sampler = sampler_of("concave", "farm", seed=7)
+        field = sampler.field(12, 3)
+        family = field.name.split("-")[0]
+        assert field.name == f"{family}-7-12-3"
+        assert field == sampler_of(family, seed=7).field(12, 3)
+        assert generate("convex", 7).name == "convex-7"
+        longest = FieldSampler(("obstacles",), seed=2**63 - 1).field(2**63 - 1, 2**32 - 1)
+        assert longest.name.startswith("obstacles-9223372036854775807-")
+
+    def test_a_file_holds_it_exactly(self, tmp_path: Any) -> None:
+        field = generate("farm", 7)
+        save_field(field, tmp_path / "field.yaml")
+        assert load_field(tmp_path / "field.yaml") == field
+
+
+class TestTables:
+    @pytest.mark.parametrize("dtype", ["float32", "float64"])
+    def test_are_those_of_make_geometry(self, dtype: Any) -> None:
+        sampler = sampler_of(*FAMILIES, rois=(1, 10), seed=1)
+        tables = made(sampler, 60, dtype=dtype)
+        filler = Field(circle(sampler.most_edges), *filling(sampler))
+        for world in range(60):
+            field = sampler.field(world)
+            n = len(field.starts)
+            other = make_geometry([field, filler], NavigationConfig(dtype=dtype), n, 2)
+            for name in ("edges", "rois", "roi_bits", "codes", "boxes"):
+                own, expected = getattr(tables, name)[..., world], getattr(other, name)[..., 0]
+                assert own.dtype == expected.dtype
+                np.testing.assert_array_equal(own, expected, name)
+            starts = tables.starts[..., world]
+            np.testing.assert_array_equal(starts[:, :n], other.starts[..., 0])
+            assert (starts[:, n:] == starts[:, :1]).all()
+            assert tables.robots_in[world] == n
+
+    def test_numbers_can_change_between_calls(self) -> None:
+        sampler, easy = sampler_of(*FAMILIES, rois=(1, 10)), sampler_of("farm", robots=2, rois=3)
+        for one, other in zip(made(sampler, 5, easy.numbers()), made(easy, 5), strict=True):
+            rows = tuple(slice(length) for length in other.shape)
+            np.testing.assert_array_equal(one[rows], other)
+
+    def test_without_room_it_is_a_square(self) -> None:
+        sampler = FieldSampler(("corridors",), robots=9, rois=16, size=200)
+        numbers = sampler.numbers()
+        numbers[2:4] = 61_000
+        field = field_of(made(sampler, 1, numbers), sampler.arena, "square")
+        assert field.vertices.tolist() == [[0, 0], [61, 0], [61, 61], [0, 61]]
+        assert (len(field.rois), len(field.starts)) == (16, 9)
+
+
+def filling(sampler: FieldSampler) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """As many ROIs and starts as a field of the sampler can have, inside the circle."""
+    rois = [(45.0 + k, 60.0) for k in range(sampler.most_rois)]
+    return rois, [(20.0 + 10 * k, 40.0) for k in range(sampler.most_robots)]
+
+
+def sharpest(ring: Any) -> float:
+    """The least angle between edges that meet, in degrees."""
+    back, ahead = np.roll(ring, 1, axis=0) - ring, np.roll(ring, -1, axis=0) - ring
+    sizes = np.hypot(*back.T) * np.hypot(*ahead.T)
+    return float(np.degrees(np.arccos((back * ahead).sum(axis=1) / sizes)).min())
+
+
+def problems_of_soundness(field: Field, sampler: FieldSampler) -> list[str]:
+    """What a field breaks of the promises, found by shapely."""
+    polygon, (low, high) = field.polygon, sampler.size
+    x, y, right, top = polygon.bounds
+    longest = max(right - x, top - y)
+    points = [shapely.Point(point) for point in (*field.rois, *field.starts)]
+    rois, starts = points[: len(field.rois)], points[len(field.rois) :]
+    walls = min(point.distance(polygon.boundary) for point in points)
+    gap = min((a.distance(b) for a, b in combinations(rois, 2)), default=9.0)
+    room = min((a.distance(b) for a, b in combinations(starts, 2)), default=12.0)
+    promises = {
+        "size": low - ROUNDING <= longest <= high + ROUNDING,
+        "robots": sampler.robots[0] <= len(starts) <= sampler.robots[1],
+        "rois": sampler.rois[0] <= len(rois) <= sampler.rois[1],
+        "edges": len(field.edges) <= sampler.most_edges,
+        "arena": field.arena == sampler.arena,
+        "walls": walls >= 4 - ROUNDING,
+        "ROIs apart": gap >= 5 - ROUNDING,
+        "starts apart": room >= 12 - ROUNDING,
+        "corners": sharpest(field.vertices) >= 34.0,
+        "passages": isinstance(polygon.buffer(-5.99), shapely.Polygon),
+    }
+    return [name for name, kept in promises.items() if not kept]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"robots": 3, "rois": 6, "size": 100},
+        {"robots": (1, 64), "rois": (1, 24), "size": 410, "arena": (410, 5000)},
+        {"robots": 2, "rois": 24, "size": (300, 100_000), "arena": (1e6, 1e5)},
+    ],
+)
+def test_sound(family: str, changes: Any) -> None:
+    sampler = sampler_of(family, **{"rois": (1, 10), **changes})
+    fields = [sampler.field(world, 1) for world in range(30)]
+    found = {field.name: problems_of_soundness(field, sampler) for field in fields}
+    assert {name: problems for name, problems in found.items() if problems} == {}
+
+
+class TestFamilies:
+    def fields(self, family: str, count: int = 60) -> list[Field]:
+        sampler = sampler_of(family)
+        return [sampler.field(world) for world in range(count)]
+
+    def test_convex(self) -> None:
+        for field in self.fields("convex"):
+            assert is_convex(field.polygon)
+            x, y, right, top = field.polygon.bounds
+            assert field.polygon.area > 0.29 * max(right - x, top - y) ** 2
+        assert len({len(field.vertices) for field in self.fields("convex")}) >= 4
+
+    def test_concave(self) -> None:
+        polygons = [field.polygon for field in self.fields("concave")]
+        assert not any(map(is_convex, polygons))
+        hidden = sum(not has_kernel(polygon) for polygon in polygons)
+        assert 20 < hidden < 60, "most have no point that sees all of the field"
+
+    def test_corridors(self) -> None:
+        fields = self.fields("corridors")
+        assert {len(field.vertices) for field in fields if not field.holes} == {6, 8, 12, 16, 20}
+        rings = [field for field in fields if field.holes]
+        assert 5 < len(rings) < 30
+        assert all(len(field.holes) == 1 for field in rings)
+        filled = [field.polygon.area / field.polygon.convex_hull.area for field in fields]
+        assert max(filled) < 0.9 and np.mean(filled) < 0.6
+
+    def test_obstacles(self) -> None:
+        fields = self.fields("obstacles")
+        assert {len(field.holes) for field in fields} == {1, 2, 3, 4}
+        for field in fields:
+            rings = [shapely.Polygon(ring) for ring in (field.vertices, *field.holes)]
+            assert all(map(is_convex, rings))
+            between = [a.exterior.distance(b.exterior) for a, b in combinations(rings, 2)]
+            assert min(between) >= 12 - ROUNDING
+
+    def test_farm(self) -> None:
+        polygons = [field.polygon for field in self.fields("farm")]
+        boxes = [shapely.Polygon(each.exterior).minimum_rotated_rectangle for each in polygons]
+        sides = [shapely.length(box) / 2 for box in boxes]
+        long = [s * s / box.area for s, box in zip(sides, boxes, strict=True)]
+        assert sum(each > 6 for each in long) > 5, "strips, at least four times as long as wide"
+        assert any(each.interiors for each in polygons), "ponds"
+        assert any(is_convex(each) for each in polygons)
+        assert any(not is_convex(shapely.Polygon(each.exterior)) for each in polygons), "notches"
+
+    def test_names_are_those_of_the_type(self) -> None:
+        assert get_args(Family) == FAMILIES
+
+    def test_weights(self) -> None:
+        def shares(weights: Any) -> list[float]:
+            sampler = FieldSampler(FAMILIES[:3], weights=weights)
+            names = [sampler.field(world).name.split("-")[0] for world in range(300)]
+            return [names.count(family) / 300 for family in FAMILIES]
+
+        assert shares((0, 1, 0)) == [0, 1, 0, 0, 0]
+        assert shares((2, 0, 6)) == pytest.approx([0.25, 0, 0.75, 0, 0], abs=0.08)
+        assert shares(None) == pytest.approx([1 / 3, 1 / 3, 1 / 3, 0, 0], abs=0.08)
+
+
+def is_convex(polygon: shapely.Polygon) -> bool:
+    """Whether the hull adds nothing, but for what rounding to milli-units does."""
+    added = polygon.convex_hull.area - polygon.area
+    return bool(added < 1e-4 * polygon.area)
+
+
+def has_kernel(polygon: shapely.Polygon) -> bool:
+    """Whether some point sees all of a polygon, which is counter-clockwise: it is star-shaped."""
+    kernel = polygon.convex_hull
+    corners = np.array(polygon.exterior.coords)
+    for a, b in pairwise(corners):
+        along = (b - a) / np.hypot(*(b - a)) * 1e4
+        left = np.array([-along[1], along[0]])
+        half = shapely.Polygon([-along, along, along + left, left - along])
+        kernel = kernel.intersection(translate(half, *a))
+    return bool(kernel.area > 0)
+
+
+class TestSampler:
+    def test_is_a_value(self) -> None:
+        sampler = FieldSampler(["farm", "convex"], robots=(2, 4), weights=[1, 2], seed=5)
+        assert sampler == FieldSampler(("farm", "convex"), (2, 4), weights=(1.0, 2.0), seed=5)
+        assert hash(sampler) == hash(pickle.loads(pickle.dumps(sampler)))
+        assert sampler == pickle.loads(pickle.dumps(sampler)) != FieldSampler()
+        assert FieldSampler(robots=3, size=200) == FieldSampler(robots=(3, 3), size=(200.0, 200))
+        with pytest.raises(ValueError, match="frozen"):
+            sampler.seed = 6
+
+    def test_sizes_of_tables(self) -> None:
+        sampler = FieldSampler(("convex", "obstacles"), robots=(2, 4), rois=(1, 7))
+        assert (sampler.fewest_robots, sampler.most_robots, sampler.most_rois) == (2, 4, 7)
+        assert sampler.most_edges == 32
+        assert FieldSampler().most_edges == 12
+
+    def test_all_problems_at_once(self) -> None:
+        with pytest.raises(ConfigError) as caught:
+            FieldSampler(
+                ("convex", "round"),
+                robots=(1, 65),
+                rois="six",  # type: ignore[arg-type]
+                size=(50, 200),
+                arena=(0, 100),
+                weights=(1, -1),
+                seed=-1,
+                colour="red",
+            )
+        places = ["families.1", "robots", "rois", "arena.0", "size", "weights.1", "seed", "colour"]
+        assert [problem.split(":")[0] for problem in caught.value.problems] == places
+        text = str(caught.value)
+        for allowed in ("'farm'", "from 1 to 64", "from 1 to 24", "greater than 0", "known: fam"):
+            assert allowed in text
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"families": ()}, "families: Input should name at least one family"),
+            ({"families": ("farm", "farm")}, "families: Input should name each family once"),
+            ({"robots": 2.5}, "robots: Input should be a whole number from 1 to 64"),
+            ({"robots": True}, "robots: Input should be a whole number from 1 to 64"),
+            ({"rois": (4, 2)}, "rois: Input should have a low end that is not above its high end"),
+            ({"size": float("nan")}, "size: Input should be a number of units from 100 to 1e+06"),
+            ({"size": (99, 300)}, "size: Input should be a number of units from 100 to 1e+06, or"),
+            (
+                {"robots": 5},
+                "size: Input should be at least 120, the least for 5 robots and 6 ROIs",
+            ),
+            ({"robots": 64, "rois": 24}, "size: Input should be at least 410, the least for 64"),
+            ({"size": 500, "arena": (900, 400)}, "size: Input should be at most the arena's side"),
+            ({"weights": (1, 2)}, "weights: Input should have one number for each of 1 families"),
+            ({"weights": (0,)}, "weights: Input should have a number above 0"),
+        ],
+    )
+    def test_problems(self, changes: Any, message: str) -> None:
+        with pytest.raises(ConfigError) as caught:
+            FieldSampler(**changes)
+        (problem,) = caught.value.problems
+        assert problem.startswith(message)
+
+    def test_numbers_of_worlds_and_episodes(self) -> None:
+        with pytest.raises(ConfigError) as caught:
+            FieldSampler().field(-1, 2**32)
+        assert caught.value.problems == [
+            "world: expected a whole number from 0 to 9223372036854775807",
+            "episode: expected a whole number from 0 to 4294967295",
+        ]
+
+    def test_the_least_size_is_enough(self) -> None:
+        assert least_size(1, 1) == least_size(3, 6) == 100
+        assert least_size(64, 24) == 410
