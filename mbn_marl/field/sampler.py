@@ -213,7 +213,8 @@ class FieldSampler(Checked):
         tables = layout.make_tables(self.most_edges, self.most_rois, self.most_robots, 1)
         scratch = np.zeros((self.scratch_rows, 1), np.int64)
         families = np.zeros(1, np.int64)
-        make_fields(self.numbers(), self.seed, world, episode, scratch, tables, families)
+        where = int(world), int(episode)
+        make_fields(self.numbers(), self.seed, *where, scratch, tables, families)
         name = f"{layout.FAMILIES[families[0]]}-{self.seed}"
         name += f"-{world}-{episode}" if world or episode else ""
         return field_of(tables, self.arena, name)

@@ -171,7 +171,7 @@ def problems_of_soundness(field: Field, sampler: FieldSampler) -> list[str]:
 )
 def test_sound(family: str, changes: Any) -> None:
     sampler = sampler_of(family, **{"rois": (1, 10), **changes})
-    fields = [sampler.field(world, 1) for world in range(30)]
+    fields = [sampler.field(world, 1) for world in range(150)]
     found = {field.name: problems_of_soundness(field, sampler) for field in fields}
     assert {name: problems for name, problems in found.items() if problems} == {}
 
