@@ -174,14 +174,14 @@ class FieldSampler(Checked):
             ranges of sizes, of robots and of ROIs; for each family, in the order of
             ``layout.FAMILIES``, the sum of the weights up to it, 2^30 in all.
         """
-        lengths = (*self.arena, *self.size)
         given = self.weights or (1.0,) * len(self.families)
         weights = dict.fromkeys(layout.FAMILIES, Fraction(0))
         weights |= zip(self.families, map(Fraction, given), strict=True)
         sums = list(accumulate(weights.values()))
         shares = [math.floor(each / sums[-1] * layout.WEIGHT_SUM) for each in sums]
-        millis = [math.floor(Fraction(length) * layout.MILLI) for length in lengths]
-        return np.array([*millis, *self.robots, *self.rois, *shares], np.int64)
+        arena = [_millis(side) - (_millis(side) / layout.MILLI > side) for side in self.arena]
+        sizes = [min(_millis(length), *arena) for length in self.size]
+        return np.array([*arena, *sizes, *self.robots, *self.rois, *shares], np.int64)
 
     def field(self, world: int = 0, episode: int = 0) -> Field:
         """Return the field that a world has in an episode.
@@ -218,6 +218,11 @@ class FieldSampler(Checked):
         name = f"{layout.FAMILIES[families[0]]}-{self.seed}"
         name += f"-{world}-{episode}" if world or episode else ""
         return field_of(tables, self.arena, name)
+
+
+def _millis(length: float) -> int:
+    """Return a length in whole milli-units, the nearest."""
+    return round(Fraction(length) * layout.MILLI)
 
 
 def field_of(tables: layout.Tables, arena: tuple[float, float], name: str, f: int = 0) -> Field:

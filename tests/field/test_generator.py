@@ -164,7 +164,7 @@ def problems_of_soundness(field: Field, sampler: FieldSampler) -> list[str]:
     "changes",
     [
         {},
-        {"robots": 3, "rois": 6, "size": 100},
+        {"robots": 3, "rois": 6, "size": 100.1, "arena": (100.1, 100.1006)},
         {"robots": (1, 64), "rois": (1, 24), "size": 410, "arena": (410, 5000)},
         {"robots": 2, "rois": 24, "size": (300, 100_000), "arena": (1e6, 1e5)},
     ],
@@ -321,6 +321,11 @@ class TestSampler:
             "world: expected a whole number from 0 to 9223372036854775807",
             "episode: expected a whole number from 0 to 4294967295",
         ]
+
+    def test_lengths_in_milli_units(self) -> None:
+        sampler = FieldSampler(size=(110.1, 120.0006), arena=(120.0006, 500.3))
+        assert sampler.numbers()[:4].tolist() == [120_000, 500_300, 110_100, 120_000]
+        assert sampler.numbers()[8:].tolist() == [2**30] * 5
 
     def test_the_least_size_is_enough(self) -> None:
         assert least_size(1, 1) == least_size(3, 6) == 100
