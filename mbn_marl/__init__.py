@@ -17,16 +17,18 @@ if TYPE_CHECKING:
     from mbn_marl.checked import Uniform
     from mbn_marl.config import Failures
     from mbn_marl.engine import BatchEngine
-    from mbn_marl.field import Field, load_field
+    from mbn_marl.field import Field, FieldSampler, generate, load_field
     from mbn_marl.navigation_v0 import env, parallel_env, raw_env
 
 __all__ = [
     "BatchEngine",
     "Failures",
     "Field",
+    "FieldSampler",
     "Uniform",
     "centralized_env",
     "env",
+    "generate",
     "load_field",
     "parallel_env",
     "raw_env",
@@ -36,9 +38,11 @@ _HOMES = {
     "BatchEngine": "mbn_marl.engine",
     "Failures": "mbn_marl.config",
     "Field": "mbn_marl.field",
+    "FieldSampler": "mbn_marl.field",
     "Uniform": "mbn_marl.checked",
     "centralized_env": "mbn_marl.adapters.gymnasium",
     "env": "mbn_marl.navigation_v0",
+    "generate": "mbn_marl.field",
     "load_field": "mbn_marl.field",
     "parallel_env": "mbn_marl.navigation_v0",
     "raw_env": "mbn_marl.navigation_v0",

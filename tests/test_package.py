@@ -14,7 +14,8 @@ from tests.support.wheel import build_wheel
 
 def test_public_names():
     expected = {"parallel_env", "env", "raw_env", "centralized_env"}
-    expected |= {"Field", "load_field", "BatchEngine", "Failures", "Uniform"}
+    expected |= {"Field", "FieldSampler", "generate", "load_field"}
+    expected |= {"BatchEngine", "Failures", "Uniform"}
     assert set(mbn_marl.__all__) == expected
     assert expected <= set(dir(mbn_marl))
     assert all(callable(getattr(mbn_marl, name)) for name in mbn_marl.__all__)

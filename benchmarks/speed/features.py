@@ -1,4 +1,4 @@
-"""The speed of the engine with a feature on: dynamics, failures, disturbances, drawn numbers."""
+"""The speed of the engine with a feature on: dynamics, failures, disturbances, what is drawn."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from benchmarks.speed.adapters import FIELD
 from benchmarks.speed.timing import Budget, engine_case, interleaved
 from mbn_marl import BatchEngine, Failures, Uniform
 from mbn_marl.config import CONDITIONS
+from mbn_marl.field import FieldSampler, catalogue_names
+from mbn_marl.field.layout import FAMILIES
 
 FEATURES: dict[str, dict[str, Any]] = {
     "holonomic": {"dynamics": "holonomic"},
@@ -22,12 +24,21 @@ FEATURES: dict[str, dict[str, Any]] = {
     "drawn numbers": {**CONDITIONS["windy"], "mass": Uniform(1.0, 2.0)},
     "storm": dict(CONDITIONS["storm"]),
 }
-PLAIN = "plain"
+PLAIN, TEN = "plain", "ten fields"
+EPISODE = 40
+"""Steps of an episode where fields are compared: about as many as a fast team needs."""
+SAMPLERS = {
+    "drawn fields, of ten fixed ones": FieldSampler(seed=1),
+    "drawn fields and teams of 2 to 7 robots, 3 to 10 ROIs": FieldSampler(
+        FAMILIES, robots=(2, 7), rois=(3, 10), size=(160, 420), seed=1
+    ),
+}
+"""A new field in every episode of every world; the first has as many robots and ROIs as the ten."""
 
 
 @dataclass(frozen=True)
 class Features(Benchmark):
-    """Measure the engine with each feature on, as a share of its speed with all of them off."""
+    """Measure the engine with each feature on, as a share of its speed without."""
 
     name: ClassVar[str] = "features"
     stages: ClassVar[int] = 2
@@ -40,6 +51,13 @@ class Features(Benchmark):
             engine_case(name, BatchEngine(FIELD, worlds, threads=1, **settings), budget.warm_up)
             for name, settings in {PLAIN: {}, **FEATURES}.items()
         ]
+        fields_of: dict[str, Any] = {TEN: catalogue_names(), **SAMPLERS}
+        cases += [
+            engine_case(
+                name, BatchEngine(fields, worlds, threads=1, max_steps=EPISODE), budget.warm_up
+            )
+            for name, fields in fields_of.items()
+        ]
         advance()
         timings = interleaved(cases, budget)
         advance()
@@ -47,6 +65,11 @@ class Features(Benchmark):
         rows = [
             Measurement(name, share, "%", None if name == "storm" else 50.0)
             for name, share in shares.items()
+        ]
+        first, second = (100 * (timings[TEN] / timings[name]).median() for name in SAMPLERS)
+        rows += [
+            Measurement(name, share, "%", target)
+            for name, share, target in zip(SAMPLERS, (first, second), (80.0, None), strict=True)
         ]
         rate = 1e-6 / timings[PLAIN].median()
         title = f"speed with a feature on, of {rate:.2f} M env-steps/s without, {worlds:,} worlds"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from typing import Any, Literal, Unpack, cast
 
 import gymnasium
@@ -18,8 +17,9 @@ from mbn_marl.adapters.infos import Infos
 from mbn_marl.adapters.one_world import OneWorld, rename_max_steps
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings
-from mbn_marl.engine import BatchEngine, FieldLike
+from mbn_marl.engine import BatchEngine, FieldLike, Fields
 from mbn_marl.errors import ActionError, ConfigError
+from mbn_marl.field import FieldSampler
 from mbn_marl.render.viewer import RENDER_SIZE
 
 State = NDArray[Any]
@@ -56,10 +56,11 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
 
     That is for point masses; other ``dynamics`` read the action in their own way, and if a robot
     has a heading, the state is ``(5n+1,)``, with headings in radians before the visit code. With
-    ``failures``, n flags of the robots that have failed come right before the visit code.
+    ``failures``, or if teams vary, n flags of the robots that do not work come right before it.
 
     Args:
-        field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`.
+        field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`; or a
+            :class:`~mbn_marl.FieldSampler`, which draws one for each episode.
         n_robots: team size; the first starts of the field are used; ``None`` uses all of them.
         render_mode: ``"human"`` shows every step, ``"rgb_array"`` draws on :meth:`render`.
         render_size: width and height of a frame or the window, pixels, each at least 200.
@@ -75,7 +76,7 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
 
     def __init__(
         self,
-        field: FieldLike = "field_03",
+        field: FieldLike | FieldSampler = "field_03",
         n_robots: int | None = None,
         *,
         render_mode: str | None = None,
@@ -96,13 +97,18 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
         Args:
             seed: restarts the random numbers; ``None`` continues with those of the current seed,
                 at first 0.
-            options: ignored; there are none.
+            options: ``"field"``, a name, a path or a Field for this episode alone, of the same
+                arena and with no more ROIs; ``"starts"``, where its robots start, ``(n, 2)`` units.
 
         Returns:
             The state, ``(4n+1,)`` in raw units, and the info.
+
+        Raises:
+            ConfigError: the seed or an option is not allowed; nothing has changed.
+            FieldError: the field of the options is invalid or unknown; nothing has changed.
         """
+        self._start(seed, options)
         super().reset(seed=seed)
-        self._start(seed)
         return self.engine.state()[0], self._infos.of_reset()
 
     def step(self, action: ArrayLike) -> tuple[State, float, bool, bool, dict[str, Any]]:
@@ -138,7 +144,7 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
     Args:
         num_envs: number of worlds, W.
         field: a catalogue name, a path or a :class:`~mbn_marl.Field`, or a sequence of these;
-            world w uses the one at ``w % len(field)``.
+            world w uses the one at ``w % len(field)``. Or a :class:`~mbn_marl.FieldSampler`.
         n_robots: team size; ``None`` uses all the field's starts.
         render_mode: ``"rgb_array"`` or ``None``.
         render_size: width and height of a frame, pixels, each at least 200.
@@ -156,7 +162,7 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
     def __init__(
         self,
         num_envs: int = 1,
-        field: FieldLike | Sequence[FieldLike] = "field_03",
+        field: Fields = "field_03",
         n_robots: int | None = None,
         *,
         render_mode: str | None = None,

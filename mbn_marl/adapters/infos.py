@@ -57,8 +57,15 @@ class Infos:
     def __init__(self, engine: BatchEngine) -> None:
         self._engine = engine
         self.keys = (*INFO_COLUMNS, GAP, *(f"drawn/{name}" for name in engine.config.drawn))
-        optima = [optimal_return(field, engine.config) for field in engine.fields]
-        self.optima = np.resize(np.array(optima, np.float64), engine.num_worlds)
+        self.optima = np.full(engine.num_worlds, np.nan)
+        self.read_optima()
+
+    def read_optima(self) -> None:
+        """Find the proved optima of the present fields; those that a sampler draws have none."""
+        engine = self._engine
+        for world in range(0 if engine.sampler else engine.num_worlds):
+            optimum = optimal_return(engine.field_of(world), engine.config)
+            self.optima[world] = np.nan if optimum is None else optimum
 
     def of_reset(self) -> dict[str, float]:
         """The info of a reset of the first world, of a robot or of the team."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Unpack
 
 import numpy as np
@@ -12,7 +13,9 @@ from mbn_marl.adapters.infos import Infos
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings, Settings
 from mbn_marl.engine import BatchEngine, FieldLike
+from mbn_marl.engine.validation import reset_problems
 from mbn_marl.errors import ConfigError, StepError
+from mbn_marl.field import FieldSampler, load_field
 from mbn_marl.optimum import optimal_return
 
 
@@ -32,7 +35,7 @@ class OneWorld:
 
     def __init__(
         self,
-        field: FieldLike,
+        field: FieldLike | FieldSampler,
         render_mode: str | None,
         render_size: tuple[int, int],
         **settings: Unpack[Settings],
@@ -43,6 +46,8 @@ class OneWorld:
         self.state_space = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
         self._infos = Infos(engine)
         self._started = False
+        self._own_field = None if engine.sampler else engine.field
+        self._is_given = False
 
     @property
     def optimal_return(self) -> float | None:
@@ -53,7 +58,7 @@ class OneWorld:
         """Return the paper's state, ``(4n+1,)`` in the engine's dtype, raw units, a fresh array.
 
         It is ``(5n+1,)``, with headings before the visit code, if a robot has a heading; with
-        ``failures``, n flags of those that have failed come right before the visit code.
+        ``failures``, or if teams vary, n flags of those that do not work come right before it.
 
         Raises:
             StepError: before the first reset.
@@ -71,8 +76,28 @@ class OneWorld:
         """Close the window, if there is one. The environment can be used again."""
         self._viewer.close()
 
-    def _start(self, seed: int | None) -> NDArray[np.float32]:
-        """Start an episode; return fresh observations ``(n, obs_size)``."""
+    def _start(
+        self, seed: int | None, options: Mapping[str, Any] | None = None
+    ) -> NDArray[np.float32]:
+        """Start an episode; return fresh observations ``(n, obs_size)``.
+
+        Of the options it reads ``"field"`` and ``"starts"``, and leaves others to wrappers.
+
+        Raises:
+            ConfigError: the seed or an option is not allowed; nothing has changed.
+            FieldError: the field of the options is invalid or unknown; nothing has changed.
+        """
+        if seed is not None and (problems := reset_problems(seed, 0)):
+            raise ConfigError("reset", problems)
+        given, starts = ((options or {}).get(name) for name in ("field", "starts"))
+        field = self._own_field if given is None else load_field(given)
+        asked = given is not None or starts is not None
+        if field is not None and (asked or self._is_given):
+            self.engine.set_field(field, starts=starts)
+            self._infos.read_optima()
+            self._is_given = asked
+        elif starts is not None:
+            raise ConfigError("reset", ["options: starts; allowed with a field"])
         observations: NDArray[np.float32] = self.engine.reset(seed)[0].copy()
         self._started = True
         self._show()

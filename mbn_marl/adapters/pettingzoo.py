@@ -17,6 +17,7 @@ from mbn_marl.adapters.one_world import OneWorld, rename_max_steps
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import FieldLike
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError, unknown
+from mbn_marl.field import FieldSampler
 from mbn_marl.render.viewer import RENDER_SIZE
 
 Observation = NDArray[np.float32]
@@ -44,10 +45,12 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
 
     That is for point masses; other ``dynamics`` read the action in their own way, and if a robot
     has a heading, the state is ``(5n+1,)``, with headings in radians before the visit code. With
-    ``failures``, n flags of the robots that have failed come right before the visit code.
+    ``failures``, n flags of the robots that have failed come right before the visit code. If teams
+    vary, ``agents`` are the robots that are there in the episode, and the flags those of others.
 
     Args:
-        field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`.
+        field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`; or a
+            :class:`~mbn_marl.FieldSampler`, which draws one for each episode.
         n_robots: team size; the first starts of the field are used; ``None`` uses all of them.
         render_mode: ``"human"`` shows every step, ``"rgb_array"`` draws on :meth:`render`.
         render_size: width and height of a frame or the window, pixels, each at least 200.
@@ -76,7 +79,7 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
 
     def __init__(
         self,
-        field: FieldLike = "field_03",
+        field: FieldLike | FieldSampler = "field_03",
         n_robots: int | None = None,
         *,
         render_mode: str | None = None,
@@ -132,21 +135,25 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         Args:
             seed: restarts the random numbers; ``None`` continues with those of the current seed,
                 at first 0.
-            options: ignored; there are none.
+            options: ``"field"``, a name, a path or a Field for this episode alone, of the same
+                arena and with no more ROIs; ``"starts"``, where its robots start, ``(n, 2)`` units.
 
         Returns:
             Each agent's observation, ``(obs_size,)`` float32 in the units of
             ``engine.observation_table``, and info.
 
         Raises:
-            ConfigError: the seed is not allowed.
+            ConfigError: the seed or an option is not allowed; nothing has changed.
+            FieldError: the field of the options is invalid or unknown; nothing has changed.
         """
-        observations = self._start(seed)
+        observations = self._start(seed, options)
         if seed is not None:
             self.np_random, _ = np_random(seed)
         self.agents = list(self.possible_agents)
+        if self.engine.teams_vary:
+            self.agents = self.agents[: int(self.engine.present[0].sum())]
         infos = {agent: self._infos.of_reset() for agent in self.agents}
-        return dict(zip(self.agents, observations, strict=True)), infos
+        return dict(zip(self.agents, observations, strict=False)), infos
 
     def step(self, actions: Mapping[str, ArrayLike]) -> StepResult:
         """Move all robots.
@@ -263,14 +270,18 @@ class EnvSettings(FixedSettings, total=False):
 
 
 def raw_env(
-    field: FieldLike = "field_03", n_robots: int | None = None, **settings: Unpack[EnvSettings]
+    field: FieldLike | FieldSampler = "field_03",
+    n_robots: int | None = None,
+    **settings: Unpack[EnvSettings],
 ) -> NavigationAECEnv:
     """Return the AEC form; arguments and errors as :class:`NavigationParallelEnv`."""
     return NavigationAECEnv(NavigationParallelEnv(field, n_robots, **settings))
 
 
 def env(
-    field: FieldLike = "field_03", n_robots: int | None = None, **settings: Unpack[EnvSettings]
+    field: FieldLike | FieldSampler = "field_03",
+    n_robots: int | None = None,
+    **settings: Unpack[EnvSettings],
 ) -> OrderEnforcingWrapper[str, Observation, Action | None]:
     """Return the AEC form with order checks; arguments as :class:`NavigationParallelEnv`."""
     return OrderEnforcingWrapper(raw_env(field, n_robots, **settings))

@@ -4,6 +4,8 @@ The infos follow Stable-Baselines3's conventions. A row has
 
 - at every step ``TimeLimit.truncated``: the episode ended by ``max_steps`` and nothing else; with
   ``failures`` also ``failed``: whether the row's robot, or how many of its robots, have failed;
+  if teams vary also ``present``: whether the row's robot, or how many of its robots, are there.
+  Rows of robots that are not stay: their observations and rewards are 0;
 - at the end of an episode also ``terminal_observation``, ``is_success``, the metrics, and
   ``episode`` (return ``r``, length ``l``, seconds ``t``) as from ``Monitor``, so that
   ``ep_rew_mean`` and ``success_rate`` are logged without a wrapper.
@@ -26,7 +28,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import Settings
-from mbn_marl.engine import BatchEngine, FieldLike
+from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 
 if TYPE_CHECKING:
@@ -67,7 +69,7 @@ class NavigationVecEnv(VecEnv):
 
     def __init__(
         self,
-        field: FieldLike | Sequence[FieldLike],
+        field: Fields,
         num_worlds: int = 64,
         *,
         seed: int = 0,
@@ -161,9 +163,11 @@ class NavigationVecEnv(VecEnv):
             if (ending := terminated | truncated).any():
                 self._close_episodes(infos, ending, truncated & ~terminated, observations)
                 ended |= ending
-        if engine.config.failures is not None:
-            for info, failed in zip(infos, self._by_row(engine.failed).tolist(), strict=True):
-                info["failed"] = failed
+        flags = {"failed": engine.failed} if engine.config.failures else {}
+        flags |= {"present": engine.present} if engine.teams_vary else {}
+        for name, flag in flags.items():
+            for info, value in zip(infos, self._by_row(flag).tolist(), strict=True):
+                info[name] = value
         if ended.any():
             observations = engine.reset_worlds(ended)
         dones = np.repeat(ended, self._rows_per_world)
@@ -275,7 +279,7 @@ class CentralizedVecEnv(NavigationVecEnv):
 
     def __init__(
         self,
-        field: FieldLike | Sequence[FieldLike],
+        field: Fields,
         num_envs: int = 64,
         *,
         seed: int = 0,

@@ -13,7 +13,7 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from mbn_marl.config import Settings
-from mbn_marl.engine import BatchEngine, FieldLike
+from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.errors import ConfigError
 
 GROUP = "robots"
@@ -47,7 +47,7 @@ class NavigationEnv(EnvBase):
     ``("robots", "action")``                       ``(W, n, 2)``    float32  [-1, 1]
     ``("robots", "observation")``                  ``(W, n, obs)``  float32  see the engine
     ``("robots", "reward")`` (in ``"next"``)       ``(W, n, 1)``    D        reward units
-    ``("robots", "mask")``, with ``failures``      ``(W, n)``       bool     robots that work
+    ``("robots", "mask")``, if some may not        ``(W, n)``       bool     robots that work
     ``"state"``, the paper's vector                ``(W, 4n + 1)``  D        see the engine
     ``"team_reward"``, the centralised reward      ``(W, 1)``       D        reward units
     ``("metrics", name)``, name of ``METRICS``     ``(W, 1)``       float32
@@ -56,9 +56,11 @@ class NavigationEnv(EnvBase):
     =============================================  ===============  =======  ==============
 
     - ``"state"`` is ``(W, 5n + 1)``, with headings before the visit code, if a robot has a heading.
-      With ``failures``, n flags of the robots that have failed come right before the visit code.
+      With ``failures``, or if teams vary, n flags of the robots that do not work come right before
+      it.
     - A robot that has failed is masked from the step on in which it does: its actions do nothing,
-      and but for ``reward_sharing="team"`` its rewards are 0 as long as another one works.
+      and but for ``reward_sharing="team"`` its rewards are 0 as long as another one works. So is
+      one that is not in the team of the episode: its observations and rewards are 0.
     - ``terminated`` is success or collision, ``truncated`` is the step limit, ``done`` is either.
       The robots of a world end together, so these are at the root, as in TorchRL's VMAS
       environments; a loss on the robots' rewards wants them expanded to ``(W, n, 1)``.
@@ -73,7 +75,7 @@ class NavigationEnv(EnvBase):
 
     Args:
         field: a catalogue name, a file, a ``Field``, or a list of them (world ``w`` gets number
-            ``w`` modulo their count).
+            ``w`` modulo their count); or a ``FieldSampler``, which draws one for each episode.
         num_worlds: ``W``.
         seed: of all worlds, until ``set_seed()`` gives another; each has a stream of its own.
         device: where the tensors live. On torch's current CUDA device the engine computes too (see
@@ -102,7 +104,7 @@ class NavigationEnv(EnvBase):
 
     def __init__(
         self,
-        field: FieldLike | Sequence[FieldLike],
+        field: Fields,
         num_worlds: int,
         *,
         seed: int = 0,
@@ -164,7 +166,7 @@ class NavigationEnv(EnvBase):
             torch.float32,
         )
         self.observation_spec = group("observation", observation)
-        if engine.config.failures is not None:
+        if engine.may_rest:
             mask = Categorical(2, shape=robots, dtype=torch.bool, device=self.device)
             self.observation_spec[GROUP, "mask"] = mask
         if self._state:
@@ -247,8 +249,8 @@ class NavigationEnv(EnvBase):
             ended = tensordict.pop("_reset")
             observations = self.engine.reset_worlds(self._give(ended.reshape(-1)))
             tensordict[GROUP, "observation"] = self._tensor(observations)
-            if self.engine.config.failures is not None:
-                tensordict[GROUP, "mask"] = ~self._tensor(self.engine.failed)
+            if self.engine.may_rest:
+                tensordict[GROUP, "mask"] = self._tensor(self.engine.working)
             if self._state:
                 tensordict["state"] = self._tensor(self.engine.state())
             for name in FLAGS:
@@ -308,8 +310,8 @@ class NavigationEnv(EnvBase):
         """Return the tensordict of a step or a reset; the specs' checks are for its readers."""
         worlds = self.batch_size
         robots = {"observation": self._tensor(outcome.observations)}
-        if self.engine.config.failures is not None:
-            robots["mask"] = ~self._tensor(self.engine.failed)
+        if self.engine.may_rest:
+            robots["mask"] = self._tensor(self.engine.working)
         flags = (outcome.terminated, outcome.truncated, outcome.terminated | outcome.truncated)
         entries: dict[str, Any] = {
             name: flag.unsqueeze(-1) for name, flag in zip(FLAGS, flags, strict=True)

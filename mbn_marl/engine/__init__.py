@@ -1,6 +1,6 @@
 """The engine: many worlds of the MDP at once, compiled by Numba."""
 
-from mbn_marl.engine.batch import BatchEngine, FieldLike
+from mbn_marl.engine.batch import BatchEngine, FieldLike, Fields
 from mbn_marl.engine.kernels import INFO_COLUMNS
 from mbn_marl.engine.mdp.observations import Entry
 from mbn_marl.engine.mdp.rewards import REWARD_TERMS
@@ -14,6 +14,7 @@ __all__ = [
     "Command",
     "Entry",
     "FieldLike",
+    "Fields",
     "Snapshot",
     "TrackedWorld",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -12,13 +13,20 @@ from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import state
-from mbn_marl.engine.kernels import INFO_COLUMNS
+from mbn_marl.engine.geometry import (
+    read_field,
+    sampler_numbers,
+    write_field,
+)
+from mbn_marl.engine.kernels import INFO_COLUMNS, MEASURES
 from mbn_marl.engine.mdp.drawn import WIND_X, WIND_Y, rows_of_drawn
+from mbn_marl.engine.mdp.failures import ABSENT, FAILED
 from mbn_marl.engine.mdp.rewards import COLLISION, SUCCESS
 from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.engine.state import Array, Episode, Geometry, Memory, Output
 from mbn_marl.errors import ActionError, StepError
-from mbn_marl.field import Field
+from mbn_marl.field import Field, FieldSampler
+from mbn_marl.field.layout import Tables, make_tables
 
 CUDA_NEEDS = (
     "device: 'cuda' needs an NVIDIA GPU, a torch that can use it (see pytorch.org), "
@@ -39,6 +47,8 @@ class BackendSpec:
         seed: key of the random numbers.
         geometry: NumPy tables of the field, or of each world's.
         constants: the MDP's, (1,) record.
+        arena: width and height, units.
+        teams_vary: whether robots may be absent.
     """
 
     config: NavigationConfig
@@ -49,6 +59,8 @@ class BackendSpec:
     seed: int
     geometry: Geometry
     constants: NDArray[Any]
+    arena: tuple[float, float]
+    teams_vary: bool
 
     @property
     def actions_shape(self) -> tuple[int, int, int]:
@@ -61,6 +73,7 @@ class Backend(ABC):
 
     Attributes:
         spec: what it was made from.
+        geometry: the tables of the present fields.
         now: the present episode of each world.
         final: the last finished ones (autoreset same-step).
         memory: what outlives or supports an episode.
@@ -72,6 +85,7 @@ class Backend(ABC):
     xp: ModuleType
     derived: tuple[str, ...]
     spec: BackendSpec
+    geometry: Geometry
     now: Episode
     final: Episode
     memory: Memory
@@ -83,8 +97,8 @@ class Backend(ABC):
         m = spec.geometry.rois.shape[1]
         self.spec, self._real = spec, getattr(xp, config.dtype)
         self._drawn_rows = rows_of_drawn(config, n)
-        self.now = state.make_episode(worlds, n, config, xp)
-        self.final = state.make_episode(worlds, n, config, xp)
+        self.now = state.make_episode(worlds, n, config, spec.teams_vary, xp)
+        self.final = state.make_episode(worlds, n, config, spec.teams_vary, xp)
         self.memory = state.make_memory(worlds, n, m, config, self.now, xp)
         self.output = state.make_output(worlds, n, spec.obs_size, config, xp)
         self._everyone = xp.ones(worlds, dtype=xp.bool)
@@ -115,7 +129,7 @@ class Backend(ABC):
     def states(self, *, final: bool) -> Array:
         """See ``BatchEngine.state`` and ``BatchEngine.final_state``."""
         worlds, n, _ = self.spec.actions_shape
-        size = 4 * n + self.now.heading.shape[0] + self.now.failed.shape[0] + 1
+        size = 4 * n + self.now.heading.shape[0] + self.now.status.shape[0] + 1
         rows: Array = self._empty((worlds, size), self._real)
         self._write_states(self.final if final else self.now, rows)
         return rows
@@ -126,16 +140,17 @@ class Backend(ABC):
         now, config, host = self.now, self.config_in(world), self.host
         n, steps, visited = now.x.shape[0], int(now.steps[world]), int(now.visited[world])
         outcome = int(self.output.outcomes[world]) if steps else 0
-        roi_bits = self.spec.geometry.roi_bits
-        bits = roi_bits[: len(field.rois), world % roi_bits.shape[1]]
+        bits = host(self.geometry.roi_bits[: len(field.rois), self._column(world)])
+        team = int(self.geometry.robots_in[self._column(world)])
+        trail = host(self.memory.trail[world, : (steps + 1) * n]).reshape(-1, n, 2)
         return Snapshot(
             field=field,
-            positions=np.stack([host(now.x[:, world]), host(now.y[:, world])], axis=-1),
-            velocities=np.stack([host(now.vx[:, world]), host(now.vy[:, world])], axis=-1),
+            positions=np.stack([host(now.x[:team, world]), host(now.y[:team, world])], axis=-1),
+            velocities=np.stack([host(now.vx[:team, world]), host(now.vy[:team, world])], axis=-1),
             visited=(visited & bits) != 0,
-            headings=self.headings(world),
-            failed=self.failed(world),
-            trail=host(self.memory.trail[world, : (steps + 1) * n]).reshape(-1, n, 2),
+            headings=self.headings(world)[:team],
+            failed=self.failed(world)[:team],
+            trail=trail[:, :team],
             step=steps,
             team_return=float(now.team_return[world]),
             winds=np.array([self.wind(world)]),
@@ -144,6 +159,43 @@ class Backend(ABC):
             success=outcome & (SUCCESS | COLLISION) == SUCCESS,
             collision=bool(outcome & COLLISION),
         )
+
+    def _column(self, world: int) -> int:
+        """The column of a world in the tables of its field."""
+        return world if self.geometry.codes.shape[0] > 1 else 0
+
+    def field_in(self, world: int) -> Field:
+        """The field of the present episode of a world, from its tables."""
+        f, g = self._column(world), self.geometry
+        tables = Tables(*(self.host(getattr(g, name)[..., f : f + 1]) for name in Tables._fields))
+        name = f"world-{world}-{int(self.memory.episode[world])}"
+        return read_field(tables, self.spec.arena, name)
+
+    def set_field(self, world: int, field: Field, starts: Array | None) -> None:
+        """See ``BatchEngine.set_field``; all is allowed."""
+        f, missing = self._column(world), len(field.edges) - self.geometry.edges.shape[1]
+        if missing > 0:
+            self._add_edges(missing)
+        g = self.geometry
+        sizes = g.edges.shape[1], g.rois.shape[1], g.starts.shape[1]
+        tables = make_tables(*sizes, 1)
+        write_field(tables, 0, field, starts)
+        for name, table in tables._asdict().items():
+            getattr(g, name)[..., f] = self.xp.asarray(table[..., 0])
+        if g.kept.shape[0]:
+            g.kept[f] = True
+
+    def set_sampler(self, sampler: FieldSampler) -> None:
+        """See ``BatchEngine.set_sampler``; all is allowed."""
+        self.geometry.sampler[:] = self.xp.asarray(sampler_numbers(sampler))
+
+    def _add_edges(self, count: int) -> None:
+        """Make room for more edges in all columns, filled with a vertex of each field."""
+        edges = self.geometry.edges
+        vertex = self.xp.concatenate([edges[:2, :1], edges[:2, :1]])
+        edges = self.xp.concatenate([edges, *[vertex] * count], axis=1)
+        self.geometry = self.geometry._replace(edges=edges)
+        self._connect()
 
     def wind(self, world: int) -> tuple[float, float]:
         """The velocity that wind and gust add in the next step of a world, units/step."""
@@ -178,16 +230,59 @@ class Backend(ABC):
 
     def failed(self, world: int) -> NDArray[np.bool_]:
         """Which robots of a world have failed, (n,)."""
-        if self.now.failed.ndim != 2:
+        if self.now.status.ndim != 2:
             return np.zeros(self.spec.actions_shape[1], np.bool_)
-        return self.host(self.now.failed[:, world])
+        failed: NDArray[np.bool_] = self.host(self.now.status[:, world]) == FAILED
+        return failed
 
     def failures(self) -> Array:
         """Which robots have failed, (W, n) bool, a fresh array."""
+        return self._have_status(FAILED)
+
+    def working(self) -> Array:
+        """Which robots are in the team and have not failed, (W, n) bool, a fresh array."""
+        resting: Array = self._have_status(FAILED) | self._have_status(ABSENT)
+        return ~resting
+
+    def present(self) -> Array:
+        """Which robots are in the team, (W, n) bool, a fresh array."""
+        there: Array = ~self._have_status(ABSENT)
+        return there
+
+    def _have_status(self, status: int) -> Array:
+        """Which robots have a status, (W, n) bool, a fresh array."""
         worlds, n, _ = self.spec.actions_shape
-        failed: Array = self._empty((worlds, n), self.xp.bool)
-        failed[...] = self.now.failed.T if self.now.failed.ndim == 2 else False
-        return failed
+        found: Array = self._empty((worlds, n), self.xp.bool)
+        found[...] = status == self.now.status.T if self.now.status.ndim == 2 else False
+        return found
+
+    def metrics(self, names: Collection[str], same_step: bool) -> dict[str, Array]:
+        """See ``BatchEngine.metrics``."""
+        now, final, xp, outcomes = self.now, self.final, self.xp, self.output.outcomes
+        collision = (outcomes & COLLISION) > 0
+        ended = (self.output.terminated | self.output.truncated) & same_step
+        measures: dict[str, Callable[[], Array]] = {
+            "success": lambda: ((outcomes & SUCCESS) > 0) & ~collision,
+            "collision": lambda: collision,
+            "steps": lambda: xp.where(ended, final.steps, now.steps),
+            "episode_return": lambda: xp.where(ended, final.team_return, now.team_return),
+            "failed": lambda: (
+                xp.where(ended, final.status, now.status).T == FAILED
+                if now.status.ndim == 2
+                else self._have_status(FAILED)
+            ),
+            "return_": lambda: xp.where(ended, final.returns, now.returns).T,
+        }
+        if not set(names) <= set(measures):
+            infos = self.infos()
+            columns = {name: infos[..., k] for k, name in enumerate(MEASURES)}
+            measures |= {
+                "rois_visited": lambda: xp.asarray(columns["rois_visited"][:, 0], dtype=xp.int32),
+                "wall_hits": lambda: xp.asarray(columns["wall_hits"], dtype=xp.int32),
+                "path_length": lambda: columns["path_length"],
+                "impulse": lambda: columns["impulse"],
+            }
+        return {name: measures[name]() for name in names}
 
     def draw_actions(self) -> Array:
         """The seed's next random actions, a fresh array."""

@@ -63,14 +63,16 @@ class Constants(NamedTuple):
     action_delay: int
     max_steps: int
     headings: int
-    failures: int  # flags of robots that have failed: n, or 0 without failures
+    flags: int  # of robots that do not work: n, or 0 if all always do
+    some_gone: int  # whether robots can be gone
+    teams_vary: int
     rules: int
     team_sharing: int
     observation: int
     one_hot: int
     random_starts: int
     failure_kind: int
-    most_failures: int
+    most_failures: int  # -1: all but one
     failing_first: int  # the first and the last step of those one of which a failure draws, or 0
     failing_last: int
     first_world: int  # the number of the world with index 0
@@ -86,6 +88,7 @@ def make_record(
     arena: tuple[float, float],
     autoreset: str,
     first_world: int = 0,
+    teams_vary: bool = False,
 ) -> NDArray[Any]:
     """The constants as one structured array, (1,), that kernels take as a single argument.
 
@@ -126,10 +129,12 @@ def make_record(
         "headings": count_headings(config.of_each("dynamics", n)),
         "failure_rate": failures.rate,
         "failure_kind": FAILURE_KINDS[failures.kind],
-        "most_failures": n - 1 if failures.most is None else failures.most,
+        "most_failures": -1 if failures.most is None else failures.most,
         "failing_first": failing_first,
         "failing_last": failing_last,
-        "failures": n if config.failures else 0,
+        "flags": n if config.failures or teams_vary else 0,
+        "some_gone": teams_vary or failures.kind == "vanish",
+        "teams_vary": teams_vary,
         "rules": RULES[config.reward.rules],
         "team_sharing": config.reward_sharing == "team",
         "observation": OBSERVATIONS[config.observation],

@@ -27,6 +27,7 @@ class CpuBackend(Backend):
     derived = ("store", "threads")
 
     def __init__(self, spec: BackendSpec) -> None:
+        self.geometry = spec.geometry
         self._make_worlds(spec)
         self._count_waiting = spec.num_worlds
         self._connect()
@@ -122,10 +123,10 @@ class CpuBackend(Backend):
     def _connect(self) -> None:
         super()._connect()
         self.threads = WorldThreads(self.spec.num_worlds, self.spec.threads)
-        self.store = self.store_with(self.spec.geometry.robots)
+        self.store = self.store_with(self.geometry.robots)
 
     def store_with(self, robots: Array) -> Store:
         """The arrays as the kernels take them, with these numbers of the robots, (3, n)."""
-        geometry = self.spec.geometry._replace(robots=robots)
+        geometry = self.geometry._replace(robots=robots)
         worlds = self.memory, self.now, self.final, self.output
         return Store(self.spec.constants, geometry, *worlds)

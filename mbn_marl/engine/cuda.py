@@ -74,7 +74,7 @@ class CudaBackend(Backend):
             self._make_worlds(spec)
             self._fault = torch.tensor([int(kernels.NO_FAULT)])
             tables: Any = (torch.as_tensor(table, device=place) for table in spec.geometry)
-            self._geometry = Geometry(*tables)
+            self.geometry = Geometry(*tables)
         self._connect()
 
     def reset(self, mask: Any) -> None:
@@ -157,9 +157,8 @@ class CudaBackend(Backend):
         self._run(kernels.plain_kernel(kernels.infos), *arguments)
 
     def _write_states(self, episode: Episode, rows: torch.Tensor) -> None:
-        geometry, _, now = self._arrays
-        arrays = self._final if episode is self.final else now
-        self._run(kernels.plain_kernel(kernels.states), geometry, arrays, self._rows(rows))
+        arrays = self._final if episode is self.final else self._arrays[2]
+        self._run(kernels.plain_kernel(kernels.states), arrays, self._rows(rows))
 
     def _write_draw(self, rows: torch.Tensor) -> None:
         arguments = self._constants, self._arrays[1], self._rows(rows)
@@ -185,6 +184,6 @@ class CudaBackend(Backend):
         def arrays(tensors: Any) -> Any:
             return type(tensors)(*map(self._device.array, tensors))
 
-        self._arrays = arrays(self._geometry), arrays(self.memory), arrays(self.now)
+        self._arrays = arrays(self.geometry), arrays(self.memory), arrays(self.now)
         self._final, self._output = arrays(self.final), arrays(self.output)
         self._faults = self._device.array(self._fault)

@@ -110,9 +110,12 @@ geometry_of = _view_of(
     fail_at="",
     ranges="",
     rays="",
+    robots_in="[w:end]",
+    sampler="",
+    kept="[w:end]",
 )
 memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="", seen="[:, w:end]")
-episode_of = _view_of(Episode, ":, w:end", MOTION, team_return="[w:end]")
+episode_of = _view_of(Episode, ":, w:end", MOTION, team_return="[w:end]", codes="[w:end]")
 output_of = _view_of(Output, "w:end", RESULTS)
 
 
@@ -196,8 +199,8 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
                 clear_output(p, given, ZERO)
             else:
                 told = call.actions[w:end]
-                move_robots(p, own, memory, one.failed, one, given, to, told, ZERO, ONE)
-                score_step(p, own, memory, one.failed, one, given, to, ZERO, ONE)
+                move_robots(p, own, memory, one.status, one, given, to, told, ZERO, ONE)
+                score_step(p, own, memory, one.status, one, given, to, ZERO, ONE)
                 change = close_step(p, memory, given, ZERO)
             if change == ENDED | RESTARTS:
                 for i in range(n):
@@ -244,11 +247,11 @@ def infos(p, g, mem, now, final, out, rows):
             put_infos(p, g, now, out, w, rows[0])
 
 
-def states(g, episode, rows):
+def states(episode, rows):
     """As ``kernels.write_states``, of one of the episodes, with ``rows`` in a tuple of one."""
     w = np.uint64(cuda.grid(1))
     if w < episode.steps.shape[0]:
-        put_state(g, episode, w, w + ONE, rows[0][w : w + ONE].T)
+        put_state(episode, w, w + ONE, rows[0][w : w + ONE].T)
 
 
 def draw(p, mem, rows):

@@ -77,8 +77,8 @@ def rest_worlds(store, mask):
 @compiled
 def put_infos(p, g, ep, out, w, rows):
     """Write the measures of each robot of world w, in the order of ``INFO_COLUMNS``."""
-    outcome, failed = out.outcomes[w], ep.failed
-    rois_visited = count_bits(visit_code(g, ep.visited[w], w))
+    outcome, status = out.outcomes[w], ep.status
+    rois_visited = count_bits(visit_code(ep, w))
     lost, rested = is_set(outcome, rewards.COLLISION), is_set(outcome, rewards.RESTED)
     success = is_set(outcome, rewards.SUCCESS) and not lost
     for i in range(rows.shape[1]):
@@ -88,9 +88,9 @@ def put_infos(p, g, ep, out, w, rows):
         rows[w, i, 3] = ep.wall_hits[i, w]
         rows[w, i, 4] = ep.path_length[i, w]
         rows[w, i, 5] = objective(ep.impulse_x[i, w], ep.impulse_y[i, w])
-        rows[w, i, 6] = has_failed(failed, i, w)
-        own = rewards.earned(p, failed, out.events[i, w], outcome, i, w)
-        terms = rewards.with_share(p, failed, own, outcome, i, w)
+        rows[w, i, 6] = has_failed(status, i, w)
+        own = rewards.earned(p, status, out.events[i, w], outcome, i, w)
+        terms = rewards.with_share(p, status, own, outcome, i, w)
         for k in range(len(terms)):
             rows[w, i, len(MEASURES) + k] = 0.0 if rested else terms[k]
 
@@ -115,7 +115,7 @@ def write_states(store, final, states):
     """Write the paper's vector of every world, (W, size)."""
     episode = store.final if final else store.now
     hi = np.uint64(states.shape[0])
-    put_state(store.geometry, episode, FIRST, hi, states.T)
+    put_state(episode, FIRST, hi, states.T)
 
 
 @compiled

@@ -8,18 +8,27 @@ from typing import Any
 import numpy as np
 
 from mbn_marl.compiled.jit import compiled, generated
-from mbn_marl.compiled.rng import FOR_STARTS, episode_key, stream_of, uniform, world_number
+from mbn_marl.compiled.rng import (
+    FOR_FIELDS,
+    FOR_STARTS,
+    episode_key,
+    stream_key,
+    stream_of,
+    uniform,
+    world_number,
+)
 from mbn_marl.compiled.scalars import column
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import in_field
 from mbn_marl.engine.mdp.disturbances import begin_disturbances
 from mbn_marl.engine.mdp.drawn import draw_numbers, numbers_of
 from mbn_marl.engine.mdp.dynamics import face_along_x
-from mbn_marl.engine.mdp.failures import repair
+from mbn_marl.engine.mdp.failures import begin_status
 from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES, clear_filter, joint_state_known
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
 from mbn_marl.engine.mdp.visits import all_visited, visit_code
 from mbn_marl.engine.state import HEADING, OPTIONAL, Episode
+from mbn_marl.field.families import make_field
 
 DRAWS_PER_ROBOT = 1000
 """How many random starts are tried for a robot before the field's own starts are used instead."""
@@ -42,7 +51,7 @@ def _copy_of(name: str, fields: Sequence[str]) -> Any:
 
     From world v of the episodes ``source`` to world w of ``target``.
     """
-    of_world = [field for field in fields if field in ("team_return", "visited", "steps")]
+    of_world = [field for field in fields if field in ("team_return", "visited", "codes", "steps")]
     lines = [f"def {name}(source, v, target, w, n, headings):", "    for i in range(n):"]
     for field in fields:
         if field not in (*of_world, *HEADING, *OPTIONAL):
@@ -62,12 +71,15 @@ copy_motion = _copy_of("copy_motion", MOTION)
 
 
 @compiled
-def place_at_random(p, g, key, now, w):
-    """Put the robots at random points of the field, none closer than C; False if that failed."""
+def place_at_random(p, g, key, now, team, w):
+    """Put the ``team`` first robots at random points of the field, none closer than C.
+
+    Return False if that failed.
+    """
     f = column(g, w)
     key = stream_of(key, FOR_STARTS)
     counter, safety_squared = 0, numbers_of(p, now.drawn, w).safety_squared
-    for i in range(now.x.shape[0]):
+    for i in range(team):
         placed = False
         for _ in range(DRAWS_PER_ROBOT):
             if not placed:
@@ -86,18 +98,31 @@ def place_at_random(p, g, key, now, w):
 
 
 @compiled
+def draw_field(p, g, sampler, episode, w):
+    """Make the field of the episode that world w begins, unless it was given one."""
+    if sampler.ndim == 1:
+        f = column(g, w)
+        if not g.kept[f]:
+            key = stream_key(sampler[-1], world_number(p, w), episode, FOR_FIELDS)
+            make_field(sampler, key, g.scratch, g, f)
+        g.kept[f] = False
+
+
+@compiled
 def reset_world(p, g, mem, now, w):
     """Begin the next episode of world w: robots at rest at the starts, nothing visited."""
     f = column(g, w)
     n = now.x.shape[0]
     mem.episode[w] += 1
     key = episode_key(mem.seed[0], world_number(p, w), mem.episode[w])
-    draw_numbers(p, g.ranges, now.drawn, key, w)
+    draw_field(p, g, g.sampler, mem.episode[w], w)
+    team = g.robots_in[f]
+    draw_numbers(p, g.ranges, now.drawn, key, team, w)
     at_random = False
     if p.random_starts:
-        at_random = place_at_random(p, g, key, now, w)
+        at_random = place_at_random(p, g, key, now, team, w)
     for i in range(n):
-        if not at_random:
+        if not (at_random & (i < team)):
             now.x[i, w] = g.starts[0, i, f]
             now.y[i, w] = g.starts[1, i, f]
         now.vx[i, w] = p.zero
@@ -110,8 +135,9 @@ def reset_world(p, g, mem, now, w):
         mem.trail[w, i, 0] = now.x[i, w]
         mem.trail[w, i, 1] = now.y[i, w]
     face_along_x(p, g.kinds, now, w)
-    repair(now.failed, w)
+    begin_status(now.status, team, w)
     now.team_return[w] = 0.0
+    now.codes[w] = g.codes[f]
     now.visited[w] = all_visited(g.rois.shape[1]) & ~g.codes[f]
     now.steps[w] = 0
     begin_disturbances(p, now.drawn, mem.key, now.gust, now.queue, key, w)
@@ -120,7 +146,7 @@ def reset_world(p, g, mem, now, w):
     )
     clear_filter(mem.filter, w, mem.words[w])
     if p.rules == FORMAL:
-        joint_state_known(mem, now, w, visit_code(g, now.visited[w], w))
+        joint_state_known(mem, now, w, visit_code(now, w))
 
 
 @compiled

@@ -7,22 +7,18 @@ loop over worlds reads and writes contiguously. ``real`` is the engine's dtype, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.config import LIMITS, NavigationConfig
+from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.mdp.disturbances import DISTURBANCES, OF_ACTIONS, OF_SIGHT, any_on
-from mbn_marl.engine.mdp.drawn import is_drawn, make_ranges, rows_drawn
-from mbn_marl.engine.mdp.dynamics import DYNAMICS, POINT_MASS, count_headings
-from mbn_marl.engine.mdp.lidar import rays_of
-from mbn_marl.engine.mdp.observations import WITH_RAYS
+from mbn_marl.engine.mdp.drawn import is_drawn, rows_drawn
+from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.revisits import ODD_LINES, filter_size
 from mbn_marl.engine.mdp.sight import rows_seen
-from mbn_marl.field import Field
 
 Array = NDArray[Any]
 
@@ -36,11 +32,15 @@ class Geometry(NamedTuple):
     roi_bits: Array  # (m, F) int32: the bit of each ROI in the visit code, first ROI highest
     codes: Array  # (F,) int32: the visit code with all ROIs visited; bits above it are padding
     boxes: Array  # (4, F) real: lowest x, lowest y, width and height of each field
+    robots_in: Array  # (F,) int32: how many robots are there, the first ones
     robots: Array  # (3, n) real: see dynamics.LIMITS
     kinds: Array  # (n,) int32: dynamics; (0, 0) if all are point masses, the others left out
     fail_at: Array  # (n,) int32: the step in which each robot fails, 0 for none; (0,) without
     ranges: Array  # (3, numbers) float64: what episodes draw, see drawn.make_ranges; (0,) if none
     rays: Array  # (2, 8) real: lidar's rays, units; (0,) without it, whose code is then left out
+    sampler: Array  # (numbers + 1,) int64: FieldSampler.numbers and its seed; (0, 0) if fixed
+    scratch: Array  # (rows, F) int64: room to make a field in; (0, 0) if fixed
+    kept: Array  # (F,) bool: whether the next episode keeps the field; (0,) if fixed
 
 
 class Episode(NamedTuple):
@@ -57,6 +57,7 @@ class Episode(NamedTuple):
     returns: Array  # (n, W) float64: each agent's rewards, summed
     team_return: Array  # (W,) float64
     visited: Array  # (W,) int32: the visit code, and padding ROIs set from the start
+    codes: Array  # (W,) int32: Geometry.codes of the episode's field
     steps: Array  # (W,) int32
     heading: Array  # (n, W) real, radians; (0, W) if no robot of the team has one
     cos: Array  # (n, W) real: of the heading, 0 for a robot without one; (0, W) likewise
@@ -64,12 +65,12 @@ class Episode(NamedTuple):
     gust: Array  # (2, W) real, units/step per step: x, y; (0, 0, W) without gusts
     queue: Array  # (2 n (delay + 1), W) real: the last actions sent; (0, 0, W) if undisturbed
     drawn: Array  # (rows_drawn, W) real: drawn numbers; (0, 0, W) if nothing is drawn
-    failed: Array  # (n, W) bool; (0, 0, W) without failures, whose code is then left out
+    status: Array  # (n, W) int8, see failures.WORKS ...; (0, 0, W) if all always work
 
 
 HEADING = ("heading", "cos", "sin")
 """The parts of an episode that only teams with headings have."""
-OPTIONAL = ("gust", "queue", "drawn", "failed")
+OPTIONAL = ("gust", "queue", "drawn", "status")
 """Those of what can be off: of two dimensions where it is on, of three where it is not."""
 
 
@@ -107,66 +108,9 @@ class Output(NamedTuple):
     final_observations: Array  # (W, n, size) float32, where an episode has ended
 
 
-def make_geometry(
-    fields: Sequence[Field],
-    config: NavigationConfig,
-    n: int,
-    worlds: int,
-    given_starts: Array | None = None,
-) -> Geometry:
-    """Tables of one field for all worlds, or of each world's own: world w has ``w % len(fields)``.
-
-    ROIs and edges are padded to the largest field. A table for each world takes more memory than
-    one for each field, but is read as it lies; looking fields up took a third of a step.
-    ``given_starts`` (n, 2) take the place of all the fields' own.
-    """
-    real = np.dtype(config.dtype)
-    count = len(fields)
-    m = max(len(field.rois) for field in fields)
-    most_edges = max(len(field.edges) for field in fields)
-    edges = np.zeros((4, most_edges, count), real)
-    rois = np.zeros((2, m, count), real)
-    starts = np.zeros((2, n, count), real)
-    roi_bits = np.zeros((m, count), np.int32)
-    codes = np.zeros(count, np.int32)
-    boxes = np.zeros((4, count), real)
-    for f, field in enumerate(fields):
-        own = len(field.rois)
-        edges[:, :, f] = np.tile(field.vertices[0], 2)[:, None]
-        edges[:, : len(field.edges), f] = _directed_edges(field)
-        rois[:, :, f] = field.rois[0][:, None]
-        rois[:, :own, f] = field.rois.T
-        starts[:, :, f] = (field.starts[:n] if given_starts is None else given_starts).T
-        roi_bits[:, f] = [1 << (own - 1 - j) if j < own else 1 << j for j in range(m)]
-        codes[f] = (1 << own) - 1
-        boxes[:2, f] = field.vertices.min(axis=0)
-        boxes[2:, f] = np.ptp(field.vertices, axis=0)
-    tables: tuple[Array, ...] = (edges, rois, starts, roi_bits, codes, boxes)
-    if count > 1:
-        own_field = np.arange(worlds) % count
-        tables = tuple(np.take(table, own_field, axis=-1) for table in tables)
-    robots = np.array([config.at_most().of_each(name, n) for name in LIMITS], real)
-    kinds = np.array([DYNAMICS[name] for name in config.of_each("dynamics", n)], np.int32)
-    if (kinds == POINT_MASS).all():
-        kinds = np.zeros((0, 0), np.int32)
-    at = {} if config.failures is None else config.failures.at
-    fail_at = np.array([at.get(i, 0) for i in range(0 if config.failures is None else n)], np.int32)
-    has_rays = config.observation in WITH_RAYS
-    rays = rays_of(config.sensing_radius, fields[0].arena) if has_rays else np.zeros(0)
-    ranges = make_ranges(config, n)
-    return Geometry._make([*tables, robots, kinds, fail_at, ranges, rays.astype(real)])
-
-
-def _directed_edges(field: Field) -> Array:
-    """The edges of a field (4, E), turned so that it lies to the left of each."""
-    rings = [field.polygon.exterior, *field.polygon.interiors]
-    sizes = [len(ring.coords) - 1 for ring in rings]
-    wrong = [ring.is_ccw == (ring is not rings[0]) for ring in rings]
-    turned = np.roll(field.edges, 2, axis=1)
-    return np.where(np.repeat(wrong, sizes)[:, None], turned, field.edges).T
-
-
-def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType = np) -> Episode:
+def make_episode(
+    worlds: int, n: int, config: NavigationConfig, teams_vary: bool = False, xp: ModuleType = np
+) -> Episode:
     """Zeroed episode arrays; ``xp`` is numpy or torch, which puts them on its default device."""
     robots, real = (n, worlds), getattr(xp, config.dtype)
     headings = (count_headings(config.of_each("dynamics", n)), worlds)
@@ -180,11 +124,12 @@ def make_episode(worlds: int, n: int, config: NavigationConfig, xp: ModuleType =
         returns=xp.zeros(robots, dtype=xp.float64),
         team_return=xp.zeros(worlds, dtype=xp.float64),
         visited=xp.zeros(worlds, dtype=xp.int32),
+        codes=xp.zeros(worlds, dtype=xp.int32),
         steps=xp.zeros(worlds, dtype=xp.int32),
         gust=xp.zeros((2, worlds) if any_on(config, ("gust",)) else off, dtype=real),
         queue=xp.zeros((sent, worlds) if any_on(config, OF_ACTIONS) else off, dtype=real),
         drawn=xp.zeros((rows, worlds) if rows else off, dtype=real),
-        failed=xp.zeros(off if config.failures is None else robots, dtype=xp.bool),
+        status=xp.zeros(robots if config.failures or teams_vary else off, dtype=xp.int8),
     )
 
 

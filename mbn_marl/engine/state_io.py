@@ -14,6 +14,8 @@ VIEWS = ("x_bits", "y_bits", "trail_bits", "trail_key")
 """Arrays of ``Memory`` that are another array's memory."""
 PASSING = ("acted", "seen")
 """Arrays of ``Memory`` that nothing is read from after a step."""
+FIXED = ("robots", "kinds", "fail_at", "ranges", "rays", "scratch")
+"""Arrays of ``Geometry`` that do not depend on the field, or that nothing is read from."""
 COUNTERS = ("seed", "draw")
 """Arrays of ``Memory`` that do not belong to a world."""
 
@@ -21,11 +23,13 @@ COUNTERS = ("seed", "draw")
 def changing_arrays(backend: Backend) -> dict[str, Any]:
     """Every array that steps and resets write, by name, but those without entries."""
     groups = {name: getattr(backend, name) for name in ("now", "final", "memory", "output")}
+    if backend.geometry.sampler.ndim == 1:
+        groups["geometry"] = backend.geometry
     return {
         name if name in COUNTERS else f"{group}.{name}": array
         for group, members in groups.items()
         for name, array in members._asdict().items()
-        if name not in (*VIEWS, *PASSING) and 0 not in array.shape
+        if name not in (*VIEWS, *PASSING, *FIXED) and 0 not in array.shape
     }
 
 

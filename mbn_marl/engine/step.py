@@ -25,7 +25,7 @@ from mbn_marl.engine.mdp.containment import cross_edge
 from mbn_marl.engine.mdp.disturbances import arrived_actions, change_gust
 from mbn_marl.engine.mdp.drawn import numbers_of
 from mbn_marl.engine.mdp.dynamics import keep_heading
-from mbn_marl.engine.mdp.failures import is_gone, move_or_fail
+from mbn_marl.engine.mdp.failures import WORKS, is_absent, is_gone, move_or_fail
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.termination import is_terminated, is_truncated
 from mbn_marl.engine.mdp.visits import all_visited, visit_code, within
@@ -122,16 +122,16 @@ def stop_at_walls(p, now, out, to, i, lo, hi):
 
 
 @compiled
-def forgive_walls(failed, now, out, i, lo, hi):
-    """Step 2: walls that stop robot i are not counted where it has failed."""
+def forgive_walls(status, now, out, i, lo, hi):
+    """Step 2: walls that stop robot i are not counted where it does not work."""
     for w in range(lo, hi):
-        if failed[i, w] & is_set(out.events[i, w], rewards.WALL):
+        if (status[i, w] != WORKS) & is_set(out.events[i, w], rewards.WALL):
             now.wall_hits[i, w] -= 1
             out.events[i, w] ^= rewards.WALL
 
 
 @compiled
-def mark_visits(p, g, failed, now, out, i, lo, hi):
+def mark_visits(p, g, status, now, out, i, lo, hi):
     """Step 5: every unvisited ROI within reach becomes visited, to robot i's credit."""
     drawn = now.drawn
     for j in range(g.rois.shape[1]):
@@ -140,7 +140,7 @@ def mark_visits(p, g, failed, now, out, i, lo, hi):
             bit = g.roi_bits[j, f]
             dx, dy = now.x[i, w] - g.rois[0, j, f], now.y[i, w] - g.rois[1, j, f]
             near = within(dx, dy, numbers_of(p, drawn, w).roi_squared)
-            near &= not is_gone(p, failed, i, w)
+            near &= not is_gone(p, status, i, w)
             new = near & ((now.visited[w] & bit) == 0)
             now.visited[w] |= bit if new else 0
             out.events[i, w] += (1 << rewards.ROIS_SHIFT) if new else 0
@@ -212,7 +212,7 @@ def grow_filter(mem, now, lo, hi):
 
 
 @compiled
-def find_collisions(p, failed, now, to, lo, hi):
+def find_collisions(p, status, now, to, lo, hi):
     """Step 7: any two robots closer than the safety distance."""
     drawn = now.drawn
     for k in range(hi - lo):
@@ -221,7 +221,7 @@ def find_collisions(p, failed, now, to, lo, hi):
         for j in range(i):
             for w in range(lo, hi):
                 dx, dy = now.x[i, w] - now.x[j, w], now.y[i, w] - now.y[j, w]
-                there = not (is_gone(p, failed, i, w) | is_gone(p, failed, j, w))
+                there = not (is_gone(p, status, i, w) | is_gone(p, status, j, w))
                 near = too_close(dx, dy, numbers_of(p, drawn, w).safety_squared)
                 to.collided[w - lo] |= near & there
 
@@ -243,12 +243,12 @@ def check_termination(p, g, mem, now, out, to, lo, hi):
             for i in range(now.x.shape[0]):
                 if (out.events[i, w] & rewards.WALL) != 0:
                     out.outcomes[w] |= rewards.ANY_OUTSIDE
-            if revisits.joint_state_known(mem, now, w, visit_code(g, now.visited[w], w)):
+            if revisits.joint_state_known(mem, now, w, visit_code(now, w)):
                 out.outcomes[w] |= rewards.KNOWN_STATE
 
 
 @compiled
-def give_rewards(p, failed, now, out, to, lo, hi):
+def give_rewards(p, status, now, out, to, lo, hi):
     """The team's reward and the agents' shares of it."""
     n = now.x.shape[0]
     own, share = to.own, to.share
@@ -256,9 +256,9 @@ def give_rewards(p, failed, now, out, to, lo, hi):
         own[k] = p.zero
     for i in range(n):
         for w in range(lo, hi):
-            terms = rewards.earned(p, failed, out.events[i, w], out.outcomes[w], i, w)
+            terms = rewards.earned(p, status, out.events[i, w], out.outcomes[w], i, w)
             own[w - lo] += rewards.total_own(terms)
-            both = rewards.with_share(p, failed, terms, out.outcomes[w], i, w)
+            both = rewards.with_share(p, status, terms, out.outcomes[w], i, w)
             share[w - lo] = rewards.total(both)
         for w in range(lo, hi):
             out.rewards[w, i] = share[w - lo]
@@ -270,8 +270,9 @@ def give_rewards(p, failed, now, out, to, lo, hi):
     if p.team_sharing:
         for i in range(n):
             for w in range(lo, hi):
-                now.returns[i, w] += out.team_rewards[w] - out.rewards[w, i]
-                out.rewards[w, i] = out.team_rewards[w]
+                given = select(is_absent(status, i, w), p.zero, out.team_rewards[w])
+                now.returns[i, w] += given - out.rewards[w, i]
+                out.rewards[w, i] = given
 
 
 @compiled
@@ -312,21 +313,21 @@ def autoreset(p, g, mem, now, final, out, to, lo, hi):
 
 
 @compiled
-def move_robots(p, g, mem, failed, now, out, to, actions, lo, hi):
+def move_robots(p, g, mem, status, now, out, to, actions, lo, hi):
     """Steps 1 to 3 and 5: where every robot goes, what it visits; its memory is fetched ahead.
 
-    Then the time passes. ``failed`` are the flags of ``now``, an argument so that conditions on
-    their type are settled.
+    Then the time passes. ``status`` is that of ``now``, an argument so that conditions on
+    its type are settled.
     """
     taken = arrived_actions(p, now.drawn, mem.key, now.queue, mem.acted, now.steps, actions, lo, hi)
     for i in range(now.x.shape[0]):
-        move_or_fail(p, g, mem, failed, now, to, taken, i, lo, hi)
+        move_or_fail(p, g, mem, status, now, to, taken, i, lo, hi)
         test_containment(g, to, lo, hi)
         stop_at_walls(p, now, out, to, i, lo, hi)
-        if failed.ndim == 2:
-            forgive_walls(failed, now, out, i, lo, hi)
+        if status.ndim == 2:
+            forgive_walls(status, now, out, i, lo, hi)
         keep_heading(g.kinds, now, to, i, lo, hi)
-        mark_visits(p, g, failed, now, out, i, lo, hi)
+        mark_visits(p, g, status, now, out, i, lo, hi)
     if p.rules == rewards.RELEASED:
         record_positions(mem, now, lo, hi)
         for i in range(now.x.shape[0]):
@@ -335,14 +336,14 @@ def move_robots(p, g, mem, failed, now, out, to, actions, lo, hi):
 
 
 @compiled
-def score_step(p, g, mem, failed, now, out, to, lo, hi):
+def score_step(p, g, mem, status, now, out, to, lo, hi):
     """Steps 4 and 6 to 8: revisits, collisions, how the step ended, rewards."""
     if p.rules == rewards.RELEASED:
         for i in range(now.x.shape[0]):
             mark_revisits(mem, now, out, to, i, lo, hi)
-    find_collisions(p, failed, now, to, lo, hi)
+    find_collisions(p, status, now, to, lo, hi)
     check_termination(p, g, mem, now, out, to, lo, hi)
-    give_rewards(p, failed, now, out, to, lo, hi)
+    give_rewards(p, status, now, out, to, lo, hi)
     if p.rules == rewards.RELEASED:
         grow_filter(mem, now, lo, hi)
 
@@ -357,9 +358,9 @@ def step_worlds(store, actions, lo, hi):
     ended = 0
     while lo < hi:
         end = min(lo + np.uint64(BLOCK), hi)
-        move_robots(p, g, mem, now.failed, now, out, to, actions, lo, end)
+        move_robots(p, g, mem, now.status, now, out, to, actions, lo, end)
         observe(p, g, mem, now, lo, end, to.tile, out.observations)
-        score_step(p, g, mem, now.failed, now, out, to, lo, end)
+        score_step(p, g, mem, now.status, now, out, to, lo, end)
         ended += autoreset(p, g, mem, now, final, out, to, lo, end)
         lo = end
     return ended

@@ -74,7 +74,7 @@ class TrackedWorld:
             allowed = "allowed: one world on the CPU, autoreset disabled"
             raise MbnError(f"engine: {engine.num_worlds} worlds on {engine.device}; {allowed}")
         self.engine, self._backend = engine, backend
-        robots = backend.spec.geometry.robots.copy()
+        robots = backend.geometry.robots.copy()
         robots[V_CLIP] = np.minimum(robots[V_CLIP], speed_limit or np.inf)
         self._chooser = backend.store_with(robots)
         self._allowed = np.ones(engine.n_robots, np.bool_)
@@ -131,7 +131,7 @@ def choose_velocities(store, actions, velocities, allowed):
     keys, drawn = mem.key, now.drawn
     taken = arrived_actions(p, drawn, keys, now.queue, mem.acted, now.steps, actions, LO, HI)
     for i in range(n):
-        move_or_fail(p, g, mem, now.failed, now, to, taken, i, LO, HI)
+        move_or_fail(p, g, mem, now.status, now, to, taken, i, LO, HI)
         step.test_containment(g, to, LO, HI)
         keep_heading(g.kinds, now, to, i, LO, HI)
         inside = to.seen[0] != 0
@@ -153,17 +153,17 @@ def take_positions(store, positions, velocities, allowed):
         to.vx[0] = clip(velocities[0, i, 0], -v_clip, v_clip)
         to.vy[0] = clip(velocities[0, i, 1], -v_clip, v_clip)
         step.test_containment(g, to, LO, HI)
-        stayed = allowed[i] & (to.seen[0] != 0) | has_failed(now.failed, i, LO)
+        stayed = allowed[i] & (to.seen[0] != 0) | has_failed(now.status, i, LO)
         to.seen[0] = INSIDE
         step.stop_at_walls(p, now, out, to, i, LO, HI)
         now.wall_hits[i, 0] += 0 if stayed else 1
         out.events[i, 0] |= 0 if stayed else WALL
-        step.mark_visits(p, g, now.failed, now, out, i, LO, HI)
+        step.mark_visits(p, g, now.status, now, out, i, LO, HI)
     if p.rules == RELEASED:
         step.record_positions(mem, now, LO, HI)
         for i in range(n):
             step.hash_positions(mem, now, out, to, i, LO, HI)
     step.pass_time(p, now.drawn, mem.key, now.gust, now.steps, LO, HI)
     observe(p, g, mem, now, LO, HI, to.tile, out.observations)
-    step.score_step(p, g, mem, now.failed, now, out, to, LO, HI)
+    step.score_step(p, g, mem, now.status, now, out, to, LO, HI)
     return step.autoreset(p, g, mem, now, final, out, to, LO, HI)

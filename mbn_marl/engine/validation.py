@@ -11,9 +11,13 @@ from shapely import Point
 
 from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine.constants import AUTORESET_MODES
+from mbn_marl.engine.geometry import FieldSource, Sizes, sizes_of
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import Field
+from mbn_marl.field import Field, FieldSampler
+from mbn_marl.field.layout import MILLI, STARTS_APART
 
+SPACING = STARTS_APART / MILLI
+"""The least distance of starts that are drawn, units."""
 Autoreset = bool | Literal["disabled", "same_step", "next_step"]
 Device = Literal["cpu", "cuda"]
 
@@ -35,7 +39,7 @@ def autoreset_mode(value: Autoreset) -> str:
 
 
 def check_setup(
-    fields: Sequence[Field],
+    source: FieldSource,
     config: NavigationConfig,
     n: int,
     num_worlds: int,
@@ -61,16 +65,27 @@ def check_setup(
         if (count := len(config.of_each(name, n))) != n:
             problems.append(f"{name}: {count} values; allowed: one for all robots, or {n} of them")
     problems += _failure_problems(config, n)
-    if not fields:
-        problems.append("field: an empty sequence; allowed: at least one field")
+    if isinstance(source, FieldSampler):
+        problems += _sampler_problems(source, config, n, starts)
+    else:
+        problems += _fields_problems(source, config, n, starts)
+    if problems:
+        raise ConfigError("configuration", problems)
+
+
+def _fields_problems(
+    fields: Sequence[Field], config: NavigationConfig, n: int, starts: NDArray[Any] | None
+) -> list[str]:
+    """Return why given fields and starts do not fit this configuration."""
+    problems = [] if fields else ["field: an empty sequence; allowed: at least one field"]
     if starts is not None and (wrong := _given_starts_problems(starts, config, n)):
         problems, starts = [*problems, *wrong], None
     lowest = config.with_drawn({name: ends.low for name, ends in config.drawn.items()})
     checked = config.at_most() if starts is None else lowest  # those of an episode that drew less
     for field in fields:
-        problems += _field_problems(field, checked, n, fields[0].arena, starts)
-    if problems:
-        raise ConfigError("configuration", problems)
+        team = n if config.n_robots or starts is not None else len(field.starts)
+        problems += field_problems(field, checked, team, fields[0].arena, starts)
+    return problems
 
 
 def _failure_problems(config: NavigationConfig, n: int) -> list[str]:
@@ -92,6 +107,47 @@ def _failure_problems(config: NavigationConfig, n: int) -> list[str]:
     if rate and (most == 0 or (most is None and n == 1)):
         found = "0" if most == 0 else "None, 0 for one robot"
         problems.append(f"failures.most: {found}; allowed with a rate: 1 to {n}")
+    return problems
+
+
+def set_field_problems(
+    field: Field,
+    sizes: Sizes,
+    config: NavigationConfig,
+    teams_vary: bool,
+    starts: NDArray[Any] | None,
+) -> list[str]:
+    """Return why a field and starts cannot be those of a world of these sizes."""
+    n = sizes.robots
+    if starts is not None and (wrong := _given_starts_problems(starts, config, n)):
+        return wrong
+    team = len(field.starts) if teams_vary and starts is None else n
+    problems = field_problems(field, config.at_most(), team, sizes.arena, starts)
+    if len(field.rois) > sizes.rois:
+        allowed = f"at most {sizes.rois}, those that observations have entries for"
+        problems.append(f"field: {field.name} has {len(field.rois)} ROIs; allowed: {allowed}")
+    if team > n:
+        problems.append(f"field: {field.name} has {team} starts; allowed: at most {n}")
+    return problems
+
+
+def set_sampler_problems(sampler: FieldSampler, sizes: Sizes, teams_vary: bool) -> list[str]:
+    """Return why a sampler cannot draw the fields of worlds of these sizes."""
+    new, robots = sizes_of(sampler), sizes.robots
+    least = 1 if teams_vary else robots
+    problems = [
+        f"sampler: {found} {name}; allowed: at most {most}, as at first"
+        for name, found, most in (
+            ("edges", new.edges, sizes.edges),
+            ("ROIs", new.rois, sizes.rois),
+            ("robots", new.robots, robots),
+        )
+        if found > most
+    ]
+    if new.fewest_robots < least:
+        problems.append(f"sampler: {new.fewest_robots} robots; allowed: {robots}, as at first")
+    if new.arena != sizes.arena:
+        problems.append(f"sampler: arena {new.arena}; allowed: {sizes.arena}")
     return problems
 
 
@@ -125,7 +181,21 @@ def _given_starts_problems(starts: NDArray[Any], config: NavigationConfig, n: in
     return []
 
 
-def _field_problems(
+def _sampler_problems(
+    sampler: FieldSampler, config: NavigationConfig, n: int, starts: NDArray[Any] | None
+) -> list[str]:
+    """Return why the fields that are drawn do not fit this configuration."""
+    problems = [] if starts is None else ["starts: allowed with given fields"]
+    if n < sampler.most_robots:
+        allowed = f"at least {sampler.most_robots}, the most that the sampler draws"
+        problems.append(f"n_robots: {n}; allowed: {allowed}")
+    if (distance := config.at_most().safety_distance) > SPACING:
+        allowed = f"at most {SPACING:g}, the least distance of starts that are drawn"
+        problems.append(f"safety_distance: {distance}; allowed: {allowed}")
+    return problems
+
+
+def field_problems(
     field: Field,
     config: NavigationConfig,
     n: int,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.config import NavigationConfig
+from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine import REWARD_TERMS, BatchEngine
 from mbn_marl.episode.episode import Array, Episode, Outcome
 from mbn_marl.errors import EpisodeError, MbnError, ProblemsError
@@ -75,6 +75,20 @@ class EpisodeLog:
         bits = reversed(range(self._engine.n_rois))  # the first ROI is the most significant
         visited = np.array([int(state[-1]) >> bit & 1 for bit in bits], np.bool_)
         return state[: 2 * n].reshape(n, 2), visited
+
+
+def of_team(config: NavigationConfig, n: int) -> NavigationConfig:
+    """Return the configuration of a world that has only the first n robots."""
+    update: dict[str, Any] = {"n_robots": n}
+    for name in ("dynamics", *LIMITS):
+        value = getattr(config, name)
+        update[name] = value[:n] if isinstance(value, tuple) else value
+    if (failures := config.failures) is not None:
+        most = n - 1 if failures.most is None else min(failures.most, n)
+        at = {i: step for i, step in failures.at.items() if i < n}
+        now = {"at": at, "most": most or None, "rate": failures.rate if most else 0.0}
+        update["failures"] = failures.model_copy(update=now)
+    return config.model_copy(update=update)
 
 
 def play(

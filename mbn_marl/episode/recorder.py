@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from dataclasses import field as empty
 from typing import Any, Self
 
 import numpy as np
 
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode.episode import Array, Episode
-from mbn_marl.episode.play import play
+from mbn_marl.episode.play import of_team, play
 from mbn_marl.errors import EpisodeError, MbnError
+from mbn_marl.field import Field
 
 _INNER = ("engine", "unwrapped", "env", "aec_env", "par_env", "venv", "base_env")
 """The attributes in which environments keep their engine, and wrappers their environment."""
@@ -20,11 +22,12 @@ _INNER = ("engine", "unwrapped", "env", "aec_env", "par_env", "venv", "base_env"
 class _Tape:
     """The record of one episode: starts and actions, and the team rewards for a check."""
 
+    field: Field
     starts: Array
     seed: int
     number: int
-    actions: list[Array] = field(default_factory=list)
-    rewards: list[float] = field(default_factory=list)
+    actions: list[Array] = empty(default_factory=list)
+    rewards: list[float] = empty(default_factory=list)
 
 
 class EpisodeRecorder:
@@ -106,13 +109,12 @@ class EpisodeRecorder:
         self._recording = bool(engine.running[world]) and moment.step == 0
         if self._recording:
             number = int(engine.episode_numbers[world])
-            self._tapes.append(_Tape(moment.positions, engine.seed, number))
+            self._tapes.append(_Tape(moment.field, moment.positions, engine.seed, number))
 
     def _episode(self, tape: _Tape) -> Episode:
-        engine, actions = self._engine, np.stack(tape.actions)
-        field = engine.fields[self._world % len(engine.fields)]
+        engine, team = self._engine, len(tape.starts)
         episode = play(
-            *(field, engine.config, actions),
+            *(tape.field, of_team(engine.config, team), np.stack(tape.actions)[:, :team]),
             starts=tape.starts,
             source=self._source,
             seed=tape.seed,

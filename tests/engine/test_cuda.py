@@ -20,10 +20,12 @@ import pytest
 from mbn_marl import BatchEngine, Uniform
 from mbn_marl.config import make_config
 from mbn_marl.engine.constants import constants_of, make_record
+from mbn_marl.engine.geometry import make_geometry, sizes_of
 from mbn_marl.engine.mdp.observations import observation_table
-from mbn_marl.engine.state import make_episode, make_geometry, make_memory, make_output
+from mbn_marl.engine.state import make_episode, make_memory, make_output
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import load_field
+from mbn_marl.field import FieldSampler, load_field
+from mbn_marl.field.layout import FAMILIES
 
 torch = pytest.importorskip("torch")
 ROOT = Path(__file__).parents[2]
@@ -63,14 +65,17 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
 
     from mbn_marl.engine import cuda_kernels as kernels
 
-    field = load_field("field_01")
+    settings = dict(settings)
+    source = settings.pop("field", (load_field("field_01"),))
+    sizes = sizes_of(source)
+    vary = sizes.fewest_robots < 3
     config = make_config({"dtype": dtype, "n_robots": 3, **settings})
     real = np.dtype(dtype)
-    p = constants_of(make_record(config, 3, field.arena, "same_step"))
-    size = len(observation_table(config, 3, len(field.rois), field.arena))
+    p = constants_of(make_record(config, 3, sizes.arena, "same_step", teams_vary=vary))
+    size = len(observation_table(config, 3, sizes.rois, sizes.arena, vary))
     worlds = 2
-    g = make_geometry([field], config, 3, worlds)
-    now = make_episode(worlds, 3, config)
+    g = make_geometry(source, config, 3, worlds)
+    now = make_episode(worlds, 3, config, vary)
     mem, out = make_memory(worlds, 3, 6, config, now), make_output(worlds, 3, size, config)
     actions, active = np.zeros((worlds, 3, 2), real), np.zeros(worlds, np.bool_)
     call = kernels.Call(actions, active, np.zeros(1, np.int64))
@@ -81,7 +86,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
         "step": (step, (p, g, mem, now, now, out, call)),
         "reset": (kernels.make_reset(size), (p, g, mem, now, out, call)),
         "infos": (kernels.infos, (p, g, mem, now, now, out, rows)),
-        "states": (kernels.states, (g, now, (np.zeros((worlds, 13), real),))),
+        "states": (kernels.states, (now, (np.zeros((worlds, 13), real),))),
         "draw": (kernels.draw, (p, mem, (np.zeros((worlds, 3, 2), np.float32),))),
     }
     made = {}
@@ -102,6 +107,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
         {"gust": 0.1, "action_delay": 2, "dropout": 0.1},
         {"dynamics": "bicycle", "failures": {"rate": 0.1}},
         {"condition": "storm", "v_clip": Uniform(4.0, 6.0)},
+        {"field": FieldSampler(FAMILIES, robots=(1, 3))},
     ],
     ids=str,
 )

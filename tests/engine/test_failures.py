@@ -93,7 +93,7 @@ def test_a_configuration_comes_back_from_json() -> None:
 def test_without_failures_there_are_no_entries_for_them() -> None:
     config = make_config({})
     now = make_episode(2, 3, config)
-    assert now.failed.shape == (0, 0, 2)
+    assert now.status.shape == (0, 0, 2)
     assert make_memory(2, 3, 2, config, now).key.shape == (0,)
 
 

@@ -43,7 +43,7 @@ def drawn_settings(settings: dict[str, Any], n: int, key: int) -> dict[str, Any]
         if name in found:
             found[name] = number(found[name], counter)
     for row, name in enumerate(LIMITS):
-        first, value = len(SINGLE) + row * n, found.get(name)
+        first, value = len(SINGLE) + row * 64, found.get(name)
         if is_range(value):
             found[name] = number(value, first)
         elif isinstance(value, tuple):

@@ -283,7 +283,7 @@ class Oracle:
         key = key_of(*self.disturbances.place, self.disturbances.episode, FAILURES)
         for i, robot in enumerate(self.robots):
             count = sum(other.failed for other in self.robots)
-            number = uniform(key, self.steps * self.n + i)
+            number = uniform(key, self.steps * 64 + i)
             due = self.steps + 1 in (self.failures.at.get(i), self.fails.get(i))
             if due or (count < most and number < rate):
                 robot.failed = True

@@ -23,6 +23,8 @@ from mbn_marl import BatchEngine, Uniform
 from mbn_marl.config import CONDITIONS
 from mbn_marl.engine import cuda, cuda_kernels
 from mbn_marl.errors import ActionError, ConfigError, StepError
+from mbn_marl.field import FieldSampler
+from mbn_marl.field.layout import FAMILIES
 from tests.engine.test_golden import golden_field
 from tests.golden import Episode, load_episodes
 
@@ -133,6 +135,8 @@ def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
     [
         {"observation": "local", "one_hot": True},
         {"field": ["field_05", "field_09"], "observation": "lidar_local"},
+        {"field": FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 8)), "observation": "state"},
+        {"field": FieldSampler(robots=(2, 3), size=150), "condition": "storm"},
         {"reward": "formal", "observation": "state", "n_robots": 2},
         {"reward_sharing": "team", "mass": (1.0, 1.5, 2.0), "f_max": 3.0},
         {"dynamics": ("holonomic", "unicycle", "bicycle"), "f_max": (1.0, 2.0, 3.0)},

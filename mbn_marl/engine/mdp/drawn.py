@@ -19,7 +19,7 @@ from mbn_marl.checked import Uniform
 from mbn_marl.compiled.elementary import cosine, exponential, sine, turned
 from mbn_marl.compiled.jit import compiled, generated
 from mbn_marl.compiled.rng import FOR_NUMBERS, stream_of, uniform
-from mbn_marl.config import LIMITS, NUMBERS, NavigationConfig
+from mbn_marl.config import LIMITS, MAX_ROBOTS, NUMBERS, NavigationConfig
 
 SINGLE = ("wind_speed", "wind_angle", *NUMBERS, "failure_rate")
 """The names of the numbers that are not a robot's own, in the order of ``numbers``."""
@@ -96,10 +96,13 @@ def make_ranges(config: NavigationConfig, n: int) -> NDArray[np.float64]:
     if not is_drawn(config):
         return np.zeros(0)
     columns = _columns(config, n)
-    first = {name: k for k, (name, _) in reversed([*enumerate(columns)])}
+    counters = [*range(len(SINGLE))]
+    counters += [len(SINGLE) + MAX_ROBOTS * k + i for k in range(len(LIMITS)) for i in range(n)]
+    names = [name for name, _ in columns]
+    first = dict(reversed([*zip(names, counters, strict=True)]))
     ends = [(v.low, v.high) if isinstance(v, Uniform) else (v, v) for _, v in columns]
     lows, highs = np.array(ends, np.float64).T
-    return np.array([lows, highs - lows, [first[name] for name, _ in columns]])
+    return np.array([lows, highs - lows, [first[name] for name in names]])
 
 
 def rows_drawn(config: NavigationConfig, n: int) -> int:
@@ -145,11 +148,10 @@ def squared(number):
 
 
 @compiled
-def choose_failing(p, drawn, key, w):
-    """Draw the robot that fails in world w, and its step, 0 for none."""
-    n = (drawn.shape[0] - FIRST_LIMIT) // len(LIMITS)
+def choose_failing(p, drawn, key, team, w):
+    """Draw which robot of the ``team`` first ones fails in world w, and its step, 0 for none."""
     count = p.failing_last - p.failing_first + 1
-    drawn[ROBOT, w] = np.int64(np.float64(uniform(key, FAILING)) * n)
+    drawn[ROBOT, w] = np.int64(np.float64(uniform(key, FAILING)) * team)
     step = p.failing_first + np.int64(np.float64(uniform(key, FAILING + 1)) * count)
     drawn[STEP, w] = step if p.failing_last > 0 else 0
 
@@ -163,8 +165,8 @@ def is_failing_step(drawn, i, step, w):
 
 
 @compiled
-def draw_numbers(p, ranges, drawn, episode_key, w):
-    """Draw the numbers of the episode that world w begins."""
+def draw_numbers(p, ranges, drawn, episode_key, team, w):
+    """Draw the numbers of the episode that world w begins with ``team`` robots."""
     if drawn.ndim == 2:
         key = stream_of(episode_key, FOR_NUMBERS)
         for k in range(ranges.shape[1]):
@@ -181,4 +183,4 @@ def draw_numbers(p, ranges, drawn, episode_key, w):
             drawn[GUST_ADDED, w] = draw(ranges, key, GUST) * math.sqrt(1.0 - kept * kept)
         drawn[SAFETY, w] = squared(draw(ranges, key, DISTANCE))
         drawn[ROI, w] = squared(draw(ranges, key, RADIUS))
-        choose_failing(p, drawn, key, w)
+        choose_failing(p, drawn, key, team, w)

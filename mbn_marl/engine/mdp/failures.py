@@ -1,8 +1,8 @@
-"""Robots that fail during an episode (mdp.md, "Failures").
+"""Robots that fail during an episode, or are not in the team (mdp.md, "Failures", "Fields").
 
-The flags of who has failed are an array (n, W) of ``Episode``, of three dimensions and without
-entries where failures are off. The functions get it as an argument of its own, so that a condition
-on its type leaves their code out there.
+The status of each robot is an array (n, W) of ``Episode``, of three dimensions and without entries
+where no robot can fail or be absent. The functions get it as an argument of its own, so that a
+condition on its type leaves their code out there.
 
 Source: this package.
 """
@@ -14,6 +14,7 @@ import numpy as np
 from mbn_marl.compiled.jit import compiled
 from mbn_marl.compiled.rng import FOR_FAILURES, stream_of, uniform
 from mbn_marl.compiled.scalars import clip, select
+from mbn_marl.config import MAX_ROBOTS
 from mbn_marl.engine.mdp.disturbances import wind_along
 from mbn_marl.engine.mdp.drawn import is_failing_step, limits_in, numbers_of
 from mbn_marl.engine.mdp.dynamics import (
@@ -25,74 +26,87 @@ from mbn_marl.engine.mdp.dynamics import (
     propose_move,
 )
 
+WORKS, FAILED, ABSENT = range(3)
+"""The status of a robot; an absent one is not in the team of its world."""
 BRAKE, COAST, VANISH = range(3)
 KINDS = {"brake": BRAKE, "coast": COAST, "vanish": VANISH}
 
 
 @compiled
-def has_failed(failed, i, w):
-    """Return whether robot i of world w has failed."""
-    if failed.ndim == 2:
-        return failed[i, w]
+def is_absent(status, i, w):
+    """Return whether robot i is not in the team of world w."""
+    if status.ndim == 2:
+        return status[i, w] == ABSENT
     return False
 
 
 @compiled
-def is_gone(p, failed, i, w):
-    """Return whether robot i of world w has vanished."""
-    return has_failed(failed, i, w) & (p.failure_kind == VANISH)
+def has_failed(status, i, w):
+    """Return whether robot i of world w has failed."""
+    if status.ndim == 2:
+        return status[i, w] == FAILED
+    return False
 
 
 @compiled
-def count_failed(failed, w):
-    """How many robots of world w have failed."""
-    count = 0
-    for i in range(failed.shape[0]):
-        count += failed[i, w]
-    return count
+def is_gone(p, status, i, w):
+    """Return whether robot i of world w has vanished, or is absent."""
+    vanished = has_failed(status, i, w) & (p.failure_kind == VANISH)
+    return vanished | is_absent(status, i, w)
 
 
 @compiled
-def repair(failed, w):
-    """Begin an episode of world w: all robots work."""
-    if failed.ndim == 2:
-        for i in range(failed.shape[0]):
-            failed[i, w] = False
+def count(status, which, w):
+    """How many robots of world w have a status."""
+    found = 0
+    for i in range(status.shape[0]):
+        found += select(status[i, w] == which, 1, 0)
+    return found
 
 
 @compiled
-def fail(p, g, mem, failed, now, to, i, lo, hi):
+def begin_status(status, team, w):
+    """Begin an episode of world w: the first ``team`` robots work, the others are absent."""
+    if status.ndim == 2:
+        for i in range(status.shape[0]):
+            status[i, w] = select(i < team, WORKS, ABSENT)
+
+
+@compiled
+def fail(p, g, mem, status, now, to, i, lo, hi):
     """Before the action: robot i fails if this is its step, or by chance while few enough have.
 
     Its impulse, which the action may change, is kept in ``to.own`` and ``to.share``.
     """
-    n, drawn = failed.shape[0], now.drawn
+    n, drawn = status.shape[0], now.drawn
     for w in range(lo, hi):
         step = now.steps[w]
-        number = uniform(stream_of(mem.key[w], FOR_FAILURES), step * n + i)
+        number = uniform(stream_of(mem.key[w], FOR_FAILURES), step * MAX_ROBOTS + i)
         by_chance = number < np.float32(numbers_of(p, drawn, w).failure_rate)
-        by_chance &= count_failed(failed, w) < p.most_failures
+        all_but_one = n - count(status, ABSENT, w) - 1
+        most = select(p.most_failures < 0, all_but_one, p.most_failures)
+        by_chance &= count(status, FAILED, w) < most
         due = (step + 1 == g.fail_at[i]) | is_failing_step(drawn, i, step + 1, w)
-        failed[i, w] |= by_chance | due
+        fails = (by_chance | due) & (status[i, w] == WORKS)
+        status[i, w] = select(fails, FAILED, status[i, w])
         to.own[w - lo] = now.impulse_x[i, w]
         to.share[w - lo] = now.impulse_y[i, w]
 
 
 @compiled
 def failed_velocity(p, velocity, brake, wind, v_clip):
-    """The next velocity of a failed robot, along an axis or its heading."""
+    """The next velocity of a failed robot that is there, along an axis or its heading."""
     slower = velocity - clip(velocity, -brake, brake)
     blown = next_velocity(velocity, p.zero, p.one, wind, v_clip)
-    moving = select(p.failure_kind == BRAKE, slower, blown)
-    return select(p.failure_kind == VANISH, p.zero, moving)
+    return select(p.failure_kind == BRAKE, slower, blown)
 
 
 @compiled
-def move_failed(p, g, kinds, failed, now, to, i, lo, hi):
-    """Steps 1 and 2 of robot i where it has failed, after ``fail`` and the move that it lost."""
+def move_failed(p, g, kinds, status, now, to, i, lo, hi):
+    """Steps 1 and 2 of robot i where it does not work, after ``fail`` and the move that it lost."""
     limits, drawn, gust = limits_of(g, i), now.drawn, now.gust
     for w in range(lo, hi):
-        if failed[i, w]:
+        if status[i, w] != WORKS:
             k, q = w - lo, numbers_of(p, drawn, w)
             mass, f_max, v_clip = limits_in(limits, drawn, i, w)
             brake = f_max / mass
@@ -107,6 +121,8 @@ def move_failed(p, g, kinds, failed, now, to, i, lo, hi):
             else:
                 vx = failed_velocity(p, vx, brake, wind_x, v_clip)
                 vy = failed_velocity(p, vy, brake, wind_y, v_clip)
+            gone = is_gone(p, status, i, w)
+            vx, vy = select(gone, p.zero, vx), select(gone, p.zero, vy)
             to.vx[k], to.vy[k] = vx, vy
             to.x[k] = next_position(now.x[i, w], vx, q.tau)
             to.y[k] = next_position(now.y[i, w], vy, q.tau)
@@ -114,32 +130,41 @@ def move_failed(p, g, kinds, failed, now, to, i, lo, hi):
 
 
 @compiled
-def move_or_fail(p, g, mem, failed, now, to, actions, i, lo, hi):
+def move_or_fail(p, g, mem, status, now, to, actions, i, lo, hi):
     """Steps 1 and 2 of robot i, which may fail before its action."""
-    if failed.ndim == 2:
-        fail(p, g, mem, failed, now, to, i, lo, hi)
+    if status.ndim == 2:
+        fail(p, g, mem, status, now, to, i, lo, hi)
         propose_move(p, g, now, to, actions, i, lo, hi)
-        move_failed(p, g, g.kinds, failed, now, to, i, lo, hi)
+        move_failed(p, g, g.kinds, status, now, to, i, lo, hi)
     else:
         propose_move(p, g, now, to, actions, i, lo, hi)
 
 
 @compiled
-def put_flag(failed, lo, hi, i, tile, k):
-    """Write robot i's flag of ``failed`` as entry k; return the number of entries, 0 or 1."""
-    if failed.ndim == 2:
+def put_flag(status, lo, hi, i, tile, k):
+    """Write as entry k whether robot i does not work; return the number of entries, 0 or 1."""
+    if status.ndim == 2:
         for w in range(lo, hi):
-            tile[k, w - lo] = failed[i, w]
+            tile[k, w - lo] = status[i, w] != WORKS
         return 1
     return 0
 
 
 @compiled
-def put_other_flag(p, failed, lo, hi, j, tile, first, k):
-    """As ``put_flag``, of robot j; if it has vanished, blank its entries from ``first`` on."""
-    if failed.ndim == 2 and p.failure_kind == VANISH:
+def blank_gone(p, status, lo, hi, j, tile, first, end):
+    """Blank the entries ``first`` to ``end - 1``, about robot j, where it is gone."""
+    if status.ndim == 2 and p.some_gone:
         for w in range(lo, hi):
-            there = p.zero if failed[j, w] else p.one
-            for entry in range(first, k):
+            there = p.zero if is_gone(p, status, j, w) else p.one
+            for entry in range(first, end):
                 tile[entry, w - lo] *= there
-    return put_flag(failed, lo, hi, j, tile, k)
+
+
+@compiled
+def blank_absent(p, status, lo, hi, i, tile):
+    """Blank all that robot i sees where it is absent."""
+    if status.ndim == 2 and p.teams_vary:
+        for w in range(lo, hi):
+            there = p.zero if is_absent(status, i, w) else p.one
+            for entry in range(tile.shape[0]):
+                tile[entry, w - lo] *= there

@@ -20,7 +20,7 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.intrinsics import SIDE, transpose
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.dynamics import count_headings
-from mbn_marl.engine.mdp.failures import put_flag, put_other_flag
+from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
 from mbn_marl.engine.mdp.sight import drop, look, seen_places, seen_robots, spot
 from mbn_marl.engine.mdp.visits import visit_code, within
 
@@ -58,16 +58,19 @@ class Entry(NamedTuple):
 
 
 def observation_table(
-    config: NavigationConfig, n: int, m: int, arena: tuple[float, float]
+    config: NavigationConfig, n: int, m: int, arena: tuple[float, float], teams_vary: bool = False
 ) -> tuple[Entry, ...]:
-    """The entries of one robot's observation, in order, for a team of n robots and m ROIs."""
+    """The entries of one robot's observation, in order, for a team of n robots and m ROIs.
+
+    ``teams_vary``: whether there may be fewer robots in an episode.
+    """
     rows: list[Row]
     turns = count_headings(config.of_each("dynamics", n)) > 0
-    fails = config.failures is not None
+    flag = "failed" if config.failures else "absent" if teams_vary else ""
     if config.observation == "state":
-        rows = _state_rows(n, m, arena, config.top_speed, turns, fails)
+        rows = _state_rows(n, m, arena, config.top_speed, turns, flag)
     else:
-        rows = _scaled_rows(n, m, config.observation, turns, fails)
+        rows = _scaled_rows(n, m, config.observation, turns, flag)
     if config.one_hot:
         rows += [(f"is_robot_{i}", 0.0, 1.0, "flag") for i in range(n)]
     return tuple(Entry(row[0], k, *row[1:]) for k, row in enumerate(rows))
@@ -78,26 +81,26 @@ def _heading_rows(robot: str, turns: bool) -> list[Row]:
     return [(f"{robot}_{name}", -1.0, 1.0, f"{name} of heading") for name in ("cos", "sin")] * turns
 
 
-def _failed_row(robot: str, fails: bool) -> list[Row]:
-    """The entry that says whether a robot has failed, if robots fail."""
-    return [(f"{robot}_failed", 0.0, 1.0, "flag")] * fails
+def _flag_row(robot: str, flag: str) -> list[Row]:
+    """The entry that says whether a robot has failed or is absent, if robots can be."""
+    return [(f"{robot}_{flag}", 0.0, 1.0, "flag")] * bool(flag)
 
 
-def _scaled_rows(n: int, m: int, observation: str, turns: bool, fails: bool) -> list[Row]:
+def _scaled_rows(n: int, m: int, observation: str, turns: bool, flag: str) -> list[Row]:
     """The entries of ``relative``, and what ``local`` and ``lidar`` add to them."""
     flags, lidar_only = observation == "local", observation in WITH_RAYS
     centre = "the field's centre" if lidar_only else "its centre"
     velocity, radii = "speed limits", "sensing radii"
     rows = [(f"own_{a}", -1.0, 1.0, f"half arenas from {centre}") for a in "xy"]
     rows += [(f"own_v{a}", -1.0, 1.0, velocity) for a in "xy"]
-    rows += _heading_rows("own", turns) + _failed_row("own", fails)
+    rows += _heading_rows("own", turns) + _flag_row("own", flag)
     for k in range(1, n):
         rows += [(f"other_{k}_present", 0.0, 1.0, "flag")] * flags
         rows += [(f"other_{k}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
         rows += [(f"other_{k}_dv{a}", -1.0, 1.0, f"2 {velocity}") for a in "xy"]
         rows += _heading_rows(f"other_{k}", turns)
         rows += [(f"other_{k}_near", 0.0, 1.0, f"1 - {radii}")] * lidar_only
-        rows += _failed_row(f"other_{k}", fails)
+        rows += _flag_row(f"other_{k}", flag)
     for j in range(m):
         rows += [(f"roi_{j}_present", 0.0, 1.0, "flag")] * flags
         rows += [(f"roi_{j}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
@@ -111,13 +114,13 @@ def _scaled_rows(n: int, m: int, observation: str, turns: bool, fails: bool) -> 
 
 
 def _state_rows(
-    n: int, m: int, arena: tuple[float, float], top_speed: float, turns: bool, fails: bool
+    n: int, m: int, arena: tuple[float, float], top_speed: float, turns: bool, flag: str
 ) -> list[Row]:
     who = ["own", *(f"other_{k}" for k in range(1, n))]
     rows = [(f"{r}_{a}", 0.0, arena[k], "units") for r in who for k, a in enumerate("xy")]
     rows += [(f"{r}_v{a}", -top_speed, top_speed, "units/step") for r in who for a in "xy"]
     rows += [row for r in who for row in _heading_rows(r, turns)]
-    rows += [row for r in who for row in _failed_row(r, fails)]
+    rows += [row for r in who for row in _flag_row(r, flag)]
     return [*rows, ("visit_code", 0.0, float(2**m - 1), "code")]
 
 
@@ -143,14 +146,14 @@ def put_motion(ep, lo, hi, first, tile):
 
 
 @compiled
-def put_code(g, ep, lo, hi, tile, k):
+def put_code(ep, lo, hi, tile, k):
     """The visit code."""
     for w in range(lo, hi):
-        tile[k, w - lo] = visit_code(g, ep.visited[w], w)
+        tile[k, w - lo] = visit_code(ep, w)
 
 
 @compiled
-def put_state(g, ep, lo, hi, tile):
+def put_state(ep, lo, hi, tile):
     """The paper's vector (4n + 1); headings in radians and failures come before the visit code."""
     k = put_motion(ep, lo, hi, 0, tile)
     for i in range(ep.heading.shape[0]):
@@ -158,8 +161,8 @@ def put_state(g, ep, lo, hi, tile):
             tile[k, w - lo] = ep.heading[i, w]
         k += 1
     for i in range(ep.x.shape[0]):
-        k += put_flag(ep.failed, lo, hi, i, tile, k)
-    put_code(g, ep, lo, hi, tile, k)
+        k += put_flag(ep.status, lo, hi, i, tile, k)
+    put_code(ep, lo, hi, tile, k)
 
 
 @compiled
@@ -171,7 +174,7 @@ def put_heading(ep, lo, hi, i, tile, k):
 
 
 @compiled
-def put_own_state(p, g, seen, ep, lo, hi, i, tile):
+def put_own_state(p, seen, ep, lo, hi, i, tile):
     """The entries of ``state`` for robot i: the paper's vector with it first; how many."""
     k = put_motion(ep, lo, hi, i, tile)
     if p.headings > 0:
@@ -181,9 +184,9 @@ def put_own_state(p, g, seen, ep, lo, hi, i, tile):
     for place in range(ep.x.shape[0]):
         for first in range(2 * place, k, 2 * ep.x.shape[0]):
             drop(seen, nth_robot(place, i), lo, hi, tile, first, first + 2)
-    for place in range(p.failures):
-        k += put_flag(ep.failed, lo, hi, nth_robot(place, i), tile, k)
-    put_code(g, ep, lo, hi, tile, k)
+    for place in range(p.flags):
+        k += put_flag(ep.status, lo, hi, nth_robot(place, i), tile, k)
+    put_code(ep, lo, hi, tile, k)
     return k + 1
 
 
@@ -259,8 +262,8 @@ def put_relative(p, g, seen, ep, lo, hi, i, tile):
     """The entries of ``relative`` and ``local`` for robot i; how many there are."""
     flag, n = 1 if p.observation == LOCAL else 0, ep.x.shape[0]
     k = body = put_own(p, ep, lo, hi, i, tile)
-    if p.failures > 0:  # only then is the array counted as referenced
-        k += put_flag(ep.failed, lo, hi, i, tile, k)
+    if p.flags > 0:  # only then is the array counted as referenced
+        k += put_flag(ep.status, lo, hi, i, tile, k)
     for j in range(n):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k + flag)
@@ -268,8 +271,9 @@ def put_relative(p, g, seen, ep, lo, hi, i, tile):
                 hide_other(p, ep, lo, hi, i, j, tile, k + 1, k + 1 + body, True)
             drop(seen, j, lo, hi, tile, k, k + flag + body)
             first, k = k, k + flag + body
-            if p.failures > 0:
-                k += put_other_flag(p, ep.failed, lo, hi, j, tile, first, k)
+            if p.flags > 0:
+                blank_gone(p, ep.status, lo, hi, j, tile, first, k)
+                k += put_flag(ep.status, lo, hi, j, tile, k)
     for j in range(g.roi_bits.shape[0]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k + flag)
         if flag:
@@ -296,8 +300,8 @@ def put_lidar(p, g, seen, rays, ep, lo, hi, i, tile):
     """The entries of ``lidar`` and ``lidar_local`` for robot i but the walls; how many."""
     local, n = p.observation == LIDAR_LOCAL, ep.x.shape[0]
     k = body = put_centred(p, g, ep, lo, hi, i, tile)
-    if p.failures > 0:
-        k += put_flag(ep.failed, lo, hi, i, tile, k)
+    if p.flags > 0:
+        k += put_flag(ep.status, lo, hi, i, tile, k)
     for j in range(n):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k)
@@ -306,8 +310,9 @@ def put_lidar(p, g, seen, rays, ep, lo, hi, i, tile):
                 hide_other(p, ep, lo, hi, i, j, tile, k, k + body, False)
             drop(seen, j, lo, hi, tile, k, k + body + 1)
             first, k = k, k + body + 1
-            if p.failures > 0:
-                k += put_other_flag(p, ep.failed, lo, hi, j, tile, first, k)
+            if p.flags > 0:
+                blank_gone(p, ep.status, lo, hi, j, tile, first, k)
+                k += put_flag(ep.status, lo, hi, j, tile, k)
     for j in range(g.roi_bits.shape[0]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k)
         lidar.put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)
@@ -343,13 +348,15 @@ def describe(p, g, keys, seen, rays, ep, lo, hi, i, tile):
         k = put_lidar(p, places, seen, rays, robots, lo, hi, i, tile)
         k = put_walls(p, g, rays, ep, lo, hi, i, tile, k)
     elif p.observation == STATE:
-        k = put_own_state(p, places, seen, robots, lo, hi, i, tile)
+        k = put_own_state(p, seen, robots, lo, hi, i, tile)
     else:
         k = put_relative(p, places, seen, robots, lo, hi, i, tile)
     if p.one_hot:
         for j in range(n):
             for w in range(lo, hi):
                 tile[k + j, w - lo] = p.one if i == j else p.zero
+    if p.flags > 0:
+        blank_absent(p, ep.status, lo, hi, i, tile)
 
 
 @compiled

@@ -16,7 +16,7 @@ import numpy as np
 
 from mbn_marl.compiled.jit import compiled, generated
 from mbn_marl.compiled.scalars import is_set, select
-from mbn_marl.engine.mdp.failures import count_failed
+from mbn_marl.engine.mdp.failures import ABSENT, FAILED, WORKS, count, is_absent
 
 RELEASED, FORMAL = 0, 1
 RULES = {"released": RELEASED, "formal": FORMAL}
@@ -106,27 +106,29 @@ def team_reward(p, outcome, own):
 
 
 @compiled
-def earned(p, failed, event, outcome, i, w):
-    """``own_terms`` of robot i of world w; none of them if it has failed (``failed``: flags)."""
+def earned(p, status, event, outcome, i, w):
+    """``own_terms`` of robot i of world w; none of them unless it works."""
     own = own_terms(p, event, outcome)
-    if failed.ndim == 2:
-        return part_own(p, own, failed[i, w], p.one)
+    if status.ndim == 2:
+        return part_own(p, own, status[i, w] != WORKS, p.one)
     return own
 
 
 @compiled
-def share_of(p, failed, outcome, i, w):
+def share_of(p, status, outcome, i, w):
     """Robot i's part of ``team_terms``: that of one of n, or of the robots that work."""
-    if failed.ndim == 2:
-        n, lost = failed.shape[0], count_failed(failed, w)
-        count = p.one * np.float32(n - select(lost < n, lost, 0))
+    if status.ndim == 2:
+        there, failed = status.shape[0] - count(status, ABSENT, w), count(status, FAILED, w)
+        some_work = failed < there
+        parts = p.one * np.float32(there - select(some_work, failed, 0))
         team = team_terms(p, p.whole, outcome)
-        return part_team(p, team, failed[i, w] & (lost < n), count)
+        none = is_absent(status, i, w) | ((status[i, w] == FAILED) & some_work)
+        return part_team(p, team, none, parts)
     return team_terms(p, p.share, outcome)
 
 
 @compiled
-def with_share(p, failed, own, outcome, i, w):
+def with_share(p, status, own, outcome, i, w):
     """The terms of robot i's reward ``r_i``, as ``REWARD_TERMS``, from its own terms."""
-    team = share_of(p, failed, outcome, i, w)
+    team = share_of(p, status, outcome, i, w)
     return (own[0] + team[0], own[1] + team[1], *own[SHARED:], *team[SHARED:])

@@ -28,9 +28,10 @@ class SeenRobots(NamedTuple):
     vx: Any
     vy: Any
     visited: Any
+    codes: Any
     cos: Any
     sin: Any
-    failed: Any
+    status: Any
 
 
 class SeenPlaces(NamedTuple):
@@ -56,7 +57,7 @@ def seen_robots(seen, ep, m):
     n = ep.x.shape[0]
     x, y, vx, vy = n + m, 2 * n + m, 3 * n + m, 4 * n + m
     motion = seen[x:y], seen[y:vx], seen[vx:vy], seen[vy : vy + n]
-    return SeenRobots(*motion, ep.visited, ep.cos, ep.sin, ep.failed)
+    return SeenRobots(*motion, ep.visited, ep.codes, ep.cos, ep.sin, ep.status)
 
 
 @compiled

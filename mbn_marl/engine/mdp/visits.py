@@ -6,7 +6,6 @@ Source: Choton, Woods, Hsu, section 3 ("Problem Formulation").
 from __future__ import annotations
 
 from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import column
 
 
 @compiled
@@ -22,6 +21,6 @@ def all_visited(n_rois):
 
 
 @compiled
-def visit_code(g, visited, w):
+def visit_code(ep, w):
     """``b``: the visit bits of world w without those of padding, the first ROI the highest."""
-    return visited & g.codes[column(g, w)]
+    return ep.visited[w] & ep.codes[w]

@@ -1,0 +1,130 @@
+"""The tables of the worlds' fields: from ``Field`` to numbers, and back."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbn_marl.config import LIMITS, NavigationConfig
+from mbn_marl.engine.mdp.drawn import make_ranges
+from mbn_marl.engine.mdp.dynamics import DYNAMICS, POINT_MASS
+from mbn_marl.engine.mdp.lidar import rays_of
+from mbn_marl.engine.mdp.observations import WITH_RAYS
+from mbn_marl.engine.state import Array, Geometry
+from mbn_marl.field import Field, FieldSampler
+from mbn_marl.field.layout import Tables, make_tables
+from mbn_marl.field.sampler import field_of
+
+FieldSource = tuple[Field, ...] | FieldSampler
+"""The fields of the worlds in turn, or what draws one for each episode."""
+
+
+class Sizes(NamedTuple):
+    """The sizes of the largest of several fields."""
+
+    edges: int
+    rois: int
+    robots: int
+    fewest_robots: int
+    arena: tuple[float, float]
+
+
+def sizes_of(source: FieldSource) -> Sizes:
+    """The sizes of the fields of a source; those of none are 1."""
+    if isinstance(source, FieldSampler):
+        robots = source.most_robots, source.fewest_robots
+        return Sizes(source.most_edges, source.most_rois, *robots, source.arena)
+    edges, rois, teams = (
+        [len(getattr(field, name)) for field in source] or [1]
+        for name in ("edges", "rois", "starts")
+    )
+    arena = source[0].arena if source else (1.0, 1.0)
+    return Sizes(max(edges), max(rois), max(teams), min(teams), arena)
+
+
+def make_geometry(
+    source: FieldSource,
+    config: NavigationConfig,
+    n: int,
+    worlds: int,
+    given_starts: Array | None = None,
+) -> Geometry:
+    """Tables of one field for all worlds, or of each world's own: world w has ``w % len(source)``.
+
+    ROIs and edges are padded to the largest field. A table for each world takes more memory than
+    one for each field, but is read as it lies; looking fields up took a third of a step.
+    ``given_starts`` (n, 2) take the place of all the fields' own. The tables of a sampler are empty
+    until a world is reset.
+    """
+    real = np.dtype(config.dtype)
+    sampler = source if isinstance(source, FieldSampler) else None
+    fields = () if isinstance(source, FieldSampler) else source
+    sizes = sizes_of(source)
+    tables = make_tables(sizes.edges, sizes.rois, n, len(fields) or worlds)
+    for f, field in enumerate(fields):
+        write_field(tables, f, field, given_starts)
+    if len(fields) > 1:
+        own = np.arange(worlds) % len(fields)
+        tables = Tables(*(np.take(table, own, axis=-1) for table in tables))
+    robots = np.array([config.at_most().of_each(name, n) for name in LIMITS], real)
+    kinds = np.array([DYNAMICS[name] for name in config.of_each("dynamics", n)], np.int32)
+    if (kinds == POINT_MASS).all():
+        kinds = np.zeros((0, 0), np.int32)
+    at = {} if config.failures is None else config.failures.at
+    fail_at = np.array([at.get(i, 0) for i in range(0 if config.failures is None else n)], np.int32)
+    has_rays = config.observation in WITH_RAYS
+    rays = rays_of(config.sensing_radius, sizes.arena) if has_rays else np.zeros(0)
+    return Geometry(
+        **rounded(tables, real)._asdict(),
+        robots=robots,
+        kinds=kinds,
+        fail_at=fail_at,
+        ranges=make_ranges(config, n),
+        rays=rays.astype(real),
+        sampler=sampler_numbers(sampler) if sampler else np.zeros((0, 0), np.int64),
+        scratch=np.zeros((sampler.scratch_rows, worlds) if sampler else (0, 0), np.int64, "F"),
+        kept=np.zeros(worlds if sampler else 0, np.bool_),
+    )
+
+
+def rounded(tables: Tables, real: np.dtype[Any]) -> Tables:
+    """Tables whose float64 numbers are the engine's reals."""
+    return Tables(*(t.astype(real) if t.dtype == np.float64 else t for t in tables))
+
+
+def sampler_numbers(sampler: FieldSampler) -> Array:
+    """The numbers that fields are drawn by, and the seed last."""
+    return np.append(sampler.numbers(), np.int64(sampler.seed))
+
+
+def write_field(t: Tables, f: int, field: Field, given_starts: Array | None = None) -> None:
+    """Write a field to column f of the tables, padded, with starts of its own or those given."""
+    m, n, own = t.rois.shape[1], t.starts.shape[1], len(field.rois)
+    starts = field.starts[:n] if given_starts is None else given_starts
+    t.edges[:, :, f] = np.tile(field.vertices[0], 2)[:, None]
+    t.edges[:, : len(field.edges), f] = directed_edges(field)
+    t.rois[:, :, f] = field.rois[0][:, None]
+    t.rois[:, :own, f] = field.rois.T
+    t.starts[:, :, f] = starts[0][:, None]
+    t.starts[:, : len(starts), f] = starts.T
+    t.roi_bits[:, f] = [1 << (own - 1 - j) if j < own else 1 << j for j in range(m)]
+    t.codes[f] = (1 << own) - 1
+    t.boxes[:2, f] = field.vertices.min(axis=0)
+    t.boxes[2:, f] = np.ptp(field.vertices, axis=0)
+    t.robots_in[f] = len(starts)
+
+
+def read_field(tables: Tables, arena: tuple[float, float], name: str) -> Field:
+    """The field in the only column of the tables, to a thousandth of a unit."""
+    edges, rois, starts = (np.round(table.astype(np.float64), 3) for table in tables[:3])
+    return field_of(tables._replace(edges=edges, rois=rois, starts=starts), arena, name)
+
+
+def directed_edges(field: Field) -> Array:
+    """The edges of a field (4, E), turned so that it lies to the left of each."""
+    rings = [field.polygon.exterior, *field.polygon.interiors]
+    sizes = [len(ring.coords) - 1 for ring in rings]
+    wrong = [ring.is_ccw == (ring is not rings[0]) for ring in rings]
+    turned = np.roll(field.edges, 2, axis=1)
+    return np.where(np.repeat(wrong, sizes)[:, None], turned, field.edges).T

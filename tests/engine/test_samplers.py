@@ -1,0 +1,232 @@
+"""A field for every world, a new one for every episode."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbn_marl import BatchEngine, Failures, Uniform
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field, FieldSampler, load_field
+from mbn_marl.field.layout import FAMILIES
+
+ALL = FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 6), seed=5)
+WORLDS = 3
+TEAM_NUMBERS = ("wall_hits", "path_length", "impulse", "failed", "return_")
+
+
+class Worlds:
+    """Engines of one world and one fixed field each, which make the episodes of a sampler's."""
+
+    def __init__(self, sampler: FieldSampler, seed: int, **settings: Any) -> None:
+        self.sampler, self.seed, self.settings = sampler, seed, settings
+
+    def begin(self, world: int, episode: int) -> BatchEngine:
+        field = self.sampler.field(world, episode)
+        engine = BatchEngine(field, 1, first_world=world, autoreset=False, **self.settings)
+        engine.reset(self.seed, episode)
+        return engine
+
+
+def assert_same_observations(ours: BatchEngine, theirs: BatchEngine, world: int, rows: Any) -> None:
+    """Entries of the same name are equal; others are those of absent robots and missing ROIs."""
+    team = theirs.n_robots
+    places = {entry.name: entry.offset for entry in ours.observation_table}
+    named = [places[entry.name] for entry in theirs.observation_table]
+    expected = theirs._backend.output.observations[0]
+    np.testing.assert_array_equal(rows[world, :team][:, named], expected)
+    assert not rows[world, team:].any()
+    for entry in ours.observation_table:
+        if entry.name.startswith("other_") and entry.offset not in named:
+            number = int(entry.name.split("_")[1])
+            flag = entry.name.endswith(("absent", "failed"))
+            if number >= team:
+                assert (rows[world, :team, entry.offset] == flag).all(), entry
+        if entry.name.startswith("roi_") and entry.name.endswith("visited"):
+            known = entry.offset in named
+            assert known or (rows[world, :team, entry.offset] == 1).all(), entry
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"random_starts": True, "reward_sharing": "team", "condition": "gusty"},
+        {"dtype": "float64", "observation": "lidar_local", "failures": Failures(between=(1, 9))},
+        {"reward": "formal", "mass": Uniform(0.8, 1.5), "failures": Failures(at={0: 5, 1: 9})},
+    ],
+    ids=["starts", "lidar", "formal"],
+)
+def test_a_world_is_that_of_an_engine_with_its_field_alone(settings: dict[str, Any]) -> None:
+    settings["max_steps"] = 25
+    ours, reference = BatchEngine(ALL, WORLDS, seed=3, **settings), Worlds(ALL, 3, **settings)
+    seen = ours.reset().copy()
+    theirs = [reference.begin(w, 0) for w in range(WORLDS)]
+    ended, sizes = 0, set()
+    for _ in range(90):
+        for w in range(WORLDS):
+            assert_same_observations(ours, theirs[w], w, seen)
+            assert ours.present[w].sum() == theirs[w].n_robots
+            assert ours.field_of(w).rois.tolist() == theirs[w].field.rois.tolist()
+        actions = ours.sample_actions()
+        seen, rewards, terminated, truncated = (part.copy() for part in ours.step(actions))
+        infos, metrics = ours.infos(), ours.metrics()
+        for w, engine in enumerate(theirs):
+            team = engine.n_robots
+            _, own, done, late = engine.step(actions[None, w, :team])
+            np.testing.assert_array_equal(rewards[w, :team], own[0])
+            assert not rewards[w, team:].any()
+            assert (terminated[w], truncated[w]) == (done[0], late[0])
+            assert ours.team_rewards[w] == engine.team_rewards[0]
+            np.testing.assert_array_equal(infos[w, :team], engine.infos()[0])
+            for name, values in engine.metrics().items():
+                found = metrics[name][w, :team] if name in TEAM_NUMBERS else metrics[name][w]
+                np.testing.assert_array_equal(found, values[0], name)
+            if done[0] or late[0]:
+                assert_same_observations(ours, engine, w, ours.final_observations)
+                ended += 1
+                sizes.add((team, len(engine.field.rois)))
+                theirs[w] = reference.begin(w, int(ours.episode_numbers[w]))
+            if "failures" not in settings and not settings.get("reward_sharing"):
+                np.testing.assert_allclose(rewards[w].sum(), ours.team_rewards[w], rtol=1e-5)
+    assert ended >= 9
+    assert len(sizes) >= 5
+
+
+def test_fields_depend_on_seed_world_and_episode_alone() -> None:
+    sampler = FieldSampler(("convex", "farm"), robots=3, rois=(3, 5), seed=8)
+    one = BatchEngine(sampler, 40, seed=1, threads=1, max_steps=9)
+    two = BatchEngine(sampler, 25, seed=2, threads=2, max_steps=9, first_world=10)
+    one.reset()
+    two.reset()
+    for _ in range(30):
+        one.step(one.sample_actions())
+        two.step(two.sample_actions())
+    assert (one.episode_numbers >= 3).all()
+    for engine, world, number in ((one, 14, 14), (two, 4, 14), (two, 24, 34)):
+        expected = sampler.field(number, int(engine.episode_numbers[world]))
+        found = engine.field_of(world)
+        assert np.array_equal(found.edges, expected.edges)
+        assert np.array_equal(found.starts, expected.starts)
+    assert (
+        len({engine.field_of(w).vertices.tobytes() for engine in (one, two) for w in range(9)})
+        == 18
+    )
+
+
+def test_saved_worlds_go_on_with_their_fields() -> None:
+    engine = BatchEngine(ALL, 5, seed=3, max_steps=12)
+    engine.reset()
+    for _ in range(20):
+        engine.step(engine.sample_actions())
+    saved, copied = engine.save_state(), copy.deepcopy(engine)
+    other = BatchEngine(ALL, 5, seed=77, max_steps=12)
+    other.reset()
+    other.load_state(saved)
+    for _ in range(30):
+        actions = engine.sample_actions()
+        results = [e.step(actions) for e in (engine, other, copied)]
+        for theirs in results[1:]:
+            for a, b in zip(results[0], theirs, strict=True):
+                np.testing.assert_array_equal(a, b)
+        assert [e.field_of(3) for e in (other, copied)] == [engine.field_of(3)] * 2
+        for e in (other, copied):
+            e.sample_actions()
+
+
+def test_a_snapshot_has_the_team_and_the_field_of_the_episode() -> None:
+    engine = BatchEngine(ALL, 8, seed=3)
+    engine.reset()
+    engine.step(engine.sample_actions())
+    for world in range(8):
+        snapshot, expected = engine.snapshot(world), ALL.field(world)
+        team, rois = len(expected.starts), len(expected.rois)
+        assert snapshot.positions.shape == snapshot.velocities.shape == (team, 2)
+        assert snapshot.trail.shape == (2, team, 2)
+        assert snapshot.visited.shape == (rois,)
+        assert np.array_equal(snapshot.field.rois, expected.rois)
+
+
+def test_fixed_fields_may_have_teams_of_different_sizes() -> None:
+    big, small = load_field("field_03"), load_field("field_05")
+    small = Field(small.vertices, small.rois[:2], small.starts[:2], name="small")
+    engine = BatchEngine([big, small], 4, seed=1)
+    engine.reset()
+    assert engine.present.sum(axis=1).tolist() == [3, 2, 3, 2]
+    assert engine.n_robots == 3
+    _, rewards, _, _ = engine.step(engine.sample_actions())
+    assert not rewards[1, 2]
+    np.testing.assert_allclose(rewards.sum(axis=1), engine.team_rewards, rtol=1e-6)
+    two = BatchEngine([big, small], 4, seed=1, n_robots=2)
+    assert two.present.all()
+
+
+def test_a_world_can_be_given_a_field() -> None:
+    field = load_field("field_09")
+    engine = BatchEngine("field_03", 1, seed=1, autoreset=False)
+    assert len(field.edges) > len(engine.field.edges)
+    starts = field.starts[::-1]
+    engine.set_field(field, starts=starts)
+    reference = BatchEngine(field, 1, seed=1, autoreset=False, starts=starts)
+    np.testing.assert_array_equal(engine.reset(), reference.reset())
+    assert engine.snapshot().field == field
+    for _ in range(30):
+        actions = engine.sample_actions()
+        reference.sample_actions()
+        np.testing.assert_array_equal(engine.step(actions)[0], reference.step(actions)[0])
+    sampled = BatchEngine(ALL, 2, seed=3, autoreset=False)
+    sampled.reset()
+    sampled.set_field(load_field("field_02"), world=1)
+    sampled.reset()
+    assert np.array_equal(sampled.field_of(1).rois, load_field("field_02").rois)
+    assert np.array_equal(sampled.field_of(0).rois, ALL.field(0, 1).rois)
+    sampled.reset()
+    assert np.array_equal(sampled.field_of(1).rois, ALL.field(1, 2).rois)
+
+
+def test_what_a_world_cannot_be_given_is_said_at_once() -> None:
+    engine = BatchEngine("field_03", 3, n_robots=2)
+    field = load_field("field_05")
+    alone = Field(field.vertices, [*field.rois, *(field.rois + 3)], field.starts[:1])
+    with pytest.raises(ConfigError) as caught:
+        engine.set_field(alone)
+    problems = str(caught.value)
+    for part in (
+        "custom has 12 ROIs; allowed: at most 6",
+        "n_robots: 2; allowed: 1 to 1",
+        "one for all",
+    ):
+        assert part in problems
+    with pytest.raises(IndexError, match="world 7; allowed: 0 to 2"):
+        engine.set_field(field, world=7)
+    with pytest.raises(ConfigError, match="in place of another one"):
+        engine.set_sampler(ALL)
+
+
+def test_a_curriculum_changes_the_fields_that_are_drawn() -> None:
+    small = FieldSampler(FAMILIES, robots=(2, 4), rois=2, size=120, weights=(1, 0, 0, 0, 0), seed=5)
+    engine = BatchEngine(ALL, 20, seed=3)
+    engine.reset()
+    before = engine.field_of(0)
+    engine.set_sampler(small)
+    assert engine.field_of(0) == before
+    engine.reset()
+    for world in range(20):
+        field = engine.field_of(world)
+        assert np.ptp(field.vertices, axis=0).max() == pytest.approx(120.0)
+        assert np.array_equal(field.edges, small.field(world, 1).edges)
+    large = FieldSampler(FAMILIES, robots=(1, 9), rois=8, arena=(500, 500), size=200)
+    with pytest.raises(ConfigError) as caught:
+        engine.set_sampler(large)
+    assert len(caught.value.problems) == 3  # robots, ROIs, arena
+    assert np.array_equal(engine.field_of(3).edges, small.field(3, 1).edges)
+
+
+def test_settings_that_no_drawn_field_allows_are_named() -> None:
+    with pytest.raises(ConfigError) as caught:
+        BatchEngine(ALL, n_robots=3, safety_distance=14.0, starts=np.zeros((3, 2)))
+    problems = str(caught.value)
+    for part in ("n_robots: 3; allowed: at least 4", "safety_distance: 14", "starts: allowed with"):
+        assert part in problems
