@@ -3,31 +3,43 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from baselines.evaluation.policy import TrainedPolicy
+    from baselines.evaluation.fitting import LoadedPolicy
+    from mbn_marl.field import Field
 
 __all__ = ["load_policy"]
 
 
-def load_policy(source: str | Path) -> TrainedPolicy:
-    """Load a trained policy, from a run of yours or from the zoo; it is ready to act.
-
-    ``policy.observes`` says what it acts on: ``"observations"``, an array (worlds, n, obs_size), or
-    ``"state"``, the paper's vector (worlds, 4n+1). ``policy.act(seen, deterministic=True)`` returns
-    the actions (worlds, n, 2), shares of the full force in [-1, 1] once the environment clips them.
+def load_policy(
+    source: str | Path, field: str | Path | Field | None = None, *, seed: int = 0, **settings: Any
+) -> LoadedPolicy:
+    """Load a policy that is ready to act, with the settings of the environment that it wants.
 
     Args:
-        source: the folder of a run (of an unfinished one, its newest checkpoint counts), or
-            ``"zoo:NAME"``, a policy of ``mbn zoo``.
+        source: ``"zoo:NAME"``, a policy of ``mbn zoo``, or ``"zoo"``, that of the field; the folder
+            of a run (of an unfinished one, its newest checkpoint counts); ``"greedy"``,
+            ``"planner"`` or ``"replan"``, which act on the state; ``"random"``; or
+            ``"module:callable"``, your own: it is called with the field, or ``None``, and returns
+            an object with ``act(observations, deterministic=True)`` and, if it likes,
+            ``settings``, ``observes`` and ``reset(worlds)``, or a function of the observations.
+        field: a catalogue name, a file or a :class:`~mbn_marl.Field`; ``None``: that of the run
+            or of the zoo's policy. Greedy, planner and replan need one; the latter two plan in it,
+            for up to 60 seconds.
+        seed: of random actions, >= 0.
+        **settings: settings of :class:`~mbn_marl.config.NavigationConfig` that replace those that
+            the policy brings; the weather and the failures of a ``condition`` replace all of them.
 
     Raises:
-        MbnError: the zoo has no such policy; the message lists those it has.
-        RunError: there is no run, or it has saved no policy, or an older version wrote it.
+        ConfigError: listing what is wrong: a field is missing, or the policy was trained for other
+            robots, ROIs or observations, or your callable returns no policy.
+        MbnError: the zoo has no such policy (the message lists those it has), or no plan was found;
+            or (:class:`baselines.runs.files.RunError`) there is no run, or it has saved no policy,
+            or an older version wrote it.
+        FieldError: the field is unknown or not valid.
         DamageError: a file of the policy is not what was written.
     """
-    from baselines.evaluation.policy import load_policy
-    from baselines.zoo.entries import open_run
+    from baselines.zoo.sources import find_policy
 
-    return load_policy(open_run(str(source)))
+    return find_policy(str(source), field, seed=seed, **settings)

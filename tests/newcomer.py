@@ -138,7 +138,7 @@ class Newcomer:
         folder.mkdir()
         write_own_files(folder)
         for block in blocks_of(page):
-            if block.language == "yaml":
+            if block.language in ("yaml", "python"):
                 write_file(block, folder)
             for line in commands_of(block) if block.language == "sh" and not block.needs else ():
                 words = ["mbn", *tiny(line[1:])] if line[0] == "mbn" else line

@@ -42,6 +42,8 @@ class Controller(Protocol):
 class ControllerPolicy:
     """A controller for each world; worlds share one as long as they have been the same.
 
+    It begins anew in a world whose robots rest and have visited nothing.
+
     Args:
         problem: the instance.
         begin: makes the controller of an episode.

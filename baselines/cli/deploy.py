@@ -23,7 +23,8 @@ class Deploy:
 
     policy: Positional[Annotated[str, arg(metavar="POLICY")]]
     """zoo, the zoo's own policy for each field; zoo:NAME; the folder of a run; greedy; planner, the
-    best plan, followed in closed loop; replan, which plans again; or random."""
+    best plan, followed in closed loop; replan, which plans again; random; or module:callable, your
+    own."""
     field: tuple[str, ...] = ()
     """Names of `mbn fields`, or field files; by default that of the run or of zoo:NAME."""
     sim: Literal["mujoco", "coppeliasim", "plane"] = "mujoco"

@@ -22,11 +22,12 @@ ONE_EPISODE = "deterministic:\none episode"
 class Evaluate:
     """Evaluate a policy on fresh episodes, with sampled and with mean actions."""
 
-    source: Positional[Annotated[str, arg(metavar="RUN|greedy|planner|replan")]]
+    source: Positional[Annotated[str, arg(metavar="POLICY")]]
     """The folder of a run; zoo:NAME, a policy of `mbn zoo`; greedy, nearest ROIs first; planner,
-    the best plan, followed in closed loop; or replan, which plans again if the world leaves it."""
+    the best plan, followed in closed loop; replan, which plans again if the world leaves it;
+    random; or module:callable, your own."""
     field: str | None = None
-    """For greedy, planner and replan: a name of `mbn fields`, or a field file."""
+    """For policies that have none of their own: a name of `mbn fields`, or a field file."""
     episodes: int = 100
     """How many episodes."""
     seed: int | None = None
@@ -50,15 +51,15 @@ class Evaluate:
 
     def run(self, command_line: str) -> None:
         """Evaluate, print the summaries, and write the files that are asked for."""
-        from baselines.classical.controller import CLASSICAL
         from baselines.evaluation.evaluate import EVALUATION_SEED
         from baselines.zoo.entries import PREFIX
+        from baselines.zoo.sources import takes_field
 
-        in_wind, classical = self.wind_speeds is not None, self.source in CLASSICAL
-        field = f"{self.source} has its own; --field is for {', '.join(CLASSICAL)}"
-        if classical:
+        in_wind, asks = self.wind_speeds is not None, takes_field(self.source)
+        field = f"{self.source} has its own"
+        if asks:
             field = f"needed, for example: mbn evaluate {self.source} --field field_03"
-        homeless = classical or self.source.startswith(PREFIX)
+        homeless = asks or self.source.startswith(PREFIX)
         wrong = {
             f"episodes: at least 1, not {self.episodes}": self.episodes < 1,
             "figure: allowed with --wind-speeds": self.figure is not None and not in_wind,
@@ -67,7 +68,7 @@ class Evaluate:
             and homeless
             and None in (self.json, self.figure),
             "condition: allowed without --wind-speeds": self.condition is not None and in_wind,
-            f"field: {field}": classical != (self.field is not None),
+            f"field: {field}": asks != (self.field is not None),
         }
         check_options("evaluation", wrong)
         how, home = self._subject()
@@ -80,22 +81,17 @@ class Evaluate:
 
     def _subject(self) -> tuple[dict[str, Any], Path]:
         """Return policy, field and settings, and the folder that files go to by default."""
-        from baselines.classical.controller import make_classical
-        from baselines.evaluation.evaluate import under
-        from baselines.evaluation.policy import load_policy
         from baselines.zoo.entries import open_run
-        from mbn_marl.field import load_field
+        from baselines.zoo.sources import find_policy
 
+        loaded = find_policy(self.source, self.field, condition=self.condition)
+        subject = {"policy": loaded.policy, "field": loaded.field, "settings": loaded.settings}
         if self.field is not None:
-            field = load_field(self.field)
-            settings = under({}, self.condition)
-            policy = make_classical(self.source, field, settings)
-            return {"policy": policy, "field": field, "settings": settings}, Path()
+            return subject, Path()
         run = open_run(self.source)
         if run.unfinished is not None:
             print(run.unfinished)
-        settings = under(run.config["environment"], self.condition)
-        return {"policy": load_policy(run), "field": run.field, "settings": settings}, run.path
+        return subject, run.path
 
     def _evaluate(self, how: dict[str, Any], command_line: str) -> None:
         """Evaluate as the policy was trained, or under the condition."""

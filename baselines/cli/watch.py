@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,8 +18,8 @@ class _Window:
     source: Positional[Annotated[str, arg(metavar="FIELD|RUN")]]
     """A name of `mbn fields`, a field file, the folder of a run, or zoo:NAME."""
     policy: str | None = None
-    """In a field: the folder of a run, zoo:NAME, or random; by default the zoo's policy for that
-    field if there is one, else random."""
+    """In a field: the folder of a run, zoo:NAME, greedy, planner, replan, random, or
+    module:callable; by default the zoo's policy for that field if there is one, else random."""
     wind: tuple[float, float] | None = None
     """Speed (units/step per step) and angle (degrees from +x) of the wind."""
     condition: Condition | None = None
@@ -42,14 +42,13 @@ class _Window:
         """Show episodes until the window is closed, and keep the last one if asked to."""
         from baselines.demo.interactive import Show, play, watch
         from baselines.demo.resolve import find_actor, zoo_policy
-        from baselines.evaluation.evaluate import under
         from mbn_marl.episode import save_episode
         from mbn_marl.errors import MbnError
         from mbn_marl.files import check_free, claim_file
 
-        actor = find_actor(self.source, self.policy or zoo_policy(self.source), seed=self.seed)
-        wind: dict[str, Any] = {} if self.wind is None else {"wind": self.wind}
-        actor = replace(actor, settings=under(actor.settings, self.condition, **wind))
+        how: dict[str, Any] = {"seed": self.seed, "condition": self.condition}
+        how |= {} if self.wind is None else {"wind": self.wind}
+        actor = find_actor(self.source, self.policy or zoo_policy(self.source), **how)
         if self.save is not None:
             if self.save.suffix.lower() != ".json":
                 raise MbnError(f"{self.save}: the file name has to end in .json")

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
-from baselines.classical.controller import CLASSICAL, make_classical
+from baselines.classical.controller import CLASSICAL
 from baselines.demo.resolve import Actor, find_actor
-from baselines.evaluation.evaluate import fitted, under
+from baselines.evaluation.fitting import fitted
+from baselines.evaluation.policy import restart
+from baselines.zoo.sources import takes_field
 from mbn_marl.config import Condition
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import load_field
 from mbn_marl.sim3d import Deployment, Scale, Simulator, deploy
-
-ZOO = "zoo"  # the zoo's own policy for each field
 
 
 def find_pilots(
@@ -29,7 +27,7 @@ def find_pilots(
 
     Args:
         policy: ``"zoo"``, ``zoo:NAME``, a run's folder, ``"greedy"``, ``"planner"``,
-            ``"replan"``, ``"random"``.
+            ``"replan"``, ``"random"``, ``module:callable``.
         fields: names or files; without any, a run's or a zoo policy's own.
         speed_limit: of the vehicles, units/step: classical policies plan with it.
         condition: whose weather and failures replace those that the policy brings.
@@ -39,22 +37,13 @@ def find_pilots(
         MbnError: a field, or a policy for it, is not there.
     """
     if not fields:
-        if policy in (ZOO, "random", *CLASSICAL):
+        if takes_field(policy):
             problem = f"field: {policy} has none of its own; name one or more"
             raise ConfigError("deployment", [problem])
-        return [_under(condition, find_actor(policy))]
-    if policy in CLASSICAL:
-        settings = under({} if speed_limit is None else {"v_clip": speed_limit}, condition)
-        return [
-            Actor(make_classical(policy, field, settings), field, settings, policy)
-            for field in map(load_field, fields)
-        ]
-    found = (find_actor(name, f"zoo:{name}" if policy == ZOO else policy) for name in fields)
-    return [_under(condition, actor) for actor in found]
-
-
-def _under(condition: Condition | None, actor: Actor) -> Actor:
-    return replace(actor, settings=under(actor.settings, condition))
+        return [find_actor(policy, condition=condition)]
+    limited = policy in CLASSICAL and speed_limit is not None
+    settings = {"v_clip": speed_limit} if limited else {}
+    return [find_actor(name, policy, condition=condition, **settings) for name in fields]
 
 
 def summarise(deployment: Deployment, scale: Scale) -> dict[str, Any]:
@@ -99,6 +88,7 @@ def sweep_wind(
     deployments: list[Deployment] = []
     for wind in [{"wind": (speed, angle)} for speed in sorted(set(speeds))] or [{}]:
         settings = {**actor.settings, **wind}
+        restart(policy)
         flown = deploy(policy, actor.field, settings, simulator, source=actor.name)
         deployments.append(flown)
         if not (flown.success or every):

@@ -10,7 +10,8 @@ import numpy as np
 import torch
 
 from baselines.demo.resolve import Actor
-from baselines.evaluation.evaluate import fitted
+from baselines.evaluation.fitting import fitted
+from baselines.evaluation.policy import restart
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.errors import ConfigError
@@ -96,6 +97,7 @@ def _one_episode(
 ) -> bool:
     """Show one episode and rest at its end; return False if it was cut short."""
     policy, observations, paused = actor.policy, engine.reset(), False
+    restart(policy)
     viewer.draw(engine.snapshot())
     while engine.running[0]:
         if not paused:

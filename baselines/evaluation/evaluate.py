@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from baselines.evaluation.fitting import LoadedPolicy, fitted
 from baselines.evaluation.intervals import mean_of_known
-from baselines.evaluation.policy import Origin, Policy, RandomPolicy
-from mbn_marl.config import CONDITIONS, Condition, NavigationConfig, expand, make_config
+from baselines.evaluation.policy import Policy, RandomPolicy, restart
+from mbn_marl.config import CONDITIONS, Condition, expand, make_config
 from mbn_marl.engine import BatchEngine
-from mbn_marl.engine.mdp.dynamics import count_headings
-from mbn_marl.engine.mdp.observations import WITH_RADIUS, observation_table
 from mbn_marl.episode import Episode, EpisodeRecorder
-from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
 EVALUATION_SEED = 1_000_003
@@ -133,9 +131,10 @@ def roll_out(
     Sampled actions come from torch's generator, which is seeded, and at the end put back.
 
     Raises:
-        ConfigError: see :func:`fitted`.
+        ConfigError: see :func:`~.fitting.fitted`.
     """
     policy = fitted(policy, engine)
+    restart(policy)
     observations = engine.reset()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -143,11 +142,15 @@ def roll_out(
             seen = engine.state() if policy.observes == "state" else observations
             actions = policy.act(seen, deterministic=deterministic)
             observations, _, terminated, truncated = engine.step(actions)
-            yield terminated | truncated
+            ended = terminated | truncated
+            if ended.any():
+                restart(policy, ended)
+            yield ended
 
 
 def is_one_episode(policy: Policy, settings: Mapping[str, Any], *, deterministic: bool) -> bool:
     """Return whether all episodes are the same: they depend on no random number."""
+    policy = policy.policy if isinstance(policy, LoadedPolicy) else policy
     if make_config(settings).is_random or isinstance(policy, RandomPolicy):
         return False
     return deterministic or not getattr(policy, "samples", True)
@@ -195,84 +198,3 @@ def under(settings: Mapping[str, Any], condition: Condition | None, **asked: Any
     weather = {name for one in CONDITIONS if one != "mixed" for name in CONDITIONS[one]}
     others = {name: value for name, value in settings.items() if name not in weather}
     return {**others, **expand({**asked, "condition": condition})}
-
-
-class Narrowed:
-    """A policy that acts on some of the entries of what it is shown.
-
-    Args:
-        policy: the policy.
-        entries: the places of the entries that it was trained with.
-    """
-
-    def __init__(self, policy: Policy, entries: list[int]) -> None:
-        self.observes = policy.observes
-        self._policy, self._entries = policy, entries
-
-    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """See :class:`Policy`."""
-        return self._policy.act(seen[..., self._entries], deterministic=deterministic)
-
-
-def fitted(policy: Policy, engine: BatchEngine) -> Policy:
-    """Return a policy that acts on what the engine shows.
-
-    Of the headings of robots and the flags of those that have failed, a loaded policy that was
-    trained without them sees nothing.
-
-    Raises:
-        ConfigError: naming all that a loaded policy was trained with otherwise: robots, ROIs and,
-            if it acts on the robots' own observations, their kind and what they are scaled by.
-    """
-    trained: Origin | None = getattr(policy, "origin", None)
-    if trained is None:
-        return policy
-    ours, theirs = _sizes(*trained), _sizes(engine.field, engine.config)
-    new = {name for name in ("headings", "failures") if theirs[name] and not ours[name]}
-    problems = [
-        f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
-        for name in (
-            ("robots", "ROIs", "headings", "failures") if policy.observes == "state" else ours
-        )
-        if ours[name] != theirs[name] and name not in new
-    ]
-    if problems:
-        raise ConfigError(f"policy in {engine.field.name}", problems)
-    return Narrowed(policy, _known_entries(policy, trained, engine)) if new else policy
-
-
-def _known_entries(policy: Policy, trained: Origin, engine: BatchEngine) -> list[int]:
-    """Return the places of what a policy was trained with in what the engine shows."""
-    n = engine.n_robots
-    if policy.observes == "state":
-        headings, failures = 4 * n, engine.state().shape[1] - 1 - n
-        kept = [*range(4 * n), *(range(headings, 5 * n) if _turns(trained.config, n) else ())]
-        kept += range(failures, failures + n) if trained.config.failures is not None else ()
-        return [*kept, engine.state().shape[1] - 1]
-    m, arena = len(trained.field.rois), trained.field.arena
-    places = {entry.name: entry.offset for entry in engine.observation_table}
-    table = observation_table(trained.config, n, m, arena)
-    return [places[entry.name] for entry in table]
-
-
-def _turns(config: NavigationConfig, n: int) -> bool:
-    """Return whether a robot of a team of n has a heading."""
-    return count_headings(config.of_each("dynamics", n)) > 0
-
-
-def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
-    """The settings that an observation's numbers depend on."""
-    sizes = {
-        "robots": config.n_robots or len(field.starts),
-        "ROIs": len(field.rois),
-        "arena": tuple(map(float, field.arena)),
-        "headings": _turns(config, config.n_robots or len(field.starts)),
-        "failures": config.failures is not None,
-        "v_clip": config.top_speed,
-        **{name: getattr(config, name) for name in ("observation", "one_hot")},
-    }
-    if config.observation in WITH_RADIUS:
-        sizes["sensing_radius"] = config.sensing_radius
-    elif config.observation == "state":
-        del sizes["arena"], sizes["v_clip"]
-    return sizes

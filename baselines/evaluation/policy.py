@@ -31,6 +31,16 @@ class Policy(Protocol):
         ...
 
 
+def restart(policy: Policy, worlds: np.ndarray | None = None) -> None:
+    """Tell a policy, if it has a memory (``reset``), that episodes begin.
+
+    They do in the ``worlds``, (worlds,) bool; ``None``: in all.
+    """
+    reset = getattr(policy, "reset", None)
+    if reset is not None:
+        reset(worlds)
+
+
 class TrainedPolicy(Policy, Protocol):
     """A policy that can be kept."""
 

@@ -24,6 +24,7 @@ from docs.extensions.raised import is_subclass, raised_by
 from mbn_marl import errors
 
 MODULES = (
+    "baselines",
     "mbn_marl",
     "mbn_marl.adapters.gymnasium",
     "mbn_marl.adapters.infos",

@@ -4,37 +4,216 @@ from __future__ import annotations
 
 import shutil
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from baselines import load_policy
+from baselines.classical.controller import make_classical
+from baselines.evaluation.evaluate import evaluate
+from baselines.evaluation.policy import Policy
+from baselines.evaluation.policy import load_policy as load_trained
+from baselines.evaluation.rollout import record_episode
 from baselines.runs.files import RunError
-from baselines.zoo.entries import FOLDER
-from mbn_marl import BatchEngine
-from mbn_marl.errors import MbnError
+from baselines.zoo.entries import FOLDER, open_run
+from mbn_marl import BatchEngine, Field, load_field, parallel_env
+from mbn_marl.errors import ConfigError, MbnError
 
 ROOT = Path(__file__).parents[2]
+LIDAR = {"observation": "lidar"}
+Write = Callable[[str], str]
 
 
-def test_a_policy_of_the_zoo_acts(tmp_path: Path) -> None:
-    policy = load_policy("zoo:field_07")
-    assert policy.observes == "observations"
-    engine = BatchEngine("field_07", 2, observation="lidar")
-    seen = engine.reset()
-    actions = policy.act(seen, deterministic=True)
-    assert actions.shape == (2, 3, 2) and np.isfinite(actions).all()
+@pytest.mark.parametrize("name", ["field_03", "field_07"])
+def test_a_policy_of_the_zoo_acts_as_in_an_evaluation(name: str) -> None:
+    run = open_run(f"zoo:{name}")
+    evaluated = record_episode(load_trained(run), run.field, run.config["environment"])
+    policy = load_policy("zoo", name)
+    assert policy.observes == "observations" and policy.field == run.field
+    env = parallel_env(policy.field, **policy.settings)
+    seen, _ = env.reset(seed=0)
+    for expected in evaluated.actions:
+        assert env.agents
+        actions = policy.act(dict(reversed(seen.items())))
+        taken = np.stack([actions[agent] for agent in env.agents])
+        assert taken.dtype == np.float32
+        np.testing.assert_array_equal(taken, expected)
+        rows = np.stack(list(seen.values()))
+        np.testing.assert_array_equal(policy.act(rows), taken)
+        np.testing.assert_array_equal(policy.act(np.stack([rows, rows])), np.stack([taken] * 2))
+        last = policy.act({"robot_2": seen["robot_2"]})
+        np.testing.assert_array_equal(last["robot_2"], taken[2])
+        seen, *_ = env.step(actions)
+    assert not env.agents and policy.act({}) == {}
+
+
+def test_a_run_is_loaded_from_its_folder(tmp_path: Path) -> None:
     shutil.copytree(FOLDER / "field_07", tmp_path / "run")
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, 55))
+    actions = load_policy("zoo:field_07").act(seen)
     for source in (tmp_path / "run", str(tmp_path / "run")):
-        np.testing.assert_array_equal(load_policy(source).act(seen, deterministic=True), actions)
+        np.testing.assert_array_equal(load_policy(source).act(seen), actions)
 
 
-def test_an_unknown_source_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["greedy", "planner"])
+def test_policies_on_the_state_take_it_and_begin_again(name: str) -> None:
+    field = load_field("field_03")
+    evaluated = record_episode(make_classical(name, field, LIDAR), field, LIDAR)
+    policy = load_policy(name, "field_03", **LIDAR)
+    assert policy.observes == "state"
+    env = parallel_env(field, **policy.settings)
+    for limit in (5, None):  # a first episode is left in the middle
+        env.reset()
+        for expected in evaluated.actions[:limit]:
+            actions = policy.act(env.state())
+            np.testing.assert_array_equal(actions, expected)
+            env.step(dict(zip(env.agents, actions, strict=True)))
+    assert not env.agents
+
+
+def test_settings_replace_those_of_the_policy_which_sees_what_it_was_trained_with() -> None:
+    policy = load_policy("zoo:field_03", condition="failing", max_steps=7)
+    engine = BatchEngine(policy.field or "", 2, **policy.settings)
+    assert engine.config.failures is not None and engine.config.max_steps == 7
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, engine.obs_size))
+    known = [entry.offset for entry in engine.observation_table if "failed" not in entry.name]
+    expected = load_policy("zoo:field_03").act(seen[..., known])
+    assert len(known) < engine.obs_size
+    np.testing.assert_array_equal(policy.act(seen), expected)
+
+
+def test_wrong_observations_are_told_what_the_policy_acts_on() -> None:
+    policy = load_policy("zoo:field_07")
+    acts = r"observation='lidar' in field_07, \(W, 3, 55\) for W worlds or \(3, 55\) for one"
+    with pytest.raises(ConfigError, match=rf"zoo:field_07.*\n.*{acts}, not \(2, 3, 30\)"):
+        policy.act(np.zeros((2, 3, 30)))
+    with pytest.raises(ConfigError, match=r"unknown agent(.|\n)*robot_1: .*not \(30,\)") as caught:
+        policy.act({"robot_3": np.zeros(55), "robot_0": np.zeros(55), "robot_1": np.zeros(30)})
+    assert len(caught.value.problems) == 2
+    greedy = load_policy("greedy", "field_07")
+    for wrong in (np.zeros((2, 14)), {"robot_0": np.zeros(55)}):
+        with pytest.raises(ConfigError, match=r"state\(\) in field_07, \(W, 13\)"):
+            greedy.act(wrong)
+
+
+def test_what_cannot_be_loaded_is_named(tmp_path: Path) -> None:
     with pytest.raises(MbnError, match=r"zoo:nothing.*field_07"):
         load_policy("zoo:nothing")
     with pytest.raises(RunError, match=str(tmp_path)):
         load_policy(tmp_path)
+    with pytest.raises(RunError, match=r"gredy.*did you mean greedy.*module:callable"):
+        load_policy("gredy")
+    with pytest.raises(ConfigError, match="field: greedy"):
+        load_policy("greedy")
+    lonely = Field([(0, 0), (90, 0), (90, 90), (0, 90)], [(70, 70)], [(20, 20)], name="lonely")
+    with pytest.raises(ConfigError, match=r"lonely(.|\n)*robots: .*with 3, here it is 1\n.*ROIs"):
+        load_policy("zoo:field_03", lonely)
+
+
+# -- a user's own ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
+    """Write a module of a user into the working directory; return its name, new each time."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(text: str) -> str:
+        name = f"own_{abs(hash((tmp_path, text)))}"
+        (tmp_path / f"{name}.py").write_text(f"import numpy as np\n{text}", encoding="utf-8")
+        return name
+
+    return write
+
+
+OWN = """
+class Counting:
+    settings = {"observation": "lidar", "max_steps": 2}
+    def __init__(self, field):
+        self.field, self.began = field, []
+    def act(self, observations, deterministic=True):
+        return observations[..., :2] * (1.0 if deterministic else 0.5)
+    def reset(self, worlds=None):
+        self.began.append(None if worlds is None else worlds.tolist())
+
+def function(field):
+    return lambda observations: 0.5 * observations[..., :2]
+"""
+
+
+def test_a_policy_of_ones_own(write: Write) -> None:
+    module = write(OWN)
+    policy = load_policy(f"{module}:Counting", "field_03", max_steps=3)
+    assert policy.settings == {"observation": "lidar", "max_steps": 3}
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, 55)).astype(np.float32)
+    np.testing.assert_array_equal(policy.act(seen), seen[..., :2])
+    np.testing.assert_array_equal(policy.act(seen, deterministic=False), seen[..., :2] / 2)
+    half: Policy = load_policy(f"{module}:function")  # of any field
+    np.testing.assert_array_equal(
+        half.act(seen[:, :2, :9], deterministic=True), seen[:, :2, :2] / 2
+    )
+    summary = evaluate(policy, "field_03", policy.settings, episodes=2, deterministic=True)
+    assert summary.steps == [3, 3]
+    own: Any = policy.policy
+    assert own._made.began == [None, [True, True]] and own._made.field == policy.field
+
+
+BAD = """
+import math
+
+class Bad:
+    settings = {"obsevation": "lidar", "max_steps": 0}
+    observes = "everything"
+    act = None
+
+    def __init__(self, field): pass
+
+class Deaf(Bad):
+    settings, observes = {}, "state"
+    def act(self): pass
+
+def none(): pass
+def number(field): return 3
+def flat(field): return lambda observations: observations[..., 0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "problems"),
+    [
+        (
+            "Bad",
+            ["returned Bad; allowed: an object with act", "observes", "max_steps", "obsevation"],
+        ),
+        ("Deaf", ["act(); needed: (observations, deterministic)"]),
+        ("none", ["callable: none(); needed: one argument, the field"]),
+        ("number", ["returned int; allowed"]),
+        ("math.pi", ["callable: math.pi is float; allowed: a function or a class"]),
+        ("nothing", ["has no attribute 'nothing'"]),
+    ],
+)
+def test_what_is_wrong_with_ones_own_is_listed(
+    write: Write, name: str, problems: list[str]
+) -> None:
+    source = f"{write(BAD)}:{name}"
+    with pytest.raises(ConfigError, match=source) as caught:
+        load_policy(source, "field_03")
+    assert len(caught.value.problems) == len(problems)
+    for problem, expected in zip(caught.value.problems, problems, strict=True):
+        assert expected in problem
+
+
+def test_a_module_that_is_not_there_or_fails_and_wrong_actions(write: Write) -> None:
+    with pytest.raises(ConfigError, match="no module named 'own_missing'"):
+        load_policy("own_missing:make")
+    with pytest.raises(ModuleNotFoundError, match="not_installed"):
+        load_policy(f"{write('import not_installed')}:make")
+    flat = f"{write(BAD)}:flat"
+    with pytest.raises(ConfigError, match=rf"{flat}(.|\n)*expected \(2, 3, 2\), got \(2, 3\)"):
+        load_policy(flat).act(np.zeros((2, 3, 4)))
 
 
 def test_the_console_script_notices_another_package_called_baselines() -> None:

@@ -29,7 +29,7 @@ NEEDS = ("", "checkout", "gpu", "cluster", "simulator")
 """What may stand in the comment before a block, ``<!-- needs: checkout -->``: the block is not for
 everyone who has installed the package."""
 BLOCK = re.compile(r"(?:^<!-- needs: (\w+) -->\n)?^```(.*?)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-FILE_NAME = re.compile(r"# (\S+\.ya?ml)\n")
+FILE_NAME = re.compile(r"# (\S+\.(?:ya?ml|py))\n")
 
 BUDGET = "--steps 1 --evaluate-every 4096 --episodes 2"
 TINY: Mapping[str, str] = {
@@ -85,12 +85,12 @@ def commands_of(block: Block) -> Iterator[list[str]]:
 
 
 def write_file(block: Block, folder: Path) -> None:
-    """Write the file that a YAML block shows, if it begins with a file's name; a grid tiny."""
+    """Write the file that a block shows, if it begins with a file's name; a grid tiny."""
     if name := FILE_NAME.match(block.text):
-        path = folder / name[1]
+        path, text = folder / name[1], block.text
         path.parent.mkdir(parents=True, exist_ok=True)
-        shown = yaml.safe_load(block.text)
-        text = yaml.safe_dump({**shown, **TINY_GRID}) if "store" in shown else block.text
+        if block.language == "yaml" and "store" in (shown := yaml.safe_load(text)):
+            text = yaml.safe_dump({**shown, **TINY_GRID})
         path.write_text(text, encoding="utf-8")
 
 
@@ -144,6 +144,7 @@ def run_page(page: Path, folder: Path) -> None:
     for block in blocks_of(page):
         match block.language:
             case "python":
+                write_file(block, folder)
                 exec(compile(block.text, str(page), "exec"), names)
             case "yaml":
                 write_file(block, folder)

@@ -129,7 +129,9 @@ def test_what_cannot_be_shown_is_named(
     ):
         assert main(arguments) == 2
         assert message in capsys.readouterr().err
-    with pytest.raises(ConfigError, match="for 3 robots and 6 ROIs; small has 1 robots and 1 ROIs"):
+    with pytest.raises(
+        ConfigError, match=r"policy in small(.|\n)*robots: .*with 3, here it is 1\n.*ROIs: "
+    ):
         find_actor(str(small), "zoo:field_03")
     monkeypatch.delenv("SDL_VIDEODRIVER")
     monkeypatch.delenv("DISPLAY", raising=False)

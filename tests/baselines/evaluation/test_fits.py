@@ -7,7 +7,8 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from baselines.evaluation.evaluate import evaluate, fitted, under
+from baselines.evaluation.evaluate import evaluate, under
+from baselines.evaluation.fitting import fitted
 from baselines.evaluation.policy import Origin, load_policy
 from baselines.evaluation.rollout import record_episode
 from baselines.zoo.entries import open_run

@@ -1,0 +1,142 @@
+"""Policies that users write, named ``module:callable``."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from baselines.evaluation.policy import restart
+from mbn_marl.config import make_config
+from mbn_marl.errors import ConfigError, collecting
+from mbn_marl.field import Field
+
+FORM = "module:callable"
+OBSERVES = ("observations", "state")
+
+
+def is_own(source: str) -> bool:
+    """Return whether a source of a policy reads as ``module:callable``."""
+    return re.fullmatch(r"\w+(\.\w+)*:\w+(\.\w+)*", source) is not None
+
+
+class OwnPolicy:
+    """What a user's callable returned, as a policy: its actions are checked.
+
+    Args:
+        source: ``module:callable``.
+        made: an object with ``act``, or a function of the observations.
+
+    Raises:
+        ConfigError: listing all that is wrong with it.
+    """
+
+    def __init__(self, source: str, made: Any) -> None:
+        act = getattr(made, "act", None)
+        observes: Any = getattr(made, "observes", OBSERVES[0])
+        self.observes: Literal["observations", "state"] = observes
+        self.settings: Mapping[str, Any] = getattr(made, "settings", {})
+        self._source, self._made = source, made
+        self._act = act or (lambda seen, deterministic: made(seen))
+        problems: list[str] = []
+        if not callable(act or made):
+            what = "an object with act(observations, deterministic=True), or a function"
+            problems.append(f"returned {type(made).__name__}; allowed: {what}")
+        elif act is not None and not _takes(act, np.zeros(0), deterministic=True):
+            problems.append(f"act{inspect.signature(act)}; needed: (observations, deterministic)")
+        elif act is None and not _takes(made, np.zeros(0)):
+            problems.append(
+                f"returned a function {inspect.signature(made)}; needed: (observations)"
+            )
+        if self.observes not in OBSERVES:
+            allowed = " or ".join(map(repr, OBSERVES))
+            problems.append(f"observes: {self.observes!r}; allowed: {allowed}")
+        if isinstance(self.settings, Mapping):
+            with collecting(problems):
+                make_config(self.settings)
+        else:
+            kind = type(self.settings).__name__
+            problems.append(f"settings: {kind}; allowed: a dictionary of settings")
+        if problems:
+            raise ConfigError(source, problems)
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        """See :class:`~baselines.evaluation.policy.Policy`; a ConfigError says what it is not."""
+        try:
+            actions = np.asarray(self._act(seen, deterministic=deterministic), np.float32)
+        except (TypeError, ValueError, RuntimeError) as error:
+            error.add_note(f"in {self._source}, for {self.observes} {seen.shape}")
+            raise
+        n = seen.shape[1] if self.observes == "observations" else "n"
+        fits = actions.ndim == 3 and actions.shape[::2] == (len(seen), 2)
+        if not fits or n not in ("n", actions.shape[1]):
+            problem = f"actions: expected ({len(seen)}, {n}, 2), got {actions.shape}"
+            raise ConfigError(self._source, [problem])
+        return actions
+
+    def reset(self, worlds: np.ndarray | None = None) -> None:
+        """See :func:`~baselines.evaluation.policy.restart`."""
+        restart(self._made, worlds)
+
+
+def load_own(source: str, field: Field | None) -> OwnPolicy:
+    """Load a policy of a user: import the module, call the callable with the field.
+
+    The module may lie in the working directory.
+
+    Raises:
+        ConfigError: there is no such module or callable, or it returns no policy.
+    """
+    module, _, name = source.partition(":")
+    try:
+        with _working_directory_last():
+            make: Any = import_module(module)
+        for part in name.split("."):
+            make = getattr(make, part)
+    except ModuleNotFoundError as error:
+        if not f"{module}.".startswith(f"{error.name}."):
+            raise  # of an import in the module
+        raise ConfigError(source, [f"module: no module named {error.name!r}"]) from None
+    except AttributeError as error:
+        if error.name not in name.split("."):
+            raise
+        raise ConfigError(source, [f"callable: {error}"]) from None
+    if not callable(make):
+        problem = f"callable: {name} is {type(make).__name__}; allowed: a function or a class"
+        raise ConfigError(source, [problem])
+    if not _takes(make, field):
+        problem = f"callable: {name}{inspect.signature(make)}; needed: one argument, the field"
+        raise ConfigError(source, [problem])
+    return OwnPolicy(source, make(field))
+
+
+@contextmanager
+def _working_directory_last() -> Iterator[None]:
+    """Look for modules in the working directory too."""
+    here = str(Path.cwd())
+    if here in sys.path:
+        yield
+        return
+    sys.path.append(here)
+    try:
+        yield
+    finally:
+        sys.path.remove(here)
+
+
+def _takes(function: Callable[..., Any], *arguments: Any, **named: Any) -> bool:
+    """Return whether a function can be called like this, as far as it says."""
+    try:
+        inspect.signature(function).bind(*arguments, **named)
+    except TypeError:
+        return False
+    except ValueError:  # it has no signature
+        return True
+    return True
