@@ -1,0 +1,269 @@
+"""The frozen fields of a benchmark: made, planned for, proved, written down; and verified."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.progress import Progress
+
+from baselines.compare.text_table import TextTable
+from baselines.console import console
+from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
+from baselines.runs.provenance import versions
+from mbn_marl.config import NavigationConfig
+from mbn_marl.episode import play
+from mbn_marl.errors import ConfigError, EpisodeError, FieldError, unknown
+from mbn_marl.field import Field, FieldSampler
+from mbn_marl.planning import UnsolvableError, plan
+
+VERSION = 1
+"""Of the definition below: what changes it makes other splits."""
+COUNT = 100
+SEEDS = {"validation": 2_000_000, "test": 3_000_000}
+"""Of the samplers of each split, to which the number of the tier is added."""
+TIERS: Mapping[str, Mapping[str, Any]] = {
+    "1-convex": {"families": ["convex"], "robots": 3, "rois": 6},
+    "2-sizes": {"families": ["convex"], "robots": [2, 7], "rois": [3, 10], "size": [150, 420]},
+    "3-shapes": {"families": ["concave", "corridors", "obstacles"], "robots": 3, "rois": 6},
+    "4-crowds": {"families": ["convex"], "robots": [8, 16], "rois": [12, 24], "size": [230, 420]},
+}
+"""The tiers with fields of their own, and the arguments of their samplers."""
+WEATHER = "5-weather"
+"""Instance k is instance k of tier k mod 3 of the first three, under condition k mod 5."""
+CONDITIONS = ("windy", "gusty", "noisy", "delayed", "failing")
+NAMES = (*TIERS, WEATHER)
+Split = Literal["validation", "test"]
+
+
+@dataclass(frozen=True)
+class Splits:
+    """Make the frozen fields of the tiers, with proved bounds and plans, or verify them.
+
+    A run that was interrupted goes on where it was.
+    """
+
+    name: ClassVar[str] = "splits"
+
+    tier: tuple[str, ...] = NAMES
+    """Which tiers."""
+    split: tuple[Split, ...] = ("validation", "test")
+    """Which splits."""
+    count: int = COUNT
+    """How many fields of each; with --verify, how many of those that there are."""
+    seconds: float = 60.0
+    """How long the planner may take for a field."""
+    verify: bool = False
+    """Recompute what is there instead: fields, plans in the engine, bounds."""
+    out: Path = Path("envs_catalog/splits")
+    """The folder with a file for each split and tier."""
+
+    def run(self, command: str) -> bool:
+        """Make or verify the files; return whether nothing is wrong with them."""
+        wrong = [f"tier: {unknown('tier', tier, NAMES)}" for tier in self.tier if tier not in NAMES]
+        wrong += [f"count: at least 1, not {self.count}"] * (self.count < 1)
+        wrong += [f"seconds: more than 0, not {self.seconds:g}"] * (not self.seconds > 0.0)
+        if wrong:
+            raise ConfigError("splits", wrong)
+        self.out.mkdir(parents=True, exist_ok=True)
+        problems: list[str] = []
+        lines = []
+        for split in self.split:
+            for tier in self.tier:
+                path = self.out / f"{split}-{tier}.json"
+                if self.verify:
+                    problems += [f"{path}: {one}" for one in self._problems(path, split, tier)]
+                elif tier == WEATHER:
+                    write_json(path, weather(self.out, split, self.count))
+                else:
+                    self._make(path, split, tier, command)
+                lines.append(_line(read_json(path)))
+        headings = ("split", "tier", "fields", "rejected", "proved", "gap", "seconds", "CPU s")
+        caption = (
+            "proved: the plan is a shortest one; gap, seconds: medians, to plan once;\n"
+            "CPU s: processor time of all, compiling included"
+        )
+        TextTable(caption, headings, tuple(lines), words=2).print("splits")
+        print(
+            "\n".join(problems or [f"{'verified in' if self.verify else 'written to'} {self.out}"])
+        )
+        return not problems
+
+    def _make(self, path: Path, split: Split, tier: str, command: str) -> None:
+        """Try candidates until there are enough; the file is whole after each."""
+        begun = definition(split, tier)
+        record: dict[str, Any] = {**begun, "candidates": 0, "rejected": [], "instances": []}
+        record["processor_seconds"] = 0.0
+        plans: dict[str, NDArray[Any]] = {}
+        if path.exists():
+            record = read_json(path)
+            plans = read_arrays(path.with_suffix(".npz")) if record["instances"] else {}
+            if differing := [name for name in begun if record.get(name) != begun[name]]:
+                problem = f"{', '.join(differing)}: not of version {VERSION}; move it aside"
+                raise ConfigError(str(path), [problem])
+        record |= {"command": command, "versions": versions()}
+        with Progress(console=console(), transient=True) as progress:
+            task = progress.add_task(path.stem, total=self.count)
+            while len(record["instances"]) < self.count:
+                number, began = record["candidates"], time.process_time()
+                known = {one["geometry"]: one["candidate"] for one in record["instances"]}
+                found = self._try(FieldSampler(**begun["sampler"]), number, known)
+                if isinstance(found, str):
+                    record["rejected"].append({"candidate": number, "reason": found})
+                else:
+                    instance, plans[str(number)] = found
+                    record["instances"].append(instance)
+                    write_arrays(path.with_suffix(".npz"), plans, compress=True)
+                record["candidates"] = number + 1
+                record["processor_seconds"] += time.process_time() - began
+                write_json(path, record)
+                progress.update(task, completed=len(record["instances"]))
+
+    def _try(
+        self, sampler: FieldSampler, number: int, known: Mapping[str, int]
+    ) -> str | tuple[dict[str, Any], NDArray[np.float32]]:
+        """Return an instance and its plan, or why there is none."""
+        try:
+            field = sampler.field(number)
+            geometry = geometry_hash(field)
+            if geometry in known:
+                return f"the same as candidate {known[geometry]}"
+            found = plan(field, time_limit=self.seconds)
+        except (FieldError, UnsolvableError) as error:
+            return str(error)
+        if found.makespan is None:
+            return "no plan was found"
+        if problem := plan_problem(field, found.actions, found.makespan):
+            return problem
+        instance = {
+            **{"family": field.name.partition("-")[0], "seed": sampler.seed, "candidate": number},
+            **{"robots": len(field.starts), "rois": len(field.rois), "geometry": geometry},
+            "makespan_lower_bound": found.makespan_lower_bound,
+            "makespan": found.makespan,
+            "plan": array_hash(found.actions),
+            "seconds": round(found.seconds, 2),
+            "time_limit": self.seconds,
+        }
+        return instance, found.actions
+
+    def _problems(self, path: Path, split: Split, tier: str) -> Iterator[str]:
+        """Yield what is wrong with a file; of its instances, ``count`` are recomputed."""
+        record = read_json(path)
+        if tier == WEATHER:
+            if record != weather(self.out, split, len(record["instances"])):
+                yield "is not made of the files of the first three tiers"
+            return
+        begun, instances = definition(split, tier), record["instances"]
+        yield from (f"{name}: is another" for name in begun if record.get(name) != begun[name])
+        if len({one["geometry"] for one in instances}) < len(instances):
+            yield "geometry: two instances have the same"
+        sampler, plans = FieldSampler(**begun["sampler"]), read_arrays(path.with_suffix(".npz"))
+        for k in np.unique(np.linspace(0, len(instances) - 1, self.count).astype(int)):
+            one = instances[k]
+            actions = plans[str(one["candidate"])].astype(np.float32)
+            for problem in instance_problems(sampler, one, actions, self.seconds):
+                yield f"instances[{k}]: {problem}"
+
+
+def definition(split: Split, tier: str) -> dict[str, Any]:
+    """Return what a file of a split and a tier is made from, as JSON values."""
+    seed = SEEDS[split] + NAMES.index(tier)
+    return {
+        "version": VERSION,
+        "split": split,
+        "tier": tier,
+        "sampler": {**TIERS[tier], "seed": seed},
+    }
+
+
+def weather(folder: Path, split: Split, count: int) -> dict[str, Any]:
+    """Return the tier of fields under conditions, made of the files of the first three.
+
+    Raises:
+        ConfigError: they have too few instances.
+    """
+    sources = NAMES[:3]
+    paths = [folder / f"{split}-{tier}.json" for tier in sources]
+    known = [read_json(path)["instances"] if path.exists() else [] for path in paths]
+    if problems := [
+        f"{path}: {len(have)} instances; needed: {count}"
+        for path, have in zip(paths, known, strict=True)
+        if len(have) < count
+    ]:
+        raise ConfigError(f"{split}-{WEATHER}", problems)
+    same = ("family", "seed", "candidate", "robots", "rois", "geometry")
+    instances = [
+        {
+            **{name: known[k % 3][k][name] for name in same},
+            **{"tier": sources[k % 3], "condition": CONDITIONS[k % len(CONDITIONS)]},
+        }
+        for k in range(count)
+    ]
+    return {"version": VERSION, "split": split, "tier": WEATHER, "instances": instances}
+
+
+def geometry_hash(field: Field) -> str:
+    """Return the SHA-256 of a field's arena, outline, holes, ROIs and starts in milli-units."""
+    rings: list[Any] = [[field.arena], field.vertices, *field.holes, field.rois, field.starts]
+    return hashlib.sha256(json.dumps([_millis(ring) for ring in rings]).encode()).hexdigest()
+
+
+def _millis(points: Any) -> list[Any]:
+    whole: list[Any] = np.rint(np.asarray(points, float) * 1000.0).astype(int).tolist()
+    return whole
+
+
+def array_hash(actions: NDArray[np.float32]) -> str:
+    """Return the SHA-256 of actions (T, n, 2) as little-endian float32, row by row."""
+    return hashlib.sha256(actions.astype("<f4").tobytes()).hexdigest()
+
+
+def plan_problem(field: Field, actions: NDArray[np.float32], makespan: int) -> str | None:
+    """Return why the actions (T, n, 2) are no clean episode of that length in the engine."""
+    try:
+        episode = play(field, NavigationConfig(), actions)
+    except EpisodeError as error:
+        return f"plan: {error}"
+    if episode.outcome != "success" or episode.steps != makespan:
+        return f"plan: {episode.outcome} after {episode.steps} steps, not success after {makespan}"
+    return None
+
+
+def instance_problems(
+    sampler: FieldSampler, one: Mapping[str, Any], actions: NDArray[np.float32], seconds: float
+) -> Iterator[str]:
+    """Make, play and prove an instance again; yield what is not as it was written down."""
+    field = sampler.field(one["candidate"])
+    if geometry_hash(field) != one["geometry"]:
+        yield "geometry: the field is another"
+        return
+    if array_hash(actions) != one["plan"]:
+        yield "plan: its hash is another"
+    if problem := plan_problem(field, actions, one["makespan"]):
+        yield problem
+    found = plan(field, time_limit=seconds)
+    if found.makespan_lower_bound > one["makespan"]:
+        yield f"makespan: {one['makespan']}, but {found.makespan_lower_bound} is proved"
+    if found.makespan_lower_bound < one["makespan_lower_bound"]:
+        bound = f"{one['makespan_lower_bound']}, now {found.makespan_lower_bound} is proved"
+        yield f"makespan_lower_bound: {bound} in {seconds:g} s"
+
+
+def _line(record: Mapping[str, Any]) -> tuple[str, ...]:
+    instances, words = record["instances"], (record["split"], record["tier"])
+    if record["tier"] == WEATHER:
+        return *words, str(len(instances)), *["-"] * 5
+    gaps = [1.0 - one["makespan_lower_bound"] / one["makespan"] for one in instances]
+    seconds = [one["seconds"] for one in instances]
+    return (
+        *(*words, str(len(instances)), str(len(record["rejected"]))),
+        *(str(gaps.count(0.0)), f"{np.median(gaps):.1%}"),
+        *(f"{np.median(seconds):.1f}", f"{record['processor_seconds']:.0f}"),
+    )

@@ -1,0 +1,135 @@
+"""``python -m benchmarks splits``, in small."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
+from benchmarks import splits
+from benchmarks.splits import CONDITIONS, TIERS, Splits, geometry_hash
+from mbn_marl import Field, FieldSampler
+from mbn_marl.errors import ConfigError
+from mbn_marl.planning import Plan, plan
+
+CONVEX = Splits(tier=("1-convex",), split=("test",), count=3, seconds=5.0)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of three convex fields."""
+    folder = tmp_path_factory.mktemp("splits")
+    assert dataclasses.replace(CONVEX, out=folder).run("command")
+    return folder / "test-1-convex.json"
+
+
+def test_the_hash_is_that_of_the_numbers_in_milli_units() -> None:
+    field = Field([(0, 0), (50, 0), (0, 50)], rois=[(9, 9.5)], starts=[(20, 20)], arena=(100, 60))
+    outline = [[round(1000 * x), round(1000 * y)] for x, y in field.vertices]
+    text = f"[[[100000, 60000]], {outline}, [[9000, 9500]], [[20000, 20000]]]"
+    assert geometry_hash(field) == hashlib.sha256(text.encode()).hexdigest()
+
+
+def test_instances_are_proved_and_an_interrupted_run_goes_on(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = read_json(made)
+    sampler = FieldSampler(("convex",), seed=3_000_000)
+    for number, one in enumerate(record["instances"]):
+        found = plan(sampler.field(number), time_limit=5.0)
+        assert one["candidate"] == number and one["geometry"] == geometry_hash(found.field)
+        assert (one["makespan_lower_bound"], one["makespan"]) == (found.makespan,) * 2
+    calls: list[Field] = []
+
+    def stopping(field: Field, **how: Any) -> Plan:
+        calls.append(field)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return plan(field, **how)
+
+    monkeypatch.setattr(splits, "plan", stopping)
+    again = dataclasses.replace(CONVEX, out=tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        again.run("command")
+    assert len(read_json(tmp_path / made.name)["instances"]) == 1
+    assert again.run("command") and len(calls) == 4
+
+    def frozen(path: Path) -> list[dict[str, Any]]:
+        return [{**one, "seconds": 0.0} for one in read_json(path)["instances"]]
+
+    assert frozen(tmp_path / made.name) == frozen(made)
+
+
+def test_rejected_candidates_are_counted_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fields = [FieldSampler(seed=3_000_000).field(number) for number in (0, 0, 1, 2, 3)]
+    monkeypatch.setattr(FieldSampler, "field", lambda self, world: fields[world])
+
+    def worse(field: Field, **how: Any) -> Plan:
+        found = plan(field, **how)
+        if field == fields[2]:
+            return dataclasses.replace(found, makespan=None)
+        return dataclasses.replace(found, actions=found.actions / (1 + (field == fields[3])))
+
+    monkeypatch.setattr(splits, "plan", worse)
+    dataclasses.replace(CONVEX, out=tmp_path, count=2).run("command")
+    record = read_json(tmp_path / "test-1-convex.json")
+    assert [one["candidate"] for one in record["instances"]] == [0, 4]
+    reasons = [one["reason"] for one in record["rejected"]]
+    assert reasons[:2] == ["the same as candidate 0", "no plan was found"]
+    assert reasons[2].startswith("plan: ") and "not success" in reasons[2]
+    assert record["candidates"] == 5
+
+
+def test_verifying_finds_what_was_changed(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    check = dataclasses.replace(CONVEX, out=tmp_path, verify=True)
+    record, plans = read_json(made), read_arrays(made.with_suffix(".npz"))
+    path = tmp_path / made.name
+    write_json(path, record)
+    write_arrays(path.with_suffix(".npz"), plans)
+    assert check.run("command")
+    first, second, third = record["instances"]
+    first["geometry"] = second["geometry"]
+    second["makespan_lower_bound"] += 1
+    plans[str(third["candidate"])] = np.zeros((4, 3, 2), np.float32)
+    record["sampler"]["robots"] = 4
+    write_json(path, record)
+    write_arrays(path.with_suffix(".npz"), plans)
+    assert not check.run("command")
+    said = capsys.readouterr().out
+    for problem in (
+        *("sampler: is another", "two instances have the same", "instances[0]: geometry"),
+        *("instances[1]: makespan_lower_bound", "instances[2]: plan: its hash"),
+        "instances[2]: plan: unfinished after 4 steps",
+    ):
+        assert problem in said
+    with pytest.raises(ConfigError, match="sampler: not of version 1"):
+        dataclasses.replace(check, verify=False).run("command")
+
+
+def test_weather_is_made_of_the_first_three_tiers(made: Path, tmp_path: Path) -> None:
+    record, names = read_json(made), [*TIERS][:3]
+    for tier in names[:2]:
+        write_json(tmp_path / f"test-{tier}.json", {**record, "tier": tier})
+    with pytest.raises(ConfigError, match=r"test-3-shapes.json: 0 instances; needed: 3"):
+        splits.weather(tmp_path, "test", 3)
+    write_json(tmp_path / "test-3-shapes.json", record)
+    instances = splits.weather(tmp_path, "test", 3)["instances"]
+    assert [one["tier"] for one in instances] == names
+    assert [one["condition"] for one in instances] == list(CONDITIONS[:3])
+    assert [one["geometry"] for one in instances] == [
+        one["geometry"] for one in record["instances"]
+    ]
+
+
+def test_wrong_options_are_listed() -> None:
+    with pytest.raises(ConfigError, match=r"tier: unknown tier(.|\n)*count(.|\n)*seconds"):
+        Splits(tier=("1-convx",), count=0, seconds=0.0).run("command")
