@@ -63,7 +63,6 @@ class Constants(NamedTuple):
     action_delay: int
     max_steps: int
     headings: int
-    flags: int  # of robots that do not work: n, or 0 if all always do
     some_gone: int  # whether robots can be gone
     teams_vary: int
     rules: int
@@ -132,7 +131,6 @@ def make_record(
         "most_failures": -1 if failures.most is None else failures.most,
         "failing_first": failing_first,
         "failing_last": failing_last,
-        "flags": n if config.failures or teams_vary else 0,
         "some_gone": teams_vary or failures.kind == "vanish",
         "teams_vary": teams_vary,
         "rules": RULES[config.reward.rules],

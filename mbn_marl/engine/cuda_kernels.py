@@ -145,7 +145,7 @@ def write_observations(p, g, mem, ep, w, is_world, tile, rows):
     for i in range(rows.shape[1]):
         if is_world:
             mine = tile[:, thread : thread + 1]
-            describe(p, g, mem.key, mem.seen, g.rays, ep, w, w + ONE, i, mine)
+            describe(p, g, mem.key, mem.seen, ep.status, g.rays, ep, w, w + ONE, i, mine)
         cuda.syncthreads()
         world, entry = thread // size, thread % size
         while world < count:
@@ -205,7 +205,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
             if change == ENDED | RESTARTS:
                 for i in range(n):
                     describe(
-                        *(p, own, memory.key, memory.seen, own.rays, one),
+                        *(p, own, memory.key, memory.seen, one.status, own.rays, one),
                         *(ZERO, ONE, i, mine),
                     )
                     for entry in range(obs_size):

@@ -78,7 +78,7 @@ def rest_worlds(store, mask):
 def put_infos(p, g, ep, out, w, rows):
     """Write the measures of each robot of world w, in the order of ``INFO_COLUMNS``."""
     outcome, status = out.outcomes[w], ep.status
-    rois_visited = count_bits(visit_code(ep, w))
+    rois_visited = count_bits(visit_code(ep.visited[w], ep.codes[w]))
     lost, rested = is_set(outcome, rewards.COLLISION), is_set(outcome, rewards.RESTED)
     success = is_set(outcome, rewards.SUCCESS) and not lost
     for i in range(rows.shape[1]):

@@ -146,7 +146,7 @@ def reset_world(p, g, mem, now, w):
     )
     clear_filter(mem.filter, w, mem.words[w])
     if p.rules == FORMAL:
-        joint_state_known(mem, now, w, visit_code(now, w))
+        joint_state_known(mem, now, w, visit_code(now.visited[w], g.codes[f]))
 
 
 @compiled

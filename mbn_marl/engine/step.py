@@ -243,7 +243,8 @@ def check_termination(p, g, mem, now, out, to, lo, hi):
             for i in range(now.x.shape[0]):
                 if (out.events[i, w] & rewards.WALL) != 0:
                     out.outcomes[w] |= rewards.ANY_OUTSIDE
-            if revisits.joint_state_known(mem, now, w, visit_code(now, w)):
+            code = visit_code(now.visited[w], g.codes[column(g, w)])
+            if revisits.joint_state_known(mem, now, w, code):
                 out.outcomes[w] |= rewards.KNOWN_STATE
 
 

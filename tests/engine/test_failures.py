@@ -152,7 +152,7 @@ def test_chance_is_the_worlds_own_stream(dtype: Any) -> None:
         for w in range(worlds):
             for i in range(3):
                 key = key_of(seed, w, episode[w], FAILURES)
-                drawn = bool(uniform(key, int(steps[w]) * 3 + i) < rate)
+                drawn = bool(uniform(key, int(steps[w]) * 64 + i) < rate)
                 drawn &= int(failed[w].sum()) < 2
                 chances += drawn
                 failed[w, i] |= drawn or (i == 1 and steps[w] == 1)

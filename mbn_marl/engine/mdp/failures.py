@@ -51,8 +51,10 @@ def has_failed(status, i, w):
 @compiled
 def is_gone(p, status, i, w):
     """Return whether robot i of world w has vanished, or is absent."""
-    vanished = has_failed(status, i, w) & (p.failure_kind == VANISH)
-    return vanished | is_absent(status, i, w)
+    if status.ndim == 2:
+        vanished = (status[i, w] == FAILED) & (p.failure_kind == VANISH)
+        return vanished | (status[i, w] == ABSENT)
+    return False
 
 
 @compiled

@@ -146,13 +146,6 @@ def put_motion(ep, lo, hi, first, tile):
 
 
 @compiled
-def put_code(ep, lo, hi, tile, k):
-    """The visit code."""
-    for w in range(lo, hi):
-        tile[k, w - lo] = visit_code(ep, w)
-
-
-@compiled
 def put_state(ep, lo, hi, tile):
     """The paper's vector (4n + 1); headings in radians and failures come before the visit code."""
     k = put_motion(ep, lo, hi, 0, tile)
@@ -162,7 +155,8 @@ def put_state(ep, lo, hi, tile):
         k += 1
     for i in range(ep.x.shape[0]):
         k += put_flag(ep.status, lo, hi, i, tile, k)
-    put_code(ep, lo, hi, tile, k)
+    for w in range(lo, hi):
+        tile[k, w - lo] = visit_code(ep.visited[w], ep.codes[w])
 
 
 @compiled
@@ -174,7 +168,7 @@ def put_heading(ep, lo, hi, i, tile, k):
 
 
 @compiled
-def put_own_state(p, seen, ep, lo, hi, i, tile):
+def put_own_state(p, g, seen, status, ep, lo, hi, i, tile):
     """The entries of ``state`` for robot i: the paper's vector with it first; how many."""
     k = put_motion(ep, lo, hi, i, tile)
     if p.headings > 0:
@@ -184,9 +178,11 @@ def put_own_state(p, seen, ep, lo, hi, i, tile):
     for place in range(ep.x.shape[0]):
         for first in range(2 * place, k, 2 * ep.x.shape[0]):
             drop(seen, nth_robot(place, i), lo, hi, tile, first, first + 2)
-    for place in range(p.flags):
-        k += put_flag(ep.status, lo, hi, nth_robot(place, i), tile, k)
-    put_code(ep, lo, hi, tile, k)
+    if status.ndim == 2:
+        for place in range(status.shape[0]):
+            k += put_flag(status, lo, hi, nth_robot(place, i), tile, k)
+    for w in range(lo, hi):
+        tile[k, w - lo] = visit_code(ep.visited[w], g.codes[column(g, w)])
     return k + 1
 
 
@@ -258,12 +254,11 @@ def hide_roi(p, g, ep, lo, hi, i, j, tile, k, end, flag):
 
 
 @compiled
-def put_relative(p, g, seen, ep, lo, hi, i, tile):
+def put_relative(p, g, seen, status, ep, lo, hi, i, tile):
     """The entries of ``relative`` and ``local`` for robot i; how many there are."""
     flag, n = 1 if p.observation == LOCAL else 0, ep.x.shape[0]
     k = body = put_own(p, ep, lo, hi, i, tile)
-    if p.flags > 0:  # only then is the array counted as referenced
-        k += put_flag(ep.status, lo, hi, i, tile, k)
+    k += put_flag(status, lo, hi, i, tile, k)
     for j in range(n):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k + flag)
@@ -271,9 +266,8 @@ def put_relative(p, g, seen, ep, lo, hi, i, tile):
                 hide_other(p, ep, lo, hi, i, j, tile, k + 1, k + 1 + body, True)
             drop(seen, j, lo, hi, tile, k, k + flag + body)
             first, k = k, k + flag + body
-            if p.flags > 0:
-                blank_gone(p, ep.status, lo, hi, j, tile, first, k)
-                k += put_flag(ep.status, lo, hi, j, tile, k)
+            blank_gone(p, status, lo, hi, j, tile, first, k)
+            k += put_flag(status, lo, hi, j, tile, k)
     for j in range(g.roi_bits.shape[0]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k + flag)
         if flag:
@@ -296,12 +290,11 @@ def put_centred(p, g, ep, lo, hi, i, tile):
 
 
 @compiled
-def put_lidar(p, g, seen, rays, ep, lo, hi, i, tile):
+def put_lidar(p, g, seen, status, rays, ep, lo, hi, i, tile):
     """The entries of ``lidar`` and ``lidar_local`` for robot i but the walls; how many."""
     local, n = p.observation == LIDAR_LOCAL, ep.x.shape[0]
     k = body = put_centred(p, g, ep, lo, hi, i, tile)
-    if p.flags > 0:
-        k += put_flag(ep.status, lo, hi, i, tile, k)
+    k += put_flag(status, lo, hi, i, tile, k)
     for j in range(n):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k)
@@ -310,9 +303,8 @@ def put_lidar(p, g, seen, rays, ep, lo, hi, i, tile):
                 hide_other(p, ep, lo, hi, i, j, tile, k, k + body, False)
             drop(seen, j, lo, hi, tile, k, k + body + 1)
             first, k = k, k + body + 1
-            if p.flags > 0:
-                blank_gone(p, ep.status, lo, hi, j, tile, first, k)
-                k += put_flag(ep.status, lo, hi, j, tile, k)
+            blank_gone(p, status, lo, hi, j, tile, first, k)
+            k += put_flag(status, lo, hi, j, tile, k)
     for j in range(g.roi_bits.shape[0]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k)
         lidar.put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)
@@ -334,29 +326,29 @@ def put_walls(p, g, rays, ep, lo, hi, i, tile, k):
 
 
 @compiled
-def describe(p, g, keys, seen, rays, ep, lo, hi, i, tile):
+def describe(p, g, keys, seen, status, rays, ep, lo, hi, i, tile):
     """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side.
 
-    ``keys`` and ``seen`` are those of the memory, ``rays`` are those of ``g``. Conditions on their
-    types leave the code of noise and of lidar, which takes seconds to compile, to those who use it.
+    ``keys`` and ``seen`` are those of the memory, ``status`` is that of ``ep``, ``rays`` are those
+    of ``g``. Conditions on their types leave the code of noise, of failures and of lidar, which
+    takes seconds to compile, to those who use it.
     """
     n, places, robots = ep.x.shape[0], g, ep
     if seen.ndim == 2:
         look(p, g, keys, seen, ep, lo, hi, i)
         places, robots = seen_places(seen, g, n), seen_robots(seen, ep, g.roi_bits.shape[0])
     if rays.ndim == 2:
-        k = put_lidar(p, places, seen, rays, robots, lo, hi, i, tile)
+        k = put_lidar(p, places, seen, status, rays, robots, lo, hi, i, tile)
         k = put_walls(p, g, rays, ep, lo, hi, i, tile, k)
     elif p.observation == STATE:
-        k = put_own_state(p, seen, robots, lo, hi, i, tile)
+        k = put_own_state(p, places, seen, status, robots, lo, hi, i, tile)
     else:
-        k = put_relative(p, places, seen, robots, lo, hi, i, tile)
+        k = put_relative(p, places, seen, status, robots, lo, hi, i, tile)
     if p.one_hot:
         for j in range(n):
             for w in range(lo, hi):
                 tile[k + j, w - lo] = p.one if i == j else p.zero
-    if p.flags > 0:
-        blank_absent(p, ep.status, lo, hi, i, tile)
+    blank_absent(p, status, lo, hi, i, tile)
 
 
 @compiled
@@ -385,7 +377,7 @@ def observe(p, g, mem, ep, lo, hi, tile, rows):
     They are made entry by entry in ``tile`` (size, at least hi - lo), where worlds lie side by
     side, and then turned over: faster than writing each entry to its far-apart places at once.
     """
-    keys, seen, rays = mem.key, mem.seen, g.rays
+    keys, seen, status, rays = mem.key, mem.seen, ep.status, g.rays
     for i in range(ep.x.shape[0]):
-        describe(p, g, keys, seen, rays, ep, lo, hi, i, tile)
+        describe(p, g, keys, seen, status, rays, ep, lo, hi, i, tile)
         turn_over(tile, lo, hi, np.uint64(i), rows)

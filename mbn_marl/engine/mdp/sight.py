@@ -28,10 +28,8 @@ class SeenRobots(NamedTuple):
     vx: Any
     vy: Any
     visited: Any
-    codes: Any
     cos: Any
     sin: Any
-    status: Any
 
 
 class SeenPlaces(NamedTuple):
@@ -57,7 +55,7 @@ def seen_robots(seen, ep, m):
     n = ep.x.shape[0]
     x, y, vx, vy = n + m, 2 * n + m, 3 * n + m, 4 * n + m
     motion = seen[x:y], seen[y:vx], seen[vx:vy], seen[vy : vy + n]
-    return SeenRobots(*motion, ep.visited, ep.codes, ep.cos, ep.sin, ep.status)
+    return SeenRobots(*motion, ep.visited, ep.cos, ep.sin)
 
 
 @compiled

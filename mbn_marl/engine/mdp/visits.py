@@ -21,6 +21,6 @@ def all_visited(n_rois):
 
 
 @compiled
-def visit_code(ep, w):
-    """``b``: the visit bits of world w without those of padding, the first ROI the highest."""
-    return ep.visited[w] & ep.codes[w]
+def visit_code(visited, everything):
+    """``b``: visit bits, the first ROI the highest, without those that ``everything`` has not."""
+    return visited & everything
