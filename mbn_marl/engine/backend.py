@@ -179,7 +179,7 @@ class Backend(ABC):
         g = self.geometry
         sizes = g.edges.shape[1], g.rois.shape[1], g.starts.shape[1]
         tables = make_tables(*sizes, 1)
-        write_field(tables, 0, field, starts)
+        write_field(tables, 0, field, self.spec.teams_vary, starts)
         for name, table in tables._asdict().items():
             getattr(g, name)[..., f] = self.xp.asarray(table[..., 0])
         if g.kept.shape[0]:

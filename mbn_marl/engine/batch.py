@@ -108,7 +108,8 @@ class BatchEngine(Readings):
         self.config = config.model_copy(update={"n_robots": n})
         self.fields = () if isinstance(source, FieldSampler) else source
         self.sampler = source if isinstance(source, FieldSampler) else None
-        self.teams_vary = given is None and sizes.fewest_robots < n
+        own_teams = self.sampler is not None or (config.n_robots is None and given is None)
+        self.teams_vary = own_teams and sizes.fewest_robots < n
         self.num_worlds, self.n_robots, self.device = num_worlds, n, device
         self.first_world, self.n_rois, self.arena = first_world, sizes.rois, sizes.arena
         self.dtype = np.dtype(config.dtype)
@@ -118,6 +119,7 @@ class BatchEngine(Readings):
         self.observation_high = np.array([entry.high for entry in table], np.float32)
         self.listeners: list[Listener] = []
         self._set_fields: dict[int, Field] = {}
+        geometry = make_geometry(source, self.config, n, num_worlds, self.teams_vary, given)
         self._backend = make_backend(
             device,
             BackendSpec(
@@ -127,7 +129,7 @@ class BatchEngine(Readings):
                 autoreset=self.autoreset,
                 threads=threads,
                 seed=seed,
-                geometry=make_geometry(source, self.config, n, num_worlds, given),
+                geometry=geometry,
                 constants=make_record(
                     *(self.config, n, self.arena, self.autoreset, first_world, self.teams_vary)
                 ),

@@ -48,6 +48,7 @@ def make_geometry(
     config: NavigationConfig,
     n: int,
     worlds: int,
+    teams_vary: bool = False,
     given_starts: Array | None = None,
 ) -> Geometry:
     """Tables of one field for all worlds, or of each world's own: world w has ``w % len(source)``.
@@ -63,7 +64,7 @@ def make_geometry(
     sizes = sizes_of(source)
     tables = make_tables(sizes.edges, sizes.rois, n, len(fields) or worlds)
     for f, field in enumerate(fields):
-        write_field(tables, f, field, given_starts)
+        write_field(tables, f, field, teams_vary, given_starts)
     if len(fields) > 1:
         own = np.arange(worlds) % len(fields)
         tables = Tables(*(np.take(table, own, axis=-1) for table in tables))
@@ -98,8 +99,13 @@ def sampler_numbers(sampler: FieldSampler) -> Array:
     return np.append(sampler.numbers(), np.int64(sampler.seed))
 
 
-def write_field(t: Tables, f: int, field: Field, given_starts: Array | None = None) -> None:
-    """Write a field to column f of the tables, padded, with starts of its own or those given."""
+def write_field(
+    t: Tables, f: int, field: Field, teams_vary: bool, given_starts: Array | None = None
+) -> None:
+    """Write a field to column f of the tables, padded, with starts of its own or those given.
+
+    If teams vary, its starts are the team; otherwise that is of the tables' size.
+    """
     m, n, own = t.rois.shape[1], t.starts.shape[1], len(field.rois)
     starts = field.starts[:n] if given_starts is None else given_starts
     t.edges[:, :, f] = np.tile(field.vertices[0], 2)[:, None]
@@ -112,7 +118,7 @@ def write_field(t: Tables, f: int, field: Field, given_starts: Array | None = No
     t.codes[f] = (1 << own) - 1
     t.boxes[:2, f] = field.vertices.min(axis=0)
     t.boxes[2:, f] = np.ptp(field.vertices, axis=0)
-    t.robots_in[f] = len(starts)
+    t.robots_in[f] = len(starts) if teams_vary else n
 
 
 def read_field(tables: Tables, arena: tuple[float, float], name: str) -> Field:

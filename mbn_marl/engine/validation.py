@@ -204,8 +204,10 @@ def field_problems(
 ) -> list[str]:
     """Return why this field does not fit this configuration."""
     problems = []
-    if n > len(field.starts):
+    room = int(field.polygon.area / (2 * max(config.safety_distance, 1.0)) ** 2)
+    if n > len(field.starts) and not (config.random_starts and n <= room):
         allowed = f"1 to {len(field.starts)}, the starts of {field.name}"
+        allowed += f", or to {room} with random_starts" if room > len(field.starts) else ""
         problems.append(f"n_robots: {n}; allowed: {allowed}")
     if field.arena != arena:
         problems.append(f"field: {field.name} has arena {field.arena}; allowed: {arena}")

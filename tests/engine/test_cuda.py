@@ -74,7 +74,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     p = constants_of(make_record(config, 3, sizes.arena, "same_step", teams_vary=vary))
     size = len(observation_table(config, 3, sizes.rois, sizes.arena, vary))
     worlds = 2
-    g = make_geometry(source, config, 3, worlds)
+    g = make_geometry(source, config, 3, worlds, vary)
     now = make_episode(worlds, 3, config, vary)
     mem, out = make_memory(worlds, 3, 6, config, now), make_output(worlds, 3, size, config)
     actions, active = np.zeros((worlds, 3, 2), real), np.zeros(worlds, np.bool_)

@@ -230,3 +230,19 @@ def test_settings_that_no_drawn_field_allows_are_named() -> None:
     problems = str(caught.value)
     for part in ("n_robots: 3; allowed: at least 4", "safety_distance: 14", "starts: allowed with"):
         assert part in problems
+
+
+def test_teams_that_start_at_random_may_be_larger_than_the_starts() -> None:
+    field = load_field("field_03")
+    engine = BatchEngine(field, 50, n_robots=7, random_starts=True, seed=2)
+    engine.reset()
+    for world in range(50):
+        positions = engine.snapshot(world).positions
+        distances = np.hypot(*(positions[:, None] - positions).transpose(2, 0, 1))
+        assert (distances[~np.eye(7, dtype=bool)] >= engine.config.safety_distance).all()
+    assert engine.present.all()
+    room = int(field.polygon.area / 400)
+    with pytest.raises(ConfigError, match=f"1 to 3, the starts of field_03, or to {room} with"):
+        BatchEngine(field, 1, n_robots=7)
+    with pytest.raises(ConfigError, match="n_robots"):
+        BatchEngine(field, 1, n_robots=room + 1, random_starts=True)

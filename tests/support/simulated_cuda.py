@@ -19,7 +19,7 @@ from numba.cuda.simulator.kernel import BlockThread
 from numba.cuda.simulator.kernelapi import FakeCUDAShared
 from numpy.typing import NDArray
 
-from mbn_marl import BatchEngine, Uniform
+from mbn_marl import BatchEngine, Failures, Uniform
 from mbn_marl.config import CONDITIONS
 from mbn_marl.engine import cuda, cuda_kernels
 from mbn_marl.errors import ActionError, ConfigError, StepError
@@ -136,7 +136,7 @@ def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
         {"observation": "local", "one_hot": True},
         {"field": ["field_05", "field_09"], "observation": "lidar_local"},
         {"field": FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 8)), "observation": "state"},
-        {"field": FieldSampler(robots=(2, 3), size=150), "condition": "storm"},
+        {"field": FieldSampler(robots=(2, 3)), "gust": 0.1, "failures": Failures(between=(3, 9))},
         {"reward": "formal", "observation": "state", "n_robots": 2},
         {"reward_sharing": "team", "mass": (1.0, 1.5, 2.0), "f_max": 3.0},
         {"dynamics": ("holonomic", "unicycle", "bicycle"), "f_max": (1.0, 2.0, 3.0)},
