@@ -8,15 +8,14 @@ from typing import Any, ClassVar, get_args
 
 import numpy as np
 
-from baselines.classical.controller import CLASSICAL, make_classical
+from baselines import load_policy
+from baselines.classical.controller import CLASSICAL
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate, under
-from baselines.evaluation.policy import load_policy
-from baselines.zoo.entries import PREFIX, open_run
+from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate
 from benchmarks.report import Advance, Benchmark, Findings, Measurement
 from mbn_marl.config import Condition
 from mbn_marl.errors import ConfigError, unknown
-from mbn_marl.field import catalogue_names, load_field
+from mbn_marl.field import catalogue_names
 
 ZOO = {"zoo": True, "zoo-sampled": False}
 """The zoo's two ways to act, and whether actions are the mean ones."""
@@ -80,17 +79,11 @@ class Conditions(Benchmark):
 
     def _evaluate(self, policy: str, name: str, condition: Condition) -> Evaluation | None:
         """Evaluate on a field; ``None`` if the policy refuses the condition."""
-        field, settings = load_field(name), under({}, condition)
+        how: dict[str, Any] = {"episodes": self.episodes, "seed": self.seed}
         try:
-            if policy not in ZOO:
-                acting = make_classical(policy, field, settings)
-                return evaluate(acting, field, settings, episodes=self.episodes, seed=self.seed)
-            run = open_run(f"{PREFIX}{name}")
-            settings = under(run.config["environment"], condition)
-            how: dict[str, Any] = {"episodes": self.episodes, "seed": self.seed}
-            return evaluate(
-                *(load_policy(run), run.field, settings), deterministic=ZOO[policy], **how
-            )
+            loaded = load_policy("zoo" if policy in ZOO else policy, name, condition=condition)
+            how["deterministic"] = ZOO.get(policy, False)
+            return evaluate(loaded, name, loaded.settings, **how)
         except ConfigError:
             return None
 
