@@ -256,6 +256,8 @@ class BatchEngine(Readings):
         """Copies of everything that changes, by name: NumPy arrays, to be kept in a file.
 
         Each has the shape and the units that the engine works with, such as (n, W) for ``now.x``.
+        The fields that a sampler has drawn are among them, those of :meth:`set_field` in an engine
+        without one are not.
         """
         self._backend.raise_fault()
         return save_worlds(self._backend)

@@ -74,9 +74,8 @@ class TrackedWorld:
             allowed = "allowed: one world on the CPU, autoreset disabled"
             raise MbnError(f"engine: {engine.num_worlds} worlds on {engine.device}; {allowed}")
         self.engine, self._backend = engine, backend
-        robots = backend.geometry.robots.copy()
-        robots[V_CLIP] = np.minimum(robots[V_CLIP], speed_limit or np.inf)
-        self._chooser = backend.store_with(robots)
+        self._robots = backend.geometry.robots.copy()
+        self._robots[V_CLIP] = np.minimum(self._robots[V_CLIP], speed_limit or np.inf)
         self._allowed = np.ones(engine.n_robots, np.bool_)
 
     def command(self, actions: ArrayLike) -> Command:
@@ -93,7 +92,8 @@ class TrackedWorld:
             raise StepError("the episode has not begun, or has ended; allowed: reset() first")
         forces = self._backend.checked_actions(np.asarray(actions)[None])
         velocities = np.empty((1, self.engine.n_robots, 2), self.engine.dtype)
-        choose_velocities(self._chooser, forces, velocities, self._allowed)
+        chooser = self._backend.store_with(self._robots)
+        choose_velocities(chooser, forces, velocities, self._allowed)
         return Command(velocities[0], self._allowed.copy(), self._backend.failed(0))
 
     def measure(self, positions: ArrayLike, velocities: ArrayLike) -> None:
