@@ -42,7 +42,7 @@ class Controller(Protocol):
 class ControllerPolicy:
     """A controller for each world; worlds share one as long as they have been the same.
 
-    It begins anew in a world whose robots rest and have visited nothing.
+    It begins again in a world whose robots rest and have visited nothing.
 
     Args:
         problem: the instance.

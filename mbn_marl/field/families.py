@@ -1,8 +1,8 @@
 """The making of a random field, in whole numbers: one compiled function for all families.
 
-It makes outline, holes, ROIs and starts, and begins anew with other random numbers when the outline
-has a narrow passage or a sharp corner, or when there is no room. After ``ATTEMPTS`` of them, which
-the least sizes that samplers allow make all but impossible, the field is a square.
+It makes outline, holes, ROIs and starts, and begins again with other random numbers when the
+outline has a narrow passage or a sharp corner, or when there is no room. After ``ATTEMPTS`` of
+them, which the least sizes that samplers allow make all but impossible, the field is a square.
 """
 
 from __future__ import annotations
