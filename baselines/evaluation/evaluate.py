@@ -196,5 +196,6 @@ def under(settings: Mapping[str, Any], condition: Condition | None, **asked: Any
     if condition is None:
         return {**settings, **asked}
     weather = {name for one in CONDITIONS if one != "mixed" for name in CONDITIONS[one]}
-    others = {name: value for name, value in settings.items() if name not in weather}
+    own = expand(dict(settings))
+    others = {name: value for name, value in own.items() if name not in weather}
     return {**others, **expand({**asked, "condition": condition})}

@@ -179,6 +179,9 @@ def fitted(policy: Policy, engine: BatchEngine) -> Policy:
     trained: Origin | None = getattr(policy, "origin", None)
     if trained is None:
         return policy
+    if engine.sampler is not None or engine.teams_vary:
+        problem = "fields: they vary, and the policy was trained on one; allowed: the same"
+        raise ConfigError("policy", [problem])
     ours, theirs = _sizes(*trained), _sizes(engine.field, engine.config)
     new = {name for name in ("headings", "failures") if theirs[name] and not ours[name]}
     problems = [

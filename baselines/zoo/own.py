@@ -28,7 +28,7 @@ def is_own(source: str) -> bool:
 
 
 class OwnPolicy:
-    """What a user's callable returned, as a policy: its actions are checked.
+    """The policy that a user's callable returned; its actions are checked.
 
     Args:
         source: ``module:callable``.

@@ -69,11 +69,11 @@ def step_parts(store, actions, last, lo, hi):  # type: ignore[no-untyped-def]  #
             propose_move(p, g, now, to, actions, i, lo, end)
             test_containment(g, to, lo, end)
             stop_at_walls(p, now, out, to, i, lo, end)
-            mark_visits(p, g, now.failed, now, out, i, lo, end)
+            mark_visits(p, g, now.status, now, out, i, lo, end)
         if last >= MEMORY:
-            record_positions(mem, now, lo, end)
+            record_positions(mem, now.status, now, lo, end)
             for i in range(now.x.shape[0]):
-                hash_positions(mem, now, out, to, i, lo, end)
+                hash_positions(mem, now.status, now, out, to, i, lo, end)
         if last >= REWARDS:
             pass_time(p, now.drawn, mem.key, now.gust, now.steps, lo, end)
         if last >= OBSERVATIONS:
@@ -82,9 +82,9 @@ def step_parts(store, actions, last, lo, hi):  # type: ignore[no-untyped-def]  #
             for i in range(now.x.shape[0]):
                 mark_revisits(mem, now, out, to, i, lo, end)
         if last >= REWARDS:
-            find_collisions(p, now.failed, now, to, lo, end)
+            find_collisions(p, now.status, now, to, lo, end)
             check_termination(p, g, mem, now, out, to, lo, end)
-            give_rewards(p, now.failed, now, out, to, lo, end)
+            give_rewards(p, now.status, now, out, to, lo, end)
         if last >= MEMORY:
             grow_filter(mem, now, lo, end)
         if last >= OBSERVATIONS:

@@ -60,10 +60,14 @@ class Infos:
         self.optima = np.full(engine.num_worlds, np.nan)
         self.read_optima()
 
-    def read_optima(self) -> None:
-        """Find the proved optima of the present fields; those that a sampler draws have none."""
+    def read_optima(self, known: bool = True) -> None:
+        """Find the proved optima of the present fields, if any are ``known``.
+
+        Fields that a sampler draws and starts that were given have none.
+        """
         engine = self._engine
-        for world in range(0 if engine.sampler else engine.num_worlds):
+        self.optima[:] = np.nan
+        for world in range(engine.num_worlds if known and engine.sampler is None else 0):
             optimum = optimal_return(engine.field_of(world), engine.config)
             self.optima[world] = np.nan if optimum is None else optimum
 

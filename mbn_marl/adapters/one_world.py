@@ -16,7 +16,6 @@ from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.engine.validation import reset_problems
 from mbn_marl.errors import ConfigError, StepError
 from mbn_marl.field import FieldSampler, load_field
-from mbn_marl.optimum import optimal_return
 
 
 class OneWorld:
@@ -52,7 +51,8 @@ class OneWorld:
     @property
     def optimal_return(self) -> float | None:
         """The proved best team return, see :func:`mbn_marl.optimum.optimal_return`."""
-        return optimal_return(self.engine.field, self.engine.config)
+        optimum = float(self._infos.optima[0])
+        return None if np.isnan(optimum) else optimum
 
     def state(self) -> NDArray[Any]:
         """Return the paper's state, ``(4n+1,)`` in the engine's dtype, raw units, a fresh array.
@@ -94,7 +94,7 @@ class OneWorld:
         asked = given is not None or starts is not None
         if field is not None and (asked or self._is_given):
             self.engine.set_field(field, starts=starts)
-            self._infos.read_optima()
+            self._infos.read_optima(known=starts is None)
             self._is_given = asked
         elif starts is not None:
             raise ConfigError("reset", ["options: starts; allowed with a field"])

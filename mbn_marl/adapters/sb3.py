@@ -5,7 +5,8 @@ The infos follow Stable-Baselines3's conventions. A row has
 - at every step ``TimeLimit.truncated``: the episode ended by ``max_steps`` and nothing else; with
   ``failures`` also ``failed``: whether the row's robot, or how many of its robots, have failed;
   if teams vary also ``present``: whether the row's robot, or how many of its robots, are there.
-  Rows of robots that are not stay: their observations and rewards are 0;
+  Rows of robots that are not stay: their observations and rewards are 0. Where an episode ends,
+  both are of that episode;
 - at the end of an episode also ``terminal_observation``, ``is_success``, the metrics, and
   ``episode`` (return ``r``, length ``l``, seconds ``t``) as from ``Monitor``, so that
   ``ep_rew_mean`` and ``success_rate`` are logged without a wrapper.
@@ -47,7 +48,7 @@ class NavigationVecEnv(VecEnv):
 
     Args:
         field: a catalogue name, a file, a ``Field``, or a list of them (world ``w`` gets number
-            ``w`` modulo their count).
+            ``w`` modulo their count); or a ``FieldSampler``.
         num_worlds: number of worlds.
         seed: of all worlds, until ``seed()`` gives another.
         threads: of the engine; ``None`` takes as many as there are cores.

@@ -1,1 +1,1 @@
-"""What all compiled rules share: the compiler's settings, random numbers, exact functions."""
+"""The common part of all compiled rules: compiler settings, random numbers, exact functions."""

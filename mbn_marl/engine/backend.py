@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -168,7 +168,8 @@ class Backend(ABC):
         """The field of the present episode of a world, from its tables."""
         f, g = self._column(world), self.geometry
         tables = Tables(*(self.host(getattr(g, name)[..., f : f + 1]) for name in Tables._fields))
-        name = f"world-{world}-{int(self.memory.episode[world])}"
+        number = int(self.spec.constants["first_world"][0]) + world
+        name = f"world-{number}-{int(self.memory.episode[world])}"
         return read_field(tables, self.spec.arena, name)
 
     def set_field(self, world: int, field: Field, starts: Array | None) -> None:
@@ -188,6 +189,12 @@ class Backend(ABC):
     def set_sampler(self, sampler: FieldSampler) -> None:
         """See ``BatchEngine.set_sampler``; all is allowed."""
         self.geometry.sampler[:] = self.xp.asarray(sampler_numbers(sampler))
+
+    def fit_edges(self, saved: Mapping[str, NDArray[Any]]) -> None:
+        """Make room for the edges of saved worlds, some of which were given a larger field."""
+        count = saved.get("geometry.edges", np.zeros((4, 0))).shape[1]
+        if self.geometry.sampler.ndim == 1 and count > self.geometry.edges.shape[1]:
+            self._add_edges(count - self.geometry.edges.shape[1])
 
     def _add_edges(self, count: int) -> None:
         """Make room for more edges in all columns, filled with a vertex of each field."""

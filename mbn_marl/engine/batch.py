@@ -14,14 +14,14 @@ from mbn_marl.engine import validation
 from mbn_marl.engine.backend import BackendSpec
 from mbn_marl.engine.constants import make_record
 from mbn_marl.engine.devices import make_backend
-from mbn_marl.engine.geometry import make_geometry, sizes_of
+from mbn_marl.engine.geometry import make_geometry, sampler_numbers, sizes_of
 from mbn_marl.engine.listener import Listener
 from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.engine.readings import Flags, Floats, Readings
 from mbn_marl.engine.state import Array
 from mbn_marl.engine.state_io import restore_worlds, save_worlds
 from mbn_marl.engine.validation import Autoreset, Device
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, FieldSampler, load_field
 
 FieldLike = Field | str | os.PathLike[str]
@@ -118,7 +118,7 @@ class BatchEngine(Readings):
         self.observation_low = np.array([entry.low for entry in table], np.float32)
         self.observation_high = np.array([entry.high for entry in table], np.float32)
         self.listeners: list[Listener] = []
-        self._set_fields: dict[int, Field] = {}
+        self._set_fields: dict[int, tuple[int, Field]] = {}
         geometry = make_geometry(source, self.config, n, num_worlds, self.teams_vary, given)
         self._backend = make_backend(
             device,
@@ -157,6 +157,11 @@ class BatchEngine(Readings):
         if problems := validation.reset_problems(seed, episode):
             raise ConfigError("reset", problems)
         if seed is not None:
+            now = self.episode_numbers
+            self._set_fields = {
+                world: (episode if number == now[world] + 1 else -1, field)
+                for world, (number, field) in self._set_fields.items()
+            }
             self._backend.reseed(seed, episode)
         self._backend.reset(None)
         self._tell_reset(None)
@@ -205,7 +210,8 @@ class BatchEngine(Readings):
     def set_field(self, field: Field, world: int = 0, starts: ArrayLike | None = None) -> None:
         """Give a world another field, right before its reset.
 
-        With a sampler, the episodes after the next one have fields that are drawn again.
+        With a sampler, the episodes after the next one have fields that are drawn again. A CUDA
+        graph has to be captured again.
 
         Args:
             field: of the same arena, with at most ``n_rois`` ROIs and a start for each robot.
@@ -227,7 +233,7 @@ class BatchEngine(Readings):
         if problems:
             raise ConfigError("set_field", problems)
         self._backend.set_field(world, field, given)
-        self._set_fields[world] = field
+        self._set_fields[world] = int(self.episode_numbers[world]) + 1, field
 
     def set_sampler(self, sampler: FieldSampler) -> None:
         """Draw fields by other numbers from the next resets on, as in a curriculum.
@@ -269,8 +275,13 @@ class BatchEngine(Readings):
             saved: what :meth:`save_state` gave: arrays of its shapes, such as (n, W), and units.
 
         Raises:
-            MbnError: it was an engine of other settings or sizes; this one is left as it was.
+            MbnError: it was an engine of other settings, sizes or another sampler; this one is left
+                as it was.
         """
+        theirs = saved.get("geometry.sampler")
+        own = None if self.sampler is None else sampler_numbers(self.sampler)
+        if not (own is None or theirs is None or np.array_equal(own, theirs)):
+            raise MbnError("worlds: of another sampler; allowed: those of this one")
         restore_worlds(self._backend, saved)
         self._tell_reset(None)
 

@@ -13,7 +13,7 @@ from mbn_marl.engine.mdp.lidar import rays_of
 from mbn_marl.engine.mdp.observations import WITH_RAYS
 from mbn_marl.engine.state import Array, Geometry
 from mbn_marl.field import Field, FieldSampler
-from mbn_marl.field.layout import Tables, make_tables
+from mbn_marl.field.layout import Tables, make_tables, scratch_rows
 from mbn_marl.field.sampler import field_of
 
 FieldSource = tuple[Field, ...] | FieldSampler
@@ -74,6 +74,7 @@ def make_geometry(
         kinds = np.zeros((0, 0), np.int32)
     at = {} if config.failures is None else config.failures.at
     fail_at = np.array([at.get(i, 0) for i in range(0 if config.failures is None else n)], np.int32)
+    scratch = scratch_rows(n, sizes.rois), worlds
     has_rays = config.observation in WITH_RAYS
     rays = rays_of(config.sensing_radius, sizes.arena) if has_rays else np.zeros(0)
     return Geometry(
@@ -84,7 +85,7 @@ def make_geometry(
         ranges=make_ranges(config, n),
         rays=rays.astype(real),
         sampler=sampler_numbers(sampler) if sampler else np.zeros((0, 0), np.int64),
-        scratch=np.zeros((sampler.scratch_rows, worlds) if sampler else (0, 0), np.int64, "F"),
+        scratch=np.zeros(scratch if sampler else (0, 0), np.int64, order="F"),
         kept=np.zeros(worlds if sampler else 0, np.bool_),
     )
 
@@ -128,9 +129,11 @@ def read_field(tables: Tables, arena: tuple[float, float], name: str) -> Field:
 
 
 def directed_edges(field: Field) -> Array:
-    """The edges of a field (4, E), turned so that it lies to the left of each."""
-    rings = [field.polygon.exterior, *field.polygon.interiors]
-    sizes = [len(ring.coords) - 1 for ring in rings]
-    wrong = [ring.is_ccw == (ring is not rings[0]) for ring in rings]
-    turned = np.roll(field.edges, 2, axis=1)
-    return np.where(np.repeat(wrong, sizes)[:, None], turned, field.edges).T
+    """The edges of a field (4, E), ring by ring, turned so that it lies to the left of each."""
+    edges = []
+    for number, ring in enumerate([field.polygon.exterior, *field.polygon.interiors]):
+        corners = np.array(ring.coords[:-1])
+        if ring.is_ccw == (number > 0):
+            corners = np.roll(corners[::-1], 1, axis=0)  # the first stays the first
+        edges.append(np.hstack([corners, np.roll(corners, -1, axis=0)]))
+    return np.concatenate(edges).T

@@ -28,7 +28,7 @@ METRICS = (
 
 
 class Readings:
-    """What a :class:`~mbn_marl.BatchEngine` says of itself and of its worlds.
+    """The part of a :class:`~mbn_marl.BatchEngine` that is read: itself and its worlds.
 
     W is the number of worlds, n the number of robots.
 
@@ -62,7 +62,7 @@ class Readings:
     first_world: int
     dtype: np.dtype[Any]
     _backend: Backend
-    _set_fields: dict[int, Field]
+    _set_fields: dict[int, tuple[int, Field]]
 
     @property
     def field(self) -> Field:
@@ -73,17 +73,19 @@ class Readings:
         """Return the field of a world's present episode.
 
         One that a sampler has drawn is read from the engine's tables, to a thousandth of a unit;
-        before the first reset, it is that of the first episode.
+        its name has the world's number and the episode's. Before the first reset, it is that of the
+        first episode.
 
         Raises:
             IndexError: no such world.
         """
         self._check_world(world)
+        number, given = self._set_fields.get(world, (-1, None))
         if self.sampler is None:
-            return self._set_fields.get(world) or self.fields[world % len(self.fields)]
-        if self._backend.memory.episode[world] < 0:
+            return given or self.fields[world % len(self.fields)]
+        if (episode := int(self._backend.memory.episode[world])) < 0:
             return self.sampler.field(self.first_world + world)
-        return self._backend.field_in(world)
+        return given if given and number == episode else self._backend.field_in(world)
 
     def _check_world(self, world: int) -> None:
         if not 0 <= world < self.num_worlds:

@@ -35,6 +35,7 @@ BLOCK = 256
 """Worlds per block."""
 
 ZERO, ONE = np.uint64(0), np.uint64(1)
+NOWHERE = np.float32(np.nan)
 SAME_STEP, NEXT_STEP = 1, 2
 
 
@@ -147,8 +148,8 @@ def mark_visits(p, g, status, now, out, i, lo, hi):
 
 
 @compiled
-def record_positions(mem, now, lo, hi):
-    """Append the robots' positions to the trails."""
+def record_positions(mem, status, now, lo, hi):
+    """Append the robots' positions to the trails; absent robots were nowhere."""
     n = np.uint64(now.x.shape[0])
     last = np.uint64(mem.trail.shape[1]) - n
     for i in range(n):
@@ -156,18 +157,22 @@ def record_positions(mem, now, lo, hi):
             entry = min(np.uint64(now.steps[w] + 1) * n, last) + i
             mem.trail[w, entry, 0] = now.x[i, w]
             mem.trail[w, entry, 1] = now.y[i, w]
+            if is_absent(status, i, w):
+                mem.trail[w, entry, 0] = NOWHERE
+                mem.trail[w, entry, 1] = NOWHERE
 
 
 @compiled
-def hash_positions(mem, now, out, to, i, lo, hi):
+def hash_positions(mem, status, now, out, to, i, lo, hi):
     """Step 4, first half: find the bits of the filter for robot i's position, and fetch them.
 
-    A robot that did not move is known without looking.
+    A robot that did not move is known without looking; one that is absent leaves none.
     """
     events, place, mask = out.events, to.place, to.mask
     for w in range(lo, hi):
         key = revisits.hash_position(mem.x_bits[i, w], mem.y_bits[i, w])
         known = is_set(events[i, w], rewards.STILL) & (now.steps[w] > 0)
+        known |= is_absent(status, i, w)
         place[i, w - lo] = select(known, ZERO, revisits.filter_word(key, mem.words[w]))
         mask[i, w - lo] = select(known, ZERO, revisits.filter_mask(key))
         events[i, w] |= select(known, rewards.REVISIT, 0)
@@ -330,9 +335,9 @@ def move_robots(p, g, mem, status, now, out, to, actions, lo, hi):
         keep_heading(g.kinds, now, to, i, lo, hi)
         mark_visits(p, g, status, now, out, i, lo, hi)
     if p.rules == rewards.RELEASED:
-        record_positions(mem, now, lo, hi)
+        record_positions(mem, status, now, lo, hi)
         for i in range(now.x.shape[0]):
-            hash_positions(mem, now, out, to, i, lo, hi)
+            hash_positions(mem, status, now, out, to, i, lo, hi)
     pass_time(p, now.drawn, mem.key, now.gust, now.steps, lo, hi)
 
 

@@ -22,7 +22,7 @@ from mbn_marl.engine.cpu import CpuBackend
 from mbn_marl.engine.mdp.disturbances import arrived_actions
 from mbn_marl.engine.mdp.drawn import limits_in
 from mbn_marl.engine.mdp.dynamics import V_CLIP, keep_heading, limits_of
-from mbn_marl.engine.mdp.failures import has_failed, move_or_fail
+from mbn_marl.engine.mdp.failures import has_failed, is_absent, move_or_fail
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
 from mbn_marl.errors import ActionError, MbnError, StepError
@@ -153,16 +153,17 @@ def take_positions(store, positions, velocities, allowed):
         to.vx[0] = clip(velocities[0, i, 0], -v_clip, v_clip)
         to.vy[0] = clip(velocities[0, i, 1], -v_clip, v_clip)
         step.test_containment(g, to, LO, HI)
-        stayed = allowed[i] & (to.seen[0] != 0) | has_failed(now.status, i, LO)
+        resting = has_failed(now.status, i, LO) | is_absent(now.status, i, LO)
+        stayed = allowed[i] & (to.seen[0] != 0) | resting
         to.seen[0] = INSIDE
         step.stop_at_walls(p, now, out, to, i, LO, HI)
         now.wall_hits[i, 0] += 0 if stayed else 1
         out.events[i, 0] |= 0 if stayed else WALL
         step.mark_visits(p, g, now.status, now, out, i, LO, HI)
     if p.rules == RELEASED:
-        step.record_positions(mem, now, LO, HI)
+        step.record_positions(mem, now.status, now, LO, HI)
         for i in range(n):
-            step.hash_positions(mem, now, out, to, i, LO, HI)
+            step.hash_positions(mem, now.status, now, out, to, i, LO, HI)
     step.pass_time(p, now.drawn, mem.key, now.gust, now.steps, LO, HI)
     observe(p, g, mem, now, LO, HI, to.tile, out.observations)
     step.score_step(p, g, mem, now.status, now, out, to, LO, HI)

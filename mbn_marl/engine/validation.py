@@ -80,11 +80,9 @@ def _fields_problems(
     problems = [] if fields else ["field: an empty sequence; allowed: at least one field"]
     if starts is not None and (wrong := _given_starts_problems(starts, config, n)):
         problems, starts = [*problems, *wrong], None
-    lowest = config.with_drawn({name: ends.low for name, ends in config.drawn.items()})
-    checked = config.at_most() if starts is None else lowest  # those of an episode that drew less
     for field in fields:
         team = n if config.n_robots or starts is not None else len(field.starts)
-        problems += field_problems(field, checked, team, fields[0].arena, starts)
+        problems += field_problems(field, config, team, fields[0].arena, starts)
     return problems
 
 
@@ -122,7 +120,7 @@ def set_field_problems(
     if starts is not None and (wrong := _given_starts_problems(starts, config, n)):
         return wrong
     team = len(field.starts) if teams_vary and starts is None else n
-    problems = field_problems(field, config.at_most(), team, sizes.arena, starts)
+    problems = field_problems(field, config, team, sizes.arena, starts)
     if len(field.rois) > sizes.rois:
         allowed = f"at most {sizes.rois}, those that observations have entries for"
         problems.append(f"field: {field.name} has {len(field.rois)} ROIs; allowed: {allowed}")
@@ -202,10 +200,16 @@ def field_problems(
     arena: tuple[float, float],
     given_starts: NDArray[Any] | None,
 ) -> list[str]:
-    """Return why this field does not fit this configuration."""
+    """Return why this field does not fit this configuration.
+
+    Given starts may be those of an episode that drew a small safety distance.
+    """
+    lowest = config.with_drawn({name: ends.low for name, ends in config.drawn.items()})
+    config = config.at_most() if given_starts is None else lowest
     problems = []
     room = int(field.polygon.area / (2 * max(config.safety_distance, 1.0)) ** 2)
-    if n > len(field.starts) and not (config.random_starts and n <= room):
+    random = config.random_starts and n <= room
+    if given_starts is None and n > len(field.starts) and not random:
         allowed = f"1 to {len(field.starts)}, the starts of {field.name}"
         allowed += f", or to {room} with random_starts" if room > len(field.starts) else ""
         problems.append(f"n_robots: {n}; allowed: {allowed}")

@@ -206,7 +206,8 @@ class FieldSampler(Checked):
         problems = [
             f"{name}: expected a whole number from 0 to {most}"
             for name, (number, most) in limits.items()
-            if not (isinstance(number, Integral) and 0 <= number <= most)
+            if isinstance(number, bool)
+            or not (isinstance(number, Integral) and 0 <= number <= most)
         ]
         if problems:
             raise ConfigError("field", problems)

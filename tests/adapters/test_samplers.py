@@ -144,3 +144,23 @@ def test_a_recorder_keeps_the_field_and_the_team_of_each_episode() -> None:
         assert np.array_equal(episode.field.rois, expected.rois)
         assert episode.positions.shape == (7, len(expected.starts), 2)
     assert len({episode.config.n_robots for episode in recorder.episodes}) > 1
+
+
+def test_a_team_larger_than_the_starts_is_recorded() -> None:
+    env = parallel_env("field_03", n_robots=5, random_starts=True, max_steps=5)
+    with EpisodeRecorder(env) as recorder:
+        env.reset(seed=1)
+        while env.agents:
+            env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+    assert recorder.episodes[0].positions.shape[1:] == (5, 2)
+
+
+def test_given_starts_have_no_proved_optimum() -> None:
+    env = parallel_env("field_03")
+    env.reset(seed=1, options={"starts": load_field("field_03").starts + 0.5})
+    assert env.optimal_return is None
+    while env.agents:
+        *_, infos = env.step(still(env.agents))
+    assert np.isnan(infos["robot_0"]["optimality_gap"])
+    env.reset()
+    assert env.optimal_return is not None

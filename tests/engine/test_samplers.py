@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mbn_marl import BatchEngine, Failures, Uniform
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, FieldSampler, load_field
 from mbn_marl.field.layout import FAMILIES
 
@@ -246,3 +246,52 @@ def test_teams_that_start_at_random_may_be_larger_than_the_starts() -> None:
         BatchEngine(field, 1, n_robots=7)
     with pytest.raises(ConfigError, match="n_robots"):
         BatchEngine(field, 1, n_robots=room + 1, random_starts=True)
+
+
+def test_an_absent_robot_leaves_nothing_in_the_revisit_memory() -> None:
+    """Robot 0 comes back to its start, which nobody has stood on after a step."""
+    sampler = FieldSampler(robots=(1, 3), rois=2, size=200, seed=2)
+    ours = BatchEngine(sampler, 6, seed=1, autoreset=False)
+    ours.reset()
+    world = int(np.flatnonzero(ours.present.sum(axis=1) == 1)[0])
+    alone = BatchEngine(sampler.field(world), 1, seed=1, first_world=world, autoreset=False)
+    alone.reset()
+    for force in (1.0, -1.0, -1.0):
+        actions = np.zeros((6, 3, 2), np.float32)
+        actions[world, 0, 0] = force
+        ours.step(actions)
+        alone.step(actions[None, world, :1])
+        assert ours.team_rewards[world] == alone.team_rewards[0]
+    assert ours.state()[world, 0] == alone.state()[0, 0] == np.float32(alone.field.starts[0, 0])
+
+
+def test_a_field_that_a_samplers_world_was_given_is_read_as_it_was_given() -> None:
+    field = load_field("field_09")
+    turned = Field(field.vertices[::-1] + 1e-5, field.rois, field.starts, name="turned")
+    engine = BatchEngine(FieldSampler(robots=3, rois=6, seed=1), 2, seed=1, autoreset=False)
+    engine.set_field(turned, world=1)
+    engine.reset(seed=4)
+    assert engine.snapshot(1).field == turned
+    other = BatchEngine(FieldSampler(robots=3, rois=6, seed=1), 2, seed=9, autoreset=False)
+    other.load_state(engine.save_state())
+    for name in ("rois", "starts"):
+        np.testing.assert_allclose(
+            getattr(other.field_of(1), name), getattr(turned, name), atol=1e-3
+        )
+    for _ in range(20):
+        actions = engine.sample_actions()
+        np.testing.assert_array_equal(other.step(actions)[0], engine.step(actions)[0])
+    engine.reset()
+    assert engine.field_of(1).name != "turned"
+    with pytest.raises(MbnError, match="another sampler"):
+        BatchEngine(FieldSampler(robots=3, rois=6, seed=2), 2).load_state(engine.save_state())
+
+
+def test_a_curriculum_may_use_all_robots_that_the_engine_has() -> None:
+    engine = BatchEngine(FieldSampler(robots=(2, 3), size=(150, 420)), 3, n_robots=5, seed=1)
+    engine.set_sampler(FieldSampler(robots=5, size=(150, 420)))
+    engine.reset()
+    assert engine.present.all()
+    for world in range(3):
+        expected = FieldSampler(robots=5, size=(150, 420)).field(world)
+        assert np.array_equal(engine.field_of(world).starts, expected.starts)
