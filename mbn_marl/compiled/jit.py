@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba.core.registry import CPUDispatcher
-
-try:
-    import fcntl
-except ImportError:  # a system without it
-    fcntl = None  # type: ignore[assignment]
 
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Compiled code runs without the GIL, and divides as NumPy does."""
@@ -85,19 +80,7 @@ def _cached(function: Callable[..., Any], **options: Any) -> Any:
     options = {**COMMON, **options}
     try:
         dispatcher = numba.njit(cache=True, **options)(function)
-        files = dispatcher._cache._cache_file
-        files._source_stamp = SOURCES
-        files.save = partial(_save_alone, files.save, Path(f"{files._index_path}.lock"))
+        dispatcher._cache._cache_file._source_stamp = SOURCES
     except RuntimeError:  # no folder for the cache
         dispatcher = numba.njit(**options)(function)
     return dispatcher
-
-
-def _save_alone(save: Callable[..., None], lock: Path, *arguments: Any) -> None:
-    """Save compiled code while no other process does: Numba would give two codes the same file."""
-    if fcntl is None:
-        return save(*arguments)
-    lock.parent.mkdir(parents=True, exist_ok=True)
-    with lock.open("w") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        return save(*arguments)

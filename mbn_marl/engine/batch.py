@@ -157,11 +157,12 @@ class BatchEngine(Readings):
         if problems := validation.reset_problems(seed, episode):
             raise ConfigError("reset", problems)
         if seed is not None:
-            now = self.episode_numbers
-            self._set_fields = {
-                world: (episode if number == now[world] + 1 else -1, field)
-                for world, (number, field) in self._set_fields.items()
-            }
+            if self._set_fields:
+                now = self.episode_numbers
+                self._set_fields = {
+                    world: (episode if number == now[world] + 1 else -1, field)
+                    for world, (number, field) in self._set_fields.items()
+                }
             self._backend.reseed(seed, episode)
         self._backend.reset(None)
         self._tell_reset(None)

@@ -26,7 +26,7 @@ from benchmarks.report import (
     print_findings,
 )
 from benchmarks.speed.adapters import measure_sb3, measure_torchrl
-from benchmarks.speed.features import FEATURES, Features
+from benchmarks.speed.features import FEATURES, SAMPLERS, Features
 from benchmarks.speed.measure import Speed
 from benchmarks.speed.parts import OBSERVATIONS, PARTS, REWARDS, partial_step
 from benchmarks.speed.sizes import SIZES, USUAL, make_field, measure_sizes
@@ -157,9 +157,12 @@ def test_features_are_measured_against_the_plain_engine(monkeypatch: pytest.Monk
     monkeypatch.setattr("benchmarks.speed.features.FEATURES", only)
     monkeypatch.setattr(Features, "budget", TINY)
     stages: list[None] = []
-    (row,) = Features().measure(lambda: stages.append(None)).measurements
-    assert (row.name, row.unit, row.target) == ("gusts", "%", 50.0)
-    assert row.value is not None and 1.0 < row.value < 500.0
+    rows = Features().measure(lambda: stages.append(None)).measurements
+    assert (rows[0].name, rows[0].unit, rows[0].target) == ("gusts", "%", 50.0)
+    assert [(row.name, row.target) for row in rows[1:]] == [
+        *zip(SAMPLERS, (80.0, None), strict=True)
+    ]
+    assert all(row.value is not None and 1.0 < row.value < 500.0 for row in rows)
     assert len(stages) == Features.stages
 
 

@@ -295,3 +295,12 @@ def test_a_curriculum_may_use_all_robots_that_the_engine_has() -> None:
     for world in range(3):
         expected = FieldSampler(robots=5, size=(150, 420)).field(world)
         assert np.array_equal(engine.field_of(world).starts, expected.starts)
+
+
+def test_no_robot_fails_where_none_can() -> None:
+    """The tables of failures are empty there, whatever lies behind them."""
+    engine = BatchEngine(FieldSampler(robots=(1, 4), rois=3, size=200, seed=1), 500, seed=1)
+    engine.reset()
+    for _ in range(40):
+        engine.step(engine.sample_actions())
+        assert not engine.failed.any()

@@ -82,6 +82,11 @@ def fail(p, g, mem, status, now, to, i, lo, hi):
     """
     n, drawn = status.shape[0], now.drawn
     for w in range(lo, hi):
+        to.own[w - lo] = now.impulse_x[i, w]
+        to.share[w - lo] = now.impulse_y[i, w]
+    if g.fail_at.shape[0] == 0:  # robots are only absent
+        return
+    for w in range(lo, hi):
         step = now.steps[w]
         number = uniform(stream_of(mem.key[w], FOR_FAILURES), step * MAX_ROBOTS + i)
         by_chance = number < np.float32(numbers_of(p, drawn, w).failure_rate)
@@ -91,8 +96,6 @@ def fail(p, g, mem, status, now, to, i, lo, hi):
         due = (step + 1 == g.fail_at[i]) | is_failing_step(drawn, i, step + 1, w)
         fails = (by_chance | due) & (status[i, w] == WORKS)
         status[i, w] = select(fails, FAILED, status[i, w])
-        to.own[w - lo] = now.impulse_x[i, w]
-        to.share[w - lo] = now.impulse_y[i, w]
 
 
 @compiled
