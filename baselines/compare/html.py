@@ -10,7 +10,7 @@ from baselines.compare.results import Results
 from baselines.compare.summary import Comparison
 from baselines.compare.tables import field_tables, gaps, overall_tables
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.evaluation.rollout import record_episode
 from mbn_marl.render.figures import svg, trajectory_panels
 from mbn_marl.version import __version__
@@ -45,7 +45,7 @@ def _field_section(results: Results, comparison: Comparison, field: str) -> Sect
     for rank, record in chosen.items():
         if rank == "best" or record is not records[0]:
             name = f"{rank}: {record.run.path.name}"
-            policy, settings = load_policy(record.run), record.config["environment"]
+            policy, settings = load_trained(record.run), record.config["environment"]
             episodes[name] = record_episode(policy, record.field, settings, source=name)
     lasts = {name: episode.snapshot(episode.steps) for name, episode in episodes.items()}
     figures = {

@@ -12,7 +12,7 @@ from baselines.compare.records import find_records
 from baselines.compare.results import Results
 from baselines.compare.summary import Comparison, summarise
 from baselines.compare.tables import field_tables, overall_tables
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.evaluation.rollout import record_episode, write_animation, write_trajectories
 from baselines.runs.files import write_json, write_text
 from baselines.runs.provenance import write_provenance
@@ -92,7 +92,7 @@ def _markdown(comparison: Comparison, pictures: Mapping[str, str], place: Place)
 def _draw_best(results: Results, field: str, out: Path) -> None:
     """Draw an episode of the field's best policy, as paths and as an animation."""
     best = ranked(itertools.chain(*results.of_field(field).values()))[0]
-    episode = record_episode(load_policy(best.run), best.field, best.config["environment"])
+    episode = record_episode(load_trained(best.run), best.field, best.config["environment"])
     title = f"{best.run.path.name}: return {episode.team_return:,.0f}, {episode.steps} steps"
     write_trajectories(episode, out / f"trajectories_{field}.png", title)
     write_animation(episode, out / f"episode_{field}.gif")

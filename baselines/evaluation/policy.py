@@ -69,7 +69,7 @@ class RandomPolicy:
         return self._random.uniform(-1.0, 1.0, size=(*seen.shape[:2], 2)).astype(np.float32)
 
 
-def load_policy(run: Path | RunFolder) -> TrainedPolicy:
+def load_trained(run: Path | RunFolder) -> TrainedPolicy:
     """Load the latest policy of a run, with its :class:`Origin` in the attribute ``origin``.
 
     Raises:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.runs.files import RunError, read_json, replacing_folder, seal, write_json, write_text
 from baselines.runs.folder import RunFolder
 from baselines.zoo.entries import CARD, PREFIX
@@ -72,7 +72,7 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
     with replacing_folder(path) as folder:
         write_json(folder / "config.json", config)
         save_field(run.field, folder / "field.yaml")
-        load_policy(run).save(folder / "policy")
+        load_trained(run).save(folder / "policy")
         write_json(folder / CARD, card)
         for place in (folder / "policy", folder):
             seal(place)
@@ -86,7 +86,7 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
 def make_card(run: RunFolder, name: str) -> dict[str, Any]:
     """Evaluate a run's policy; return how it was trained and what it does, as JSON values."""
     config, trained = run.config, run.evaluation
-    where = load_policy(run), run.field, config["environment"]
+    where = load_trained(run), run.field, config["environment"]
     evaluations = evaluate_both(*where, episodes=EPISODES, seed=EVALUATION_SEED)
     return {
         "name": name,

@@ -8,7 +8,7 @@ from typing import Any
 from baselines.classical.controller import CLASSICAL, make_classical
 from baselines.evaluation.evaluate import under
 from baselines.evaluation.fitting import LoadedPolicy
-from baselines.evaluation.policy import RandomPolicy, load_policy
+from baselines.evaluation.policy import RandomPolicy, load_trained
 from baselines.runs.files import RunError
 from baselines.zoo.entries import PREFIX, open_run
 from baselines.zoo.own import FORM, is_own, load_own
@@ -53,4 +53,4 @@ def find_policy(
         raise RunError(f"{source} is not a run folder: {unknown('policy', source, known)}")
     run = open_run(source if place is None or source != ZOO else f"{PREFIX}{place.name}")
     wanted = under(run.config["environment"], condition, **settings)
-    return LoadedPolicy(source, load_policy(run), wanted, place or run.field)
+    return LoadedPolicy(source, load_trained(run), wanted, place or run.field)

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.runs.files import read_json, read_text
 from baselines.runs.folder import RunFolder
 from baselines.training.config import TrainConfig
@@ -82,7 +82,7 @@ def begin_or_resume(config: TrainConfig, out: Path) -> RunFolder:
 
 def outcome(run: RunFolder) -> dict[str, Any]:
     """Return all that a run recorded but the seconds, and its policy's parameters."""
-    policy: Any = load_policy(run)
+    policy: Any = load_trained(run)
     normalization = getattr(policy, "normalization", None)
     return {
         "rows": [*map(timeless, csv.DictReader(io.StringIO(read_text(run.progress))))],
@@ -254,7 +254,7 @@ def _files(root: Path, folder: Path) -> tuple[Path, ...]:
 def _read_entry(folder: Path) -> Any:
     """Read what ``mbn zoo`` and ``mbn evaluate`` read."""
     run = RunFolder.open(folder)
-    policy: Any = load_policy(run)
+    policy: Any = load_trained(run)
     weights = {name: tensor.tolist() for name, tensor in policy.network.state_dict().items()}
     return run.config, run.field.to_dict(), read_json(folder / CARD), weights
 

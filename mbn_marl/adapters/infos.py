@@ -57,7 +57,6 @@ class Infos:
     def __init__(self, engine: BatchEngine) -> None:
         self._engine = engine
         self.keys = (*INFO_COLUMNS, GAP, *(f"drawn/{name}" for name in engine.config.drawn))
-        self.optima = np.full(engine.num_worlds, np.nan)
         self.read_optima()
 
     def read_optima(self, known: bool = True) -> None:
@@ -65,11 +64,11 @@ class Infos:
 
         Fields that a sampler draws and starts that were given have none.
         """
-        engine = self._engine
-        self.optima[:] = np.nan
-        for world in range(engine.num_worlds if known and engine.sampler is None else 0):
-            optimum = optimal_return(engine.field_of(world), engine.config)
-            self.optima[world] = np.nan if optimum is None else optimum
+        engine, known = self._engine, known and self._engine.sampler is None
+        count = min(engine.num_worlds, len(engine.fields))
+        own = [engine.field_of(world) for world in range(count if known else 0)]
+        optima = [optimal_return(field, engine.config) for field in own] or [None]
+        self.optima = np.resize(np.array(optima, np.float64), engine.num_worlds)
 
     def of_reset(self) -> dict[str, float]:
         """The info of a reset of the first world, of a robot or of the team."""

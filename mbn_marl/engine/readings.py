@@ -211,7 +211,7 @@ class Readings:
 
     @property
     def may_rest(self) -> bool:
-        """Whether there may be robots that do not work: failed or not in the team."""
+        """True if some robots may not work: those that fail, or are not in the team."""
         return self._backend.now.status.ndim == 2
 
     @property

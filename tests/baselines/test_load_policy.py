@@ -14,8 +14,7 @@ import pytest
 from baselines import load_policy
 from baselines.classical.controller import make_classical
 from baselines.evaluation.evaluate import evaluate
-from baselines.evaluation.policy import Policy
-from baselines.evaluation.policy import load_policy as load_trained
+from baselines.evaluation.policy import Policy, load_trained
 from baselines.evaluation.rollout import record_episode
 from baselines.runs.files import RunError
 from baselines.zoo.entries import FOLDER, open_run

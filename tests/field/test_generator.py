@@ -135,7 +135,7 @@ def sharpest(ring: Any) -> float:
 
 
 def problems_of_soundness(field: Field, sampler: FieldSampler) -> list[str]:
-    """What a field breaks of the promises, found by shapely."""
+    """Return the promises that a field breaks, found by shapely."""
     polygon, (low, high) = field.polygon, sampler.size
     x, y, right, top = polygon.bounds
     longest = max(right - x, top - y)
@@ -237,13 +237,13 @@ class TestFamilies:
 
 
 def is_convex(polygon: shapely.Polygon) -> bool:
-    """Whether the hull adds nothing, but for what rounding to milli-units does."""
+    """Return whether the hull adds nothing but rounding to milli-units."""
     added = polygon.convex_hull.area - polygon.area
     return bool(added < 1e-4 * polygon.area)
 
 
 def has_kernel(polygon: shapely.Polygon) -> bool:
-    """Whether some point sees all of a polygon, which is counter-clockwise: it is star-shaped."""
+    """Return whether a counter-clockwise polygon is star-shaped: some point sees all of it."""
     kernel = polygon.convex_hull
     corners = np.array(polygon.exterior.coords)
     for a, b in pairwise(corners):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from baselines.classical.controller import make_classical
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.evaluation.rollout import record_episode
 from baselines.zoo.entries import open_run
 from mbn_marl.checked import Uniform
@@ -43,7 +43,7 @@ def test_the_plane_gives_the_environments_own_episode(
     makers = {
         "greedy": lambda: make_classical("greedy", place, {}),
         "wander": Wander,
-        "zoo": lambda: load_policy(run),
+        "zoo": lambda: load_trained(run),
     }
     ours = deploy(makers[acting](), place, settings, PlaneSimulator(), seed=3).episode
     theirs = record_episode(makers[acting](), place, settings, seed=3)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.runs.folder import RunFolder
 from baselines.training.config import TrainConfig
 from baselines.training.progress_bar import Report
@@ -60,7 +60,7 @@ def recorded(run: RunFolder) -> dict[str, Any]:
 
 def parameters(run: RunFolder) -> dict[str, torch.Tensor]:
     """The weights of a run's policy."""
-    policy: Any = load_policy(run)
+    policy: Any = load_trained(run)
     return dict(policy.network.state_dict())
 
 

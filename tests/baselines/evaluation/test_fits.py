@@ -9,7 +9,7 @@ import pytest
 
 from baselines.evaluation.evaluate import evaluate, under
 from baselines.evaluation.fitting import fitted
-from baselines.evaluation.policy import Origin, load_policy
+from baselines.evaluation.policy import Origin, load_trained
 from baselines.evaluation.rollout import record_episode
 from baselines.zoo.entries import open_run
 from mbn_marl import BatchEngine, Uniform
@@ -119,7 +119,7 @@ def test_what_does_not_scale_may_differ() -> None:
 def test_a_loaded_policy_knows_where_it_was_trained() -> None:
     run = open_run("zoo:field_03")
     larger = Field(run.field.vertices, run.field.rois, run.field.starts, arena=(900, 900))
-    assert refused(load_policy(run), larger, run.config["environment"]) == ["arena"]
+    assert refused(load_trained(run), larger, run.config["environment"]) == ["arena"]
 
 
 def test_a_condition_replaces_weather_and_failures_but_not_the_robots() -> None:

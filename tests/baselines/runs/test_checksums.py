@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from baselines.cli import main
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.runs.checksums import check
 from baselines.runs.files import RunError, read_arrays, seal, write_arrays
 from baselines.runs.folder import RunFolder
@@ -51,10 +51,10 @@ def test_every_file_of_a_policy_is_checked(finished: RunFolder, tmp_path: Path) 
     for path in read:
         copy = tmp_path / path.name
         shutil.copytree(finished.path, copy)
-        load_policy(RunFolder.open(copy))
+        load_trained(RunFolder.open(copy))
         _flip(copy / "policy" / path.name)
         with pytest.raises(DamageError, match=path.name.replace(".", r"\.")):
-            load_policy(RunFolder.open(copy))
+            load_trained(RunFolder.open(copy))
 
 
 def test_every_file_of_a_checkpoint_is_checked(stopped: RunFolder, tmp_path: Path) -> None:

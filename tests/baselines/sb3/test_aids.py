@@ -10,7 +10,7 @@ import pytest
 from stable_baselines3.common.vec_env import VecEnv
 
 from baselines.evaluation.evaluate import evaluate
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.sb3.config import load
 from baselines.sb3.envs import ShrinkingRois, engines, make_env
 from baselines.sb3.learner import Learner
@@ -133,7 +133,7 @@ def test_the_schedule_of_a_library_falls_with_env_steps(
 
 def test_a_policy_of_all_robots_observations_is_kept_and_evaluated(tmp_path: Path) -> None:
     run = train(config_of("ppo", joint_observation=True), tmp_path / "run")
-    policy = load_policy(run)
+    policy = load_trained(run)
     assert policy.observes == "observations"
     how = {"episodes": 2, "deterministic": True}
     again = evaluate(policy, run.field, run.config["environment"], **how)

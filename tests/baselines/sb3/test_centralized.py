@@ -15,7 +15,7 @@ import torch
 
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import moments_of
@@ -216,7 +216,7 @@ def test_a_transferred_learner_begins_with_the_sources_policy(name: str, tmp_pat
     learner = Learner(task, hyperparameters, EpisodeWindow())
     learner.begin_with(run)
     model = learner.model
-    policy: Any = load_policy(run)
+    policy: Any = load_trained(run)
     ours, theirs = model.policy.state_dict(), policy.network.state_dict()
     assert all(torch.equal(ours[key], theirs[key]) for key in theirs)
     assert (model.num_timesteps, learner.env_steps) == (0, 0)

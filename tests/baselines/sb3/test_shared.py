@@ -13,7 +13,7 @@ import torch
 
 from baselines.algorithms import find_algorithm
 from baselines.cli import main
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import write_tensors
@@ -51,7 +51,7 @@ def config_of(name: str, **changes: Any) -> TrainConfig:
 
 
 def weights_of(run: RunFolder) -> dict[str, torch.Tensor]:
-    policy: Any = load_policy(run)
+    policy: Any = load_trained(run)
     return dict(policy.network.state_dict())
 
 
@@ -146,7 +146,7 @@ def test_a_saved_policy_acts_as_before(normalized: bool, tmp_path: Path) -> None
     run = train(config, tmp_path / "run")
     names = {"checksums.json", "policy.json", "policy.safetensors", "learner.safetensors"}
     assert {path.name for path in run.policy.iterdir()} == names
-    policy = load_policy(run)
+    policy = load_trained(run)
     assert isinstance(policy, SB3Policy)
     assert (policy.normalization is not None) == normalized
     policy.save(tmp_path)
@@ -171,10 +171,10 @@ def test_a_damaged_policy_is_named(tmp_path: Path) -> None:
     (run.policy / "checksums.json").unlink()
     write_tensors(run.policy / "policy.safetensors", {"log_std": torch.zeros(2)})
     with pytest.raises(RunError, match=r"policy\.safetensors does not fit policy\.json"):
-        load_policy(run)
+        load_trained(run)
     (run.policy / "policy.safetensors").write_bytes(b"nonsense")
     with pytest.raises(RunError, match=r"policy\.safetensors cannot be read"):
-        load_policy(run)
+        load_trained(run)
 
 
 def test_hyperparameters_are_the_same_for_both() -> None:
@@ -206,7 +206,7 @@ def test_the_command_line_takes_them(tmp_path: Path) -> None:
 
 def test_a_policy_saved_before_the_centralised_ones_were_kept_alike_is_read(tmp_path: Path) -> None:
     run = train(config_of("ppo-shared"), tmp_path / "run")
-    policy = load_policy(run)
+    policy = load_trained(run)
     policy.save(tmp_path)
     shape = json.loads((tmp_path / "policy.json").read_text())
     old = {name: shape[name] for name in ("obs_size", "arguments", "normalization")}

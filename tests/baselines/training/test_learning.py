@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from baselines.algorithms import ALGORITHMS
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.training.config import TrainConfig
 from baselines.training.train import train
 from mbn_marl.field import Field, save_field
@@ -47,4 +47,4 @@ def test_a_tiny_field_is_solved(algorithm: str, tmp_path: Path) -> None:
     half, all_steps = (entry["env_steps"] for entry in run.evaluations)
     assert 98_304 <= half < 196_608 <= all_steps
     single_mdp = "A" in ALGORITHMS[algorithm].settings
-    assert load_policy(run).observes == ("state" if single_mdp else "observations")
+    assert load_trained(run).observes == ("state" if single_mdp else "observations")

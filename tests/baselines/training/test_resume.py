@@ -21,7 +21,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
 from baselines.training import run_logger as recorder
@@ -221,7 +221,7 @@ def test_a_policy_can_be_looked_at_before_the_run_is_finished(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stopped = interrupted(_config("ippo"), tmp_path / "run")
-    load_policy(stopped)
+    load_trained(stopped)
     assert stopped.unfinished == "unfinished: checkpoint at 128 of 320 env-steps"
     assert main(["evaluate", str(stopped.path), "--episodes", "1"]) == 0
     assert stopped.unfinished in capsys.readouterr().out

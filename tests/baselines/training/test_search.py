@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from baselines.evaluation.evaluate import Evaluation, evaluate
-from baselines.evaluation.policy import load_policy
+from baselines.evaluation.policy import load_trained
 from baselines.torchrl.networks import Actor, GaussianPolicy, Sharing, TeamShape
 from baselines.training.search import PATIENCE, WORLDS, LastLayerSearch, Trial
 from baselines.training.train import train
@@ -27,7 +27,7 @@ SETTINGS: dict[str, Any] = {"observation": "lidar"}
 
 def slow_team() -> Any:
     """The zoo's policy of the field with weak forces: 50 steps instead of 17."""
-    policy: Any = load_policy(open_run("zoo:field_03"))
+    policy: Any = load_trained(open_run("zoo:field_03"))
     for part in policy.network.last_layer:
         part.data *= 0.05
     return policy
@@ -92,7 +92,7 @@ def test_a_change_that_makes_sampled_actions_worse_is_dropped() -> None:
 
 
 def test_the_search_ends_at_the_proved_optimum() -> None:
-    policy: Any = load_policy(open_run("zoo:field_03"))  # which is there
+    policy: Any = load_trained(open_run("zoo:field_03"))  # which is there
     search = LastLayerSearch(policy.network, FIELD, SETTINGS, seed=0)
     search.run(5)
     assert search.env_steps <= WORLDS * 17 * (1 + PATIENCE)
@@ -108,7 +108,7 @@ def test_a_team_that_fails_is_left_as_it_is() -> None:
 
 
 def test_missing_is_the_way_left_to_the_rois() -> None:
-    policy: Any = load_policy(open_run("zoo:field_03"))
+    policy: Any = load_trained(open_run("zoo:field_03"))
     search = LastLayerSearch(policy.network, FIELD, SETTINGS, seed=0)
     search._play([part.unsqueeze(1).expand(-1, WORLDS, -1, -1) for part in search._layer], 12)
     now = search._engine.snapshot(0)
