@@ -42,7 +42,7 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Population(Benchmark):
-    """Train the recorded setting with one seed after the other, within a time."""
+    """Train the recorded setting, and search, with one seed after the other, within a time."""
 
     name: ClassVar[str] = "population"
 
@@ -56,8 +56,8 @@ class Population(Benchmark):
     """Runs at a time, each on one core."""
 
     def training(self, field: str, seed: int) -> TrainConfig:
-        """Return a run in the recorded setting."""
-        study = learning.Study(study="learning", fields=(field,), seeds=(seed,), steps=self.steps)
+        """Return a run in the recorded setting, with the search at its end."""
+        study = learning.Study(study="records", fields=(field,), seeds=(seed,), steps=self.steps)
         (run,) = study.config().runs()
         return run
 
@@ -115,7 +115,7 @@ def train_population(config: Population, command: str) -> tuple[list[Measurement
     with collecting(problems):
         engine = LocalEngine(config.processes)
     with collecting(problems):
-        learning.Study(study="learning", fields=config.fields, steps=config.steps).config()
+        learning.Study(study="records", fields=config.fields, steps=config.steps).config()
     if problems:
         raise ConfigError("population", problems)
     out = claim_folder(config.folder, force=config.force)
