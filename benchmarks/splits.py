@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,25 +21,18 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.episode import play
 from mbn_marl.errors import ConfigError, EpisodeError, FieldError, unknown
 from mbn_marl.field import Field, FieldSampler
+from mbn_marl.field.splits import (
+    CONDITIONS,
+    NAMES,
+    VERSION,
+    WEATHER,
+    Split,
+    geometry_hash,
+    sampler_of,
+)
 from mbn_marl.planning import UnsolvableError, plan
 
-VERSION = 1
-"""Of the definition below: what changes it makes other splits."""
 COUNT = 100
-SEEDS = {"validation": 2_000_000, "test": 3_000_000}
-"""Of the samplers of each split, to which the number of the tier is added."""
-TIERS: Mapping[str, Mapping[str, Any]] = {
-    "1-convex": {"families": ["convex"], "robots": 3, "rois": 6},
-    "2-sizes": {"families": ["convex"], "robots": [2, 7], "rois": [3, 10], "size": [150, 420]},
-    "3-shapes": {"families": ["concave", "corridors", "obstacles"], "robots": 3, "rois": 6},
-    "4-crowds": {"families": ["convex"], "robots": [8, 16], "rois": [12, 24], "size": [230, 420]},
-}
-"""The tiers with fields of their own, and the arguments of their samplers."""
-WEATHER = "5-weather"
-"""Instance k is instance k of tier k mod 3 of the first three, under condition k mod 5."""
-CONDITIONS = ("windy", "gusty", "noisy", "delayed", "failing")
-NAMES = (*TIERS, WEATHER)
-Split = Literal["validation", "test"]
 
 
 @dataclass(frozen=True)
@@ -174,13 +166,8 @@ class Splits:
 
 def definition(split: Split, tier: str) -> dict[str, Any]:
     """Return what a file of a split and a tier is made from, as JSON values."""
-    seed = SEEDS[split] + NAMES.index(tier)
-    return {
-        "version": VERSION,
-        "split": split,
-        "tier": tier,
-        "sampler": {**TIERS[tier], "seed": seed},
-    }
+    sampler = sampler_of(split, tier)
+    return {"version": VERSION, "split": split, "tier": tier, "sampler": sampler}
 
 
 def weather(folder: Path, split: Split, count: int) -> dict[str, Any]:
@@ -207,17 +194,6 @@ def weather(folder: Path, split: Split, count: int) -> dict[str, Any]:
         for k in range(count)
     ]
     return {"version": VERSION, "split": split, "tier": WEATHER, "instances": instances}
-
-
-def geometry_hash(field: Field) -> str:
-    """Return the SHA-256 of a field's arena, outline, holes, ROIs and starts in milli-units."""
-    rings: list[Any] = [[field.arena], field.vertices, *field.holes, field.rois, field.starts]
-    return hashlib.sha256(json.dumps([_millis(ring) for ring in rings]).encode()).hexdigest()
-
-
-def _millis(points: Any) -> list[Any]:
-    whole: list[Any] = np.rint(np.asarray(points, float) * 1000.0).astype(int).tolist()
-    return whole
 
 
 def array_hash(actions: NDArray[np.float32]) -> str:

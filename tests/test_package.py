@@ -39,5 +39,7 @@ def test_the_wheel_has_three_packages_and_their_data(tmp_path: Path) -> None:
         for path in (ROOT / package).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    left_out = {name for name in source - set(names) if not name.endswith(("README.md", ".txt"))}
+    left_out = {
+        name for name in source - set(names) if not name.endswith(("README.md", ".txt", ".npz"))
+    }
     assert left_out == set()

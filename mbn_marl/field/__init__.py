@@ -7,14 +7,17 @@ from mbn_marl.field.field import Field
 from mbn_marl.field.files import load_field, save_field
 from mbn_marl.field.sampler import FieldSampler, generate
 from mbn_marl.field.schema import FORMAT, json_schema
+from mbn_marl.field.splits import Instance, load_split
 
 __all__ = [
     "FORMAT",
     "Field",
     "FieldSampler",
+    "Instance",
     "catalogue_names",
     "generate",
     "json_schema",
     "load_field",
+    "load_split",
     "save_field",
 ]

@@ -12,9 +12,10 @@ import pytest
 
 from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
 from benchmarks import splits
-from benchmarks.splits import CONDITIONS, TIERS, Splits, geometry_hash
+from benchmarks.splits import Splits
 from mbn_marl import Field, FieldSampler
 from mbn_marl.errors import ConfigError
+from mbn_marl.field.splits import CONDITIONS, TIERS, geometry_hash
 from mbn_marl.planning import Plan, plan
 
 CONVEX = Splits(tier=("1-convex",), split=("test",), count=3, seconds=5.0)

@@ -1,0 +1,145 @@
+"""The frozen fields of the benchmark: which there are, and how they are read."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+from pydantic import Field as Described
+
+from mbn_marl.checked import describe
+from mbn_marl.config import Condition
+from mbn_marl.errors import FieldError, unknown
+from mbn_marl.field.field import Field
+from mbn_marl.field.sampler import FieldSampler
+
+VERSION = 1
+"""Of the definition below: what changes it makes other splits."""
+SEEDS = {"validation": 2_000_000, "test": 3_000_000}
+"""Of the samplers of each split, to which the number of the tier is added."""
+TIERS: Mapping[str, Mapping[str, Any]] = {
+    "1-convex": {"families": ["convex"], "robots": 3, "rois": 6},
+    "2-sizes": {"families": ["convex"], "robots": [2, 7], "rois": [3, 10], "size": [150, 420]},
+    "3-shapes": {"families": ["concave", "corridors", "obstacles"], "robots": 3, "rois": 6},
+    "4-crowds": {"families": ["convex"], "robots": [8, 16], "rois": [12, 24], "size": [230, 420]},
+}
+"""The tiers with fields of their own, and the arguments of their samplers."""
+WEATHER = "5-weather"
+"""Instance k is instance k of tier k mod 3 of the first three, under condition k mod 5."""
+CONDITIONS: tuple[Condition, ...] = ("windy", "gusty", "noisy", "delayed", "failing")
+NAMES = (*TIERS, WEATHER)
+Split = Literal["validation", "test"]
+FOLDER = files("envs_catalog") / "splits"
+"""With a file for each split and tier."""
+_Steps = Annotated[int, Described(ge=1)]
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A frozen field of a split, and what is known of it.
+
+    Attributes:
+        field: the field; its name is unique in the split's tier.
+        condition: that of the environment, ``"calm"`` but in the tier ``5-weather``.
+        makespan_lower_bound: steps, the proved least number in which the team visits every ROI
+            without pushing outside the field; ``None`` under a condition.
+        makespan: steps, the best that is known; ``None`` under a condition.
+    """
+
+    field: Field
+    condition: Condition = "calm"
+    makespan_lower_bound: int | None = None
+    makespan: int | None = None
+
+
+class _Entry(BaseModel):
+    """What is read of an instance."""
+
+    candidate: Annotated[int, Described(ge=0)]
+    geometry: str
+    makespan_lower_bound: _Steps | None = None
+    makespan: _Steps | None = None
+    tier: Literal["1-convex", "2-sizes", "3-shapes"] | None = None
+    condition: Condition = "calm"
+
+
+class _File(BaseModel):
+    """What is read of a file."""
+
+    version: int
+    split: Split
+    tier: str
+    instances: Annotated[list[_Entry], Described(min_length=1)]
+
+
+def load_split(
+    split: str, tier: str, folder: str | os.PathLike[str] | None = None
+) -> tuple[Instance, ...]:
+    """Return the frozen fields of a tier; each is made again and compared with its hash.
+
+    Args:
+        split: ``"validation"`` or ``"test"``.
+        tier: ``"1-convex"``, ``"2-sizes"``, ``"3-shapes"``, ``"4-crowds"`` or ``"5-weather"``.
+        folder: with the files; by default those that are installed.
+
+    Raises:
+        FieldError: listing every problem: there is no such split, tier or file, the file is not
+            valid, or a field is not the one that was frozen.
+    """
+    given = {"split": (split, SEEDS), "tier": (tier, NAMES)}
+    problems = [
+        f"{name}: {unknown(name, value, known)}"
+        for name, (value, known) in given.items()
+        if value not in known
+    ]
+    if problems:
+        raise FieldError("split", problems)
+    path = (FOLDER if folder is None else Path(folder)) / f"{split}-{tier}.json"
+    try:
+        found = _File.model_validate(json.loads(path.read_text(encoding="utf-8")))
+    except ValidationError as error:
+        raise FieldError(str(path), describe(error, _File)) from None
+    except (OSError, ValueError) as error:
+        raise FieldError(str(path), [f"file: cannot be read: {error}"]) from None
+    if (found.version, found.split, found.tier) != (VERSION, split, tier):
+        theirs = f"{found.split}, {found.tier}, version {found.version}"
+        raise FieldError(str(path), [f"file: is of {theirs}; needed: version {VERSION}"])
+    samplers = {name: FieldSampler(**sampler_of(found.split, name)) for name in TIERS}
+    instances = []
+    for k, one in enumerate(found.instances):
+        source = one.tier or tier
+        if source == WEATHER:
+            problems.append(f"instances[{k}].tier: missing; it has the field of another tier")
+            continue
+        field = samplers[source].field(one.candidate)
+        if geometry_hash(field) != one.geometry:
+            problems.append(f"instances[{k}]: {field.name} is not the field that was frozen")
+        bounds = one.makespan_lower_bound, one.makespan
+        instances.append(Instance(field, one.condition, *bounds))
+    if problems:
+        raise FieldError(str(path), problems)
+    return tuple(instances)
+
+
+def sampler_of(split: Split, tier: str) -> dict[str, Any]:
+    """Return the arguments of the sampler of a tier's fields, as JSON values."""
+    return {**TIERS[tier], "seed": SEEDS[split] + NAMES.index(tier)}
+
+
+def geometry_hash(field: Field) -> str:
+    """Return the SHA-256 of a field's arena, outline, holes, ROIs and starts in milli-units."""
+    rings: list[Any] = [[field.arena], field.vertices, *field.holes, field.rois, field.starts]
+    return hashlib.sha256(json.dumps([_millis(ring) for ring in rings]).encode()).hexdigest()
+
+
+def _millis(points: Any) -> list[Any]:
+    whole: list[Any] = np.rint(np.asarray(points, float) * 1000.0).astype(int).tolist()
+    return whole

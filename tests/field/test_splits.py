@@ -1,0 +1,124 @@
+"""Frozen fields: read from files of one's own, and those that are installed."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+from baselines.runs.files import read_arrays, read_json
+from benchmarks.splits import definition, instance_problems, weather
+from mbn_marl import FieldSampler
+from mbn_marl.errors import FieldError
+from mbn_marl.field import load_split
+from mbn_marl.field.splits import FOLDER, NAMES, TIERS, WEATHER, Split, geometry_hash, sampler_of
+
+INSTALLED = Path(str(FOLDER))
+FILES = [(split, tier) for split in get_args(Split) for tier in NAMES]
+
+
+def write_split(folder: Path, tier: str, count: int = 3, **changed: Any) -> Path:
+    """Write a file of fields with made-up bounds, k + 10 and k + 12 for instance k."""
+    sampler = FieldSampler(**sampler_of("test", tier))
+    instances = [
+        {
+            **{"candidate": 2 * k, "geometry": geometry_hash(sampler.field(2 * k))},
+            **{"makespan_lower_bound": k + 10, "makespan": k + 12},
+        }
+        for k in range(count)
+    ]
+    path = folder / f"test-{tier}.json"
+    path.write_text(json.dumps({**definition("test", tier), "instances": instances, **changed}))
+    return path
+
+
+def test_instances_are_fields_with_what_is_known_of_them(tmp_path: Path) -> None:
+    write_split(tmp_path, "2-sizes")
+    read = load_split("test", "2-sizes", tmp_path)
+    sampler = FieldSampler(("convex",), [2, 7], [3, 10], [150, 420], seed=3_000_001)
+    assert [one.field for one in read] == [sampler.field(world) for world in (0, 2, 4)]
+    assert [(one.makespan_lower_bound, one.makespan) for one in read] == [
+        *((10, 12), (11, 13), (12, 14))
+    ]
+    assert {one.condition for one in read} == {"calm"}
+
+
+def test_fields_under_conditions_come_from_the_first_three_tiers(tmp_path: Path) -> None:
+    for tier in NAMES[:3]:
+        path = write_split(tmp_path, tier)
+        record = json.loads(path.read_text())
+        for one in record["instances"]:
+            one |= {"family": "convex", "seed": 3_000_000, "robots": 3, "rois": 6}
+        path.write_text(json.dumps(record))
+    (tmp_path / f"test-{WEATHER}.json").write_text(json.dumps(weather(tmp_path, "test", 3)))
+    read = load_split("test", WEATHER, tmp_path)
+    assert [one.condition for one in read] == ["windy", "gusty", "noisy"]
+    assert [one.makespan for one in read] == [None] * 3
+    assert [one.field for one in read] == [
+        FieldSampler(**sampler_of("test", tier)).field(2 * k) for k, tier in enumerate(NAMES[:3])
+    ]
+
+
+def test_a_field_that_is_another_is_an_error_that_names_it(tmp_path: Path) -> None:
+    path = write_split(tmp_path, "1-convex")
+    record = json.loads(path.read_text())
+    first, second, _ = record["instances"]
+    first["geometry"], second["geometry"] = second["geometry"], first["geometry"]
+    path.write_text(json.dumps(record))
+    with pytest.raises(FieldError) as error:
+        load_split("test", "1-convex", tmp_path)
+    assert error.value.source == str(path)
+    assert [problem.split(" ")[0] for problem in error.value.problems] == [
+        *("instances[0]:", "instances[1]:")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{", r"file: cannot be read"),
+        ("[]", r"_File|dictionary"),
+        ('{"version": 1, "split": "test", "tier": "1-convex"}', "instances: Field required"),
+        ('{"version": 2, "split": "test", "tier": "1-convex", "instances": [{}]}', "candidate"),
+    ],
+)
+def test_a_file_that_is_not_valid_says_why(tmp_path: Path, text: str, told: str) -> None:
+    (tmp_path / "test-1-convex.json").write_text(text)
+    with pytest.raises(FieldError, match=told):
+        load_split("test", "1-convex", tmp_path)
+
+
+def test_what_there_is_not_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(FieldError, match=r"split: unknown split(.|\n)*tier: unknown tier"):
+        load_split("tset", "convex")
+    with pytest.raises(FieldError, match="No such file"):
+        load_split("test", "1-convex", tmp_path)
+    write_split(tmp_path, "1-convex", version=2)
+    with pytest.raises(FieldError, match="1-convex, version 2; needed: version 1"):
+        load_split("test", "1-convex", tmp_path)
+
+
+@pytest.mark.skipif(not any(INSTALLED.glob("*-*.json")), reason="no split has been made yet")
+@pytest.mark.parametrize(("split", "tier"), FILES, ids="-".join)
+def test_the_installed_splits_are_proved(split: Split, tier: str) -> None:
+    """Of the two whose proofs took least, plan and bound are computed again."""
+    assert len(load_split(split, tier)) == 100
+    path = INSTALLED / f"{split}-{tier}.json"
+    record = read_json(path)
+    if tier == WEATHER:
+        assert record == weather(INSTALLED, split, 100)
+        return
+    assert {**record, **definition(split, tier)} == record
+    plans, sampler = read_arrays(path.with_suffix(".npz")), FieldSampler(**record["sampler"])
+    for one in sorted(record["instances"], key=lambda one: float(one["seconds"]))[:2]:
+        actions = plans[str(one["candidate"])]
+        assert [*instance_problems(sampler, one, actions, one["time_limit"])] == []
+
+
+def test_the_names_of_tiers_are_those_of_the_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "fields.md").read_text(encoding="utf-8")
+    section = page.split("### Frozen fields")[1]
+    assert tuple(re.findall(r"(?m)^\| `([\w-]+)` \|", section)) == NAMES == (*TIERS, WEATHER)
