@@ -22,6 +22,7 @@ SLOW = (
     "baselines/cli/test_deploy.py",
     "baselines/cli/test_episodes.py",
     "baselines/cli/test_main.py",
+    "baselines/compare/test_benchmark.py",
     "baselines/compare/test_compare_run.py",
     "baselines/demo/test_window.py",
     "baselines/evaluation/test_wind.py",

@@ -21,6 +21,7 @@ COMMANDS = {
     "train": "train:Train",
     "transfer": "transfer:Transfer",
     "evaluate": "evaluate:Evaluate",
+    "benchmark": "benchmark:Benchmark",
     "compare": "compare:Compare",
     "grid": "grid:Grid",
     "tune": "tune:Tune",

@@ -71,7 +71,7 @@ class TextTable:
         screen = console()
         screen.print(self.rich(title))
         if self.caption:
-            screen.print(self.caption)
+            screen.print(self.caption, markup=False)
 
 
 def _latex_row(words: tuple[str, ...]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import pytest
 
@@ -14,25 +14,11 @@ from benchmarks.splits import definition, instance_problems, weather
 from mbn_marl import FieldSampler
 from mbn_marl.errors import FieldError
 from mbn_marl.field import load_split
-from mbn_marl.field.splits import FOLDER, NAMES, TIERS, WEATHER, Split, geometry_hash, sampler_of
+from mbn_marl.field.splits import FOLDER, NAMES, TIERS, WEATHER, Split, sampler_of
+from tests.support.frozen import write_split, write_splits
 
 INSTALLED = Path(str(FOLDER))
 FILES = [(split, tier) for split in get_args(Split) for tier in NAMES]
-
-
-def write_split(folder: Path, tier: str, count: int = 3, **changed: Any) -> Path:
-    """Write a file of fields with made-up bounds, k + 10 and k + 12 for instance k."""
-    sampler = FieldSampler(**sampler_of("test", tier))
-    instances = [
-        {
-            **{"candidate": 2 * k, "geometry": geometry_hash(sampler.field(2 * k))},
-            **{"makespan_lower_bound": k + 10, "makespan": k + 12},
-        }
-        for k in range(count)
-    ]
-    path = folder / f"test-{tier}.json"
-    path.write_text(json.dumps({**definition("test", tier), "instances": instances, **changed}))
-    return path
 
 
 def test_instances_are_fields_with_what_is_known_of_them(tmp_path: Path) -> None:
@@ -47,13 +33,7 @@ def test_instances_are_fields_with_what_is_known_of_them(tmp_path: Path) -> None
 
 
 def test_fields_under_conditions_come_from_the_first_three_tiers(tmp_path: Path) -> None:
-    for tier in NAMES[:3]:
-        path = write_split(tmp_path, tier)
-        record = json.loads(path.read_text())
-        for one in record["instances"]:
-            one |= {"family": "convex", "seed": 3_000_000, "robots": 3, "rois": 6}
-        path.write_text(json.dumps(record))
-    (tmp_path / f"test-{WEATHER}.json").write_text(json.dumps(weather(tmp_path, "test", 3)))
+    write_splits(tmp_path, 3)
     read = load_split("test", WEATHER, tmp_path)
     assert [one.condition for one in read] == ["windy", "gusty", "noisy"]
     assert [one.makespan for one in read] == [None] * 3
@@ -102,7 +82,7 @@ def test_what_there_is_not_is_an_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not any(INSTALLED.glob("*-*.json")), reason="no split has been made yet")
-@pytest.mark.parametrize(("split", "tier"), FILES, ids="-".join)
+@pytest.mark.parametrize(("split", "tier"), FILES, ids=map("-".join, FILES))
 def test_the_installed_splits_are_proved(split: Split, tier: str) -> None:
     """Of the two whose proofs took least, plan and bound are computed again."""
     assert len(load_split(split, tier)) == 100

@@ -38,6 +38,7 @@ TINY: Mapping[str, str] = {
     "compare": f"{BUDGET} --fields field_03 --seeds 0 --processes 1",
     "tune": f"{BUDGET} --trials 1 --processes 1",
     "evaluate": "--episodes 2",
+    "benchmark": "--tiers 1-convex",
     "plan": "--time-limit 5",
     "render": "--steps 5",
     "watch": "--episodes 1 --speed 1000",

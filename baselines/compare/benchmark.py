@@ -1,0 +1,316 @@
+"""A policy on the frozen fields, by the protocol that is the same for all (docs/benchmark.md)."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines.compare.aggregate import interquartile_mean
+from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
+from baselines.evaluation.intervals import mean_interval, mean_of_known
+from baselines.evaluation.policy import Origin, Policy, restart
+from baselines.runs.files import RunError, differences, read_json, write_json
+from baselines.runs.provenance import versions
+from baselines.zoo.sources import find_policy
+from mbn_marl.checked import Checked
+from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.episode import Episode, save_episode
+from mbn_marl.errors import ConfigError, DamageError, ProblemsError
+from mbn_marl.field import Instance, load_split, splits
+
+RESULT = "result.json"
+EPISODES = "episodes"
+"""The folder of the episodes of the median and the worst instance of each tier."""
+CHOSEN = ("median", "worst")
+T_MAX = NavigationConfig().max_steps
+MISFITS = (TypeError, ValueError, RuntimeError, LookupError)
+"""What is raised where a policy that is made for other sizes is loaded, or acts."""
+WAYS = ("mean", "sampled")
+"""Of acting: with the mean actions, with sampled ones."""
+METRICS = (
+    *("success_rate", "clean_rate", "collision_rate", "wall_hits", "steps", "makespan"),
+    *("makespan_with_failures", "gap", "gap_to_best_known", "gap_with_failures"),
+)
+"""The numbers of an instance and a way of acting, see docs/benchmark.md."""
+TIMES = ("decision_ms", "begin_s")
+"""Processor time of a decision of the team, and of what comes before the first one."""
+
+
+class EpisodeCounts(Checked):
+    """How many episodes an instance has.
+
+    Attributes:
+        mean: with mean actions, where they are all the same.
+        mean_if_random: with mean actions, where they are not.
+        sampled: with sampled actions.
+    """
+
+    mean: int
+    mean_if_random: int
+    sampled: int
+
+
+class Protocol(Checked):
+    """The rules that all policies are measured by.
+
+    Attributes:
+        version: of the rules; another one gives results that are not to be compared.
+        splits: the version of the frozen fields.
+        tiers: what a whole benchmark has.
+        episodes: how many an instance has.
+        seed: the seed of an instance is this, 1000 for each tier before its own, and its number.
+        settings: those that a policy may choose; all others are the paper's, or the condition's.
+    """
+
+    version: int
+    splits: int
+    tiers: tuple[str, ...]
+    episodes: EpisodeCounts
+    seed: int
+    settings: tuple[str, ...]
+
+
+class SettingsError(ConfigError):
+    """A policy wants an environment in which the task is another."""
+
+
+class Timed:
+    """A policy whose decisions are timed.
+
+    Args:
+        policy: the policy.
+
+    Attributes:
+        seconds: of the processors, for all decisions.
+        decisions: how many; those for several worlds at once count as several.
+    """
+
+    def __init__(self, policy: Policy) -> None:
+        self.observes = policy.observes
+        self.origin: Origin | None = getattr(policy, "origin", None)
+        self.seconds, self.decisions = 0.0, 0
+        self._policy = policy
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        """See :class:`Policy`."""
+        began = time.process_time()
+        actions = self._policy.act(seen, deterministic=deterministic)
+        self.seconds += time.process_time() - began
+        self.decisions += len(seen)
+        return actions
+
+    def reset(self, worlds: np.ndarray | None = None) -> None:
+        """See :func:`~baselines.evaluation.policy.restart`."""
+        restart(self._policy, worlds)
+
+
+def load_protocol() -> Protocol:
+    """Return the protocol that is installed."""
+    text = (splits.FOLDER / "protocol.json").read_text(encoding="utf-8")
+    return Protocol(**json.loads(text))
+
+
+def load_tiers(split: str, tiers: Sequence[str]) -> dict[str, tuple[Instance, ...]]:
+    """Return the instances of each tier; errors as :func:`mbn_marl.field.load_split`."""
+    return {tier: load_split(split, tier) for tier in tiers}
+
+
+def run_benchmark(
+    source: str,
+    split: str,
+    tiers: Mapping[str, Sequence[Instance]],
+    out: Path,
+    *,
+    command: str,
+    resume: bool = False,
+    advance: Callable[[int], object] = lambda count: None,
+) -> dict[str, Any]:
+    """Measure a policy on all instances; write the result after each tier.
+
+    Args:
+        source: of the policy, as for :func:`baselines.load_policy`.
+        split: the name of the split.
+        tiers: the instances of each tier.
+        out: the folder to write.
+        command: what was typed.
+        resume: keep the tiers that are in ``out``.
+        advance: told how many instances are done, after each.
+
+    Returns:
+        What ``result.json`` has, as JSON values.
+
+    Raises:
+        SettingsError: the policy's settings change the task.
+        ConfigError: the policy fits no tier.
+        RunError: there is no such policy, or what is in ``out`` is of another command.
+    """
+    protocol, path = load_protocol(), out / RESULT
+    asked = {"protocol": protocol.version, "splits": protocol.splits, "policy": source}
+    asked |= {"split": split, "asked": [*tiers]}
+    record: dict[str, Any] = {**asked, "command": command, "versions": versions(), "tiers": {}}
+    if resume and path.exists():
+        record = read_json(path)
+        if problems := differences(record, asked):
+            raise RunError(f"{path}: {'; '.join(problems)}")
+    for tier, instances in tiers.items():
+        if tier in record["tiers"]:
+            advance(len(instances))
+            continue
+        record["tiers"][tier], episodes = _run_tier(source, tier, instances, protocol, advance)
+        if all(one["misfit"] for one in record["tiers"].values()):
+            continue  # nothing is measured yet
+        for name, episode in episodes.items():
+            save_episode(episode, out / EPISODES / f"{tier}-{name}.json")
+        write_json(path, record)
+    found = record["tiers"].values()
+    if all(one["misfit"] for one in found):
+        problems = [f"{tier}: {one['misfit']}" for tier, one in record["tiers"].items()]
+        raise ConfigError(source, problems)
+    whole = set(record["tiers"]) == set(protocol.tiers) and not any(one["misfit"] for one in found)
+    rows = [row for one in found for row in one["instances"]]
+    record["all"] = {"instances": len(rows), **summarise(rows)} if whole else None
+    write_json(path, record)
+    return record
+
+
+def _run_tier(
+    source: str,
+    tier: str,
+    instances: Sequence[Instance],
+    protocol: Protocol,
+    advance: Callable[[int], object],
+) -> tuple[dict[str, Any], dict[str, Episode]]:
+    """Return what is found in a tier, and the first episodes of the chosen instances."""
+    seed = protocol.seed + 1000 * splits.NAMES.index(tier)
+    rows, episodes = [], []
+    for k, one in enumerate(instances):
+        try:
+            row, episode = _run_instance(source, one, seed + k, protocol)
+        except (SettingsError, RunError, DamageError):
+            raise
+        except MISFITS as error:
+            why = "; ".join(error.problems) if isinstance(error, ProblemsError) else str(error)
+            advance(len(instances) - k)
+            return {"misfit": f"{one.field.name}: {why}", "instances": []}, {}
+        rows.append(row)
+        episodes.append(episode)
+        advance(1)
+    costs = [
+        row["mean"]["makespan_with_failures"] / (one.makespan_lower_bound or 1)
+        for row, one in zip(rows, instances, strict=True)
+    ]
+    order = np.argsort(costs, kind="stable")
+    chosen = dict(zip(CHOSEN, (int(order[len(order) // 2]), int(order[-1])), strict=True))
+    shown = {}
+    for name, k in chosen.items():
+        condition = instances[k].condition
+        where = rows[k]["field"] + ("" if condition == "calm" else f", {condition}")
+        shown[name] = replace(episodes[k], source=f"{name}: {where}")
+    return {"misfit": None, **chosen, **summarise(rows), "instances": rows}, shown
+
+
+def _run_instance(
+    source: str, one: Instance, seed: int, protocol: Protocol
+) -> tuple[dict[str, Any], Episode]:
+    """Return the numbers of an instance, and its first episode with mean actions."""
+    began = time.process_time()
+    loaded = find_policy(source, one.field, seed=seed, condition=one.condition)
+    begin = time.process_time() - began
+    check_settings(loaded.settings, one, protocol)
+    policy, counts = loaded.policy, protocol.episodes
+    timed, where = Timed(policy), (one.field, loaded.settings)
+    same = is_one_episode(policy, loaded.settings, deterministic=True)
+    count = counts.mean if same else counts.mean_if_random
+    mean = evaluate(timed, *where, episodes=count, deterministic=True, seed=seed, record=[0])
+    sampled = None
+    if getattr(policy, "samples", True):
+        sampled = evaluate(policy, *where, episodes=counts.sampled, seed=seed)
+    row = {
+        **{"field": one.field.name, "condition": one.condition},
+        **{"makespan_lower_bound": one.makespan_lower_bound, "best_known": one.makespan},
+        "mean": numbers(mean, one),
+        "sampled": None if sampled is None else numbers(sampled, one),
+        "times": {"decision_ms": 1e3 * timed.seconds / timed.decisions, "begin_s": begin},
+    }
+    return row, mean.recorded[0]
+
+
+def check_settings(settings: Mapping[str, Any], one: Instance, protocol: Protocol) -> None:
+    """Check that the settings of a policy leave the task as it is.
+
+    Raises:
+        SettingsError: listing those that do not.
+    """
+    ours, theirs = make_config({"condition": one.condition}), make_config(settings)
+    team = len(one.field.starts)
+    problems = [
+        f"{name}: {getattr(theirs, name)!r}; allowed: {getattr(ours, name)!r}"
+        for name in NavigationConfig.model_fields
+        if name not in protocol.settings
+        and getattr(ours, name) != getattr(theirs, name)
+        and (name, getattr(theirs, name)) != ("n_robots", team)
+    ]
+    if problems:
+        raise SettingsError("settings of the policy, which change the task", problems)
+
+
+def numbers(found: Evaluation, one: Instance) -> dict[str, float | None]:
+    """Return the :data:`METRICS` of the episodes of an instance."""
+    ends = [*zip(found.steps, found.successes, strict=True)]
+    makespan = mean_of_known(found.makespans)
+    capped = float(np.mean([steps if success else T_MAX for steps, success in ends]))
+    clean = [ok and not hits for ok, hits in zip(found.successes, found.wall_hits, strict=True)]
+    return {
+        "success_rate": float(np.mean(found.successes)),
+        "clean_rate": float(np.mean(clean)),
+        "collision_rate": float(np.mean(found.collisions)),
+        "wall_hits": float(np.mean(found.wall_hits)),
+        "steps": float(np.mean(found.steps)),
+        "makespan": makespan,
+        "makespan_with_failures": capped,
+        "gap": _gap(makespan, one.makespan_lower_bound),
+        "gap_to_best_known": _gap(makespan, one.makespan),
+        "gap_with_failures": _gap(capped, one.makespan_lower_bound),
+    }
+
+
+def _gap(steps: float | None, least: int | None) -> float | None:
+    return None if steps is None or least is None else steps / least - 1.0
+
+
+def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the statistics of each metric over instances, for both ways of acting."""
+    found: dict[str, Any] = {}
+    for way in WAYS:
+        known = [row[way] for row in rows if row[way] is not None]
+        found[way] = {name: statistics([row[name] for row in known]) for name in METRICS}
+        if not known:
+            found[way] = None
+    times = [row["times"] for row in rows]
+    found["times"] = {name: statistics([row[name] for row in times]) for name in TIMES}
+    return found
+
+
+def statistics(values: Sequence[float | None]) -> dict[str, Any] | None:
+    """Return mean and interquartile mean with 95 % intervals, of the values that are known.
+
+    Both are bootstrapped over the values; one value alone has no interval.
+    """
+    known = [value for value in values if value is not None]
+    if not known:
+        return None
+    mean, low, high = mean_interval(known)
+    same = len(set(known)) == 1
+    iqm, iqm_low, iqm_high = (
+        (mean, low, high) if same else interquartile_mean(np.array([known], float))
+    )
+    return {
+        **{"instances": len(known), "mean": mean, "low": low, "high": high},
+        **{"iqm": iqm, "iqm_low": iqm_low, "iqm_high": iqm_high},
+    }

@@ -1,0 +1,249 @@
+"""``mbn benchmark`` on small splits of one's own."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from baselines import load_policy
+from baselines.cli.main import main
+from baselines.compare import benchmark
+from baselines.compare.benchmark import (
+    METRICS,
+    check_settings,
+    load_protocol,
+    load_tiers,
+    numbers,
+    run_benchmark,
+    statistics,
+)
+from baselines.compare.benchmark_page import result_page, result_tables
+from baselines.evaluation.evaluate import Evaluation, evaluate
+from baselines.runs.files import RunError
+from mbn_marl import Field
+from mbn_marl.config import NavigationConfig
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Instance, load_field, splits
+from mbn_marl.planning import plan
+from tests.baselines.conftest import Refusal
+from tests.support.frozen import write_split, write_splits
+
+COUNT = 2
+OWN = """
+import numpy as np
+
+class Small:
+    settings = {"observation": "lidar", "n_robots": 3, "max_steps": 40}
+
+    def __init__(self, field):
+        pass
+
+    def act(self, observations, deterministic=True):
+        return np.zeros((*observations.shape[:2], 2))
+
+class Three(Small):
+    settings = {}
+
+    def act(self, observations, deterministic=True):
+        return observations[:, :, :2] @ np.eye(2)[: 2 if observations.shape[1] == 3 else 1]
+
+class Fussy(Small):
+    def __init__(self, field):
+        raise RuntimeError("size mismatch")
+"""
+
+
+def proved(k: int, field: Field) -> tuple[int, int]:
+    """The true bounds of a field."""
+    found = plan(field, time_limit=20.0)
+    assert found.makespan is not None and found.optimal
+    return found.makespan_lower_bound, found.makespan
+
+
+@pytest.fixture(autouse=True, scope="module")
+def frozen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Splits of two fields a tier; those of the first tier are proved."""
+    folder = tmp_path_factory.mktemp("splits")
+    shutil.copy(Path(str(splits.FOLDER)) / "protocol.json", folder)
+    write_splits(folder, COUNT)
+    write_split(folder, "1-convex", COUNT, proved)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(splits, "FOLDER", folder)
+        yield folder
+
+
+def run(source: str, tiers: Sequence[str], out: Path, **how: Any) -> dict[str, Any]:
+    """Measure a policy on tiers of the split test."""
+    return run_benchmark(source, "test", load_tiers("test", tiers), out, command="c", **how)
+
+
+def timeless(value: Any) -> Any:
+    """All of a result but the times."""
+    if isinstance(value, dict):
+        return {name: timeless(one) for name, one in value.items() if name != "times"}
+    return [timeless(one) for one in value] if isinstance(value, list) else value
+
+
+def test_the_numbers_of_an_instance_worked_out_by_hand() -> None:
+    lists = {"returns": [0.0] * 4, "rois_visited": [0] * 4}
+    ends: dict[str, Any] = {
+        "successes": [True, True, False, False],
+        "collisions": [False, False, True, False],
+        "steps": [24, 36, 7, 1000],
+        "wall_hits": [0, 3, 0, 1],
+    }
+    found = Evaluation(True, 0, **lists, **ends)
+    one = Instance(load_field("field_03"), "calm", makespan_lower_bound=20, makespan=25)
+    assert numbers(found, one) == {
+        **{"success_rate": 0.5, "clean_rate": 0.25, "collision_rate": 0.25, "wall_hits": 1.0},
+        **{"steps": 266.75, "makespan": 30.0, "makespan_with_failures": 515.0},
+        **{"gap": 0.5, "gap_to_best_known": 30 / 25 - 1, "gap_with_failures": 24.75},
+    }
+    lost = Evaluation(True, 0, **lists, **{**ends, "successes": [False] * 4})
+    in_wind = Instance(one.field, "windy")
+    assert numbers(found, in_wind)["gap"] is None
+    known = numbers(lost, in_wind)
+    assert known["makespan_with_failures"] == 1000.0
+    assert [name for name in METRICS if known[name] is None] == [
+        *("makespan", "gap", "gap_to_best_known", "gap_with_failures")
+    ]
+
+
+def test_statistics_are_over_the_known_values() -> None:
+    found = statistics([4.0, None, 1.0, 2.0, 10.0])
+    assert found is not None and found["instances"] == 4
+    assert (found["mean"], found["iqm"]) == (4.25, 3.0)
+    assert 1.0 <= found["low"] < 4.25 < found["high"] <= 10.0
+    assert 1.0 <= found["iqm_low"] < 3.0 < found["iqm_high"] <= 10.0
+    assert statistics([None]) is None
+    alone = statistics([7.0])
+    assert alone is not None and (alone["iqm"], alone["low"], alone["iqm_high"]) == (7, None, None)
+
+
+def test_the_protocol_names_what_there_is() -> None:
+    protocol = load_protocol()
+    assert protocol.tiers == splits.NAMES and protocol.splits == splits.VERSION
+    assert set(protocol.settings) < set(NavigationConfig.model_fields)
+
+
+def test_a_plan_that_is_proved_has_no_gap(tmp_path: Path) -> None:
+    found = run("planner", ["1-convex"], tmp_path)
+    summary = found["tiers"]["1-convex"]["mean"]
+    for name in ("gap", "gap_to_best_known", "gap_with_failures"):
+        assert summary[name]["mean"] == summary[name]["iqm"] == 0.0, name
+    assert summary["success_rate"]["mean"] == summary["clean_rate"]["mean"] == 1.0
+    assert found["tiers"]["1-convex"]["sampled"] is None and found["all"] is None
+
+
+def test_each_instance_is_evaluated_with_its_own_seed(tmp_path: Path) -> None:
+    found = run("random", ["1-convex", "2-sizes"], tmp_path)["tiers"]
+    for tier, first in (("1-convex", 4_000_000), ("2-sizes", 4_001_000)):
+        for k, one in enumerate(load_tiers("test", [tier])[tier]):
+            policy = load_policy("random", one.field, seed=first + k)
+            how: dict[str, Any] = {"episodes": 10, "seed": first + k}
+            mean = evaluate(policy, one.field, {}, deterministic=True, **how)
+            row = found[tier]["instances"][k]
+            assert row["mean"] == numbers(mean, one)
+            assert row["sampled"] == numbers(evaluate(policy, one.field, {}, **how), one)
+            assert row["times"]["decision_ms"] > 0.0
+
+
+def test_under_a_condition_there_are_ten_episodes_and_no_gap(tmp_path: Path) -> None:
+    found = run("greedy", ["5-weather"], tmp_path)["tiers"]["5-weather"]
+    windy = found["instances"][0]
+    one = load_tiers("test", ["5-weather"])["5-weather"][0]
+    policy = load_policy("greedy", one.field, condition="windy")
+    how: dict[str, Any] = {"episodes": 10, "seed": 4_004_000, "deterministic": True}
+    evaluated = evaluate(policy.policy, one.field, policy.settings, **how)
+    assert len(set(evaluated.steps)) > 1
+    assert windy["mean"] == numbers(evaluated, one)
+    assert found["mean"]["gap"] is None and found["mean"]["makespan"]["instances"] == COUNT
+
+
+def test_an_interrupted_run_goes_on_and_gives_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tiers = ["1-convex", "2-sizes", "3-shapes", "4-crowds"]
+    whole = run("greedy", tiers, tmp_path / "whole")
+    calls = []
+
+    def stopping(source: str, field: Field, **how: Any) -> Any:
+        calls.append(field.name)
+        if len(calls) == COUNT + 2:
+            raise KeyboardInterrupt
+        return load_policy(source, field, **how)
+
+    monkeypatch.setattr(benchmark, "find_policy", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        run("greedy", tiers, tmp_path / "cut")
+    kept = json.loads((tmp_path / "cut" / "result.json").read_text())
+    assert [*kept["tiers"]] == tiers[:1]
+    with pytest.raises(RunError, match=r"policy: recorded is 'greedy'.*; asked: "):
+        run("random", tiers[:2], tmp_path / "cut", resume=True)
+    again = run("greedy", tiers, tmp_path / "cut", resume=True)
+    assert len(calls) == COUNT + 2 + 3 * COUNT
+    assert timeless(again) == timeless(whole)
+    assert again == json.loads((tmp_path / "cut" / "result.json").read_text())
+    names = {path.name for path in (tmp_path / "cut" / "episodes").iterdir()}
+    assert names == {f"{tier}-{name}.json" for tier in tiers for name in ("median", "worst")}
+
+
+def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
+    found = run("zoo:field_03", ["1-convex", "2-sizes"], tmp_path)
+    assert found["tiers"]["1-convex"]["misfit"] is None
+    misfit = found["tiers"]["2-sizes"]
+    assert "robots: the policy was trained with 3" in misfit["misfit"]
+    assert misfit["instances"] == [] and found["all"] is None
+    for table in result_tables(found).values():
+        assert table.lines[1] == ("2-sizes", *["-"] * (len(table.headings) - 1))
+        assert "2-sizes does not fit: convex-3000001: robots" in table.caption
+    assert "Does not fit" in result_page(found, tmp_path)
+
+
+def test_policies_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.py").write_text(OWN)
+    with pytest.raises(ConfigError, match="1-convex: convex-3000000: size mismatch"):
+        run("small:Fussy", ["1-convex"], tmp_path / "fussy")
+    with pytest.raises(ConfigError, match="max_steps: 40; allowed: 1000") as error:
+        run("small:Small", ["1-convex"], tmp_path / "own")
+    assert len(error.value.problems) == 1
+    assert not any((tmp_path / name / "result.json").exists() for name in ("fussy", "own"))
+    found = run("small:Three", splits.NAMES, tmp_path / "three")
+    misfits = {tier: one["misfit"] or "" for tier, one in found["tiers"].items()}
+    assert "matmul" in misfits["2-sizes"] and misfits["1-convex"] == ""
+    assert found["all"] is None
+
+
+def test_settings_that_change_the_task_are_listed() -> None:
+    one, protocol = Instance(load_field("field_03"), "noisy"), load_protocol()
+    chosen = {"observation": "local", "sensing_radius": 40.0, "dtype": "float64", "n_robots": 3}
+    check_settings({**chosen, "reward": "formal", "condition": "noisy"}, one, protocol)
+    with pytest.raises(ConfigError) as error:
+        check_settings({"n_robots": 2, "roi_radius": 12.0}, one, protocol)
+    assert {problem.split(":")[0] for problem in error.value.problems} == {
+        *("n_robots", "roi_radius", "position_noise", "velocity_noise", "action_noise")
+    }
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal: Refusal) -> None:
+    out = tmp_path / "out"
+    words = ["benchmark", "greedy", "--tiers", "1-convex", "-o", str(out)]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"1-convex +2 +100\.0%", said) and f"written to {out}" in said
+    page = (out / "page.html").read_text()
+    for part in ('data-replay="episodes-1"', "median: convex-3000000", "interquartile means"):
+        assert part in page, part
+    assert "already exists" in refusal(words)
+    assert main([*words, "--resume"]) == 0
+    assert main([*words, "--force"]) == 0 and (tmp_path / "out.1" / "result.json").exists()
+    assert "force and resume" in refusal([*words, "--force", "--resume"])
+    assert "unknown policy (did you mean greedy?)" in refusal(["benchmark", "gredy"])
+    assert "tier: unknown tier" in refusal(["benchmark", "greedy", "--tiers", "convex"])

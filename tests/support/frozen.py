@@ -1,0 +1,41 @@
+"""Small splits of one's own, without a planner."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmarks.splits import definition, weather
+from mbn_marl import Field, FieldSampler
+from mbn_marl.field.splits import NAMES, WEATHER, geometry_hash, sampler_of
+
+
+def write_split(
+    folder: Path,
+    tier: str,
+    count: int = 3,
+    bounds: Callable[[int, Field], tuple[int, int]] = lambda k, field: (k + 10, k + 12),
+    **changed: Any,
+) -> Path:
+    """Write a file of the split test whose instance k is field 2 k, with made-up bounds."""
+    sampler, instances = FieldSampler(**sampler_of("test", tier)), []
+    for k in range(count):
+        field = sampler.field(2 * k)
+        least, best = bounds(k, field)
+        sizes = {"robots": len(field.starts), "rois": len(field.rois)}
+        known = {"family": field.name.partition("-")[0], "seed": sampler.seed, **sizes}
+        known |= {"candidate": 2 * k, "geometry": geometry_hash(field)}
+        instances.append({**known, "makespan_lower_bound": least, "makespan": best})
+    path = folder / f"test-{tier}.json"
+    path.write_text(json.dumps({**definition("test", tier), "instances": instances, **changed}))
+    return path
+
+
+def write_splits(folder: Path, count: int) -> None:
+    """Write a file for each tier."""
+    for tier in NAMES[:-1]:
+        write_split(folder, tier, count)
+    path = folder / f"test-{WEATHER}.json"
+    path.write_text(json.dumps(weather(folder, "test", count)))
