@@ -22,6 +22,7 @@ SUBJECTS = {
     "planning": ("planning", "Planning", "proofs and plans for the ten fields and random ones"),
     "fields": ("fields", "Fields", "random fields: how fast they are made, whether all are valid"),
     "splits": ("splits", "Splits", "the frozen fields of a benchmark: made, proved, verified"),
+    "leaderboard": ("leaderboard", "Leaderboard", "the page of the committed results"),
     "grid": ("grid", "GridCosts", "what the schedulers of `mbn grid` cost"),
     "capacity": ("grid", "Capacity", "how long the paper's grid takes on many machines"),
     "gpu": ("gpu", "Gpu", "the engine on CUDA"),

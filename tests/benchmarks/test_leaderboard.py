@@ -1,0 +1,104 @@
+"""``python -m benchmarks leaderboard``, on a split with one field a tier."""
+
+from __future__ import annotations
+
+import copy
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from baselines.compare.benchmark import load_tiers, run_benchmark
+from baselines.runs.files import write_json
+from benchmarks.__main__ import main
+from benchmarks.leaderboard import NOBODY, leaderboard
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import splits
+from tests.support.frozen import write_split, write_splits
+from tests.support.pages import ROOT
+
+Results = dict[str, dict[str, Any]]
+
+
+def test_the_committed_page_is_that_of_the_committed_results() -> None:
+    page = ROOT / "docs" / "results" / "leaderboard.md"
+    assert page.read_text(encoding="utf-8") == leaderboard(page.with_suffix(""))
+
+
+@pytest.fixture(scope="module")
+def frozen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The splits."""
+    folder = tmp_path_factory.mktemp("splits")
+    shutil.copy(Path(str(splits.FOLDER)) / "protocol.json", folder)
+    write_splits(folder, 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(splits, "FOLDER", folder)
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def results(frozen: Path, tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """Greedy on all tiers; random, as if it did not fit the second."""
+    out, tiers = tmp_path_factory.mktemp("out"), load_tiers("test", splits.NAMES)
+    made = {
+        name: run_benchmark(name, "test", tiers, out / name, command=f"mbn benchmark {name}")
+        for name in ("greedy", "random")
+    }
+    made["random"] |= {"all": None}
+    made["random"]["tiers"]["2-sizes"] = {"misfit": "robots: 4", "instances": []}
+    return made
+
+
+def write(results: Results, folder: Path) -> None:
+    """Write the results, each to a file of its own."""
+    for name, record in results.items():
+        write_json(folder / f"{name}.json", record)
+
+
+def test_a_table_for_each_tier_with_the_best_first(results: Results, tmp_path: Path) -> None:
+    write(results, tmp_path / "board")
+    assert main(["leaderboard", "--folder", str(tmp_path / "board")]) == 0
+    page = (tmp_path / "board.md").read_text()
+    parts = {part.splitlines()[0]: part for part in page.split("\n## ")[1:]}
+    assert [*parts] == ["All tiers", *splits.NAMES, "Commands"]
+    rows = {
+        title: [line.split(" | ")[:2] for line in part.splitlines() if line.startswith("| ")][2:]
+        for title, part in parts.items()
+    }
+    greedy, *random = ["| greedy", "mean"], ["| random", "mean"], ["| random", "sampled"]
+    assert rows["All tiers"] == [greedy]
+    assert rows["2-sizes"] == [greedy, ["| random", "does not fit"]]
+    for tier in ("1-convex", "5-weather"):
+        assert rows[tier][0] == greedy and sorted(rows[tier][1:]) == random, tier
+    gap = results["greedy"]["tiers"]["1-convex"]["mean"]["gap"]["mean"]
+    assert f"{gap:.1%}" in parts["1-convex"]
+    assert "- random: `mbn benchmark random`" in parts["Commands"]
+
+
+def test_results_that_are_not_to_be_compared_are_refused(
+    results: Results, frozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changed = {name: copy.deepcopy(results["greedy"]) for name in ("old", "part", "stale")}
+    changed["old"]["protocol"] = 0
+    del changed["part"]["tiers"]["3-shapes"]
+    now = tmp_path / "now"
+    shutil.copytree(frozen, now)
+    write_split(now, "1-convex", 1, lambda k, field: (11, 12))
+    monkeypatch.setattr(splits, "FOLDER", now)
+    write({**changed, "nothing": {"a": 1}}, tmp_path / "board")
+    with pytest.raises(ConfigError) as error:
+        leaderboard(tmp_path / "board")
+    found = set(error.value.problems)
+    stale = "1-convex: fields or bounds are not those of today; run it again"
+    assert found == {
+        *(f"{name}.json: {stale}" for name in changed),
+        "old.json: protocol: 0; needed: 1",
+        "part.json: tiers: 3-shapes is missing",
+        "nothing.json: is no result of mbn benchmark",
+    }
+
+
+def test_without_results_it_says_so(tmp_path: Path) -> None:
+    assert NOBODY in leaderboard(tmp_path)
