@@ -102,8 +102,8 @@ class Board:
 def train_population(config: Population, command: str) -> tuple[list[Measurement], TextTable]:
     """Train seeds 0, 1, 2 ... on every field in turn, and write what the best of them reached.
 
-    Proved optima say when a field is done, and nothing else: no run learns from them. Return the
-    targets, with what was reached, and a table of the fields.
+    Proved optima say when a field and the search of a run are done, and nothing else: no run learns
+    from them. Return the targets, with what was reached, and a table of the fields.
 
     Raises:
         ConfigError: a number is out of range, a field is given twice or is not valid.
