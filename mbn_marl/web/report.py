@@ -13,7 +13,7 @@ from mbn_marl.web import page
 
 @dataclass(frozen=True)
 class Table:
-    """A table whose lines are as long as its headings, which may have line breaks.
+    """A table whose lines are as long as its headings; cells may have line breaks.
 
     The first ``words`` columns hold words, the others numbers.
     """
