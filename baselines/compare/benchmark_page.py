@@ -32,7 +32,7 @@ COLUMNS: Mapping[str, tuple[str, str]] = {
 """Headings and forms of the metrics, and of the times."""
 STATISTICS = {"mean": "means", "iqm": "interquartile means"}
 CAPTION = (
-    "Intervals: 95 % over the instances. Gap: makespan over the proved bound, of successes. With\n"
+    "Intervals: 95 % over the instances. Gap: makespan over the proved bound, of successes. With "
     "failed: T_max, failures count as 1000 steps. Times: of the processor, with mean actions."
 )
 

@@ -39,7 +39,7 @@ OWN = """
 import numpy as np
 
 class Small:
-    settings = {"observation": "lidar", "n_robots": 3, "max_steps": 40}
+    settings = {"observation": "lidar", "n_robots": 3, "max_steps": 40, "wind": (0.3, 0.0)}
 
     def __init__(self, field):
         pass
