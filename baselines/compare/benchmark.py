@@ -21,7 +21,7 @@ from baselines.zoo.sources import find_policy
 from mbn_marl.checked import Checked
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.episode import Episode, save_episode
-from mbn_marl.errors import ConfigError, DamageError, ProblemsError
+from mbn_marl.errors import ConfigError, DamageError, FieldError, ProblemsError, collecting
 from mbn_marl.field import Instance, load_split, splits
 
 RESULT = "result.json"
@@ -117,8 +117,19 @@ def load_protocol() -> Protocol:
 
 
 def load_tiers(split: str, tiers: Sequence[str]) -> dict[str, tuple[Instance, ...]]:
-    """Return the instances of each tier; errors as :func:`mbn_marl.field.load_split`."""
-    return {tier: load_split(split, tier) for tier in tiers}
+    """Return the instances of each tier.
+
+    Raises:
+        FieldError: listing what :func:`mbn_marl.field.load_split` says of each.
+    """
+    problems: list[str] = []
+    loaded = {}
+    for tier in tiers:
+        with collecting(problems):
+            loaded[tier] = load_split(split, tier)
+    if problems:
+        raise FieldError(f"split {split}", problems)
+    return loaded
 
 
 def run_benchmark(

@@ -246,4 +246,5 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal
     assert main([*words, "--force"]) == 0 and (tmp_path / "out.1" / "result.json").exists()
     assert "force and resume" in refusal([*words, "--force", "--resume"])
     assert "unknown policy (did you mean greedy?)" in refusal(["benchmark", "gredy"])
-    assert "tier: unknown tier" in refusal(["benchmark", "greedy", "--tiers", "convex"])
+    wrong = refusal(["benchmark", "greedy", "--tiers", "convex", "2-size"])
+    assert wrong.count("unknown tier") == 2 and "did you mean 2-sizes?" in wrong
