@@ -20,6 +20,11 @@ from mbn_marl.planning.roadmap import Roadmap, make_roadmap
 Ints = NDArray[np.int64]
 NEVER = 1 << 40
 """More steps than any plan has."""
+MOST_SETS = 1 << 14
+
+
+class TooManySetsError(Exception):
+    """There are too many sets of ROIs to bound each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,20 +120,49 @@ def _least(meets: Callable[[int], bool], most: int) -> int:
     return least if least <= most else NEVER
 
 
-def set_bounds(legs: Legs) -> tuple[Ints, Ints]:
-    """Return lower bounds of the steps in which the ROIs of a set are visited (Held and Karp).
+@dataclass(frozen=True, eq=False)
+class Sets:
+    """The sets of ROIs that some robot may visit in time; with a set, all of its subsets."""
 
-    They are (n, 2^m) from each robot's start, and (2^m, m) from each ROI, where entries whose set
-    contains the ROI itself are meaningless.
+    masks: Ints  # (K,), rising, from the empty set on
+    bounds: Ints  # (n, K), least steps of each robot from its start, or NEVER
+    tails: dict[int, Ints]  # of each set (m,), least steps from an ROI outside it
+
+
+def possible_sets(legs: Legs, most: int) -> Sets:
+    """Return the sets with lower bounds up to ``most`` steps, by Held and Karp's recursion.
+
+    A set takes at least as long as any part of it.
+
+    Raises:
+        TooManySetsError: there are more than :data:`MOST_SETS`.
     """
     n, m = legs.first.shape
     steps = np.concatenate([legs.between, legs.first])
-    table = np.zeros((1 << m, m + n), np.int64)
-    for mask in range(1, 1 << m):
-        chosen = [k for k in range(m) if mask >> k & 1]
-        after = np.array([table[mask & ~(1 << k), k] for k in chosen])
-        table[mask] = np.minimum((steps[:, chosen] + after).min(axis=1), NEVER)
-    return np.ascontiguousarray(table[:, m:].T), table[:, :m]
+    table = {0: np.zeros(m + n, np.int64)}
+    newest = [0]
+    while newest:
+        smaller, newest = newest, []
+        for mask in smaller:
+            for last in range(mask.bit_length(), m):
+                larger = mask | 1 << last
+                chosen = [k for k in range(m) if larger >> k & 1]
+                parts = [larger & ~(1 << k) for k in chosen]
+                if any(part not in table for part in parts):
+                    continue
+                after = [table[part] for part in parts]
+                rest = np.array([one[k] for one, k in zip(after, chosen, strict=True)])
+                least = np.minimum((steps[:, chosen] + rest).min(axis=1), NEVER)
+                least[m:] = np.maximum(least[m:], np.max([one[m:] for one in after], axis=0))
+                if least[m:].min() <= most:
+                    table[larger] = least
+                    newest.append(larger)
+        if len(table) > MOST_SETS:
+            raise TooManySetsError
+    masks = np.array(sorted(table))
+    bounds = np.array([table[mask][m:] for mask in masks.tolist()]).T
+    tails = {mask: least[:m] for mask, least in table.items()}
+    return Sets(masks, np.where(bounds <= most, bounds, NEVER), tails)
 
 
 def _steppable(problem: Problem, slack: float) -> shapely.Geometry:

@@ -26,6 +26,10 @@ class OutOfTimeError(Exception):
     """The time limit was reached."""
 
 
+class UndecidedError(OutOfTimeError):
+    """A search has too many branches to be finished."""
+
+
 @dataclass(frozen=True)
 class Visits:
     """Steps at which a robot can visit discs."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Unpack
 
@@ -18,17 +19,15 @@ from mbn_marl.field import Field, load_field
 from mbn_marl.planning.coordination import coordinate
 from mbn_marl.planning.greedy import Greedy
 from mbn_marl.planning.guide import make_guide
-from mbn_marl.planning.legs import proved_legs
-from mbn_marl.planning.orders import OutOfTimeError
-from mbn_marl.planning.partition import least_makespan
+from mbn_marl.planning.legs import NEVER, TooManySetsError, possible_sets, proved_legs
+from mbn_marl.planning.orders import OutOfTimeError, UndecidedError
+from mbn_marl.planning.partition import FEW_ROIS, least_makespan
 from mbn_marl.planning.problem import Floats, Problem, make_problem
 from mbn_marl.planning.replay import Playback, Player
 from mbn_marl.planning.team import Team
 
 GREEDY_SHARE, BOUND_SHARE = 0.5, 0.8
 """Shares of the time limit after which the greedy plan and the bound are abandoned."""
-MOST_ROIS = 11
-"""With more ROIs, the bound is that of a subset, and the plan is the greedy controller's."""
 PARTITIONS = 6
 """Partitions of the ROIs that are tried at one makespan."""
 
@@ -114,12 +113,15 @@ def plan(
     left = sorted(set(range(problem.m)) - set(visited))
     if not left or not set(visited) <= set(range(problem.m)):
         raise ConfigError("plan", [f"visited: allowed: some of 0 to {problem.m - 1}, not all"])
-    player, part = Player(problem, visited), _hardest(problem.only(left))
+    player, part = Player(problem, visited), problem.only(left)
     began = time.monotonic()
     refuse_unsolvable(problem, left)
     best = plan_greedily(problem, player, began + GREEDY_SHARE * time_limit)
-    team = prove(part, began + BOUND_SHARE * time_limit)
-    if part.m == len(left):
+    try:
+        team = prove(part, began + BOUND_SHARE * time_limit)
+    except TooManySetsError:
+        team = prove(_hardest(part), began + BOUND_SHARE * time_limit)
+    else:
         most = problem.config.max_steps if best is None else len(best.actions) - 1
         best = _search(part, player, team, most, began + time_limit) or best
     nothing = np.zeros((0, problem.n, 2), np.float32)
@@ -137,16 +139,14 @@ def plan(
 
 
 def _hardest(problem: Problem) -> Problem:
-    """Return the instance, or one with :data:`MOST_ROIS` of its ROIs that are far apart.
+    """Return the instance with :data:`FEW_ROIS` of its ROIs that are far apart.
 
     A bound for some of the ROIs is one for all.
     """
-    if problem.m <= MOST_ROIS:
-        return problem
     apart = np.hypot(*(problem.rois[:, None] - problem.rois[None]).transpose(2, 0, 1))
     near = np.hypot(*(problem.rois[:, None] - problem.starts[None]).transpose(2, 0, 1)).min(axis=1)
     chosen = [int(near.argmax())]
-    while len(chosen) < MOST_ROIS:
+    while len(chosen) < FEW_ROIS:
         near = np.minimum(near, apart[chosen[-1]])
         chosen.append(int(near.argmax()))
     return problem.only(chosen)
@@ -174,30 +174,49 @@ def prove(problem: Problem, deadline: float) -> Team:
 
     Raises:
         UnsolvableError: the bound is above the length of an episode.
+        TooManySetsError: many ROIs may be visited in many ways.
     """
     limit = problem.config.max_steps
-    horizon = 2 * least_makespan(_team(problem, limit, deadline).bounds) + 20
-    bound = 0
-    while bound <= limit:
+    least, horizon = 0, _first_horizon(problem, limit)
+    team: Team | None = None
+    while least <= limit:
         horizon = min(horizon, limit)
-        team = _team(problem, horizon, deadline)
-        team.bound = bound
+        slack = problem.slack(horizon)  # for rounding, grows with the horizon
+        legs = proved_legs(problem, slack, horizon)
+        try:
+            team = Team(problem, legs, slack, horizon, deadline, bound=least)
+        except TooManySetsError:
+            if team is None:
+                raise
+            return team
         try:
             if team.raise_bound():
                 return team
         except OutOfTimeError:
             return team
-        bound, horizon = horizon + 1, 2 * horizon
+        least, horizon = horizon + 1, _beyond(problem, horizon)
     raise UnsolvableError(
         f"{problem.field.name}: the robots cannot visit all ROIs by step {limit}, the end of an "
         "episode (max_steps), without pushing outside the field"
     )
 
 
-def _team(problem: Problem, horizon: int, deadline: float) -> Team:
-    """Return a team with a provable bound; its allowance for rounding grows with the horizon."""
-    slack = problem.slack(horizon)
-    return Team(problem, proved_legs(problem, slack, horizon), slack, horizon, deadline)
+def _first_horizon(problem: Problem, limit: int) -> int:
+    """Return a horizon beyond the least makespan by closed-form legs."""
+    legs = proved_legs(problem, problem.slack(limit), limit)
+    least = int(legs.first.min(axis=0).max())
+    while least <= limit:
+        sets = possible_sets(legs, least)
+        found = least_makespan(sets.masks, sets.bounds, (1 << problem.m) - 1)
+        if found < NEVER:
+            return _beyond(problem, found)
+        least = _beyond(problem, least)
+    return limit
+
+
+def _beyond(problem: Problem, steps: int) -> int:
+    """Return a later horizon; of many ROIs, a step more allows many more sets."""
+    return 2 * steps + 20 if problem.m <= FEW_ROIS else steps + steps // 4 + 3
 
 
 def _search(
@@ -210,12 +229,13 @@ def _search(
         makespans = _makespans(guide, team.bound, most)
         guide.deadline = deadline
         for steps in makespans:
-            for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
-                playback = coordinate(problem, player.verify, steps, routes, deadline)
-                if playback is not None:
-                    return playback
-                if time.monotonic() > deadline:
-                    return None
+            with suppress(UndecidedError):
+                for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
+                    playback = coordinate(problem, player.verify, steps, routes, deadline)
+                    if playback is not None:
+                        return playback
+                    if time.monotonic() > deadline:
+                        return None
     except OutOfTimeError:
         pass
     return None
@@ -224,7 +244,8 @@ def _search(
 def _makespans(guide: Team, bound: int, most: int) -> Sequence[int]:
     """Return the makespans to try: all from the guide's bound on, or growing strides."""
     try:
-        guide.raise_bound()
+        with suppress(UndecidedError):
+            guide.raise_bound()
         return range(max(bound, guide.bound), most + 1)
     except OutOfTimeError:
         first = max(bound, guide.bound)

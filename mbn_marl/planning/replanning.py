@@ -20,8 +20,8 @@ from mbn_marl.planning.greedy import Greedy
 from mbn_marl.planning.guide import make_guide
 from mbn_marl.planning.legs import proved_legs
 from mbn_marl.planning.orders import OutOfTimeError
-from mbn_marl.planning.partition import least_makespan
-from mbn_marl.planning.planner import MOST_ROIS, Plan
+from mbn_marl.planning.partition import FEW_ROIS
+from mbn_marl.planning.planner import Plan
 from mbn_marl.planning.problem import CALM, Floats, Problem
 from mbn_marl.planning.team import Team
 from mbn_marl.planning.tracking import corrected
@@ -128,7 +128,7 @@ class Replanner:
     def _plan(self, places: Floats, speeds: Floats, visited: Flags, works: Flags) -> Motion | None:
         """Return a motion from here on that visits the remaining ROIs, if one is found."""
         left = np.flatnonzero(~visited)
-        if not works.any() or not 0 < len(left) <= MOST_ROIS:
+        if not works.any() or not 0 < len(left) <= FEW_ROIS:
             return None
         ways = ways_of_failed(self.problem, places, speeds, works, self.weather.push)
         for share, margin in CARE if self.weather.gusty else CARE[-1:]:
@@ -177,7 +177,7 @@ def search(problem: Problem, margin: float) -> Floats | None:
         team = Team(inner, proved_legs(inner, 0.0, horizon), 0.0, horizon, deadline)
     else:
         team = make_guide(inner, horizon, deadline)
-    steps = least_makespan(team.bounds)
+    steps = team.least_makespan()
     try:
         for _ in range(TRIES):
             if steps > horizon or time.monotonic() > deadline:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import highspy
 import numpy as np
 
-from mbn_marl.planning.legs import NEVER, Legs, set_bounds
+from mbn_marl.planning.legs import NEVER, Legs, possible_sets
 from mbn_marl.planning.linear_program import make_solver
 from mbn_marl.planning.orders import OutOfTimeError, Search, Visits
 from mbn_marl.planning.partition import cheapest_partition, least_makespan
@@ -62,8 +62,8 @@ class Team:
 
     def __post_init__(self) -> None:
         """Compute the closed-form bounds."""
-        self.bounds, self.tail = set_bounds(self.legs)
-        self.masks = np.arange(self.bounds.shape[1])
+        self.sets = possible_sets(self.legs, self.horizon)
+        self.place = {mask: k for k, mask in enumerate(self.sets.masks.tolist())}
         normals, offsets = self.problem.half_planes
         low_x, low_y, high_x, high_y = self.problem.area.bounds
         self.region = Region(
@@ -80,13 +80,18 @@ class Team:
             OutOfTimeError: at the deadline; ``bound`` is still valid.
         """
         while self.bound <= self.horizon:
-            self.bound = max(self.bound, least_makespan(self.bounds))
+            self.bound = max(self.bound, self.least_makespan())
             if self.bound > self.horizon:
                 break
             if next(self.solutions(self.bound), None) is not None:
                 return True
-            self.bound = max(self.bound + 1, least_makespan(self.bounds))
+            self.bound = max(self.bound + 1, self.least_makespan())
         return False
+
+    def least_makespan(self) -> int:
+        """Return the least makespan that the bounds of the sets allow, as far as is known."""
+        whole = (1 << self.problem.m) - 1
+        return least_makespan(self.sets.masks, self.sets.bounds, whole)
 
     def solutions(self, makespan: int) -> Iterator[list[Route]]:
         """Yield different solutions with at most ``makespan`` steps, a route for each robot.
@@ -99,7 +104,7 @@ class Team:
             if tuple(masks) in seen:
                 return
             routes = {}
-            for i in sorted(range(len(masks)), key=lambda i: -self.bounds[i, masks[i]]):
+            for i in sorted(range(len(masks)), key=lambda i: -self.least(i, masks[i])):
                 routes[i] = self.route(i, masks[i], makespan)
                 if routes[i] is None:
                     break
@@ -113,15 +118,20 @@ class Team:
 
         Verified sets cost nothing; sets that were ``used`` before cost more.
         """
-        sizes = np.array([mask.bit_count() for mask in self.masks.tolist()])
-        costs = np.where(self.bounds <= makespan, 1 + sizes**2, NEVER)
+        masks = self.sets.masks
+        sizes = np.array([mask.bit_count() for mask in masks.tolist()])
+        costs = np.where(self.sets.bounds <= makespan, 1 + sizes**2, NEVER)
         for (i, mask), (step, route) in self._routes.items():
             if step <= makespan and route.sure:
-                costs[i, mask] = 0
+                costs[i, self.place[mask]] = 0
         costs[:, 0] = 0
         for (i, mask), times in used.items():
-            costs[i, mask] += USED * times * (1 + sizes[mask])
-        return cheapest_partition(costs)
+            costs[i, self.place[mask]] += USED * times * (1 + mask.bit_count())
+        return cheapest_partition(masks, costs, (1 << self.problem.m) - 1)
+
+    def least(self, i: int, mask: int) -> int:
+        """Return the bound of robot i's steps through a set."""
+        return int(self.sets.bounds[i, self.place[mask]])
 
     def route(self, i: int, mask: int, makespan: int) -> Route | None:
         """Return a route of robot i through the set by ``makespan``; ``None`` raises its bound."""
@@ -129,12 +139,12 @@ class Team:
         step, known = self._routes.get((i, mask), (makespan + 1, nowhere))
         if step == makespan or (step < makespan and known.sure):
             return self._later(i, known, makespan - step)
-        if self.bounds[i, mask] > min(makespan, self.horizon):
+        if self.least(i, mask) > makespan:
             return None
         found = self._extend(i, (), mask, makespan) if mask else nowhere
         if found is None:
-            supersets = (self.masks & mask) == mask
-            self.bounds[i, supersets] = np.maximum(self.bounds[i, supersets], makespan + 1)
+            larger, bounds = (self.sets.masks & mask) == mask, self.sets.bounds
+            bounds[i, larger] = np.maximum(bounds[i, larger], makespan + 1)
         else:
             self._routes[i, mask] = makespan, found
         return found
@@ -155,7 +165,7 @@ class Team:
         options = []
         for j in range(self.problem.m):
             if rest >> j & 1:
-                tail = int(self.tail[rest & ~(1 << j), j])
+                tail = int(self.sets.tails[rest & ~(1 << j)][j])
                 options.append((self._reached(i, (*order, j)) + tail, j, tail))
         for total, j, tail in sorted(options):
             if total > makespan:

@@ -13,9 +13,10 @@ import pytest
 from mbn_marl import BatchEngine
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.field import Field
-from mbn_marl.planning.legs import NEVER, proved_legs
+from mbn_marl.planning import partition
+from mbn_marl.planning.legs import NEVER, Legs, possible_sets, proved_legs
 from mbn_marl.planning.linear_program import make_solver
-from mbn_marl.planning.partition import cheapest_partition, least_makespan
+from mbn_marl.planning.orders import UndecidedError
 from mbn_marl.planning.planner import prove
 from mbn_marl.planning.problem import make_problem
 from mbn_marl.planning.relaxation import Disc, Region, Relaxation
@@ -83,22 +84,53 @@ def test_legs_between_discs_by_hand() -> None:
     assert [between[0, 1], between[1, 2], between[0, 3]] == [2, 9, 0]
 
 
+@pytest.mark.parametrize("few", [partition.FEW_ROIS, 0])  # both searches
 @pytest.mark.parametrize("seed", range(3))
-def test_partitions_against_enumeration(seed: int) -> None:
+def test_partitions_against_enumeration(
+    seed: int, few: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(partition, "FEW_ROIS", few)
     rng = np.random.default_rng(seed)
-    costs = rng.integers(1, 50, (3, 16))
-    costs[:, 0] = 0
+    masks = np.arange(32)
+    shares = [[mask >> j & 1 for j in range(5)] for mask in range(32)]
+    costs = np.stack([shares @ rng.integers(1, 20, 5) for _ in range(3)])
+    costs += 5 * (np.sum(shares, axis=1) > 2)
     totals, worst = [], []
-    for owners in itertools.product(range(3), repeat=4):
-        masks = [sum(1 << j for j in range(4) if owners[j] == i) for i in range(3)]
-        shares = [int(costs[i, mask]) for i, mask in enumerate(masks)]
-        totals.append(sum(shares))
-        worst.append(max(shares))
-    chosen = cheapest_partition(costs)
+    for owners in itertools.product(range(3), repeat=5):
+        parts = [sum(1 << j for j in range(5) if owners[j] == i) for i in range(3)]
+        each = [int(costs[i, mask]) for i, mask in enumerate(parts)]
+        totals.append(sum(each))
+        worst.append(max(each))
+    assert partition.least_makespan(masks, costs, 31) == min(worst)
+    for most in (min(worst), min(worst) - 1):
+        allowed = np.where(costs <= most, costs, NEVER)
+        chosen = partition.cheapest_partition(masks, allowed, 31)
+        assert (chosen is None) == (most < min(worst))
+        if chosen is not None:
+            assert sum(chosen) == np.bitwise_or.reduce(chosen) == 31
+            assert max(allowed[i, mask] for i, mask in enumerate(chosen)) <= most
+    chosen = partition.cheapest_partition(masks, costs, 31)
     assert chosen is not None
-    assert sum(costs[i, mask] for i, mask in enumerate(chosen)) == min(totals)
-    assert sum(chosen) == 15
-    assert least_makespan(costs) == min(worst)
+    if few:
+        assert sum(costs[i, mask] for i, mask in enumerate(chosen)) == min(totals)
+
+
+def test_a_search_that_is_cut_short_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(partition, "FEW_ROIS", 0)
+    monkeypatch.setattr(partition, "MOST_NODES", 0)
+    costs = np.array([[0, 3, 4, 9], [0, 5, 6, 9]])
+    with pytest.raises(UndecidedError):
+        partition.cheapest_partition(np.arange(4), costs, 3)
+    assert partition.least_makespan(np.arange(4), costs, 3) == 0
+
+
+def test_sets_are_those_in_time() -> None:
+    first, between = np.array([[2, 5], [6, 3]]), np.array([[0, 2], [2, 0]])
+    sets = possible_sets(Legs(first, between), 4)
+    assert sets.masks.tolist() == [0, 1, 2]
+    assert sets.bounds.tolist() == [[0, 2, NEVER], [0, NEVER, 3]]
+    # By the legs both take the first robot 4 steps; but the second ROI alone takes it 5.
+    assert possible_sets(Legs(first, between), 9).bounds.tolist() == [[0, 2, 5, 5], [0, 6, 3, 6]]
 
 
 def straight(first: int, last: int) -> tuple[Relaxation, StepWindows]:

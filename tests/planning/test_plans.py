@@ -12,7 +12,7 @@ import shapely
 from mbn_marl import BatchEngine, parallel_env
 from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import Field, catalogue_names, load_field
+from mbn_marl.field import Field, FieldSampler, catalogue_names, load_field
 from mbn_marl.optimum import optimal_return
 from mbn_marl.planning import Plan, UnsolvableError, plan, replay
 from mbn_marl.planning.problem import make_problem
@@ -119,6 +119,13 @@ def test_many_rois_have_a_plan_and_a_bound() -> None:
     assert found.makespan is not None
     assert 20 < found.makespan_lower_bound <= found.makespan
     assert sorted(itertools.chain(*found.assignment)) == list(range(16))
+
+
+def test_a_crowd_has_a_proved_plan() -> None:
+    sampler = FieldSampler(families=["convex"], robots=12, rois=20, size=[300, 400], seed=1)
+    found = plan(sampler.field(0))
+    assert found.optimal
+    assert sorted(itertools.chain(*found.assignment)) == list(range(20))
 
 
 def test_an_unreachable_roi_is_reported_at_once() -> None:
