@@ -1,8 +1,8 @@
 """``python -m tests.newcomer``: do what the pages say, with the wheel, in an empty environment.
 
-It builds the wheel, installs it with the extra ``baselines`` into a new virtual environment, and
-runs every command line of the README and of docs from an empty folder, without a checkout: with
-tiny budgets, page by page, in order. Blocks under a comment ``<!-- needs: ... -->`` and the pages
+It builds the wheel, installs it with the extra ``export`` into a new virtual environment, and runs
+every command line of the README and of docs from an empty folder, without a checkout: with tiny
+budgets, page by page, in order. Blocks under a comment ``<!-- needs: ... -->`` and the pages
 of results, which record what was run, are left out. Each command runs in a pipe; one that prints a
 table runs again in a terminal of 80 columns, where no number or label may be broken.
 """
@@ -104,7 +104,7 @@ class Newcomer:
         venv.create(self._folder / "venv", with_pip=True)
         pip = [str(self._bin / "pip"), "install", "-q", "-c", str(ROOT / "constraints.txt")]
         subprocess.run([*pip, "torch"], check=True)
-        subprocess.run([*pip, f"{wheel}[baselines]"], check=True)
+        subprocess.run([*pip, f"{wheel}[export]"], check=True)
 
     def run(self, words: Sequence[str], folder: Path, code: int = 0) -> str:
         """Run a command in a pipe; return its output."""

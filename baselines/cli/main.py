@@ -33,13 +33,18 @@ COMMANDS = {
     "play": "watch:Play",
     "deploy": "deploy:Deploy",
     "zoo": "zoo:Zoo",
+    "export": "export:Export",
 }
 """The module of each command, and its class; none imports anything heavy itself."""
 
 MOVED = {"bench": "python -m benchmarks, in a checkout of the repository"}
 """Where commands went that are no longer here."""
 
-EXTRAS = {"ray": "ray", "mujoco": "sim3d", "coppeliasim_zmqremoteapi_client": "sim3d"}
+EXTRAS = {
+    "ray": "ray",
+    **dict.fromkeys(("mujoco", "coppeliasim_zmqremoteapi_client"), "sim3d"),
+    **dict.fromkeys(("onnxruntime", "onnxscript"), "export"),
+}
 """The extras with packages that commands need, if not the extra ``baselines``."""
 
 OWN_PACKAGES = ("mbn_marl", "baselines")

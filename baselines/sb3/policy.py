@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +17,11 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 
+from baselines.evaluation.layers import Layers
 from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
 from baselines.sb3.config import algorithm_class
+from baselines.sb3.layers import layers_of
 
 WEIGHTS = "policy.safetensors"
 SHAPE = "policy.json"
@@ -118,6 +121,14 @@ class SB3Policy:
         rows = rows if self.normalization is None else self.normalization(rows)
         actions, _ = self.network.predict(rows, deterministic=deterministic)
         return actions.reshape(len(seen), -1, 2)
+
+    def layers(self) -> Layers:
+        """See :class:`~baselines.evaluation.layers.HasLayers`."""
+        size, seen = self.shape["obs_size"], self.normalization
+        if seen is None:
+            none = np.zeros(size, np.float32), np.ones(size, np.float32), math.inf
+            return layers_of(self.network, *none)
+        return layers_of(self.network, seen.mean, np.sqrt(seen.variance + seen.epsilon), seen.clip)
 
     def save(self, folder: Path) -> None:
         """Write weights (safetensors), shape and normalisation (JSON) into ``folder``."""

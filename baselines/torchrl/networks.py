@@ -97,10 +97,12 @@ class Normalize(TensorDictModuleBase):
 
     def normalize(self, observations: torch.Tensor) -> torch.Tensor:
         """Normalise ``observations`` (..., n, obs_size)."""
-        if self.statistics.count == 0:
-            return observations
-        normalized: torch.Tensor = self.statistics.normalize(observations)
+        normalized: torch.Tensor = (observations - self.statistics.mean) / self.scale()
         return normalized.clamp_(-CLIP, CLIP)
+
+    def scale(self) -> torch.Tensor:
+        """What observations less their mean are divided by, (obs_size,) or (n, obs_size)."""
+        return torch.where(self.statistics.count > 0, self.statistics.scale(), 1.0)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Add the normalised observations."""

@@ -9,9 +9,10 @@ from typing import Literal
 import numpy as np
 import torch
 
+from baselines.evaluation.layers import Activation, Layers
 from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.tensors import read_tensors, write_tensors
-from baselines.torchrl.networks import GaussianPolicy, TeamShape
+from baselines.torchrl.networks import CLIP, GaussianPolicy, TeamShape
 
 WEIGHTS = "policy.safetensors"
 SHAPE = "policy.json"
@@ -33,6 +34,26 @@ class TeamPolicy:
         std = network.log_std.exp().cpu()  # the noise is the same, whatever the device
         actions = mean if deterministic else torch.normal(mean, std.expand_as(mean))
         return actions.numpy()
+
+    def layers(self) -> Layers:
+        """See :class:`~baselines.evaluation.layers.HasLayers`."""
+        network, mlp = self.network, self.network.mean
+        team = network.shape.actor == "centralized"  # it has the robots side by side
+        mean, scale = (
+            part.expand(network.shape.n_robots, -1).reshape(1, 1, -1)
+            if team
+            else part.reshape(network.shape.networks, 1, -1)
+            for part in (network.norm.statistics.mean, network.norm.scale())
+        )
+        tanh: Activation = "tanh"
+        return Layers(
+            mean.numpy(force=True),
+            scale.numpy(force=True),
+            CLIP,
+            tuple(weight.numpy(force=True) for weight in mlp.weights),
+            tuple(bias.numpy(force=True) for bias in mlp.biases),
+            (*[tanh] * (len(mlp.weights) - 1), "clip"),
+        )
 
     def save(self, folder: Path) -> None:
         """Write the weights (safetensors) and the network's shape (JSON) into ``folder``."""

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from baselines.cli.main import read_command
+from baselines.cli.main import main, read_command
 from baselines.cli.options import read_options
 from benchmarks.__main__ import benchmark_class
 from mbn_marl import load_field
@@ -139,7 +139,8 @@ def check_tool(words: Sequence[str]) -> None:
 def run_page(page: Path, folder: Path) -> None:
     """Run a page's Python, which shares its names, with ``folder`` as the working directory.
 
-    Its commands are parsed only: ``tests.newcomer`` runs them, with the wheel.
+    Its commands are parsed only: ``tests.newcomer`` runs them, with the wheel. But ``mbn export``
+    is run, since the Python after it reads the file.
     """
     names: dict[str, object] = {"__name__": "__main__"}
     for block in blocks_of(page):
@@ -151,7 +152,10 @@ def run_page(page: Path, folder: Path) -> None:
                 write_file(block, folder)
             case "sh":
                 for words in commands_of(block):
-                    parse_mbn(words[1:]) if words[0] == "mbn" else check_tool(words)
+                    if words[:2] == ["mbn", "export"]:
+                        assert main(words[1:]) == 0
+                    else:
+                        parse_mbn(words[1:]) if words[0] == "mbn" else check_tool(words)
             case "":
                 pass
             case other:
