@@ -239,10 +239,10 @@ def _panels(
 
 
 def _draw_place(axes: Axes, last: Snapshot, title: str, *, numbered: bool) -> None:
-    """Draw the field, the wind and the title."""
+    """Draw the field, the title of two lines, and the wind beside the first of them."""
     radius = last.roi_radius
     maps.draw_field(axes, last.field, visited=last.visited, roi_radius=radius, numbered=numbered)
-    maps.draw_wind(axes, last.winds)
+    maps.draw_wind(axes, last.winds, height=20.5)
     axes.set_title(title, loc="left", fontsize=9.0)
 
 

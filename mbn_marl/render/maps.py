@@ -187,11 +187,11 @@ def mark_collision(axes: Axes, positions: NDArray[np.floating]) -> Line2D:
     return Line2D([], [], ms=8, mew=1.4, label="collision", **look)
 
 
-def draw_wind(axes: Axes, winds: ArrayLike) -> None:
+def draw_wind(axes: Axes, winds: ArrayLike, height: float = 9.5) -> None:
     """Draw the wind, or those of several steps, (2,) or (k, 2), over the top right corner, if any.
 
     One is an arrow the way that it blows, with its speed. In gusts there is a line for each wind,
-    as long as it is strong, with the greatest speed.
+    as long as it is strong, with the greatest speed. ``height`` is that above the corner, points.
     """
     winds = np.unique(np.atleast_2d(winds), axis=0)
     speeds = np.linalg.norm(winds, axis=1)
@@ -199,7 +199,7 @@ def draw_wind(axes: Axes, winds: ArrayLike) -> None:
         return
     corner = OffsetFrom(axes.patch, (1.0, 1.0), unit="points")
     place: dict[str, Any] = {"xycoords": corner, "textcoords": corner, "annotation_clip": False}
-    middle, arms = np.array([-11.0, 9.5]), 9.0 * winds / speeds.max()
+    middle, arms = np.array([-11.0, height]), 9.0 * winds / speeds.max()
     if len(winds) == 1:
         ends = tuple(middle + arms[0]), tuple(middle - arms[0])
         axes.annotate("", *ends, arrowprops=_ARROW, **place)

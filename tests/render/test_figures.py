@@ -159,6 +159,18 @@ def test_the_wind_arrow_points_the_way_the_wind_blows(wind: tuple[float, float])
     assert f"wind {np.hypot(*wind):.3g}" in shown
 
 
+def test_the_wind_of_a_panel_stands_above_the_outcome() -> None:
+    last = snapshot(TRAILS, winds=np.array([(0.3, 0.0)]))
+    figure = figures.trajectory_panels({"wind 0.3": last})
+    FigureCanvasAgg(figure).draw()
+    (axes,) = figure.axes
+    (label,) = (text for text in axes.texts if text.get_text() == "wind 0.3")
+    title: Any = axes._left_title
+    assert title.get_text().count("\n") == 1
+    two_lines = title.get_window_extent()
+    assert label.get_window_extent().y0 >= (two_lines.y0 + two_lines.y1) / 2
+
+
 def test_gusts_are_a_line_each() -> None:
     winds = [(0.3, 0.0), (-0.1, 0.0), (0.0, 0.2), (0.3, 0.0)]
     figure = figures.trajectory_figure(FIELD, TRAILS, wind=winds)
