@@ -55,7 +55,7 @@ def test_replay_writes_a_page_and_nothing_over_another(
         (lambda text: text[:500], "not JSON, or cut off"),
         (lambda text: '{"format": "other"}', "format: 'other'; expected an episode"),
         (lambda text: text.replace("episode/1", "episode/9", 1), "'mbn-episode/9'; expected"),
-        (lambda text: text.replace('"tau":1.0', '"tau":2.0'), "it does not replay"),
+        (lambda text: text.replace('"tau":1.0', '"tau":0.5'), "it does not replay"),
     ],
     ids=["cut off", "foreign", "version", "tampered"],
 )

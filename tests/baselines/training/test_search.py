@@ -26,10 +26,10 @@ SETTINGS: dict[str, Any] = {"observation": "lidar"}
 
 
 def slow_team() -> Any:
-    """The zoo's policy of the field with weak forces: 50 steps instead of 17."""
+    """The zoo's policy of the field with weak forces: 45 steps instead of 17."""
     policy: Any = load_trained(open_run("zoo:field_03"))
     for part in policy.network.last_layer:
-        part.data *= 0.05
+        part.data *= 0.1
     return policy
 
 
