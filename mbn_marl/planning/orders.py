@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import highspy
 import numpy as np
@@ -19,7 +19,10 @@ BETTER = 1e-3
 """Further visits are searched for only if they have this much more room, in units."""
 OUTSIDE = 1e-4
 """Tolerance of the test that a path stays in the region, in units."""
-MOST_VIAS = 60
+MOST_VIAS = 20
+"""Programs that keep one path out of the obstacles."""
+MOST_TIMES = 8
+"""Times of the visits of one order whose paths are kept out of the obstacles."""
 
 
 class OutOfTimeError(Exception):
@@ -46,6 +49,7 @@ class Search:
     start: Start  # of the robot, at step 0
     drive: Drive
     region: Region  # must not be left
+    obstacles: tuple[Region, ...]  # must not be entered
     slack: float  # allowance of the discs for rounding, in units
     highs: highspy.Highs
     deadline: float  # on the clock time.monotonic
@@ -68,6 +72,7 @@ class Search:
         best: Visits | None = None
         relaxation = Relaxation(self.start, self.drive, self.region, discs)
         nodes = [(windows, relaxation.tangents())]
+        times = 0
         while nodes:
             wide, cuts = nodes.pop()
             tight = wide.tightened()
@@ -80,7 +85,9 @@ class Search:
             if solved.bound > enough:
                 continue
             if tight.fixed:
-                best = self._follow(relaxation, tight, solved, enough) or best
+                times += 1
+                avoided = self.obstacles if times <= MOST_TIMES else ()
+                best = self._follow(relaxation, tight, solved, enough, avoided) or best
                 if best is not None and best.inflation <= -ROOM:
                     return best
             else:
@@ -88,25 +95,62 @@ class Search:
         return best
 
     def _follow(
-        self, relaxation: Relaxation, windows: StepWindows, solved: Solved, enough: float
+        self,
+        relaxation: Relaxation,
+        windows: StepWindows,
+        solved: Solved,
+        enough: float,
+        obstacles: tuple[Region, ...],
     ) -> Visits | None:
-        """Keep the whole path in the region, for fixed times, by further stops where needed."""
-        steps, stops = windows.first, list(windows.first)
+        """Keep the whole path out of the obstacles, for fixed times, by further stops.
+
+        A stop is beyond one of an obstacle's edges; all are tried. After :data:`MOST_VIAS` a path
+        that may cross obstacles is returned: it is not proved that there is none.
+        """
+        nodes = [(relaxation, windows.first, solved)]
         for _ in range(MOST_VIAS):
+            relaxation, stops, solved = nodes.pop()
             path = interpolate(self.start, self.drive, solved.points)
-            outside = (path @ self.region.normals.T - self.region.offsets).max(axis=1, initial=-1.0)
-            worst = int(outside.argmax()) if len(outside) else 0
-            if len(outside) == 0 or outside[worst] <= OUTSIDE or worst + 1 in stops:
+            step, parts = self._crossing(path, stops, obstacles)
+            if not parts:
                 break
-            place = bisect.bisect(stops, worst + 1)
-            stops.insert(place, worst + 1)
-            relaxation = relaxation.with_via(place)
-            solved = relaxation.solve(
-                self.highs, fixed_windows(stops), relaxation.tangents(), enough
-            )
-            if solved.bound > enough:
+            place = bisect.bisect(stops, step)
+            stops = (*stops[:place], step, *stops[place:])
+            for part in parts:
+                longer = relaxation.with_via(place, part)
+                found = longer.solve(self.highs, fixed_windows(stops), longer.tangents(), enough)
+                if found.bound <= enough:
+                    nodes.append((longer, stops, found))
+            if not nodes:
                 return None
-        return Visits(steps, solved.inflation, path)
+        return Visits(windows.first, solved.inflation, path)
+
+    def _crossing(
+        self, path: Floats, stops: tuple[int, ...], obstacles: tuple[Region, ...]
+    ) -> tuple[int, list[Region | None]]:
+        """Return the step at which a path is the farthest outside, and where it may be instead.
+
+        That is beyond one of an obstacle's edges, the nearest one last, or anywhere in the region.
+        """
+        beyond = [(path @ self.region.normals.T - self.region.offsets).max(axis=1, initial=-1.0)]
+        beyond += [(one.offsets - path @ one.normals.T).min(axis=1) for one in obstacles]
+        depth = np.array(beyond)
+        depth[0, [stop - 1 for stop in stops]] = -1.0  # stops are in the region
+        piece, worst = np.unravel_index(depth.argmax(), depth.shape)
+        if depth[piece, worst] <= OUTSIDE:
+            return 0, []
+        if piece == 0:
+            return int(worst) + 1, [None]
+        return int(worst) + 1, _sides(obstacles[piece - 1], path[worst])
+
+
+def _sides(obstacle: Region, point: Floats) -> list[Region | None]:
+    """Return the half-planes beyond an obstacle's edges, that of the edge next to a point last."""
+    order = np.argsort(obstacle.normals @ point - obstacle.offsets)
+    return [
+        replace(obstacle, normals=-obstacle.normals[[k]], offsets=-obstacle.offsets[[k]])
+        for k in order
+    ]
 
 
 def _branch(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Unpack
 
@@ -122,8 +121,9 @@ def plan(
     except TooManySetsError:
         team = prove(_hardest(part), began + BOUND_SHARE * time_limit)
     else:
-        most = problem.config.max_steps if best is None else len(best.actions) - 1
-        best = _search(part, player, team, most, began + time_limit) or best
+        for guide in _guides(part, team, began + time_limit):
+            most = problem.config.max_steps if best is None else len(best.actions) - 1
+            best = _search(part, player, guide, team.bound, most, guide.deadline) or best
     nothing = np.zeros((0, problem.n, 2), np.float32)
     return Plan(
         field=problem.field,
@@ -219,37 +219,32 @@ def _beyond(problem: Problem, steps: int) -> int:
     return 2 * steps + 20 if problem.m <= FEW_ROIS else steps + steps // 4 + 3
 
 
+def _guides(problem: Problem, team: Team, deadline: float) -> list[Team]:
+    """Return whose routes may become plans: the team's own, which avoid the obstacles.
+
+    In a field that is not convex, before them those of a guide, for half of the time that is left.
+    """
+    team.deadline = deadline
+    if problem.convex:
+        return [team]
+    return [make_guide(problem, team.horizon, 0.5 * (time.monotonic() + deadline)), team]
+
+
 def _search(
-    problem: Problem, player: Player, team: Team, most: int, deadline: float
+    problem: Problem, player: Player, guide: Team, bound: int, most: int, deadline: float
 ) -> Playback | None:
-    """Return the shortest verified plan found with at most ``most`` steps, or ``None``."""
-    guide = team if problem.convex else make_guide(problem, team.horizon, deadline)
-    try:
-        guide.deadline = 0.5 * (time.monotonic() + deadline)
-        makespans = _makespans(guide, team.bound, most)
-        guide.deadline = deadline
-        for steps in makespans:
-            with suppress(UndecidedError):
-                for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
-                    playback = coordinate(problem, player.verify, steps, routes, deadline)
-                    if playback is not None:
-                        return playback
-                    if time.monotonic() > deadline:
-                        return None
-    except OutOfTimeError:
-        pass
+    """Return the shortest verified plan found with ``bound`` to ``most`` steps, or ``None``."""
+    for steps in range(bound, most + 1):
+        try:
+            for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
+                playback = coordinate(problem, player.verify, steps, routes, deadline)
+                if playback is not None:
+                    return playback
+        except UndecidedError:
+            continue
+        except OutOfTimeError:
+            break
     return None
-
-
-def _makespans(guide: Team, bound: int, most: int) -> Sequence[int]:
-    """Return the makespans to try: all from the guide's bound on, or growing strides."""
-    try:
-        with suppress(UndecidedError):
-            guide.raise_bound()
-        return range(max(bound, guide.bound), most + 1)
-    except OutOfTimeError:
-        first = max(bound, guide.bound)
-        return [first + 2**k for k in range(1, 10) if first + 2**k <= most]
 
 
 def plan_greedily(problem: Problem, player: Player, deadline: float) -> Playback | None:

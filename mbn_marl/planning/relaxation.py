@@ -20,9 +20,10 @@ from dataclasses import dataclass, replace
 
 import highspy
 import numpy as np
+import shapely
 
 from mbn_marl.planning.linear_program import Cut, LinearProgram
-from mbn_marl.planning.problem import Drive, Floats, Start
+from mbn_marl.planning.problem import Drive, Floats, Start, half_planes
 from mbn_marl.planning.windows import StepWindows
 
 PER_STOP = 5
@@ -44,12 +45,21 @@ class Region:
     high: tuple[float, float]
 
 
-@dataclass(frozen=True)
+def make_region(convex: shapely.Polygon, margin: float) -> Region:
+    """Return a convex polygon with its edges moved outward by a margin, in units."""
+    normals, offsets = half_planes(convex)
+    low_x, low_y, high_x, high_y = convex.bounds
+    low, high = (low_x - margin, low_y - margin), (high_x + margin, high_y + margin)
+    return Region(normals, offsets + margin, low, high)
+
+
+@dataclass(frozen=True, eq=False)
 class Disc:
-    """A stop: a disc to be in, or with radius ``None`` any place in the region."""
+    """A stop: a disc to be in, or with radius ``None`` any place in the region, or in a part."""
 
     centre: tuple[float, float]
     radius: float | None
+    part: Region | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +81,9 @@ class Relaxation:
     region: Region  # contains every stop
     discs: tuple[Disc, ...]  # the stops, in order
 
-    def with_via(self, place: int) -> Relaxation:
-        """Return it with one more stop, anywhere in the region, before the stop ``place``."""
-        via = Disc(self.start[:2], None)
+    def with_via(self, place: int, part: Region | None) -> Relaxation:
+        """Return it with one more stop, in a part of the region, before the stop ``place``."""
+        via = Disc(self.start[:2], None, part)
         return replace(self, discs=(*self.discs[:place], via, *self.discs[place:]))
 
     def tangents(self) -> list[Cut]:
@@ -161,7 +171,11 @@ class Relaxation:
                     rows.append(Cut(tuple(columns), tuple(values), limit))
                     for a, b in {(0, 0), (least, 0), (least - least // 2, least // 2)}:
                         rows.append(self._reach(k, axis, sign, a, b, windows.last[k]))
-            for normal, offset in zip(self.region.normals, self.region.offsets, strict=True):
+            normals, offsets = self.region.normals, self.region.offsets
+            if disc.part is not None:
+                normals = np.concatenate([normals, disc.part.normals])
+                offsets = np.concatenate([offsets, disc.part.offsets])
+            for normal, offset in zip(normals, offsets, strict=True):
                 if disc.radius is None or normal @ disc.centre + disc.radius > offset:
                     rows.append(Cut((base, base + 1), (normal[0], normal[1]), float(offset)))
         return rows

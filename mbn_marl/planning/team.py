@@ -1,9 +1,10 @@
 """The proved bound: the least makespan of the team if collisions are ignored.
 
 The relaxed problem is to visit every ROI by step T, with each robot in the convex hull of the field
-until its last visit. Every plan of the real problem solves it, and a solution by T is one by T + 1,
-so a set of ROIs that a robot cannot visit by T bounds all larger sets too. Where robots can wait at
-their starts, a robot's last visit can be assumed to be exactly at T.
+until its last visit, and out of the obstacles as far as the search decides it. Every plan of the
+real problem solves it, and a solution by T is one by T + 1, so a set of ROIs that a robot cannot
+visit by T bounds all larger sets too. Where robots can wait at their starts, a robot's last visit
+can be assumed to be exactly at T.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ from dataclasses import dataclass, field, replace
 
 import highspy
 import numpy as np
+import shapely
 
 from mbn_marl.planning.legs import NEVER, Legs, possible_sets
 from mbn_marl.planning.linear_program import make_solver
 from mbn_marl.planning.orders import OutOfTimeError, Search, Visits
 from mbn_marl.planning.partition import cheapest_partition, least_makespan
 from mbn_marl.planning.problem import Problem
-from mbn_marl.planning.relaxation import Disc, Region
+from mbn_marl.planning.relaxation import Disc, make_region
 from mbn_marl.planning.windows import StepWindows
 
 USED = 100
@@ -64,14 +66,11 @@ class Team:
         """Compute the closed-form bounds."""
         self.sets = possible_sets(self.legs, self.horizon)
         self.place = {mask: k for k, mask in enumerate(self.sets.masks.tolist())}
-        normals, offsets = self.problem.half_planes
-        low_x, low_y, high_x, high_y = self.problem.area.bounds
-        self.region = Region(
-            normals,
-            offsets + self.slack,
-            (low_x - self.slack, low_y - self.slack),
-            (high_x + self.slack, high_y + self.slack),
-        )
+        hull, area = self.problem.area.convex_hull, self.problem.area
+        # what the hull has besides the field, in triangles
+        pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(hull.difference(area)))
+        self.region = make_region(hull, self.slack)
+        self.obstacles = tuple(make_region(piece, -self.slack) for piece in pieces)
 
     def raise_bound(self) -> bool:
         """Raise the bound until a solution has it; return whether there is one up to the horizon.
@@ -173,7 +172,8 @@ class Team:
             longer, left = (*order, j), rest & ~(1 << j)
             discs, windows, rois = self._stops(i, longer, makespan - tail, ends=left == 0)
             start, drive = self.problem.start(i), self.problem.drives[i]
-            search = Search(start, drive, self.region, self.slack, self.highs, self.deadline)
+            bounds = self.region, self.obstacles
+            search = Search(start, drive, *bounds, self.slack, self.highs, self.deadline)
             if left == 0:
                 if (visits := search.visits(discs, windows)) is not None:
                     steps = tuple(visits.steps[k] for k in rois)

