@@ -60,7 +60,7 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
 
     Args:
         field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`; or a
-            :class:`~mbn_marl.FieldSampler`, which draws one for each episode.
+            :class:`~mbn_marl.field.FieldSampler`, which draws one for each episode.
         n_robots: team size; the first starts of the field are used; ``None`` uses all of them.
         render_mode: ``"human"`` shows every step, ``"rgb_array"`` draws on :meth:`render`.
         render_size: width and height of a frame or the window, pixels, each at least 200.
@@ -144,7 +144,7 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
     Args:
         num_envs: number of worlds, W.
         field: a catalogue name, a path or a :class:`~mbn_marl.Field`, or a sequence of these;
-            world w uses the one at ``w % len(field)``. Or a :class:`~mbn_marl.FieldSampler`.
+            world w uses the one at ``w % len(field)``. Or a :class:`~mbn_marl.field.FieldSampler`.
         n_robots: team size; ``None`` uses all the field's starts.
         render_mode: ``"rgb_array"`` or ``None``.
         render_size: width and height of a frame, pixels, each at least 200.

@@ -50,7 +50,7 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
 
     Args:
         field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`; or a
-            :class:`~mbn_marl.FieldSampler`, which draws one for each episode.
+            :class:`~mbn_marl.field.FieldSampler`, which draws one for each episode.
         n_robots: team size; the first starts of the field are used; ``None`` uses all of them.
         render_mode: ``"human"`` shows every step, ``"rgb_array"`` draws on :meth:`render`.
         render_size: width and height of a frame or the window, pixels, each at least 200.

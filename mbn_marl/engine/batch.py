@@ -35,15 +35,15 @@ class BatchEngine(Readings):
     Every array that :meth:`reset` and :meth:`step` return is one of the engine's own buffers,
     overwritten by the next call: copy what you keep. W is the number of worlds, n the number of
     robots, m the number of ROIs; ``real`` is the engine's dtype. What can be read of the worlds is
-    in :class:`~mbn_marl.engine.readings.Readings`.
+    in the base class, ``Readings``.
 
     Args:
         field: a catalogue name, a file, a :class:`Field`, or a sequence of them: world w then has
-            field ``w % len(field)``. All need the same arena. Or a :class:`FieldSampler`: every
-            episode of every world then has a field of its own, made inside its reset, which
-            depends on the sampler's seed, the world's number and the episode's alone. The numbers
-            of ROIs may differ (a missing ROI is one that is visited from the start), and without
-            ``n_robots`` those of robots: n is then the largest, see :attr:`present`.
+            field ``w % len(field)``. All need the same arena. Or a
+            :class:`~mbn_marl.field.FieldSampler`: every episode of every world then has a field of
+            its own, made inside its reset, which depends on the sampler's seed, the world's number
+            and the episode's alone. The numbers of ROIs may differ (a missing ROI is one that is
+            visited from the start), and without ``n_robots`` those of robots: n is then the largest, see :attr:`present`.
         num_worlds: W, at least 1.
         seed: key of all random numbers, 0 to 2^63 - 1.
         autoreset: what happens when an episode ends. ``True`` or ``"same_step"``: the world
