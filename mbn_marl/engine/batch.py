@@ -43,7 +43,8 @@ class BatchEngine(Readings):
             :class:`~mbn_marl.field.FieldSampler`: every episode of every world then has a field of
             its own, made inside its reset, which depends on the sampler's seed, the world's number
             and the episode's alone. The numbers of ROIs may differ (a missing ROI is one that is
-            visited from the start), and without ``n_robots`` those of robots: n is then the largest, see :attr:`present`.
+            visited from the start), and without ``n_robots`` those of robots: n is then the
+            largest, see :attr:`present`.
         num_worlds: W, at least 1.
         seed: key of all random numbers, 0 to 2^63 - 1.
         autoreset: what happens when an episode ends. ``True`` or ``"same_step"``: the world
