@@ -26,6 +26,7 @@ Turn = Annotated[float, Field(gt=0.0, le=math.pi)]
 Steering = Annotated[float, Field(gt=0.0, le=1.5)]
 Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
 TeamDynamics = Literal[Dynamics, "mixed"]
+Observation = Literal["relative", "state", "local", "lidar", "lidar_local"]
 MIXED: tuple[Dynamics, ...] = ("point_mass", "unicycle", "bicycle")
 """The dynamics of a ``"mixed"`` team's robots, in turn."""
 
@@ -185,7 +186,7 @@ class NavigationConfig(Checked):
     reward: RewardProfile = REWARD_PROFILES["released"]
     reward_sharing: Literal["individual", "team"] = "individual"
     dynamics: DynamicsOfEach = "point_mass"
-    observation: Literal["relative", "state", "local", "lidar", "lidar_local"] = "relative"
+    observation: Observation = "relative"
     one_hot: bool = False
     sensing_radius: Positive = 100.0
     wind: tuple[AnyNonNegative, AnyNumber] = (0.0, 0.0)
@@ -320,7 +321,7 @@ class FixedSettings(TypedDict, total=False):
     reward: str | RewardProfile
     reward_sharing: Literal["individual", "team"]
     dynamics: TeamDynamics | tuple[Dynamics, ...]
-    observation: Literal["relative", "state", "local", "lidar", "lidar_local"]
+    observation: Observation
     one_hot: bool
     sensing_radius: float
     wind: tuple[Number, Number]

@@ -32,6 +32,7 @@ COMMANDS = {
     "watch": "watch:Watch",
     "play": "watch:Play",
     "deploy": "deploy:Deploy",
+    "warmup": "warmup:Warmup",
     "zoo": "zoo:Zoo",
     "export": "export:Export",
 }

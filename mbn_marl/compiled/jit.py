@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import event
 from numba.core.registry import CPUDispatcher
 
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Compiled code runs without the GIL, and divides as NumPy does."""
 
-
+ANNOUNCEMENT = "mbn_marl: compiling the engine for this configuration, once per machine"
 FOLDERS = ("compiled", "engine", "field")
 """The folders of the package that have compiled functions."""
 
@@ -28,6 +30,24 @@ def digest_of_sources(package: Path) -> str:
 
 
 SOURCES = digest_of_sources(Path(__file__).parents[1])
+
+
+class _Announcer(event.Listener):
+    """Warns, once in a process, when a function of ours is not in the cache: that takes a while."""
+
+    said = False
+
+    def on_start(self, event: Any) -> None:
+        """Hear that Numba begins to compile a function."""
+        if not self.said and event.data["dispatcher"].py_func.__module__.startswith("mbn_marl."):
+            self.said = True
+            logging.getLogger("mbn_marl").warning(ANNOUNCEMENT)
+
+    def on_end(self, event: Any) -> None:
+        """Hear that it has ended."""
+
+
+event.register("numba:compile", _Announcer())
 
 
 class Rule(CPUDispatcher):

@@ -41,6 +41,7 @@ TINY: Mapping[str, str] = {
     "benchmark": "--tiers 1-convex",
     "plan": "--time-limit 5",
     "render": "--steps 5",
+    "warmup": "--observation relative",
     "watch": "--episodes 1 --speed 1000",
 }
 """What the reader adds to a command, so that it takes a moment."""
