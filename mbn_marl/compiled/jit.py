@@ -47,7 +47,7 @@ class _Announcer(event.Listener):
         """Hear that it has ended."""
 
 
-event.register("numba:compile", _Announcer())
+event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
 
 
 class Rule(CPUDispatcher):
