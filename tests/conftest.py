@@ -50,6 +50,7 @@ SLOW = (
     "sim3d/test_coppeliasim.py",
     "sim3d/test_mujoco.py",
     "test_docs.py",
+    "test_examples.py",
     "test_package.py",
     "web/*",
 )

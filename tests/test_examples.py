@@ -1,0 +1,38 @@
+"""The scripts of ``examples`` that need nothing else run, tiny."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "examples"
+TINY = {
+    "cleanrl_ppo": ("--steps 1200 --worlds 8", r"\d+ episodes ended .*return (-?[\d,]+|nan)"),
+    "sb3_ppo": ("--steps 1 --worlds 8", r"1536 robot-steps, success \d+%"),
+}
+"""What makes each one short, and what it prints then."""
+ELSEWHERE = {"benchmarl_task", "rllib_ppo"}
+"""Their libraries want another TorchRL or Gymnasium than ours: run by hand, with that."""
+
+
+@pytest.mark.parametrize("name", TINY)
+def test_an_example_runs(name: str) -> None:
+    words, printed = TINY[name]
+    command = [sys.executable, FOLDER / f"{name}.py", *words.split()]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(printed, done.stdout.strip())
+
+
+def test_every_example_says_what_it_needs_and_what_it_printed() -> None:
+    paths = sorted(FOLDER.glob("*.py"))
+    assert {path.stem for path in paths} == TINY.keys() | ELSEWHERE
+    for path in paths:
+        text = path.read_text(encoding="utf-8")
+        for heading in ("Requirements: pip install ", f"Command: python examples/{path.name}"):
+            assert f"\n{heading}" in text, path
+        assert "\nPrinted: " in text, path
