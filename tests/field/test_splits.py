@@ -81,7 +81,6 @@ def test_what_there_is_not_is_an_error(tmp_path: Path) -> None:
         load_split("test", "1-convex", tmp_path)
 
 
-@pytest.mark.skipif(not any(INSTALLED.glob("*-*.json")), reason="no split has been made yet")
 @pytest.mark.parametrize(("split", "tier"), FILES, ids=map("-".join, FILES))
 def test_the_installed_splits_are_proved(split: Split, tier: str) -> None:
     """Of the two whose proofs took least, plan and bound are computed again."""
