@@ -3,13 +3,14 @@
 # make test   set up .venv, lint, type-check, run all tests
 # make docs   set up .venv, build the documentation site into build/docs, warnings as errors
 # make pages  set up .venv, build the wheel, run what README and docs show with it elsewhere
+# make lowest set up an empty environment with the oldest versions allowed, step every form there
 # make clean  remove what the others made, but not runs/
 
 PYTHON ?= python3
 BIN := .venv/bin
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 
-.PHONY: demo quick test ruff mypy pytest docs pages clean
+.PHONY: demo quick test ruff mypy pytest docs pages lowest clean
 .DELETE_ON_ERROR:
 
 .venv/installed: pyproject.toml constraints.txt
@@ -44,6 +45,9 @@ docs: .venv/installed
 
 pages: .venv/installed
 	$(BIN)/python -m tests.newcomer
+
+lowest: .venv/installed
+	$(BIN)/python -m tests.lowest
 
 clean:
 	rm -rf .venv .numba_cache .mypy_cache .ruff_cache .pytest_cache *.egg-info build
