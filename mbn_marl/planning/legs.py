@@ -157,8 +157,8 @@ def possible_sets(legs: Legs, most: int) -> Sets:
                 if least[m:].min() <= most:
                     table[larger] = least
                     newest.append(larger)
-        if len(table) > MOST_SETS:
-            raise TooManySetsError
+            if len(table) > MOST_SETS:
+                raise TooManySetsError
     masks = np.array(sorted(table))
     bounds = np.array([table[mask][m:] for mask in masks.tolist()]).T
     tails = {mask: least[:m] for mask, least in table.items()}

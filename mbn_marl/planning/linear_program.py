@@ -9,6 +9,9 @@ import numpy as np
 
 from mbn_marl.planning.problem import Floats
 
+CERTAIN = 1e-6
+"""Multipliers of size 1 that prove more than this leave no doubt by rounding."""
+
 
 @dataclass(frozen=True)
 class Cut:
@@ -61,14 +64,24 @@ class LinearProgram:
         """Return the solution and a valid lower bound of the optimum, even if the solver failed.
 
         Any multipliers ``y <= 0`` of the rows give a bound: the optimum is at least
-        ``limits @ y`` plus the least of ``(cost - y A) x`` over the columns' bounds.
+        ``limits @ y`` plus the least of ``(cost - y A) x`` over the columns' bounds. If that is
+        more than 0 without the cost, no ``x`` meets the rows, and the bound is infinite.
         """
         self.highs.run()
         solution = self.highs.getSolution()
-        self.y = y = np.minimum(np.array(solution.row_dual), 0.0)
-        rest = self.cost - self.matrix.weighted(y, len(self.cost))
-        bound = self.matrix.limits @ y + np.minimum(rest * self.low, rest * self.high).sum()
-        return np.array(solution.col_value), float(bound)
+        self.y = np.minimum(np.array(solution.row_dual), 0.0)
+        bound = self._least(self.cost, self.y)
+        if self.highs.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
+            _, there_is, ray = self.highs.getDualRay()  # type: ignore[attr-defined]
+            y = np.minimum(np.array(ray), 0.0) if there_is else self.y
+            if self._least(np.zeros_like(self.cost), y) > CERTAIN * np.abs(y).max():
+                bound = np.inf
+        return np.array(solution.col_value), bound
+
+    def _least(self, cost: Floats, y: Floats) -> float:
+        """Return the lower bound of a cost that multipliers of the rows give."""
+        rest = cost - self.matrix.weighted(y, len(cost))
+        return float(self.matrix.limits @ y + np.minimum(rest * self.low, rest * self.high).sum())
 
     def binding(self, first: int) -> list[Cut]:
         """Return the binding rows from ``first`` on."""

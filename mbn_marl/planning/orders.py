@@ -19,10 +19,8 @@ BETTER = 1e-3
 """Further visits are searched for only if they have this much more room, in units."""
 OUTSIDE = 1e-4
 """Tolerance of the test that a path stays in the region, in units."""
-MOST_VIAS = 20
+MOST_VIAS = 30
 """Programs that keep one path out of the obstacles."""
-MOST_TIMES = 8
-"""Times of the visits of one order whose paths are kept out of the obstacles."""
 
 
 class OutOfTimeError(Exception):
@@ -72,7 +70,6 @@ class Search:
         best: Visits | None = None
         relaxation = Relaxation(self.start, self.drive, self.region, discs)
         nodes = [(windows, relaxation.tangents())]
-        times = 0
         while nodes:
             wide, cuts = nodes.pop()
             tight = wide.tightened()
@@ -85,9 +82,7 @@ class Search:
             if solved.bound > enough:
                 continue
             if tight.fixed:
-                times += 1
-                avoided = self.obstacles if times <= MOST_TIMES else ()
-                best = self._follow(relaxation, tight, solved, enough, avoided) or best
+                best = self._follow(relaxation, tight, solved, enough) or best
                 if best is not None and best.inflation <= -ROOM:
                     return best
             else:
@@ -95,12 +90,7 @@ class Search:
         return best
 
     def _follow(
-        self,
-        relaxation: Relaxation,
-        windows: StepWindows,
-        solved: Solved,
-        enough: float,
-        obstacles: tuple[Region, ...],
+        self, relaxation: Relaxation, windows: StepWindows, solved: Solved, enough: float
     ) -> Visits | None:
         """Keep the whole path out of the obstacles, for fixed times, by further stops.
 
@@ -109,9 +99,11 @@ class Search:
         """
         nodes = [(relaxation, windows.first, solved)]
         for _ in range(MOST_VIAS):
+            if time.monotonic() > self.deadline:
+                raise OutOfTimeError
             relaxation, stops, solved = nodes.pop()
             path = interpolate(self.start, self.drive, solved.points)
-            step, parts = self._crossing(path, stops, obstacles)
+            step, parts = self._crossing(path, stops)
             if not parts:
                 break
             place = bisect.bisect(stops, step)
@@ -125,15 +117,13 @@ class Search:
                 return None
         return Visits(windows.first, solved.inflation, path)
 
-    def _crossing(
-        self, path: Floats, stops: tuple[int, ...], obstacles: tuple[Region, ...]
-    ) -> tuple[int, list[Region | None]]:
+    def _crossing(self, path: Floats, stops: tuple[int, ...]) -> tuple[int, list[Region | None]]:
         """Return the step at which a path is the farthest outside, and where it may be instead.
 
         That is beyond one of an obstacle's edges, the nearest one last, or anywhere in the region.
         """
         beyond = [(path @ self.region.normals.T - self.region.offsets).max(axis=1, initial=-1.0)]
-        beyond += [(one.offsets - path @ one.normals.T).min(axis=1) for one in obstacles]
+        beyond += [(one.offsets - path @ one.normals.T).min(axis=1) for one in self.obstacles]
         depth = np.array(beyond)
         depth[0, [stop - 1 for stop in stops]] = -1.0  # stops are in the region
         piece, worst = np.unravel_index(depth.argmax(), depth.shape)
@@ -141,7 +131,7 @@ class Search:
             return 0, []
         if piece == 0:
             return int(worst) + 1, [None]
-        return int(worst) + 1, _sides(obstacles[piece - 1], path[worst])
+        return int(worst) + 1, _sides(self.obstacles[piece - 1], path[worst])
 
 
 def _sides(obstacle: Region, point: Floats) -> list[Region | None]:

@@ -113,7 +113,7 @@ def _covered(masks: Ints, allowed: np.ndarray, whole: int) -> list[int] | None:
     chosen = np.zeros(len(allowed), np.int64)
     budget = np.array([MOST_NODES])
     found = _cover(np.array(owners), np.array(sets), whole, chosen, budget)
-    if budget[0] < 0:
+    if not found and budget[0] < 0:
         raise UndecidedError
     return chosen.tolist() if found else None
 

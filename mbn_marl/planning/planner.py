@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Unpack
 
@@ -220,14 +221,16 @@ def _beyond(problem: Problem, steps: int) -> int:
 
 
 def _guides(problem: Problem, team: Team, deadline: float) -> list[Team]:
-    """Return whose routes may become plans: the team's own, which avoid the obstacles.
+    """Return the teams whose routes are tried as plans.
 
-    In a field that is not convex, before them those of a guide, for half of the time that is left.
+    Where the field is not convex, a guide comes first, for half of the time that is left.
     """
     team.deadline = deadline
     if problem.convex:
         return [team]
-    return [make_guide(problem, team.horizon, 0.5 * (time.monotonic() + deadline)), team]
+    with suppress(TooManySetsError):
+        return [make_guide(problem, team.horizon, 0.5 * (time.monotonic() + deadline)), team]
+    return [team]
 
 
 def _search(
@@ -235,15 +238,19 @@ def _search(
 ) -> Playback | None:
     """Return the shortest verified plan found with ``bound`` to ``most`` steps, or ``None``."""
     for steps in range(bound, most + 1):
+        if time.monotonic() > deadline:
+            break
         try:
             for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
                 playback = coordinate(problem, player.verify, steps, routes, deadline)
                 if playback is not None:
                     return playback
+                if time.monotonic() > deadline:
+                    return None
         except UndecidedError:
             continue
         except OutOfTimeError:
-            break
+            return None
     return None
 
 

@@ -154,6 +154,17 @@ def test_the_relaxation_is_exact_at_fixed_times(steps: int, inflation: float) ->
     assert solved.bound <= solved.inflation + 1e-9
 
 
+def test_a_program_that_cannot_be_met_has_an_infinite_bound() -> None:
+    relaxation, _ = straight(4, 4)
+    east = Region(np.array([[-1.0, 0.0]]), np.array([-9.0]), (9.0, -50.0), (50.0, 50.0))
+    far = relaxation.with_via(0, east)  # 9 units away after a step
+    solved = far.solve(make_solver(), fixed_windows([1, 4]), far.tangents(), 100.0)
+    assert solved.bound == np.inf
+    near = relaxation.with_via(0, None)
+    solved = near.solve(make_solver(), fixed_windows([1, 4]), near.tangents(), 100.0)
+    assert solved.bound == pytest.approx(2.5, abs=1e-4)
+
+
 def test_bounds_hold_with_a_solver_that_stops_early() -> None:
     relaxation, windows = straight(4, 4)
     highs = make_solver()
@@ -246,7 +257,7 @@ def visits_by(steps: int, hole: shapely.Polygon, roi: Floats, start: Floats, rad
     )
 
 
-@pytest.mark.parametrize(("seed", "more"), [(0, 0), (3, 1), (7, 1), (13, 2)])
+@pytest.mark.parametrize(("seed", "more"), [(0, 1), (1, 0), (11, 3), (13, 2)])
 def test_the_bound_goes_round_an_obstacle(seed: int, more: int) -> None:
     rng = np.random.default_rng(seed)
     start, roi = np.array([150.0, 190.0]), np.array([190.0, 200.0])
@@ -256,4 +267,4 @@ def test_the_bound_goes_round_an_obstacle(seed: int, more: int) -> None:
     bound = plan(walled).makespan_lower_bound
     assert bound == plan(Field(SQUARE, [tuple(roi)], [tuple(start)])).makespan_lower_bound + more
     assert not visits_by(bound - 1, hole, roi, start, 10.0 * math.cos(math.pi / 64))
-    assert visits_by(bound, hole, roi, start, 10.0) or seed == 0
+    assert visits_by(bound, hole, roi, start, 10.0)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+import time
 from typing import Any
 
 import numpy as np
@@ -14,8 +16,9 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, FieldSampler, catalogue_names, load_field
 from mbn_marl.optimum import optimal_return
-from mbn_marl.planning import Plan, UnsolvableError, plan, replay
+from mbn_marl.planning import Plan, UnsolvableError, plan, planner, replay
 from mbn_marl.planning.problem import make_problem
+from mbn_marl.planning.replay import Player
 from mbn_marl.planning.surroundings import surroundings
 from tests.field.test_field_files import OPTIMAL_MAKESPANS
 from tests.support.planning_cases import (
@@ -150,6 +153,21 @@ def test_the_time_limit_holds_where_greed_gets_nowhere() -> None:
     assert found.makespan is None
     assert found.makespan_lower_bound > 30
     assert found.seconds < 8.0
+
+
+def test_the_time_limit_holds_where_no_motion_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    def coordinate(*_: object) -> None:
+        tried.append(time.monotonic())
+        time.sleep(0.5)
+
+    monkeypatch.setattr(planner, "coordinate", coordinate)
+    problem = make_problem(Field(SQUARE, [(200, 200)], [(120, 120)]), NavigationConfig())
+    team = planner.prove(problem, deadline=math.inf)
+    until = time.monotonic() + 2.0
+    assert planner._search(problem, Player(problem), team, team.bound, 1000, until) is None
+    assert 1 <= len(tried) <= 5
 
 
 def test_plans_do_not_compile_what_robots_would_see(monkeypatch: pytest.MonkeyPatch) -> None:
