@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from baselines.compare.benchmark import WAYS, load_protocol, load_tiers
+from baselines.compare.benchmark import load_protocol, load_tiers
 from baselines.compare.benchmark_page import CAPTION, cells, headings
+from baselines.compare.benchmark_statistics import WAYS, is_summary, tier_problems
 from baselines.compare.text_table import TextTable
 from baselines.runs.files import read_json, write_text
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import Instance
 
 SPLIT = "test"
@@ -19,8 +20,8 @@ INTRODUCTION = """# Leaderboard
 
 Policies on the split `test` by protocol {version} of [the benchmark](../benchmark.md), which says
 what the columns are and how to enter one. `python -m benchmarks leaderboard` makes this page of
-`docs/results/leaderboard/*.json`. In each table, who needs the fewest steps where failures count
-as T_max comes first.
+`docs/results/leaderboard/*.json`. Tables are in the order of the gap in which failures count as
+T_max, the smallest first; `5-weather`, which has no bounds, in that of the steps so counted.
 """
 NOBODY = "No policy has been entered yet."
 
@@ -46,15 +47,22 @@ def leaderboard(folder: Path) -> str:
     """Return the page of the results in a folder.
 
     Raises:
-        ConfigError: naming the results that are not of the whole split by the present protocol.
+        ConfigError: there is no such folder; or naming the results that cannot be read, or are not
+            of the whole split by the present protocol.
     """
     protocol = load_protocol()
-    results = {path.stem: read_json(path) for path in sorted(folder.glob("*.json"))}
+    if not folder.is_dir():
+        raise ConfigError("leaderboard", [f"folder: {folder} is none"])
+    problems: list[str] = []
+    results: dict[str, Any] = {}
+    for path in sorted(folder.glob("*.json")):
+        with collecting(problems):
+            results[path.stem] = read_json(path)
     parts = [INTRODUCTION.format(version=protocol.version)]
-    if not results:
+    if not results and not problems:
         return "\n".join([*parts, NOBODY, ""])
     frozen = load_tiers(SPLIT, protocol.tiers)
-    problems = [
+    problems += [
         f"{name}.json: {problem}"
         for name, record in results.items()
         for problem in _problems(record, frozen)
@@ -73,29 +81,37 @@ def leaderboard(folder: Path) -> str:
 
 def _problems(record: Any, frozen: Mapping[str, tuple[Instance, ...]]) -> Iterator[str]:
     """Yield why a result has no place in the leaderboard."""
-    protocol = load_protocol()
-    wanted = {"protocol": protocol.version, "splits": protocol.splits, "split": SPLIT}
-    try:
-        for name, value in wanted.items():
-            if record[name] != value:
-                yield f"{name}: {record[name]!r}; needed: {value!r}"
-        for tier, instances in frozen.items():
-            if tier not in record["tiers"]:
-                yield f"tiers: {tier} is missing"
-                continue
-            one = record["tiers"][tier]
-            known = [
-                (row["field"], row["condition"], row["makespan_lower_bound"], row["best_known"])
-                for row in one["instances"]
-            ]
-            now = [
-                (each.field.name, each.condition, each.makespan_lower_bound, each.makespan)
-                for each in instances
-            ]
-            if not one["misfit"] and known != now:
-                yield f"{tier}: fields or bounds are not those of today; run it again"
-    except (KeyError, TypeError):
+    if not isinstance(record, dict) or not isinstance(record.get("tiers"), dict):
         yield "is no result of mbn benchmark"
+        return
+    protocol, tiers = load_protocol(), record["tiers"]
+    wanted = {"protocol": protocol.version, "splits": protocol.splits, "split": SPLIT}
+    for name, value in wanted.items():
+        if record.get(name) != value:
+            yield f"{name}: {record.get(name)!r}; needed: {value!r}"
+    if not isinstance(record.get("command"), str):
+        yield "command: missing"
+    missing = [tier for tier in frozen if tier not in tiers]
+    yield from (f"tiers: {tier} is missing" for tier in missing)
+    wrong = [
+        f"{tier}: {problem}"
+        for tier, instances in frozen.items()
+        if tier in tiers
+        for problem in tier_problems(tiers[tier], instances)
+    ]
+    yield from wrong
+    if not (missing or wrong) and not _is_whole(record.get("all"), [tiers[one] for one in frozen]):
+        yield "all: is not that of the tiers"
+
+
+def _is_whole(found: Any, tiers: Sequence[Mapping[str, Any]]) -> bool:
+    """Return whether a result has of all tiers together what it should have."""
+    if any(one["misfit"] for one in tiers):
+        return found is None
+    rows = [row for one in tiers for row in one["instances"]]
+    return (
+        isinstance(found, dict) and found.get("instances") == len(rows) and is_summary(found, rows)
+    )
 
 
 def _table(found: Mapping[str, Mapping[str, Any]]) -> TextTable:

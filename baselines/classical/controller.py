@@ -29,6 +29,10 @@ UNSEEN = ("wind", "gust", "gust_time", "failures", *OF_ACTIONS, *OF_SIGHT)
 """Settings that ``replan`` does not plan with: it finds out."""
 
 
+class NoPlanError(MbnError):
+    """The planner found no plan in time."""
+
+
 class Controller(Protocol):
     """Controls one team through one episode; a copy goes on from the same state."""
 
@@ -111,8 +115,8 @@ def make_tracker(found: Plan, settings: Mapping[str, Any]) -> Tracker:
     """Return a tracker that follows a plan for one episode, under the settings it was made for.
 
     Raises:
-        MbnError: no plan was found.
+        NoPlanError: no plan was found.
     """
     if found.makespan is None:
-        raise MbnError(f"{found.field.name}: no plan was found within the time limit")
+        raise NoPlanError(f"{found.field.name}: no plan was found within the time limit")
     return Tracker(make_problem(found.field, make_config(settings)), found)

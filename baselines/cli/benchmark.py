@@ -38,7 +38,7 @@ class Benchmark:
         from baselines.compare.benchmark import load_protocol, load_tiers, run_benchmark
         from baselines.compare.benchmark_page import PAGE, result_page, result_tables
         from baselines.console import console
-        from baselines.runs.files import claim_folder, write_text
+        from baselines.runs.files import alone, claim_folder, write_text
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}
         check_options("benchmark", wrong)
@@ -47,7 +47,8 @@ class Benchmark:
         out = self.out or Path(f"runs/benchmark-{name}-{self.split}")
         if not self.resume:
             claim_folder(out, force=self.force)
-        with Progress(console=console(), transient=True) as progress:
+        out.mkdir(parents=True, exist_ok=True)
+        with alone(out, "mbn benchmark"), Progress(console=console(), transient=True) as progress:
             task = progress.add_task(name, total=sum(map(len, tiers.values())))
             how: dict[str, Any] = {"command": command_line, "resume": self.resume}
             try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,35 +12,29 @@ from typing import Any
 
 import numpy as np
 
-from baselines.compare.aggregate import interquartile_mean
+from baselines.classical.controller import NoPlanError
+from baselines.compare.benchmark_statistics import summarise, tier_problems
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
-from baselines.evaluation.intervals import mean_interval, mean_of_known
+from baselines.evaluation.intervals import mean_of_known
 from baselines.evaluation.policy import Origin, Policy, restart
 from baselines.runs.files import RunError, differences, read_json, write_json
 from baselines.runs.provenance import versions
-from baselines.zoo.sources import find_policy
+from baselines.zoo.sources import brings_field, find_policy
 from mbn_marl.checked import Checked
-from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.config import Condition, NavigationConfig, make_config
 from mbn_marl.episode import Episode, save_episode
 from mbn_marl.errors import ConfigError, DamageError, FieldError, ProblemsError, collecting
-from mbn_marl.field import Instance, load_split, splits
+from mbn_marl.field import Field, Instance, load_split, splits
+from mbn_marl.planning import UnsolvableError
 
 RESULT = "result.json"
 EPISODES = "episodes"
 """The folder of the episodes of the median and the worst instance of each tier."""
 CHOSEN = ("median", "worst")
 T_MAX = NavigationConfig().max_steps
-MISFITS = (TypeError, ValueError, RuntimeError, LookupError)
-"""What is raised where a policy that is made for other sizes is loaded, or acts."""
-WAYS = ("mean", "sampled")
-"""Of acting: with the mean actions, with sampled ones."""
-METRICS = (
-    *("success_rate", "clean_rate", "collision_rate", "wall_hits", "steps", "makespan"),
-    *("makespan_with_failures", "gap", "gap_to_best_known", "gap_with_failures"),
-)
-"""The numbers of an instance and a way of acting, see docs/benchmark.md."""
-TIMES = ("decision_ms", "begin_s")
-"""Processor time of a decision of the team, and of what comes before the first one."""
+MISFITS = (ConfigError, NoPlanError, UnsolvableError)
+"""What a policy raises that does not fit a field."""
+ANEW = "--force moves the folder aside and begins anew"
 
 
 class EpisodeCounts(Checked):
@@ -112,8 +107,11 @@ class Timed:
 
 def load_protocol() -> Protocol:
     """Return the protocol that is installed."""
-    text = (splits.FOLDER / "protocol.json").read_text(encoding="utf-8")
-    return Protocol(**json.loads(text))
+    path = splits.FOLDER / "protocol.json"
+    protocol = Protocol(**json.loads(path.read_text(encoding="utf-8")))
+    if protocol.splits != splits.VERSION:
+        raise ConfigError(str(path), [f"splits: {protocol.splits}; needed: {splits.VERSION}"])
+    return protocol
 
 
 def load_tiers(split: str, tiers: Sequence[str]) -> dict[str, tuple[Instance, ...]]:
@@ -159,16 +157,17 @@ def run_benchmark(
     Raises:
         SettingsError: the policy's settings change the task.
         ConfigError: the policy fits no tier.
-        RunError: there is no such policy, or what is in ``out`` is of another command.
+        RunError: there is no such policy, or it failed; or what is in ``out`` is damaged, or of
+            another command or version.
     """
     protocol, path = load_protocol(), out / RESULT
     asked = {"protocol": protocol.version, "splits": protocol.splits, "policy": source}
     asked |= {"split": split, "asked": [*tiers]}
     record: dict[str, Any] = {**asked, "command": command, "versions": versions(), "tiers": {}}
     if resume and path.exists():
-        record = read_json(path)
-        if problems := differences(record, asked):
-            raise RunError(f"{path}: {'; '.join(problems)}")
+        record = _resumed(path, record, asked, tiers)
+    if brings_field(source):  # with settings that are the same in all fields
+        check_settings(find_policy(source, condition="calm").settings, "calm", protocol)
     for tier, instances in tiers.items():
         if tier in record["tiers"]:
             advance(len(instances))
@@ -190,6 +189,32 @@ def run_benchmark(
     return record
 
 
+def _resumed(
+    path: Path,
+    new: Mapping[str, Any],
+    asked: Mapping[str, Any],
+    tiers: Mapping[str, Sequence[Instance]],
+) -> dict[str, Any]:
+    """Return the result to go on with; a RunError says why that is not possible."""
+    try:
+        record = read_json(path)
+    except RunError as error:
+        raise RunError(f"{error}; {ANEW}") from None
+    ours = new["versions"]["packages"]["mbn-marl"]
+    try:
+        theirs, done = record["versions"]["packages"]["mbn-marl"], record["tiers"]
+        problems = [] if isinstance(record["command"], str) else ["command: missing"]
+        both = done.keys() & tiers.keys()
+    except (KeyError, TypeError, AttributeError):
+        raise RunError(f"{path} is no result of mbn benchmark; {ANEW}") from None
+    problems += differences({**record, "mbn-marl": theirs}, {**asked, "mbn-marl": ours})
+    for tier in sorted(both):
+        problems += [f"{tier}: {problem}" for problem in tier_problems(done[tier], tiers[tier])]
+    if problems:
+        raise RunError(f"{path}: {'; '.join(problems)}; {ANEW}")
+    return dict(record)
+
+
 def _run_tier(
     source: str,
     tier: str,
@@ -203,12 +228,20 @@ def _run_tier(
     for k, one in enumerate(instances):
         try:
             row, episode = _run_instance(source, one, seed + k, protocol)
-        except (SettingsError, RunError, DamageError):
+        except (SettingsError, RunError, DamageError, ImportError):
             raise
         except MISFITS as error:
             why = "; ".join(error.problems) if isinstance(error, ProblemsError) else str(error)
             advance(len(instances) - k)
             return {"misfit": f"{one.field.name}: {why}", "instances": []}, {}
+        except Exception as error:
+            what = "".join(traceback.format_exception_only(error)).strip()
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            kept = "--resume keeps the tiers that are done"
+            raise RunError(
+                f"{source} failed in {tier}, {one.field.name}: {what} "
+                f"({last.filename}, line {last.lineno}); {kept}"
+            ) from error
         rows.append(row)
         episodes.append(episode)
         advance(1)
@@ -233,7 +266,8 @@ def _run_instance(
     began = time.process_time()
     loaded = find_policy(source, one.field, seed=seed, condition=one.condition)
     begin = time.process_time() - began
-    check_settings(loaded.settings, one, protocol)
+    check_settings(loaded.settings, one.condition, protocol)
+    _check_team(loaded.settings, one.field)
     policy, counts = loaded.policy, protocol.episodes
     timed, where = Timed(policy), (one.field, loaded.settings)
     same = is_one_episode(policy, loaded.settings, deterministic=True)
@@ -244,7 +278,7 @@ def _run_instance(
         sampled = evaluate(policy, *where, episodes=counts.sampled, seed=seed)
     row = {
         **{"field": one.field.name, "condition": one.condition},
-        **{"makespan_lower_bound": one.makespan_lower_bound, "best_known": one.makespan},
+        **{"makespan_lower_bound": one.makespan_lower_bound, "best_known": one.best_known},
         "mean": numbers(mean, one),
         "sampled": None if sampled is None else numbers(sampled, one),
         "times": {"decision_ms": 1e3 * timed.seconds / timed.decisions, "begin_s": begin},
@@ -252,27 +286,32 @@ def _run_instance(
     return row, mean.recorded[0]
 
 
-def check_settings(settings: Mapping[str, Any], one: Instance, protocol: Protocol) -> None:
-    """Check that the settings of a policy leave the task as it is.
+def check_settings(settings: Mapping[str, Any], condition: Condition, protocol: Protocol) -> None:
+    """Check that the settings of a policy leave the task as it is, but for the size of the team.
 
     Raises:
         SettingsError: listing those that do not.
     """
-    ours, theirs = make_config({"condition": one.condition}), make_config(settings)
-    team = len(one.field.starts)
+    ours, theirs = make_config({"condition": condition}), make_config(settings)
     problems = [
         f"{name}: {getattr(theirs, name)!r}; allowed: {getattr(ours, name)!r}"
         for name in NavigationConfig.model_fields
-        if name not in protocol.settings
+        if name not in ("n_robots", *protocol.settings)
         and getattr(ours, name) != getattr(theirs, name)
-        and (name, getattr(theirs, name)) != ("n_robots", team)
     ]
     if problems:
         raise SettingsError("settings of the policy, which change the task", problems)
 
 
+def _check_team(settings: Mapping[str, Any], field: Field) -> None:
+    """Raise a ConfigError where settings fix another number of robots than a field has."""
+    team, fixed = len(field.starts), make_config(settings).n_robots
+    if fixed not in (None, team):
+        raise ConfigError("policy", [f"n_robots: {fixed}; the field has {team}"])
+
+
 def numbers(found: Evaluation, one: Instance) -> dict[str, float | None]:
-    """Return the :data:`METRICS` of the episodes of an instance."""
+    """Return the :data:`~.benchmark_statistics.METRICS` of the episodes of an instance."""
     ends = [*zip(found.steps, found.successes, strict=True)]
     makespan = mean_of_known(found.makespans)
     capped = float(np.mean([steps if success else T_MAX for steps, success in ends]))
@@ -286,42 +325,10 @@ def numbers(found: Evaluation, one: Instance) -> dict[str, float | None]:
         "makespan": makespan,
         "makespan_with_failures": capped,
         "gap": _gap(makespan, one.makespan_lower_bound),
-        "gap_to_best_known": _gap(makespan, one.makespan),
+        "gap_to_best_known": _gap(makespan, one.best_known),
         "gap_with_failures": _gap(capped, one.makespan_lower_bound),
     }
 
 
 def _gap(steps: float | None, least: int | None) -> float | None:
     return None if steps is None or least is None else steps / least - 1.0
-
-
-def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the statistics of each metric over instances, for both ways of acting."""
-    found: dict[str, Any] = {}
-    for way in WAYS:
-        known = [row[way] for row in rows if row[way] is not None]
-        found[way] = {name: statistics([row[name] for row in known]) for name in METRICS}
-        if not known:
-            found[way] = None
-    times = [row["times"] for row in rows]
-    found["times"] = {name: statistics([row[name] for row in times]) for name in TIMES}
-    return found
-
-
-def statistics(values: Sequence[float | None]) -> dict[str, Any] | None:
-    """Return mean and interquartile mean with 95 % intervals, of the values that are known.
-
-    Both are bootstrapped over the values; one value alone has no interval.
-    """
-    known = [value for value in values if value is not None]
-    if not known:
-        return None
-    mean, low, high = mean_interval(known)
-    same = len(set(known)) == 1
-    iqm, iqm_low, iqm_high = (
-        (mean, low, high) if same else interquartile_mean(np.array([known], float))
-    )
-    return {
-        **{"instances": len(known), "mean": mean, "low": low, "high": high},
-        **{"iqm": iqm, "iqm_low": iqm_low, "iqm_high": iqm_high},
-    }

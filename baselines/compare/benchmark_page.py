@@ -7,9 +7,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from baselines.compare.benchmark import CHOSEN, EPISODES, WAYS
+from baselines.compare.benchmark import CHOSEN, EPISODES
+from baselines.compare.benchmark_statistics import WAYS
 from baselines.compare.text_table import TextTable
 from mbn_marl.episode import load_episode
+from mbn_marl.errors import EpisodeError
 from mbn_marl.render.figures import svg, trajectory_panels
 from mbn_marl.version import __version__
 from mbn_marl.web.report import Section, Table, report_page
@@ -97,8 +99,12 @@ def _tier_sections(record: Mapping[str, Any], out: Path) -> Iterator[Section]:
         if found["misfit"]:
             yield Section(tier, texts={"Does not fit": found["misfit"]})
             continue
-        paths = [out / EPISODES / f"{tier}-{name}.json" for name in CHOSEN]
-        episodes = {episode.source: episode for episode in map(load_episode, paths)}
+        try:
+            loaded = [load_episode(out / EPISODES / f"{tier}-{name}.json") for name in CHOSEN]
+        except (EpisodeError, OSError) as error:  # of a tier that was done before
+            yield Section(tier, texts={"Not shown": str(error)})
+            continue
+        episodes = {episode.source: episode for episode in loaded}
         lasts = {title: episode.snapshot(episode.steps) for title, episode in episodes.items()}
         drawn = svg(trajectory_panels(lasts, columns=2))
         figures = {f"Paths in the median and the worst instance of {tier}": drawn}

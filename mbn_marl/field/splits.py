@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -17,7 +17,7 @@ from pydantic import Field as Described
 
 from mbn_marl.checked import describe
 from mbn_marl.config import Condition
-from mbn_marl.errors import FieldError, unknown
+from mbn_marl.errors import FieldError, ProblemsError, unknown
 from mbn_marl.field.field import Field
 from mbn_marl.field.sampler import FieldSampler
 
@@ -51,13 +51,14 @@ class Instance:
         condition: that of the environment, ``"calm"`` but in the tier ``5-weather``.
         makespan_lower_bound: steps, the proved least number in which the team visits every ROI
             without pushing outside the field; ``None`` under a condition.
-        makespan: steps, the best that is known; ``None`` under a condition.
+        best_known: steps, the shortest makespan that is known, at least the bound; ``None`` under
+            a condition.
     """
 
     field: Field
     condition: Condition = "calm"
     makespan_lower_bound: int | None = None
-    makespan: int | None = None
+    best_known: int | None = None
 
 
 class _Entry(BaseModel):
@@ -92,13 +93,13 @@ def load_split(
 
     Raises:
         FieldError: listing every problem: there is no such split, tier or file, the file is not
-            valid, or a field is not the one that was frozen.
+            valid, or a field is not the one that was frozen, or is there twice.
     """
     given = {"split": (split, SEEDS), "tier": (tier, NAMES)}
     problems = [
-        f"{name}: {unknown(name, value, known)}"
+        f"{name}: {unknown(name, str(value), known)}"
         for name, (value, known) in given.items()
-        if value not in known
+        if value not in [*known]
     ]
     if problems:
         raise FieldError("split", problems)
@@ -107,26 +108,57 @@ def load_split(
         found = _File.model_validate(json.loads(path.read_text(encoding="utf-8")))
     except ValidationError as error:
         raise FieldError(str(path), describe(error, _File)) from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise FieldError(str(path), [f"file: cannot be read: {error}"]) from None
     if (found.version, found.split, found.tier) != (VERSION, split, tier):
         theirs = f"{found.split}, {found.tier}, version {found.version}"
         raise FieldError(str(path), [f"file: is of {theirs}; needed: version {VERSION}"])
     samplers = {name: FieldSampler(**sampler_of(found.split, name)) for name in TIERS}
     instances = []
+    first: dict[tuple[str, int], int] = {}
     for k, one in enumerate(found.instances):
         source = one.tier or tier
-        if source == WEATHER:
-            problems.append(f"instances[{k}].tier: missing; it has the field of another tier")
-            continue
-        field = samplers[source].field(one.candidate)
-        if geometry_hash(field) != one.geometry:
-            problems.append(f"instances[{k}]: {field.name} is not the field that was frozen")
-        bounds = one.makespan_lower_bound, one.makespan
-        instances.append(Instance(field, one.condition, *bounds))
+        wrong = [*_contradictions(one, tier)]
+        if (same := first.setdefault((source, one.candidate), k)) != k:
+            wrong.append(f"candidate: {one.candidate} again, as in instances[{same}]")
+        if not wrong:
+            instances.append(_made(one, samplers[source], wrong))
+        problems += [f"instances[{k}].{problem}" for problem in wrong]
     if problems:
         raise FieldError(str(path), problems)
-    return tuple(instances)
+    return tuple(one for one in instances if one)
+
+
+def _made(one: _Entry, sampler: FieldSampler, problems: list[str]) -> Instance | None:
+    """Return an instance with its field; ``None`` if that is another, which ``problems`` learn."""
+    try:
+        field = sampler.field(one.candidate)
+    except ProblemsError as error:
+        problems += [f"candidate: {problem}" for problem in error.problems]
+        return None
+    if geometry_hash(field) != one.geometry:
+        problems.append(f"geometry: {field.name} is not the field that was frozen")
+    return Instance(field, one.condition, one.makespan_lower_bound, one.makespan)
+
+
+def _contradictions(one: _Entry, tier: str) -> Iterator[str]:
+    """Yield what an instance of a tier has that it must not have, and what it lacks."""
+    least, best = one.makespan_lower_bound, one.makespan
+    bounds = {"makespan_lower_bound": least, "makespan": best}
+    if tier == WEATHER:
+        if one.tier is None:
+            yield "tier: missing; it has the field of another tier"
+        if one.condition == "calm":
+            yield f"condition: 'calm'; allowed: {', '.join(CONDITIONS)}"
+        yield from (f"{name}: {n}; none is known of {tier}" for name, n in bounds.items() if n)
+        return
+    if one.tier is not None:
+        yield f"tier: {one.tier}; allowed: none, the fields are this tier's own"
+    if one.condition != "calm":
+        yield f"condition: {one.condition!r}; allowed: 'calm'"
+    yield from (f"{name}: missing" for name, n in bounds.items() if n is None)
+    if least is not None and best is not None and least > best:
+        yield f"makespan_lower_bound: {least}; allowed: at most the makespan, {best}"
 
 
 def sampler_of(split: Split, tier: str) -> dict[str, Any]:

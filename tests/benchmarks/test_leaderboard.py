@@ -100,5 +100,32 @@ def test_results_that_are_not_to_be_compared_are_refused(
     }
 
 
+def test_every_damage_of_results_is_listed(results: Results, tmp_path: Path) -> None:
+    names = ("bare", "both", "better", "whole", "nameless")
+    changed = {name: copy.deepcopy(results["greedy"]) for name in names}
+    del changed["bare"]["tiers"]["2-sizes"]["mean"]
+    changed["both"]["tiers"]["2-sizes"]["misfit"] = "robots: 4"
+    changed["better"]["tiers"]["2-sizes"]["mean"]["gap"]["mean"] -= 0.1
+    changed["whole"]["all"]["mean"]["gap"]["mean"] -= 0.1
+    del changed["nameless"]["command"]
+    write(changed, tmp_path)
+    (tmp_path / "cut.json").write_text("{")
+    (tmp_path / "list.json").write_text("[]")
+    with pytest.raises(ConfigError) as error:
+        leaderboard(tmp_path)
+    cut, *others = error.value.problems
+    assert cut.startswith(f"{tmp_path / 'cut.json'} is not valid JSON")
+    assert others == [
+        "bare.json: 2-sizes: is not as mbn benchmark writes it: KeyError: 'mean'",
+        "better.json: 2-sizes: statistics are not those of its instances",
+        "both.json: 2-sizes: misfit: has instances, or gives no reason",
+        "list.json: is no result of mbn benchmark",
+        "nameless.json: command: missing",
+        "whole.json: all: is not that of the tiers",
+    ]
+
+
 def test_without_results_it_says_so(tmp_path: Path) -> None:
     assert NOBODY in leaderboard(tmp_path)
+    with pytest.raises(ConfigError, match=r"folder: .*none is none"):
+        leaderboard(tmp_path / "none")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 
@@ -26,7 +26,7 @@ def test_instances_are_fields_with_what_is_known_of_them(tmp_path: Path) -> None
     read = load_split("test", "2-sizes", tmp_path)
     sampler = FieldSampler(("convex",), [2, 7], [3, 10], [150, 420], seed=3_000_001)
     assert [one.field for one in read] == [sampler.field(world) for world in (0, 2, 4)]
-    assert [(one.makespan_lower_bound, one.makespan) for one in read] == [
+    assert [(one.makespan_lower_bound, one.best_known) for one in read] == [
         *((10, 12), (11, 13), (12, 14))
     ]
     assert {one.condition for one in read} == {"calm"}
@@ -36,7 +36,7 @@ def test_fields_under_conditions_come_from_the_first_three_tiers(tmp_path: Path)
     write_splits(tmp_path, 3)
     read = load_split("test", WEATHER, tmp_path)
     assert [one.condition for one in read] == ["windy", "gusty", "noisy"]
-    assert [one.makespan for one in read] == [None] * 3
+    assert [one.best_known for one in read] == [None] * 3
     assert [one.field for one in read] == [
         FieldSampler(**sampler_of("test", tier)).field(2 * k) for k, tier in enumerate(NAMES[:3])
     ]
@@ -52,14 +52,43 @@ def test_a_field_that_is_another_is_an_error_that_names_it(tmp_path: Path) -> No
         load_split("test", "1-convex", tmp_path)
     assert error.value.source == str(path)
     assert [problem.split(" ")[0] for problem in error.value.problems] == [
-        *("instances[0]:", "instances[1]:")
+        *("instances[0].geometry:", "instances[1].geometry:")
     ]
+
+
+@pytest.mark.parametrize(
+    ("tier", "changed", "told"),
+    [
+        ("1-convex", {"candidate": 2**70}, "candidate: "),
+        ("1-convex", {"candidate": 0}, "candidate: 0 again, as in instances[0]"),
+        ("1-convex", {"makespan_lower_bound": 14}, "makespan_lower_bound: 14; allowed: at most"),
+        ("1-convex", {"makespan": None}, "makespan: missing"),
+        ("1-convex", {"condition": "windy"}, "condition: 'windy'; allowed: 'calm'"),
+        ("1-convex", {"tier": "2-sizes"}, "tier: 2-sizes; allowed: none"),
+        (WEATHER, {"tier": None}, "tier: missing"),
+        (WEATHER, {"condition": "calm"}, "condition: 'calm'; allowed: windy, "),
+        (WEATHER, {"makespan": 9}, "makespan: 9; none is known"),
+    ],
+)
+def test_an_instance_that_cannot_be_is_named(
+    tmp_path: Path, tier: str, changed: dict[str, Any], told: str
+) -> None:
+    write_splits(tmp_path, 2)
+    path = tmp_path / f"test-{tier}.json"
+    record = json.loads(path.read_text())
+    record["instances"][1] |= changed
+    path.write_text(json.dumps(record))
+    with pytest.raises(FieldError) as error:
+        load_split("test", tier, tmp_path)
+    assert error.value.source == str(path) and len(error.value.problems) == 1
+    assert error.value.problems[0].startswith(f"instances[1].{told}")
 
 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
         ("{", r"file: cannot be read"),
+        ("[" * 100_000, r"file: cannot be read"),
         ("[]", r"_File|dictionary"),
         ('{"version": 1, "split": "test", "tier": "1-convex"}', "instances: Field required"),
         ('{"version": 2, "split": "test", "tier": "1-convex", "instances": [{}]}', "candidate"),
@@ -74,6 +103,8 @@ def test_a_file_that_is_not_valid_says_why(tmp_path: Path, text: str, told: str)
 def test_what_there_is_not_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FieldError, match=r"split: unknown split(.|\n)*tier: unknown tier"):
         load_split("tset", "convex")
+    with pytest.raises(FieldError, match=r"split: unknown split(.|\n)*tier: unknown tier"):
+        load_split(["test"], 1)  # type: ignore[arg-type]
     with pytest.raises(FieldError, match="No such file"):
         load_split("test", "1-convex", tmp_path)
     write_split(tmp_path, "1-convex", version=2)

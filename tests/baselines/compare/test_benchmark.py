@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import re
 import shutil
@@ -15,17 +16,17 @@ from baselines import load_policy
 from baselines.cli.main import main
 from baselines.compare import benchmark
 from baselines.compare.benchmark import (
-    METRICS,
+    SettingsError,
     check_settings,
     load_protocol,
     load_tiers,
     numbers,
     run_benchmark,
-    statistics,
 )
 from baselines.compare.benchmark_page import result_page, result_tables
+from baselines.compare.benchmark_statistics import METRICS, statistics
 from baselines.evaluation.evaluate import Evaluation, evaluate
-from baselines.runs.files import RunError
+from baselines.runs.files import RunError, alone
 from mbn_marl import Field
 from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError
@@ -47,15 +48,19 @@ class Small:
     def act(self, observations, deterministic=True):
         return np.zeros((*observations.shape[:2], 2))
 
-class Three(Small):
+class Fussy(Small):
+    def __init__(self, field):
+        self.team = len(field.starts)
+
     settings = {}
 
     def act(self, observations, deterministic=True):
-        return observations[:, :, :2] @ np.eye(2)[: 2 if observations.shape[1] == 3 else 1]
+        if self.team != 3:
+            raise LookupError("no such robot")
+        return np.zeros((*observations.shape[:2], 2))
 
-class Fussy(Small):
-    def __init__(self, field):
-        raise RuntimeError("size mismatch")
+class Fixed(Fussy):
+    settings = {"n_robots": 3}
 """
 
 
@@ -76,6 +81,12 @@ def frozen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(splits, "FOLDER", folder)
         yield folder
+
+
+@pytest.fixture(scope="module")
+def greedy(frozen: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The result of greedy in the first tier."""
+    return run("greedy", ["1-convex"], tmp_path_factory.mktemp("greedy"))
 
 
 def run(source: str, tiers: Sequence[str], out: Path, **how: Any) -> dict[str, Any]:
@@ -99,7 +110,7 @@ def test_the_numbers_of_an_instance_worked_out_by_hand() -> None:
         "wall_hits": [0, 3, 0, 1],
     }
     found = Evaluation(True, 0, **lists, **ends)
-    one = Instance(load_field("field_03"), "calm", makespan_lower_bound=20, makespan=25)
+    one = Instance(load_field("field_03"), "calm", makespan_lower_bound=20, best_known=25)
     assert numbers(found, one) == {
         **{"success_rate": 0.5, "clean_rate": 0.25, "collision_rate": 0.25, "wall_hits": 1.0},
         **{"steps": 266.75, "makespan": 30.0, "makespan_with_failures": 515.0},
@@ -194,6 +205,54 @@ def test_an_interrupted_run_goes_on_and_gives_the_same(
     assert names == {f"{tier}-{name}.json" for tier in tiers for name in ("median", "worst")}
 
 
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        ("{", "not valid JSON"),
+        ("[]", "is no result of mbn benchmark"),
+        ({"tiers": []}, "is no result of mbn benchmark"),
+        ({"tiers": {"1-convex": {}}}, "1-convex: is not as mbn benchmark writes it: KeyError"),
+        ({"versions": {"packages": {"mbn-marl": "0.0.1"}}}, "mbn-marl: recorded is '0.0.1'"),
+        (["tiers", "1-convex", "mean", "steps", "low", 0.5], "1-convex: statistics are not those"),
+    ],
+)
+def test_what_is_not_to_be_resumed_says_why(
+    tmp_path: Path, damage: Any, told: str, greedy: dict[str, Any]
+) -> None:
+    record = copy.deepcopy(greedy)
+    if isinstance(damage, list):
+        *path, last, value = damage
+        place = record
+        for name in path:
+            place = place[name]
+        place[last] = value
+    text = damage if isinstance(damage, str) else json.dumps(record)
+    if isinstance(damage, dict):
+        text = json.dumps({**record, **damage})
+    (tmp_path / "result.json").write_text(text)
+    with pytest.raises(RunError, match=rf"{re.escape(told)}(.|\n)*; --force moves"):
+        run("greedy", ["1-convex"], tmp_path, resume=True)
+
+
+def test_settings_of_a_trained_policy_are_checked_before_the_first_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true = benchmark.find_policy
+
+    def changed(source: str, *place: Field, **how: Any) -> Any:
+        return true(source, *place, **how, max_steps=40)
+
+    monkeypatch.setattr(benchmark, "find_policy", changed)
+    with pytest.raises(SettingsError, match="max_steps: 40"):  # that does not even fit
+        run("zoo:field_03", ["2-sizes"], tmp_path)
+
+
+def test_the_definition_is_of_these_splits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(splits, "VERSION", 2)
+    with pytest.raises(ConfigError, match="splits: 1; needed: 2"):
+        load_protocol()
+
+
 def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
     found = run("zoo:field_03", ["1-convex", "2-sizes"], tmp_path)
     assert found["tiers"]["1-convex"]["misfit"] is None
@@ -209,26 +268,27 @@ def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
 def test_policies_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.py").write_text(OWN)
-    with pytest.raises(ConfigError, match="1-convex: convex-3000000: size mismatch"):
-        run("small:Fussy", ["1-convex"], tmp_path / "fussy")
+    lookup = r"failed in 2-sizes, convex-3000001: LookupError: no such robot \(.*small.py, line"
+    with pytest.raises(RunError, match=rf"{lookup} \d+\); --resume keeps"):
+        run("small:Fussy", ["1-convex", "2-sizes"], tmp_path / "fussy")
+    kept = json.loads((tmp_path / "fussy" / "result.json").read_text())
+    assert [*kept["tiers"]] == ["1-convex"] and len(kept["tiers"]["1-convex"]["instances"]) == 2
+    fixed = run("small:Fixed", ["2-sizes", "1-convex"], tmp_path / "fixed")["tiers"]
+    assert "n_robots: 3" in fixed["2-sizes"]["misfit"] and fixed["1-convex"]["misfit"] is None
     with pytest.raises(ConfigError, match="max_steps: 40; allowed: 1000") as error:
         run("small:Small", ["1-convex"], tmp_path / "own")
     assert len(error.value.problems) == 1
-    assert not any((tmp_path / name / "result.json").exists() for name in ("fussy", "own"))
-    found = run("small:Three", splits.NAMES, tmp_path / "three")
-    misfits = {tier: one["misfit"] or "" for tier, one in found["tiers"].items()}
-    assert "matmul" in misfits["2-sizes"] and misfits["1-convex"] == ""
-    assert found["all"] is None
+    assert not (tmp_path / "own" / "result.json").exists()
 
 
 def test_settings_that_change_the_task_are_listed() -> None:
-    one, protocol = Instance(load_field("field_03"), "noisy"), load_protocol()
+    protocol = load_protocol()
     chosen = {"observation": "local", "sensing_radius": 40.0, "dtype": "float64", "n_robots": 3}
-    check_settings({**chosen, "reward": "formal", "condition": "noisy"}, one, protocol)
+    check_settings({**chosen, "reward": "formal", "condition": "noisy"}, "noisy", protocol)
     with pytest.raises(ConfigError) as error:
-        check_settings({"n_robots": 2, "roi_radius": 12.0}, one, protocol)
+        check_settings({"n_robots": 2, "roi_radius": 12.0}, "noisy", protocol)
     assert {problem.split(":")[0] for problem in error.value.problems} == {
-        *("n_robots", "roi_radius", "position_noise", "velocity_noise", "action_noise")
+        *("roi_radius", "position_noise", "velocity_noise", "action_noise")
     }
 
 
@@ -242,7 +302,13 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal
     for part in ('data-replay="episodes-1"', "median: convex-3000000", "interquartile means"):
         assert part in page, part
     assert "already exists" in refusal(words)
+    (out / "episodes" / "1-convex-median.json").unlink()
+    with alone(out, "mbn benchmark"):
+        assert "another mbn benchmark" in refusal([*words, "--resume"])
+    capsys.readouterr()
     assert main([*words, "--resume"]) == 0
+    assert re.search(r"1-convex +2 +100\.0%", capsys.readouterr().out)
+    assert "1-convex-median.json" in (out / "page.html").read_text()
     assert main([*words, "--force"]) == 0 and (tmp_path / "out.1" / "result.json").exists()
     assert "force and resume" in refusal([*words, "--force", "--resume"])
     assert "unknown policy (did you mean greedy?)" in refusal(["benchmark", "gredy"])
