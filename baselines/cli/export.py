@@ -23,9 +23,14 @@ class Export:
     def run(self, command_line: str) -> None:
         """Load the policy, write and check the file, and say what it needs."""
         from baselines import load_policy
-        from baselines.evaluation.export import export_policy
+        from baselines.evaluation.export import ALLOWED, export_policy, writer_of
+        from baselines.zoo.sources import takes_field
         from mbn_marl.config import make_config
+        from mbn_marl.errors import ConfigError
 
+        writer_of(self.out)
+        if takes_field(self.policy):
+            raise ConfigError("export", [f"{self.policy}: {ALLOWED}"])
         policy = load_policy(self.policy)
         metadata, difference = export_policy(policy, self.out, force=self.force)
         config, clip = make_config(policy.settings), metadata["clip"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import logging
+import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -24,6 +25,7 @@ from mbn_marl.version import __version__
 
 TOLERANCE = 1e-5
 """How far an action of the file may be from the policy's."""
+ALLOWED = "has no network of its own; allowed: zoo:NAME and the folders of runs"
 OPSET = 18
 METADATA = "mbn_marl"
 """The name of the metadata, JSON, in every file."""
@@ -61,7 +63,7 @@ class Network(torch.nn.Module):
         for name, array in layers.arrays().items():
             if array.ndim == 3:
                 self.register_buffer(name, torch.from_numpy(array))
-        self._clip = layers.clip if layers.normalizes else None
+        self._clip = layers.clip
         self._activations = layers.activations
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
@@ -69,9 +71,8 @@ class Network(torch.nn.Module):
         parts = dict(self.named_buffers())
         networks, _, inputs = parts["mean"].shape
         flow = seen.reshape(-1, networks, inputs).transpose(0, 1)
-        if self._clip is not None:
-            flow = (flow.to(parts["mean"].dtype) - parts["mean"]) / parts["scale"]
-            flow = flow.clamp(-self._clip, self._clip).to(torch.float32)
+        flow = (flow.to(parts["mean"].dtype) - parts["mean"]) / parts["scale"]
+        flow = flow.clamp(-self._clip, self._clip).to(torch.float32)
         for layer, activation in enumerate(self._activations):
             flow = flow @ parts[f"weight_{layer}"] + parts[f"bias_{layer}"]
             flow = ACTIVATIONS[activation](flow)
@@ -93,13 +94,10 @@ def export_policy(policy: LoadedPolicy, path: Path, *, force: bool = False) -> E
         ConfigError: the policy has no network, or one that cannot be exported.
         MbnError: the name does not end so, or a file is there, or the actions are others.
     """
-    write = FORMATS.get(path.suffix.lower())
-    if write is None:
-        raise MbnError(f"{path}: {unknown('ending', path.suffix, FORMATS)}")
+    write = writer_of(path)
     check_free(path, force=force)
     if policy.field is None or not isinstance(policy.policy, HasLayers):
-        allowed = "allowed: policies of the zoo and of runs, which have learned one"
-        raise ConfigError("export", [f"{policy.name}: has no network; {allowed}"])
+        raise ConfigError("export", [f"{policy.name}: {ALLOWED}"])
     layers = policy.policy.layers()
     seen = _drawn(BatchEngine(policy.field, 1, threads=1, **policy.settings), policy.observes)
     expected = policy.act(seen)
@@ -132,10 +130,18 @@ def _describe(policy: LoadedPolicy, layers: Layers, shape: tuple[int, ...], n: i
         "takes": policy.observes,
         "shape": ["W", *shape],
         "returns": ["W", n, 2],
-        "clip": layers.clip if layers.normalizes else None,
+        "clip": layers.clip if math.isfinite(layers.clip) else None,
         "environment": policy.settings,
         "version": __version__,
     }
+
+
+def writer_of(path: Path) -> Write:
+    """Return what writes a file that ends as ``path`` does; an MbnError lists the endings."""
+    write = FORMATS.get(path.suffix.lower())
+    if write is None:
+        raise MbnError(f"{path}: {unknown('ending', path.suffix, FORMATS)}")
+    return write
 
 
 def _write_npz(layers: Layers, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:

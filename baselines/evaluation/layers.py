@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -30,7 +29,7 @@ class Layers:
     Attributes:
         mean: (k, 1, inputs).
         scale: (k, 1, inputs), > 0.
-        clip: of normalised rows, > 0, maybe infinite.
+        clip: of normalised rows, > 0; infinite: they are not clipped.
         weights: of each layer, (k, inputs, outputs) float32.
         biases: of each layer, (k, 1, outputs) float32.
         activations: of each layer; the last brings actions into [-1, 1].
@@ -42,11 +41,6 @@ class Layers:
     weights: tuple[NDArray[np.float32], ...]
     biases: tuple[NDArray[np.float32], ...]
     activations: tuple[Activation, ...]
-
-    @property
-    def normalizes(self) -> bool:
-        """Whether rows are normalised at all."""
-        return math.isfinite(self.clip)
 
     def arrays(self) -> Arrays:
         """Return all of it by name; :func:`run_arrays` needs nothing else."""

@@ -20,9 +20,9 @@ from stable_baselines3.common.utils import ConstantSchedule
 
 from baselines import load_policy
 from baselines.cli import main
-from baselines.evaluation.export import OPSET, export_policy
+from baselines.evaluation.export import OPSET, Network, export_policy
 from baselines.evaluation.fitting import LoadedPolicy
-from baselines.evaluation.layers import run_arrays
+from baselines.evaluation.layers import Layers, run_arrays
 from baselines.sb3.config import algorithm_class
 from baselines.sb3.layers import layers_of
 from baselines.sb3.policy import Normalization, SB3Policy
@@ -163,6 +163,15 @@ def test_onnx_takes_the_state(tmp_path: Path) -> None:
     np.testing.assert_allclose(actions, policy.act(engine.state()), rtol=0, atol=1e-5)
 
 
+def test_rows_that_are_not_clipped_are_normalised() -> None:
+    mean, scale = np.full((1, 1, 2), 3.0), np.full((1, 1, 2), 2.0)
+    network = np.full((1, 2, 2), 0.25, np.float32), np.zeros((1, 1, 2), np.float32)
+    layers = Layers(mean, scale, np.inf, (network[0],), (network[1],), ("tanh",))
+    seen = np.array([[[5.0, 9.0]]], np.float32)
+    assert run_arrays(layers.arrays(), seen) == pytest.approx(np.tanh(1.0))
+    assert Network(layers)(torch.from_numpy(seen)).numpy() == pytest.approx(np.tanh(1.0))
+
+
 def test_a_network_with_other_parts_is_refused() -> None:
     network = make_network("ppo", "MlpPolicy", activation_fn=torch.nn.ELU)
     assert isinstance(network, ActorCriticPolicy)
@@ -187,8 +196,11 @@ def test_a_teams_own_network_can_be_exported_by_torch() -> None:
 def test_what_cannot_be_exported_is_named(
     refusal: Refusal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    told = refusal(["export", "random", "-o", "policy.npz"])
-    assert "random: has no network; allowed: policies of the zoo and of runs" in told
+    for name in ("greedy", "zoo", "module:own"):
+        told = refusal(["export", name, "-o", "policy.npz"])
+        assert f"{name}: has no network of its own; allowed: zoo:NAME and" in told
+    assert "policy.pt: unknown ending" in refusal(["export", "greedy", "-o", "policy.pt"])
+    assert "did you mean greedy" in refusal(["export", "gredy", "-o", "policy.npz"])
     zoo = ["export", "zoo:field_07", "-o"]
     assert "policy.pt: unknown ending" in (told := refusal([*zoo, "policy.pt"]))
     assert ".onnx, .pt2, .npz" in told
