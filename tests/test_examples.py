@@ -14,7 +14,7 @@ TINY = {
     "cleanrl_ppo": ("--steps 1200 --worlds 8", r"\d+ episodes ended .*return (-?[\d,]+|nan)"),
     "sb3_ppo": ("--steps 1 --worlds 8", r"1536 robot-steps, success \d+%"),
 }
-"""What makes each one short, and what it prints then."""
+"""For each script, options that make it short, and the output to expect."""
 ELSEWHERE = {"benchmarl_task", "rllib_ppo"}
 """Their libraries want another TorchRL or Gymnasium than ours: run by hand, with that."""
 

@@ -16,9 +16,9 @@ class Warmup:
     """
 
     observation: tuple[Observation, ...] = ("relative",)
-    """What robots see."""
+    """The kinds of observation to compile for."""
     condition: tuple[Condition, ...] = ("calm",)
-    """In what conditions."""
+    """The named conditions to compile for."""
 
     def run(self, command_line: str) -> None:
         """Use all that an engine on the CPU offers, once for each kind of configuration."""

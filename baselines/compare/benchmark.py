@@ -33,8 +33,8 @@ EPISODES = "episodes"
 CHOSEN = ("median", "worst")
 T_MAX = NavigationConfig().max_steps
 MISFITS = (ConfigError, NoPlanError, UnsolvableError)
-"""What a policy raises that does not fit a field."""
-ANEW = "--force moves the folder aside and begins anew"
+"""The errors of a policy that does not fit a field."""
+FORCE_HINT = "use --force to move the folder aside and start again"
 
 
 class EpisodeCounts(Checked):
@@ -149,10 +149,10 @@ def run_benchmark(
         out: the folder to write.
         command: what was typed.
         resume: keep the tiers that are in ``out``.
-        advance: told how many instances are done, after each.
+        advance: called with the number of instances that are newly done.
 
     Returns:
-        What ``result.json`` has, as JSON values.
+        The content of ``result.json``, as JSON values.
 
     Raises:
         SettingsError: the policy's settings change the task.
@@ -199,19 +199,19 @@ def _resumed(
     try:
         record = read_json(path)
     except RunError as error:
-        raise RunError(f"{error}; {ANEW}") from None
+        raise RunError(f"{error}; {FORCE_HINT}") from None
     ours = new["versions"]["packages"]["mbn-marl"]
     try:
         theirs, done = record["versions"]["packages"]["mbn-marl"], record["tiers"]
         problems = [] if isinstance(record["command"], str) else ["command: missing"]
         both = done.keys() & tiers.keys()
     except (KeyError, TypeError, AttributeError):
-        raise RunError(f"{path} is no result of mbn benchmark; {ANEW}") from None
+        raise RunError(f"{path} is no result of mbn benchmark; {FORCE_HINT}") from None
     problems += differences({**record, "mbn-marl": theirs}, {**asked, "mbn-marl": ours})
     for tier in sorted(both):
         problems += [f"{tier}: {problem}" for problem in tier_problems(done[tier], tiers[tier])]
     if problems:
-        raise RunError(f"{path}: {'; '.join(problems)}; {ANEW}")
+        raise RunError(f"{path}: {'; '.join(problems)}; {FORCE_HINT}")
     return dict(record)
 
 

@@ -44,7 +44,7 @@ Metadata = dict[str, Any]
 
 
 class Exported(NamedTuple):
-    """What was written.
+    """The result of an export.
 
     Attributes:
         metadata: as in the file.
@@ -199,4 +199,4 @@ def _silence() -> Iterator[None]:
 
 Write = Callable[[Layers, Metadata, Seen], tuple[bytes, Run]]
 FORMATS: Mapping[str, Write] = {".onnx": _write_onnx, ".pt2": _write_pt2, ".npz": _write_npz}
-"""What writes a file of each ending, and makes it a function again as its reader does."""
+"""For each ending, returns the bytes of the file, and the function that is read from them."""

@@ -101,7 +101,7 @@ class Normalize(TensorDictModuleBase):
         return normalized.clamp_(-CLIP, CLIP)
 
     def scale(self) -> torch.Tensor:
-        """What observations less their mean are divided by, (obs_size,) or (n, obs_size)."""
+        """Return the scale that divides centred observations, (obs_size,) or (n, obs_size)."""
         return torch.where(self.statistics.count > 0, self.statistics.scale(), 1.0)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -62,7 +62,7 @@ class Instance:
 
 
 class _Entry(BaseModel):
-    """What is read of an instance."""
+    """The keys of an instance that are read."""
 
     candidate: Annotated[int, Described(ge=0)]
     geometry: str
@@ -73,7 +73,7 @@ class _Entry(BaseModel):
 
 
 class _File(BaseModel):
-    """What is read of a file."""
+    """The keys of a file that are read."""
 
     version: int
     split: Split

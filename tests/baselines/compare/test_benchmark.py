@@ -230,7 +230,7 @@ def test_what_is_not_to_be_resumed_says_why(
     if isinstance(damage, dict):
         text = json.dumps({**record, **damage})
     (tmp_path / "result.json").write_text(text)
-    with pytest.raises(RunError, match=rf"{re.escape(told)}(.|\n)*; --force moves"):
+    with pytest.raises(RunError, match=rf"{re.escape(told)}(.|\n)*; use --force"):
         run("greedy", ["1-convex"], tmp_path, resume=True)
 
 
