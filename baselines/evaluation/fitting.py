@@ -189,7 +189,7 @@ def fitted(policy: Policy, engine: BatchEngine) -> Policy:
         for name in (
             ("robots", "ROIs", "headings", "failures") if policy.observes == "state" else ours
         )
-        if ours[name] != theirs[name] and name not in new
+        if name in theirs and ours[name] != theirs[name] and name not in new
     ]
     if problems:
         raise ConfigError(f"policy in {engine.field.name}", problems)

@@ -54,6 +54,13 @@ def test_all_that_differs_is_named_at_once() -> None:
     assert refused(Trained(), other, settings) == ["robots", "ROIs", "arena", "observation"]
 
 
+@pytest.mark.parametrize("kind", ["state", "relative", "local", "lidar"])
+def test_another_kind_of_observation_is_named(kind: str) -> None:
+    trained = Trained()
+    trained.origin = Origin(HOME, make_config({"observation": "lidar_local"}))
+    assert refused(trained, HOME, {"observation": kind}) == ["observation"]
+
+
 def test_a_policy_on_the_state_has_to_fit_in_its_sizes_alone() -> None:
     larger = Field(CORNERS, HOME.rois, HOME.starts, arena=(400, 400))
     evaluate(Trained("state"), larger, {"max_steps": 2, "observation": "lidar"}, episodes=1)
