@@ -11,6 +11,7 @@ from baselines.compare.benchmark import load_protocol, load_tiers
 from baselines.compare.benchmark_page import CAPTION, cells, headings
 from baselines.compare.benchmark_statistics import WAYS, is_summary, tier_problems
 from baselines.compare.text_table import TextTable
+from baselines.evaluation.shielded import behind
 from baselines.runs.files import read_json, write_text
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import Instance
@@ -69,6 +70,9 @@ def leaderboard(folder: Path) -> str:
     ]
     if problems:
         raise ConfigError(str(folder), problems)
+    results = {
+        f"{name}{behind(record.get('shield', False))}": record for name, record in results.items()
+    }
     parts += [CAPTION, ""]
     whole = {name: record["all"] for name, record in results.items() if record["all"]}
     parts += [_table(whole).markdown("All tiers"), ""] if whole else []

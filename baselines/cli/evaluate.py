@@ -40,6 +40,8 @@ class Evaluate:
     condition: Condition | None = None
     """A named condition, whose weather and failures replace the run's; by default as it was
     trained."""
+    shield: bool = False
+    """Let robots do only what they could brake after, whatever the policy wants."""
     wind_speeds: str | None = None
     """Wind speeds to evaluate at, such as 0,0.1,..,0.5 (units/step per step)."""
     wind_angle: float = 30.0
@@ -81,11 +83,13 @@ class Evaluate:
 
     def _subject(self) -> tuple[dict[str, Any], Path]:
         """Return policy, field and settings, and the folder that files go to by default."""
+        from baselines.evaluation.shielded import Shielded
         from baselines.zoo.entries import open_run
         from baselines.zoo.sources import find_policy
 
         loaded = find_policy(self.source, self.field, condition=self.condition)
-        subject = {"policy": loaded.policy, "field": loaded.field, "settings": loaded.settings}
+        policy = Shielded(loaded) if self.shield else loaded.policy
+        subject = {"policy": policy, "field": loaded.field, "settings": loaded.settings}
         if self.field is not None:
             return subject, Path()
         run = open_run(self.source)
@@ -96,6 +100,7 @@ class Evaluate:
     def _evaluate(self, how: dict[str, Any], command_line: str) -> None:
         """Evaluate as the policy was trained, or under the condition."""
         from baselines.evaluation.evaluate import evaluate_both, is_one_episode, record_evaluation
+        from baselines.evaluation.shielded import behind
         from baselines.runs.files import claim_folder, write_json
         from mbn_marl.config import make_config
         from mbn_marl.episode import save_episode
@@ -110,7 +115,8 @@ class Evaluate:
         optimum = optimal_return(how["field"], make_config(how["settings"]))
         one = partial(is_one_episode, how["policy"], how["settings"])
         summaries = {name: result.summary() for name, result in results.items()}
-        title = self.source if self.condition is None else f"{self.source}, {self.condition}"
+        policy = f"{self.source}{behind(self.shield)}"
+        title = policy if self.condition is None else f"{policy}, {self.condition}"
         print_evaluations(summaries.values(), title, optimum, one)
         if self.json is not None:
             gaps = {
@@ -118,11 +124,11 @@ class Evaluate:
                 for name, summary in summaries.items()
             }
             heading: dict[str, Any] = {"command": command_line, "condition": self.condition}
-            heading |= {"optimum": optimum, "optimality_gap": gaps}
+            heading |= {"shield": self.shield, "optimum": optimum, "optimality_gap": gaps}
             episodes = {name: result.to_json() for name, result in results.items()}
             write_json(claim_file(self.json, force=self.force), {**heading, **episodes})
         if self.record is not None:
-            source = self.source if self.field else f"{self.source}, sampled actions"
+            source = policy if self.field else f"{policy}, sampled actions"
             recorded = record_evaluation(**how, source=source)
             for name, episode in recorded.items():
                 save_episode(episode, self.record / f"{name}.json")
@@ -132,6 +138,7 @@ class Evaluate:
         self, how: dict[str, Any], command_line: str, home: Path, speeds: str
     ) -> None:
         """Evaluate at several wind speeds; write the episodes and the picture."""
+        from baselines.evaluation.shielded import behind
         from baselines.evaluation.wind import evaluate_in_wind, parse_speeds, write_panels
         from baselines.runs.files import write_json
         from mbn_marl.files import check_free, claim_file
@@ -146,7 +153,8 @@ class Evaluate:
         written = {"command": command_line, "results": rows}
         write_json(claim_file(results, force=self.force), written)
         write_panels(episodes, claim_file(figure, force=self.force))
-        print_winds(rows, title=f"{self.source}: wind at {self.wind_angle:g} degrees")
+        policy = f"{self.source}{behind(self.shield)}"
+        print_winds(rows, title=f"{policy}: wind at {self.wind_angle:g} degrees")
         print(f"written: {results}, {figure}")
 
 

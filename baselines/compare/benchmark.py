@@ -16,12 +16,14 @@ from baselines.classical.controller import NoPlanError
 from baselines.compare.benchmark_statistics import summarise, tier_problems
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
 from baselines.evaluation.intervals import mean_of_known
-from baselines.evaluation.policy import Origin, Policy, restart
+from baselines.evaluation.policy import Origin, Policy, restart, show
+from baselines.evaluation.shielded import Shielded
 from baselines.runs.files import RunError, differences, read_json, write_json
 from baselines.runs.provenance import versions
 from baselines.zoo.sources import brings_field, find_policy
 from mbn_marl.checked import Checked
 from mbn_marl.config import Condition, NavigationConfig, make_config
+from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, save_episode
 from mbn_marl.errors import ConfigError, DamageError, FieldError, ProblemsError, collecting
 from mbn_marl.field import Field, Instance, load_split, splits
@@ -100,6 +102,10 @@ class Timed:
         self.decisions += len(seen)
         return actions
 
+    def watch(self, engine: BatchEngine) -> None:
+        """See :func:`~baselines.evaluation.policy.show`."""
+        show(self._policy, engine)
+
     def reset(self, worlds: np.ndarray | None = None) -> None:
         """See :func:`~baselines.evaluation.policy.restart`."""
         restart(self._policy, worlds)
@@ -137,6 +143,7 @@ def run_benchmark(
     out: Path,
     *,
     command: str,
+    shield: bool = False,
     resume: bool = False,
     advance: Callable[[int], object] = lambda count: None,
 ) -> dict[str, Any]:
@@ -148,6 +155,7 @@ def run_benchmark(
         tiers: the instances of each tier.
         out: the folder to write.
         command: what was typed.
+        shield: whether the policy acts behind the shield (:class:`Shielded`).
         resume: keep the tiers that are in ``out``.
         advance: called with the number of instances that are newly done.
 
@@ -162,7 +170,7 @@ def run_benchmark(
     """
     protocol, path = load_protocol(), out / RESULT
     asked = {"protocol": protocol.version, "splits": protocol.splits, "policy": source}
-    asked |= {"split": split, "asked": [*tiers]}
+    asked |= {"shield": shield, "split": split, "asked": [*tiers]}
     record: dict[str, Any] = {**asked, "command": command, "versions": versions(), "tiers": {}}
     if resume and path.exists():
         record = _resumed(path, record, asked, tiers)
@@ -172,7 +180,8 @@ def run_benchmark(
         if tier in record["tiers"]:
             advance(len(instances))
             continue
-        record["tiers"][tier], episodes = _run_tier(source, tier, instances, protocol, advance)
+        measured = _run_tier(source, shield, tier, instances, protocol, advance)
+        record["tiers"][tier], episodes = measured
         if all(one["misfit"] for one in record["tiers"].values()):
             continue  # nothing is measured yet
         for name, episode in episodes.items():
@@ -217,6 +226,7 @@ def _resumed(
 
 def _run_tier(
     source: str,
+    shield: bool,
     tier: str,
     instances: Sequence[Instance],
     protocol: Protocol,
@@ -227,7 +237,7 @@ def _run_tier(
     rows, episodes = [], []
     for k, one in enumerate(instances):
         try:
-            row, episode = _run_instance(source, one, seed + k, protocol)
+            row, episode = _run_instance(source, shield, one, seed + k, protocol)
         except (SettingsError, RunError, DamageError, ImportError):
             raise
         except MISFITS as error:
@@ -260,7 +270,7 @@ def _run_tier(
 
 
 def _run_instance(
-    source: str, one: Instance, seed: int, protocol: Protocol
+    source: str, shield: bool, one: Instance, seed: int, protocol: Protocol
 ) -> tuple[dict[str, Any], Episode]:
     """Return the numbers of an instance, and its first episode with mean actions."""
     began = time.process_time()
@@ -268,7 +278,8 @@ def _run_instance(
     begin = time.process_time() - began
     check_settings(loaded.settings, one.condition, protocol)
     _check_team(loaded.settings, one.field)
-    policy, counts = loaded.policy, protocol.episodes
+    policy = Shielded(loaded) if shield else loaded.policy
+    counts = protocol.episodes
     timed, where = Timed(policy), (one.field, loaded.settings)
     same = is_one_episode(policy, loaded.settings, deterministic=True)
     count = counts.mean if same else counts.mean_if_random

@@ -10,6 +10,7 @@ from typing import Any
 from baselines.compare.benchmark import CHOSEN, EPISODES
 from baselines.compare.benchmark_statistics import WAYS
 from baselines.compare.text_table import TextTable
+from baselines.evaluation.shielded import behind
 from mbn_marl.episode import load_episode
 from mbn_marl.errors import EpisodeError
 from mbn_marl.render.figures import svg, trajectory_panels
@@ -86,8 +87,9 @@ def result_page(record: Mapping[str, Any], out: Path) -> str:
     tables = [Table(title, **vars(table)) for title, table in itertools.chain(*found)]
     sections = [Section("All tiers", tables=tables), *_tier_sections(record, out)]
     sections.append(Section("Command", texts={"This benchmark": record["command"]}))
+    policy = f"{record['policy']}{behind(record['shield'])}"
     summary = (
-        f"{record['policy']} on the split {record['split']}, protocol {record['protocol']}. "
+        f"{policy} on the split {record['split']}, protocol {record['protocol']}. "
         f"Made by mbn_marl {__version__}."
     )
     return report_page("Benchmark", summary, sections)

@@ -13,6 +13,7 @@ import torch
 from baselines.evaluation.fitting import LoadedPolicy, fitted
 from baselines.evaluation.intervals import mean_of_known
 from baselines.evaluation.policy import Policy, RandomPolicy, restart
+from baselines.evaluation.shielded import Shielded
 from mbn_marl.config import CONDITIONS, Condition, expand, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder
@@ -150,7 +151,8 @@ def roll_out(
 
 def is_one_episode(policy: Policy, settings: Mapping[str, Any], *, deterministic: bool) -> bool:
     """Return whether all episodes are the same: they depend on no random number."""
-    policy = policy.policy if isinstance(policy, LoadedPolicy) else policy
+    while isinstance(policy, LoadedPolicy | Shielded):
+        policy = policy.policy
     if make_config(settings).is_random or isinstance(policy, RandomPolicy):
         return False
     return deterministic or not getattr(policy, "samples", True)

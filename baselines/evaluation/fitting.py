@@ -8,7 +8,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.evaluation.policy import Origin, Policy, restart
+from baselines.evaluation.policy import Origin, Policy, restart, show
 from mbn_marl.config import MAX_ROBOTS, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.mdp.dynamics import count_headings
@@ -166,7 +166,7 @@ class Narrowed:
 
 
 def fitted(policy: Policy, engine: BatchEngine) -> Policy:
-    """Return a policy that acts on what the engine shows.
+    """Return a policy that acts on what the engine shows; it is to act in this engine.
 
     Of the headings of robots and the flags of those that have failed, a loaded policy that was
     trained without them sees nothing.
@@ -176,6 +176,7 @@ def fitted(policy: Policy, engine: BatchEngine) -> Policy:
             if it acts on the robots' own observations, their kind and what they are scaled by.
     """
     policy = policy.policy if isinstance(policy, LoadedPolicy) else policy
+    show(policy, engine)
     trained: Origin | None = getattr(policy, "origin", None)
     if trained is None:
         return policy

@@ -10,6 +10,7 @@ import numpy as np
 from baselines.algorithms import find_algorithm
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.engine import BatchEngine
 from mbn_marl.field import Field
 
 
@@ -39,6 +40,13 @@ def restart(policy: Policy, worlds: np.ndarray | None = None) -> None:
     reset = getattr(policy, "reset", None)
     if reset is not None:
         reset(worlds)
+
+
+def show(policy: Policy, engine: BatchEngine) -> None:
+    """Tell a policy, if it wants to know (``watch``), in which engine it will act."""
+    watch = getattr(policy, "watch", None)
+    if watch is not None:
+        watch(engine)
 
 
 class TrainedPolicy(Policy, Protocol):

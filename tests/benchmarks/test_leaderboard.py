@@ -40,13 +40,13 @@ def frozen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def results(frozen: Path, tmp_path_factory: pytest.TempPathFactory) -> Results:
-    """Greedy on all tiers; random, as if it did not fit the second."""
+    """Greedy on all tiers; random, as if behind the shield, and as if it did not fit the second."""
     out, tiers = tmp_path_factory.mktemp("out"), load_tiers("test", splits.NAMES)
     made = {
         name: run_benchmark(name, "test", tiers, out / name, command=f"mbn benchmark {name}")
         for name in ("greedy", "random")
     }
-    made["random"] |= {"all": None}
+    made["random"] |= {"all": None, "shield": True}
     made["random"]["tiers"]["2-sizes"] = {"misfit": "robots: 4", "instances": []}
     return made
 
@@ -67,14 +67,15 @@ def test_a_table_for_each_tier_with_the_best_first(results: Results, tmp_path: P
         title: [line.split(" | ")[:2] for line in part.splitlines() if line.startswith("| ")][2:]
         for title, part in parts.items()
     }
-    greedy, *random = ["| greedy", "mean"], ["| random", "mean"], ["| random", "sampled"]
+    greedy, name = ["| greedy", "mean"], "| random + shield"
+    random = [[name, "mean"], [name, "sampled"]]
     assert rows["All tiers"] == [greedy]
-    assert rows["2-sizes"] == [greedy, ["| random", "does not fit"]]
+    assert rows["2-sizes"] == [greedy, [name, "does not fit"]]
     for tier in ("1-convex", "5-weather"):
         assert rows[tier][0] == greedy and sorted(rows[tier][1:]) == random, tier
     gap = results["greedy"]["tiers"]["1-convex"]["mean"]["gap"]["mean"]
     assert f"{gap:.1%}" in parts["1-convex"]
-    assert "- random: `mbn benchmark random`" in parts["Commands"]
+    assert "- random + shield: `mbn benchmark random`" in parts["Commands"]
 
 
 def test_results_that_are_not_to_be_compared_are_refused(

@@ -205,6 +205,22 @@ def test_an_interrupted_run_goes_on_and_gives_the_same(
     assert names == {f"{tier}-{name}.json" for tier in tiers for name in ("median", "worst")}
 
 
+def test_the_shield_is_a_part_of_what_was_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, greedy: dict[str, Any]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["benchmark", "greedy", "--tiers", "1-convex"]
+    assert main([*words, "--shield"]) == 0
+    out = tmp_path / "runs" / "benchmark-greedy-shield-test"
+    found = json.loads((out / "result.json").read_text())
+    assert found["shield"] is True and "greedy + shield on" in (out / "page.html").read_text()
+    assert greedy["shield"] is False
+    assert timeless(found["tiers"]) == timeless(greedy["tiers"]), "it brakes by itself"
+    with pytest.raises(RunError, match="shield: recorded is True, asked for is False"):
+        run("greedy", ["1-convex"], out, resume=True)
+    assert run("greedy", ["1-convex"], out, resume=True, shield=True)["tiers"] == found["tiers"]
+
+
 @pytest.mark.parametrize(
     ("damage", "told"),
     [

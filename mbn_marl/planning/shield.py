@@ -1,0 +1,184 @@
+"""The braking test, and a shield that puts any actions to it.
+
+A robot takes an action only if it could then brake to rest inside the field and apart from the
+others, if they brake too. Every step shows what the wind does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from itertools import chain
+
+import numpy as np
+import shapely
+
+from mbn_marl.engine.snapshot import FloatArray
+from mbn_marl.planning.foresight import FORESEEN, Flags, Weather, ways_of_failed
+from mbn_marl.planning.problem import Floats, Problem
+
+TURNS = (60.0, -60.0, 120.0, -120.0)
+"""Directions to try in turn, in degrees from the wanted one."""
+ESCAPES = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
+"""Directions in which a robot leaves the way of one that has failed and does not stop."""
+MARGIN = 1e-3
+"""How far the shield keeps robots from walls, in units: more than float32 rounds a position by."""
+
+
+class Cautious:
+    """What takes a team through one episode so that its robots can always brake.
+
+    Args:
+        problem: the instance; its ``starts`` do not matter.
+        weather: what the team knows of the wind; by default the instance's.
+    """
+
+    def __init__(self, problem: Problem, weather: Weather | None = None) -> None:
+        self.instance = self.problem = problem
+        self.weather = weather or Weather(problem.wind)
+        self.before: tuple[Floats, Floats] | None = None  # velocities and actions of the last step
+        shapely.prepare(problem.area)
+
+    def _look(self, velocities: Floats, works: Flags) -> None:
+        """Find out from the last step what the wind does."""
+        if self.before is not None:
+            self.weather = self.weather.after(self.instance, *self.before, velocities, works)
+            self.problem = self.weather.problem(self.instance)
+
+    def _plans(self, positions: Floats, velocities: Floats, works: Flags) -> dict[int, Floats]:
+        """Return the ways (k, 2) of all robots that have not vanished if those that work brake."""
+        ways = ways_of_failed(self.instance, positions, velocities, works, self.weather.push)
+        for i in np.flatnonzero(works).tolist():
+            ways[i] = self._coast(i, positions[i], velocities[i])
+        return ways
+
+    def _within_force(self, i: int, change: Floats) -> Floats:
+        """Return the possible change of velocity that is nearest to ``change``."""
+        force, wind = self.problem.forces[i], self.problem.wind
+        return np.clip(change, wind - force, wind + force)
+
+    def _toward(self, i: int, speed: Floats, wishes: Iterable[Floats]) -> Iterator[Floats]:
+        """Yield the changes of robot i's velocity that bring it nearest to the velocities."""
+        return (self._within_force(i, wanted - speed) for wanted in wishes)
+
+    def _action(self, i: int, change: Floats) -> Floats:
+        """Return robot i's action (2,) for a change of its velocity in the present wind."""
+        force: Floats = (change - self.weather.push) / self.instance.forces[i]
+        return np.clip(force, -1.0, 1.0)
+
+    def _coast(self, i: int, position: Floats, velocity: Floats) -> Floats:
+        """Return (k, 2): robot i's positions while it brakes; the last one is where it rests."""
+        top, tau = self.problem.drives[i].top, self.problem.config.tau
+        force, wind = self.problem.forces[i], self.problem.wind
+        place, speed = position.tolist(), velocity.tolist()
+        limits = list(zip((wind - force).tolist(), (wind + force).tolist(), strict=True))
+        path = []
+        for _ in range(FORESEEN):
+            for axis, (least, most) in enumerate(limits):
+                change = min(max(-speed[axis], least), most)
+                speed[axis] = min(max(speed[axis] + change, -top), top)
+                place[axis] += speed[axis] * tau
+            path.append(tuple(place))
+            if not any(speed):
+                break
+        return np.array(path)
+
+    def _choose(
+        self,
+        i: int,
+        place: Floats,
+        speed: Floats,
+        changes: Iterable[Floats],
+        plans: Mapping[int, Floats],
+    ) -> tuple[Floats, Floats]:
+        """Return the change of robot i's velocity, and its way if it brakes after that.
+
+        It is the first of the ``changes``, and of some more, after which it can brake clear of
+        walls and of the others' ``plans``; if a failed robot leaves none, the one that keeps the
+        farthest away.
+        """
+        top = self.problem.drives[i].top
+        others = [plan for j, plan in plans.items() if j != i]
+        escapes = self._toward(i, speed, (np.zeros(2), *(0.5 * top * ESCAPES)))
+        best, widest = (self._within_force(i, -speed), self._coast(i, place, speed)), -1.0
+        for change in chain(changes, escapes):
+            velocity = np.clip(speed + change, -top, top)
+            position = place + velocity * self.problem.config.tau
+            path = np.concatenate([position[None], self._coast(i, position, velocity)])
+            room = self._room(path, others)
+            if room > widest:
+                best, widest = (change, path), room
+            if room >= self.problem.config.safety_distance * 1.01:
+                break
+        return best
+
+    def _room(self, path: Floats, others: list[Floats]) -> float:
+        """Return how close a path comes to the other paths, in units; -1 if it leaves the field."""
+        if not np.all(shapely.intersects_xy(self.problem.area, path[:, 0], path[:, 1])):
+            return -1.0
+        room = np.inf
+        for other in others:
+            steps = np.arange(max(len(path), len(other)))
+            mine = path[np.minimum(steps, len(path) - 1)]
+            apart = mine - other[np.minimum(steps, len(other) - 1)]
+            room = min(room, float(np.min(np.hypot(apart[:, 0], apart[:, 1]))))
+        return room
+
+
+class Shield(Cautious):
+    """Lets robots of one team do, through one episode, what they could brake after.
+
+    The guarantee is the braking test's: robots keep within the field and apart as long as forces
+    can stop them and the wind does not change.
+
+    Args:
+        problem: the instance; its ``starts`` do not matter.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        inner = problem.area.buffer(-MARGIN, join_style="mitre")
+        super().__init__(replace(problem, area=inner))
+
+    def act(
+        self,
+        actions: FloatArray,
+        positions: FloatArray,
+        velocities: FloatArray,
+        failed: Flags | None = None,
+    ) -> FloatArray:
+        """Return the actions (n, 2) to take; those that pass the test are as they were.
+
+        In place of one that does not, a robot goes more slowly, turns, brakes or escapes. Robots
+        decide in index order: the others' ways are what they have decided, or to brake.
+
+        Args:
+            actions: (n, 2), finite; values outside [-1, 1] count as clipped.
+            positions: (n, 2), units.
+            velocities: (n, 2), units/step.
+            failed: (n,), which robots have failed; ``None``: none has.
+        """
+        places, speeds = np.asarray(positions, float), np.asarray(velocities, float)
+        works = np.ones(self.problem.n, bool) if failed is None else ~failed
+        self._look(speeds, works)
+        plans, taken = self._plans(places, speeds, works), np.array(actions)
+        for i in np.flatnonzero(works).tolist():
+            force = np.clip(actions[i], -1.0, 1.0) * self.instance.forces[i]
+            own = force + self.weather.push
+            others = self._toward(i, speeds[i], around(speeds[i] + own))
+            change, plans[i] = self._choose(i, places[i], speeds[i], chain([own], others), plans)
+            if change is not own:
+                taken[i] = self._action(i, change)
+        self.before = speeds, np.clip(taken, -1.0, 1.0).astype(float)
+        return taken
+
+
+def around(wanted: Floats) -> list[Floats]:
+    """Return a velocity (2,), units/step, and slower and turned ones to try in its place."""
+    turned = [_turn(wanted, math.radians(angle)) for angle in TURNS]
+    return [wanted, 0.5 * wanted, 0.25 * wanted, *(0.5 * one for one in turned)]
+
+
+def _turn(vector: Floats, angle: float) -> Floats:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])

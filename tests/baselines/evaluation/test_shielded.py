@@ -1,0 +1,149 @@
+"""The shield over policies that collide, and over some that do not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+from baselines.classical.controller import make_classical
+from baselines.cli import main
+from baselines.evaluation.evaluate import evaluate, is_one_episode, roll_out
+from baselines.evaluation.fitting import fitted
+from baselines.evaluation.policy import Origin, RandomPolicy
+from baselines.evaluation.rollout import record_episode
+from baselines.evaluation.shielded import Shielded
+from mbn_marl import BatchEngine, Field, FieldSampler, load_field
+from mbn_marl.config import Failures, make_config
+from mbn_marl.errors import ConfigError
+from tests.baselines.conftest import Refusal
+
+LEFT, RIGHT = [(100, 250), (100, 100), (200, 100)], [(300, 100), (300, 250)]
+SLOT = Field(  # a rectangle with a wall into its middle
+    [*LEFT, (200, 160), (204, 160), (204, 100), *RIGHT],
+    [(250, 120), (290, 240)],
+    [(150, 120), (150, 140), (150, 160), (250, 140)],
+)
+YARD = Field(  # with a hole
+    [(100, 100), (300, 130), (280, 300), (120, 280)],
+    [(270, 280), (200, 150)],
+    [(130, 140), (150, 150), (130, 170)],
+    holes=[[(190, 180), (230, 190), (210, 230)]],
+)
+FAILURES: dict[str, Any] = {"failures": Failures(at={1: 30})}
+
+
+class Pusher:
+    """Full force in a direction that turns every 40 steps, and toward each other in between."""
+
+    observes: Literal["observations", "state"] = "state"
+
+    def __init__(self, field: Field) -> None:
+        self.steps, self.robots = 0, len(field.starts)
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        """Return the corners of the square of actions."""
+        n, self.steps = self.robots, self.steps + 1
+        places = seen[:, : 2 * n].reshape(-1, n, 2)
+        turn = self.steps // 40
+        if turn % 2:
+            inward = places.mean(axis=1, keepdims=True) - places
+            return np.sign(inward).astype(np.float32)
+        angle = 2.4 * turn + (0.0 if deterministic else 0.5)
+        force = 2.0 * np.array([np.cos(angle), np.sin(angle)], np.float32)
+        return np.broadcast_to(force, places.shape)
+
+
+@pytest.mark.parametrize("deterministic", [True, False])
+@pytest.mark.parametrize(
+    ("field", "settings"),
+    [
+        (load_field("field_03"), {}),
+        (SLOT, {}),
+        (YARD, {}),
+        (YARD, {"wind": (0.2, 200.0)}),
+        (YARD, FAILURES),
+    ],
+    ids=["convex", "slot", "hole", "windy", "failing"],
+)
+def test_who_pushes_against_walls_and_robots_does_not_touch_them(
+    field: Field, settings: dict[str, Any], deterministic: bool
+) -> None:
+    how: dict[str, Any] = {"episodes": 2, "deterministic": deterministic}
+    world = {**settings, "max_steps": 300}
+    bare = evaluate(Pusher(field), field, world, **how)
+    assert any(bare.collisions) and any(bare.wall_hits)
+    shielded = evaluate(Shielded(Pusher(field)), field, world, **how)
+    assert not any(shielded.collisions) and not any(shielded.wall_hits)
+    assert min(shielded.steps) > max(bare.steps)
+
+
+@pytest.mark.slow
+def test_every_episode_of_fields_and_teams_that_vary_has_its_shield() -> None:
+    sampler = FieldSampler(families=["concave", "obstacles"], robots=(2, 4), rois=3, size=120)
+    engine = BatchEngine(sampler, 6, threads=1, max_steps=120)
+    assert engine.teams_vary
+    ends, hits = 0, 0
+    steps = roll_out(engine, Shielded(RandomPolicy()), deterministic=False, seed=0)
+    for _, ended in zip(range(300), steps, strict=False):
+        found = engine.metrics(("collision", "wall_hits"))
+        ends += int(ended.sum())
+        hits += int(found["collision"][ended].sum() + found["wall_hits"][ended].sum())
+    assert ends >= 12 and hits == 0
+
+
+def test_a_policy_that_brakes_itself_acts_as_without() -> None:
+    field = load_field("field_03")
+    alone = record_episode(make_classical("greedy", field, {}), field, {})
+    policy = Shielded(make_classical("greedy", field, {}))
+    np.testing.assert_array_equal(record_episode(policy, field, {}).actions, alone.actions)
+    assert is_one_episode(policy, {}, deterministic=False)
+    assert not is_one_episode(Shielded(RandomPolicy()), {}, deterministic=True)
+
+
+class Trained:
+    """Trained in ``YARD`` without failures; keeps what it sees."""
+
+    observes: Literal["observations", "state"] = "observations"
+    origin = Origin(YARD, make_config({}))
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        """Return an action that passes the test at the starts of ``YARD``."""
+        self.seen = seen
+        return np.full((len(seen), 3, 2), 0.1, np.float32)
+
+
+def test_a_trained_policy_is_fitted_behind_the_shield() -> None:
+    policy, engine = Trained(), BatchEngine(YARD, 2, threads=1, **FAILURES)
+    shown = engine.reset()
+    actions = fitted(Shielded(policy), engine).act(shown, deterministic=True)
+    np.testing.assert_array_equal(actions, policy.act(policy.seen, deterministic=True))
+    assert shown.shape[-1] - policy.seen.shape[-1] == 3, "without the flags of failures"
+    with pytest.raises(ConfigError, match="robots: the policy was trained with 3, here it is 2"):
+        fitted(Shielded(policy), BatchEngine(YARD, 1, threads=1, n_robots=2))
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["evaluate", "random", "--field", "field_03", "--episodes", "2", "--shield"]
+    out = tmp_path / "out.json"
+    assert main([*words, "--json", str(out)]) == 0
+    assert "random + shield" in capsys.readouterr().out
+    found = json.loads(out.read_text())
+    assert found["shield"] is True
+    assert found["stochastic"]["collision_rate"] == 0.0
+    bare = evaluate(RandomPolicy(), "field_03", {}, episodes=2)
+    assert bare.collisions == [True, True]
+
+
+def test_where_there_is_no_shield_it_says_why(refusal: Refusal) -> None:
+    policy = Shielded(RandomPolicy())
+    with pytest.raises(ConfigError, match=r"engine: none; needed: policy = fitted"):
+        policy.act(np.zeros((1, 3, 4)), deterministic=True)
+    engine = BatchEngine("field_03", 1, threads=1, dynamics=("unicycle", "point_mass", "bicycle"))
+    with pytest.raises(ConfigError, match="shield: 1 problem\n  - dynamics: 'bicycle', 'unicycle'"):
+        fitted(policy, engine)
+    words = ["random", "--field", "field_03", "--condition", "mixed", "--shield"]
+    assert "dynamics: 'bicycle', 'unicycle'; allowed: 'point_mass'" in refusal(["evaluate", *words])
