@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from itertools import cycle, islice
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from mbn_marl.checked import Checked, Uniform, or_drawn, or_each
 from mbn_marl.errors import ConfigError, unknown
@@ -26,7 +26,7 @@ Turn = Annotated[float, Field(gt=0.0, le=math.pi)]
 Steering = Annotated[float, Field(gt=0.0, le=1.5)]
 Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
 TeamDynamics = Literal[Dynamics, "mixed"]
-Observation = Literal["relative", "state", "local", "lidar", "lidar_local"]
+Observation = Literal["relative", "state", "local", "lidar", "lidar_local", "entities"]
 MIXED: tuple[Dynamics, ...] = ("point_mass", "unicycle", "bicycle")
 """The dynamics of a ``"mixed"`` team's robots, in turn."""
 
@@ -137,25 +137,21 @@ class NavigationConfig(Checked):
         dynamics: how robots move: ``"point_mass"``, ``"holonomic"``, ``"unicycle"`` or
             ``"bicycle"`` (mdp.md, "Dynamics"); one name for all robots or one per robot;
             ``"mixed"``: point mass, unicycle and bicycle in turn.
-        observation: ``"relative"``, ``"state"``, ``"local"``, ``"lidar"`` or ``"lidar_local"``,
-            see ``engine.mdp.observations``.
+        observation: ``"relative"``, ``"state"``, ``"local"``, ``"lidar"``, ``"lidar_local"`` or
+            ``"entities"``, see ``engine.mdp.observations``.
+        assignment: only with ``"entities"``: it also says who would be the first at each ROI.
         one_hot: append the robot's index as a one-hot vector to its observation.
-        sensing_radius: how far ``"local"``, ``"lidar"`` and ``"lidar_local"`` see, in units.
-        wind: ``(v_a, beta_a)``: speed in units/step per step, angle in degrees from +x;
-            each may be drawn.
-        gust: standard deviation of the gusts along each axis, units/step per step; 0: none; may
-            be drawn.
+        sensing_radius: how far ``"local"``, ``"lidar"`` and ``"lidar_local"`` see, and the rays of
+            ``"entities"``, in units.
+        wind: ``(v_a, beta_a)``: units/step per step, degrees from +x; both may be drawn.
+        gust: standard deviation of gusts along each axis, units/step per step; may be drawn.
         gust_time: correlation time of the gusts, steps, > 0; may be drawn.
-        action_noise: standard deviation of what is added to each number of an action, >= 0;
-            may be drawn.
-        action_loss: probability that an action is lost and the one before it repeated, in [0, 1];
-            may be drawn.
+        action_noise: standard deviation of each number of an action, >= 0; may be drawn.
+        action_loss: probability that the action before is repeated, in [0, 1]; may be drawn.
         action_delay: how late actions arrive, steps, 0 to 100.
-        position_noise: standard deviation of what a robot observes of positions, units, >= 0;
-            may be drawn.
+        position_noise: standard deviation of observed positions, units, >= 0; may be drawn.
         velocity_noise: the same of velocities, units/step, >= 0; may be drawn.
-        dropout: probability that a robot or ROI is not observed in a step, in [0, 1]; may be
-            drawn.
+        dropout: probability that a robot or ROI is not observed, in [0, 1]; may be drawn.
         max_steps: T_max; reaching it truncates the episode.
         dtype: precision of the simulation, ``"float32"`` or ``"float64"``.
         f_max: force of a full-scale action, mass x units/step^2, > 0; one number for all robots
@@ -167,12 +163,9 @@ class NavigationConfig(Checked):
         turn_max: the most that a unicycle turns, rad/step, > 0 and at most pi; may be drawn.
         wheelbase: distance of a bicycle's axles, units, > 0; may be drawn.
         steer_max: the most that a bicycle steers, rad, > 0 and at most 1.5; may be drawn.
-        safety_distance: C; two robots closer than this (strictly) have collided, in units;
-            may be drawn.
-        roi_radius: rho; an ROI within this distance of a robot is visited, in units; may be
-            drawn.
-        random_starts: start at random points of the field, at least C apart, instead of the
-            field's own starts.
+        safety_distance: C; robots strictly closer than this have collided, units; may be drawn.
+        roi_radius: rho; an ROI within this distance of a robot is visited, units; may be drawn.
+        random_starts: start at random points of the field, at least C apart, not at its starts.
         failures: how robots fail during an episode, :class:`Failures`; ``None``: they do not.
 
     Raises:
@@ -187,6 +180,7 @@ class NavigationConfig(Checked):
     reward_sharing: Literal["individual", "team"] = "individual"
     dynamics: DynamicsOfEach = "point_mass"
     observation: Observation = "relative"
+    assignment: bool = False
     one_hot: bool = False
     sensing_radius: Positive = 100.0
     wind: tuple[AnyNonNegative, AnyNumber] = (0.0, 0.0)
@@ -224,6 +218,13 @@ class NavigationConfig(Checked):
                 wrong = unknown("profile", value, REWARD_PROFILES)
                 raise ValueError(f"{wrong}, or a RewardProfile")
             return REWARD_PROFILES[value]
+        return value
+
+    @field_validator("assignment")
+    @classmethod
+    def _seen(cls, value: bool, info: ValidationInfo) -> bool:
+        if value and info.data.get("observation", "entities") != "entities":
+            raise ValueError("allowed with observation='entities' only")
         return value
 
     def of_each(self, name: str, n: int) -> tuple[Any, ...]:
@@ -322,6 +323,7 @@ class FixedSettings(TypedDict, total=False):
     reward_sharing: Literal["individual", "team"]
     dynamics: TeamDynamics | tuple[Dynamics, ...]
     observation: Observation
+    assignment: bool
     one_hot: bool
     sensing_radius: float
     wind: tuple[Number, Number]

@@ -7,7 +7,7 @@ from mbn_marl.field import Field
 
 DEFAULT = NavigationConfig()
 VIEW = (
-    *("reward_sharing", "observation", "one_hot", "sensing_radius", "dtype"),
+    *("reward_sharing", "observation", "assignment", "one_hot", "sensing_radius", "dtype"),
     *("position_noise", "velocity_noise", "dropout", "gust_time"),
 )
 """Settings that change what a learner sees, but not the best return; or nothing without a gust."""

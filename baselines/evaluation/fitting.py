@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, overload
 
@@ -225,9 +226,12 @@ def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
         "headings": _turns(config, config.n_robots or len(field.starts)),
         "failures": config.failures is not None,
         "v_clip": config.top_speed,
-        **{name: getattr(config, name) for name in ("observation", "one_hot")},
+        **{name: getattr(config, name) for name in ("observation", "assignment", "one_hot")},
     }
-    if config.observation in WITH_RADIUS:
+    if config.observation == "entities":
+        del sizes["arena"]
+        sizes["sensing_radius"] = min(config.sensing_radius, math.hypot(*field.arena))
+    elif config.observation in WITH_RADIUS:
         sizes["sensing_radius"] = config.sensing_radius
     elif config.observation == "state":
         del sizes["arena"], sizes["v_clip"]

@@ -25,6 +25,7 @@ from mbn_marl.compiled.jit import compiled, generated
 from mbn_marl.compiled.scalars import column
 from mbn_marl.engine.constants import AUTORESET_MODES
 from mbn_marl.engine.kernels import draw_world, is_final, put_infos
+from mbn_marl.engine.mdp.assignment import assign
 from mbn_marl.engine.mdp.observations import describe, put_state
 from mbn_marl.engine.reset import (
     ENDED,
@@ -96,7 +97,7 @@ def _view_of(kind: Any, index: str, given: tuple[str, ...] = (), **places: str) 
     return generated("view", f"{head}\n    return Kind({', '.join(arrays)})\n", Kind=kind)
 
 
-TABLE = "[:, :, w:end]"
+TABLE, ROWS = "[:, :, w:end]", "[:, w:end]"
 RESULTS = ("rewards", "team_rewards", "terminated", "truncated", "events", "outcomes")
 geometry_of = _view_of(
     Geometry,
@@ -110,11 +111,12 @@ geometry_of = _view_of(
     fail_at="",
     ranges="",
     rays="",
+    scales="",
     robots_in="[w:end]",
     sampler="",
     kept="[w:end]",
 )
-memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="", seen="[:, w:end]")
+memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="", seen=ROWS, plan=ROWS)
 episode_of = _view_of(Episode, ":, w:end", MOTION, team_return="[w:end]", codes="[w:end]")
 output_of = _view_of(Output, "w:end", RESULTS)
 
@@ -142,10 +144,15 @@ def write_observations(p, g, mem, ep, w, is_world, tile, rows):
     first = cuda.blockIdx.x * threads
     size = rows.shape[2]
     count = min(threads, rows.shape[0] - first)
+    if is_world:
+        assign(g, mem.plan, ep.status, ep, w, w + ONE)
     for i in range(rows.shape[1]):
         if is_world:
             mine = tile[:, thread : thread + 1]
-            describe(p, g, mem.key, mem.seen, ep.status, g.rays, ep, w, w + ONE, i, mine)
+            describe(
+                *(p, g, mem.key, mem.seen, mem.plan, ep.status, g.rays, g.scales, ep),
+                *(w, w + ONE, i, mine),
+            )
         cuda.syncthreads()
         world, entry = thread // size, thread % size
         while world < count:
@@ -174,8 +181,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
         y = cuda.local.array((n, 1), real)
         vx = cuda.local.array((n, 1), real)
         vy = cuda.local.array((n, 1), real)
-        visited = cuda.local.array(1, np.int32)
-        steps = cuda.local.array(1, np.int32)
+        visited, steps = cuda.local.array(1, np.int32), cuda.local.array(1, np.int32)
         events = cuda.local.array((n, 1), np.int32)
         outcomes = cuda.local.array(1, np.int32)
         rewards = cuda.local.array((1, n), real)
@@ -203,10 +209,11 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
                 score_step(p, own, memory, one.status, one, given, to, ZERO, ONE)
                 change = close_step(p, memory, given, ZERO)
             if change == ENDED | RESTARTS:
+                assign(own, memory.plan, one.status, one, ZERO, ONE)
                 for i in range(n):
                     describe(
-                        *(p, own, memory.key, memory.seen, one.status, own.rays, one),
-                        *(ZERO, ONE, i, mine),
+                        *(p, own, memory.key, memory.seen, memory.plan, one.status),
+                        *(own.rays, own.scales, one, ZERO, ONE, i, mine),
                     )
                     for entry in range(obs_size):
                         given.final_observations[0, i, entry] = mine[entry, 0]

@@ -9,6 +9,7 @@ import numpy as np
 from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine.mdp.drawn import make_ranges
 from mbn_marl.engine.mdp.dynamics import DYNAMICS, POINT_MASS
+from mbn_marl.engine.mdp.entities import SCALES
 from mbn_marl.engine.mdp.lidar import rays_of
 from mbn_marl.engine.mdp.observations import WITH_RAYS
 from mbn_marl.engine.state import Array, Geometry
@@ -77,6 +78,7 @@ def make_geometry(
     scratch = scratch_rows(n, sizes.rois), worlds
     has_rays = config.observation in WITH_RAYS
     rays = rays_of(config.sensing_radius, sizes.arena) if has_rays else np.zeros(0)
+    scales = SCALES if config.observation == "entities" else np.zeros((0, 0))
     return Geometry(
         **rounded(tables, real)._asdict(),
         robots=robots,
@@ -84,6 +86,7 @@ def make_geometry(
         fail_at=fail_at,
         ranges=make_ranges(config, n),
         rays=rays.astype(real),
+        scales=scales.astype(real),
         sampler=sampler_numbers(sampler) if sampler else np.zeros((0, 0), np.int64),
         scratch=np.zeros(scratch if sampler else (0, 0), np.int64, order="F"),
         kept=np.zeros(worlds if sampler else 0, np.bool_),

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
+from mbn_marl.engine.mdp.assignment import rows_planned
 from mbn_marl.engine.mdp.disturbances import DISTURBANCES, OF_ACTIONS, OF_SIGHT, any_on
 from mbn_marl.engine.mdp.drawn import is_drawn, rows_drawn
 from mbn_marl.engine.mdp.dynamics import count_headings
@@ -38,6 +39,7 @@ class Geometry(NamedTuple):
     fail_at: Array  # (n,) int32: the step in which each robot fails, 0 for none; (0,) without
     ranges: Array  # (3, numbers) float64: what episodes draw, see drawn.make_ranges; (0,) if none
     rays: Array  # (2, 8) real: lidar's rays, units; (0,) without it, whose code is then left out
+    scales: Array  # (2,) real: see entities.SCALES; (0, 0) without it, whose code is then left out
     sampler: Array  # (numbers + 1,) int64: FieldSampler.numbers and its seed; (0, 0) if fixed
     scratch: Array  # (rows, F) int64: room to make a field in; (0, 0) if fixed
     kept: Array  # (F,) bool: whether the next episode keeps the field; (0,) if fixed
@@ -93,6 +95,7 @@ class Memory(NamedTuple):
     draw: Array  # (1,) int64: number of the next draw of random actions
     acted: Array  # (W, n, 2) real: the actions that arrived; (0, n, 2) if undisturbed
     seen: Array  # (rows_seen, W) real: what a robot sees; (0, 0, W) if it sees all as it is
+    plan: Array  # (rows_planned, W) real: who is to visit what; (0, 0, W) if nothing is assigned
 
 
 class Output(NamedTuple):
@@ -142,6 +145,7 @@ def make_memory(
     formal = config.reward.rules == "formal"
     motion = 3 if now.heading.shape[0] else 2
     seen = (rows_seen(n, m), worlds) if any_on(config, OF_SIGHT) else (0, 0, worlds)
+    plan = (rows_planned(n, m), worlds) if config.assignment else (0, 0, worlds)
     keyed = any_on(config, DISTURBANCES) or config.failures is not None or is_drawn(config)
     words = filter_size(length * (1 if formal else n)) + ODD_LINES
     trail = xp.zeros((worlds, length * n, 2), dtype=real)
@@ -162,6 +166,7 @@ def make_memory(
         draw=xp.zeros(1, dtype=xp.int64),
         acted=xp.zeros((worlds if now.queue.ndim == 2 else 0, n, 2), dtype=real),
         seen=xp.zeros(seen, dtype=real),
+        plan=xp.zeros(plan, dtype=real),
     )
     return share_bits(memory, now, xp)
 

@@ -44,7 +44,7 @@ class Player:
     """
 
     def __init__(self, problem: Problem, visited: Sequence[int] = ()) -> None:
-        plain = {"observation": "relative", "one_hot": False}
+        plain = {"observation": "relative", "assignment": False, "one_hot": False}
         config = problem.config.model_copy(update=plain)
         settings = {name: getattr(config, name) for name in NavigationConfig.model_fields}
         self._engine = BatchEngine(problem.field, 1, autoreset="disabled", threads=1, **settings)

@@ -18,10 +18,11 @@ from mbn_marl.adapters.infos import GAP
 from mbn_marl.checked import Uniform
 from mbn_marl.config import Failures
 from mbn_marl.engine.mdp.disturbances import OF_ACTIONS
+from mbn_marl.engine.mdp.observations import WITH_RAYS
 from tests.support.forms import BatchForm, CentralizedForm, Outcome, ParallelForm, TeamSharingForm
 from tests.support.oracle import Oracle
 from tests.support.scores import TERMS, Step
-from tests.support.worlds import DRAWN, Pilot, World, random_field, worlds
+from tests.support.worlds import ASSIGNED, DRAWN, Pilot, World, random_field, worlds
 
 EXAMPLES = 4  # for each number of robots
 STEPS = 60
@@ -65,7 +66,7 @@ def check_sights(outcome: Outcome, oracle: Oracle, dtype: str, missing: int = 0)
     """
     for robot, observation in enumerate(outcome.observations):
         low = high = oracle.observe(robot, missing)
-        if oracle.observation.startswith("lidar") and dtype == "float32":
+        if oracle.observation in WITH_RAYS and dtype == "float32":
             corners = [(dx, dy) for dx in (-DOUBT, DOUBT) for dy in (-DOUBT, DOUBT)]
             views = [low, *(oracle.observe(robot, missing, corner) for corner in corners)]
             low, high = np.min(views, axis=0), np.max(views, axis=0)
@@ -184,7 +185,10 @@ def test_all_forms_agree_with_the_oracle(rules: Any, dtype: str) -> None:
 
 @pytest.mark.parametrize(
     ("dtype", "seen_as"),
-    [("float32", ["relative", "local", "state"]), ("float64", ["lidar", "lidar_local"])],
+    [
+        ("float32", ["relative", "local", "state", "entities"]),
+        ("float64", ["lidar", "lidar_local", "assigned entities"]),
+    ],
 )
 @pytest.mark.parametrize("rules", ["released", "formal"])
 def test_all_forms_agree_with_the_oracle_when_robots_fail(
@@ -197,7 +201,8 @@ def test_all_forms_agree_with_the_oracle_when_robots_fail(
     def agree(world: World, failures: Failures, observation: str) -> None:
         n = len(world.behaviours)
         options = {**world.settings, **DRAWN, **dict.fromkeys(OF_ACTIONS, 0)}
-        options |= {"failures": failures, "observation": observation}
+        options |= {"failures": failures, "observation": observation.removeprefix("assigned ")}
+        options["assignment"] = observation.startswith("assigned")
         options["dynamics"] = tuple((order * n)[:n])
         seen.update(compare(replace(world, settings=options), dtype, 3, 0))
 
@@ -292,7 +297,7 @@ def test_a_robot_on_the_ground_of_another(reward: str) -> None:
     assert revisits == [[False, True], [False, False]]
 
 
-@pytest.mark.parametrize("observation", ["relative", "lidar", "lidar_local"])
+@pytest.mark.parametrize("observation", ["relative", "lidar", "lidar_local", "entities"])
 def test_fields_of_one_batch_are_each_the_field_alone(observation: str) -> None:
     rng = np.random.default_rng(5)
     fields = [
@@ -300,7 +305,7 @@ def test_fields_of_one_batch_are_each_the_field_alone(observation: str) -> None:
         for corners, hole, n_rois in [(3, False, 2), (8, True, 7), (5, True, 4)]
     ]
     options = {"dtype": "float64", "wind": (0.1, 30.0), "f_max": 2.0, "max_steps": 50}
-    options["observation"] = observation
+    options |= ASSIGNED if observation == "entities" else {"observation": observation}
     behaviours = ("seek", "uniform", "push")
     for which in range(6):
         world = World(fields[which % 3], options, behaviours, seed=which)

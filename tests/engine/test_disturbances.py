@@ -212,7 +212,7 @@ def test_each_robot_sees_everything_with_noise_of_its_own(steps: int) -> None:
     assert engine.state()[1].tolist() == true
 
 
-@pytest.mark.parametrize("observation", ["relative", "local", "state"])
+@pytest.mark.parametrize("observation", ["relative", "local", "entities", "state"])
 def test_what_is_seen_stays_in_the_space(observation: Any) -> None:
     engine = engine_of(
         **(ON | {"position_noise": 1e5, "velocity_noise": 1e5, "observation": observation})
@@ -222,7 +222,9 @@ def test_what_is_seen_stays_in_the_space(observation: Any) -> None:
         assert np.isin([1.0, -1.0] if observation != "state" else [0.0, 1000.0], row).all()
 
 
-@pytest.mark.parametrize("observation", ["relative", "local", "lidar", "lidar_local", "state"])
+@pytest.mark.parametrize(
+    "observation", ["relative", "local", "lidar", "lidar_local", "entities", "state"]
+)
 def test_what_drops_out_is_nought(observation: Any) -> None:
     settings = ON | {"position_noise": 0.0, "sensing_radius": 500.0, "observation": observation}
     field = Field(vertices=SQUARE.vertices, rois=[(200.0, 150.0)], starts=SQUARE.starts)

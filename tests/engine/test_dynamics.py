@@ -195,7 +195,9 @@ def entries(engine: BatchEngine, robot: int) -> dict[str, float]:
     return dict(zip((entry.name for entry in engine.observation_table), row.tolist(), strict=True))
 
 
-@pytest.mark.parametrize("observation", ["relative", "local", "lidar", "lidar_local", "state"])
+@pytest.mark.parametrize(
+    "observation", ["relative", "local", "lidar", "lidar_local", "entities", "state"]
+)
 def test_every_observation_shows_the_headings(observation: Any) -> None:
     settings = {"observation": observation, "one_hot": True}
     engine = driven((1.0, 1.0), dynamics=("point_mass", "unicycle"), **settings)

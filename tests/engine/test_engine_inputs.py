@@ -234,8 +234,9 @@ BAD_SETTINGS: dict[str, tuple[dict[str, Any], list[str]]] = {
     "unknown sharing": ({"reward_sharing": "all"}, ["reward_sharing", "individual", "team"]),
     "unknown observation": (
         {"observation": "pixels"},
-        ["observation", "relative", "state", "local", "lidar", "lidar_local"],
+        ["observation", "relative", "state", "local", "lidar", "lidar_local", "entities"],
     ),
+    "assignment of others": ({"assignment": True}, ["assignment", "observation='entities'"]),
     "unknown dtype": ({"dtype": "float16"}, ["dtype", "float32", "float64"]),
     "no steps": ({"max_steps": 0}, ["max_steps", "1"]),
     "no robots": ({"n_robots": 0}, ["n_robots", "1"]),

@@ -248,7 +248,9 @@ def entries(engine: BatchEngine, robot: int) -> dict[str, float]:
     return dict(zip((entry.name for entry in engine.observation_table), row.tolist(), strict=True))
 
 
-@pytest.mark.parametrize("observation", ["relative", "local", "lidar", "lidar_local", "state"])
+@pytest.mark.parametrize(
+    "observation", ["relative", "local", "lidar", "lidar_local", "entities", "state"]
+)
 def test_every_observation_shows_who_has_failed(observation: Any) -> None:
     options: dict[str, Any] = {"observation": observation, **UNTURNED}
     plain = BatchEngine(SQUARE, 2, **options)
@@ -258,13 +260,14 @@ def test_every_observation_shows_who_has_failed(observation: Any) -> None:
         go(engine, FORWARD, FORWARD)
         assert engine.obs_size == plain.obs_size + 3
         first, last = entries(engine, 0), entries(engine, 2)
+        blank = kind == "vanish" and observation == "entities"
         names = ["own_failed", "other_1_failed", "other_2_failed"]
         assert [first[name] for name in names] == [1.0, 0.0, 0.0]
-        assert [last[name] for name in names] == [0.0, 1.0, 0.0]
+        assert [last[name] for name in names] == [0.0, float(not blank), 0.0]
         seen = {name: value for name, value in last.items() if name.startswith("other_1")}
         shown = [name for name, value in seen.items() if value]
         hidden = kind == "vanish" and observation != "state"
-        assert shown == ["other_1_failed"] if hidden else len(shown) >= 2
+        assert shown == ["other_1_failed"] * (not blank) if hidden else len(shown) >= 2
         assert any(value for name, value in first.items() if name.startswith("own_")) is True
         low, high = engine.observation_low, engine.observation_high
         rows = engine._backend.output.observations

@@ -27,6 +27,7 @@ from mbn_marl.field import FieldSampler
 from mbn_marl.field.layout import FAMILIES
 from tests.engine.test_golden import golden_field
 from tests.golden import Episode, load_episodes
+from tests.support.worlds import ASSIGNED
 
 SPREAD = sorted(load_episodes(), key=lambda episode: len(episode.actions))[::18]
 WORLDS = 3  # with two threads in a block: the last block is not full
@@ -137,6 +138,7 @@ def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
         {"field": ["field_05", "field_09"], "observation": "lidar_local"},
         {"field": FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 8)), "observation": "state"},
         {"field": FieldSampler(robots=(2, 3)), "gust": 0.1, "failures": Failures(between=(3, 9))},
+        {"field": FieldSampler(FAMILIES, robots=(2, 4)), "dropout": 0.2, **ASSIGNED},
         {"reward": "formal", "observation": "state", "n_robots": 2},
         {"reward_sharing": "team", "mass": (1.0, 1.5, 2.0), "f_max": 3.0},
         {"dynamics": ("holonomic", "unicycle", "bicycle"), "f_max": (1.0, 2.0, 3.0)},

@@ -27,6 +27,7 @@ DISTURBANCES = {
     **{"position_noise": 4.0, "velocity_noise": 0.5, "dropout": 0.3},
 }
 
+ASSIGNED = {"observation": "entities", "assignment": True}
 DRAWN = {
     **{name: Uniform(0.2 * value, value) for name, value in DISTURBANCES.items()},
     **{"action_delay": 1, "wind": (Uniform(0.0, 0.3), Uniform(-720.0, 720.0))},
@@ -73,7 +74,7 @@ def worlds(draw: st.DrawFn, n: int, rules: Literal["released", "formal"]) -> Wor
         "roi_radius": draw(st.sampled_from([10.0, 30.0])),
         "safety_distance": draw(st.sampled_from([APART, 3.0])),
         "max_steps": draw(st.sampled_from([40, 7, 1000])),
-        "observation": draw(st.sampled_from([*OBSERVATIONS])),
+        **draw(st.sampled_from([*({"observation": name} for name in OBSERVATIONS), ASSIGNED])),
         "sensing_radius": draw(st.sampled_from([60.0, 17.3])),
         "one_hot": draw(st.booleans()),
         **draw(st.sampled_from([{}, DISTURBANCES])),

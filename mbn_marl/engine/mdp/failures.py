@@ -33,6 +33,14 @@ KINDS = {"brake": BRAKE, "coast": COAST, "vanish": VANISH}
 
 
 @compiled
+def works(status, i, w):
+    """Return whether robot i of world w is in the team and has not failed."""
+    if status.ndim == 2:
+        return status[i, w] == WORKS
+    return True
+
+
+@compiled
 def is_absent(status, i, w):
     """Return whether robot i is not in the team of world w."""
     if status.ndim == 2:

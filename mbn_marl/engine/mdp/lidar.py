@@ -18,6 +18,7 @@ from mbn_marl.compiled.scalars import HALF, MANY, clip, column, select
 from mbn_marl.engine.mdp.containment import cross_edge
 from mbn_marl.engine.mdp.drawn import limits_in, numbers_of
 from mbn_marl.engine.mdp.dynamics import has_heading, limits_of, part_along
+from mbn_marl.engine.mdp.entries import Row
 from mbn_marl.engine.mdp.sight import spot
 
 FAR = np.float32(np.inf)
@@ -31,6 +32,13 @@ RAYS = np.array([[1, S, 0, -S, -1, -S, 0, S], [0, S, 1, S, 0, -S, -1, -S]])
 def rays_of(radius: float, arena: tuple[float, float]) -> NDArray[np.float64]:
     """The rays (2, 8), units: as long as the sensing radius, or the arena's diagonal if shorter."""
     return RAYS * min(radius, math.hypot(*arena))
+
+
+def wall_rows() -> list[Row]:
+    """The entries about the walls."""
+    rows = [(f"ray_{k}", 0.0, 1.0, "sensing radii") for k in range(RAYS.shape[1])]
+    rows += [("time_to_wall", 0.0, 1.0, "sensing radii at the speed limit")]
+    return [*rows, ("brake_inside", 0.0, 1.0, "flag"), ("wall_distance", 0.0, 1.0, "sensing radii")]
 
 
 @compiled
@@ -196,3 +204,13 @@ def put_brake(p, g, kinds, ep, lo, hi, i, tile, k):
             tile[k, w - lo] = cross_edge(np.int32(tile[k, w - lo]), x, y, ax, ay, bx, by)
     for w in range(lo, hi):
         tile[k, w - lo] = min(tile[k, w - lo], p.one)
+
+
+@compiled
+def put_walls(p, g, rays, ep, lo, hi, i, tile, k):
+    """The entries about the walls; how many entries there are by then."""
+    put_rays(p, g, rays, ep, lo, hi, i, tile, k)
+    k += rays.shape[1]
+    put_margins(p, g, rays, ep, lo, hi, i, tile, k)
+    put_brake(p, g, g.kinds, ep, lo, hi, i, tile, k + 1)
+    return k + 3

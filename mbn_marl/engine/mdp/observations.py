@@ -1,8 +1,8 @@
 """A robot's observation: a table of entries for each kind, and the function that writes them.
 
 Entries are float32 and bounded: scaled to [-1, 1] by the arena, the speed limit and the sensing
-radius, but for ``state``, the paper's vector in raw units with the own robot first. The visit bits
-of the ROIs are shared by the team in all of them.
+radius, but for ``entities`` (``entities.py``) and ``state``, the paper's vector in raw units with
+the own robot first. The visit bits of the ROIs are shared by the team in all of them.
 
 Source: Choton, Woods, Hsu, section 3 (``state``); the others are this package's (mdp.md, "What a
 robot sees").
@@ -19,24 +19,27 @@ from mbn_marl.compiled.scalars import FIRST, clip, column
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.intrinsics import SIDE, transpose
 from mbn_marl.engine.mdp import lidar
+from mbn_marl.engine.mdp.assignment import assign
 from mbn_marl.engine.mdp.dynamics import count_headings
+from mbn_marl.engine.mdp.entities import entity_rows, put_entities
+from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading
 from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
 from mbn_marl.engine.mdp.sight import drop, look, seen_places, seen_robots, spot
 from mbn_marl.engine.mdp.visits import visit_code, within
 
-RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL = range(5)
+RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL, ENTITIES = range(6)
 OBSERVATIONS = {
     "relative": RELATIVE,
     "state": STATE,
     "local": LOCAL,
     "lidar": LIDAR,
     "lidar_local": LIDAR_LOCAL,
+    "entities": ENTITIES,
 }
-WITH_RAYS = ("lidar", "lidar_local")
+LIDARS = ("lidar", "lidar_local")
+WITH_RAYS = (*LIDARS, "entities")
 WITH_RADIUS = ("local", *WITH_RAYS)
 """The observations that depend on the sensing radius."""
-
-Row = tuple[str, float, float, str]
 
 
 class Entry(NamedTuple):
@@ -69,6 +72,8 @@ def observation_table(
     flag = "failed" if config.failures else "absent" if teams_vary else ""
     if config.observation == "state":
         rows = _state_rows(n, m, arena, config.top_speed, turns, flag)
+    elif config.observation == "entities":
+        rows = entity_rows(n, m, turns, flag, config.assignment)
     else:
         rows = _scaled_rows(n, m, config.observation, turns, flag)
     if config.one_hot:
@@ -76,40 +81,28 @@ def observation_table(
     return tuple(Entry(row[0], k, *row[1:]) for k, row in enumerate(rows))
 
 
-def _heading_rows(robot: str, turns: bool) -> list[Row]:
-    """The entries of a robot's heading, if any robot has one."""
-    return [(f"{robot}_{name}", -1.0, 1.0, f"{name} of heading") for name in ("cos", "sin")] * turns
-
-
-def _flag_row(robot: str, flag: str) -> list[Row]:
-    """The entry that says whether a robot has failed or is absent, if robots can be."""
-    return [(f"{robot}_{flag}", 0.0, 1.0, "flag")] * bool(flag)
-
-
 def _scaled_rows(n: int, m: int, observation: str, turns: bool, flag: str) -> list[Row]:
     """The entries of ``relative``, and what ``local`` and ``lidar`` add to them."""
-    flags, lidar_only = observation == "local", observation in WITH_RAYS
+    flags, lidar_only = observation == "local", observation in LIDARS
     centre = "the field's centre" if lidar_only else "its centre"
     velocity, radii = "speed limits", "sensing radii"
     rows = [(f"own_{a}", -1.0, 1.0, f"half arenas from {centre}") for a in "xy"]
     rows += [(f"own_v{a}", -1.0, 1.0, velocity) for a in "xy"]
-    rows += _heading_rows("own", turns) + _flag_row("own", flag)
+    rows += heading_rows("own", turns) + flag_row("own", flag)
     for k in range(1, n):
         rows += [(f"other_{k}_present", 0.0, 1.0, "flag")] * flags
         rows += [(f"other_{k}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
         rows += [(f"other_{k}_dv{a}", -1.0, 1.0, f"2 {velocity}") for a in "xy"]
-        rows += _heading_rows(f"other_{k}", turns)
+        rows += heading_rows(f"other_{k}", turns)
         rows += [(f"other_{k}_near", 0.0, 1.0, f"1 - {radii}")] * lidar_only
-        rows += _flag_row(f"other_{k}", flag)
+        rows += flag_row(f"other_{k}", flag)
     for j in range(m):
         rows += [(f"roi_{j}_present", 0.0, 1.0, "flag")] * flags
         rows += [(f"roi_{j}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
         rows += [(f"roi_{j}_u{a}", -1.0, 1.0, "soft unit vector") for a in "xy"] * lidar_only
         rows += [(f"roi_{j}_visited", 0.0, 1.0, "flag")]
     if lidar_only:
-        rows += [(f"ray_{k}", 0.0, 1.0, radii) for k in range(lidar.RAYS.shape[1])]
-        rows += [("time_to_wall", 0.0, 1.0, f"{radii} at the speed limit")]
-        rows += [("brake_inside", 0.0, 1.0, "flag"), ("wall_distance", 0.0, 1.0, radii)]
+        rows += lidar.wall_rows()
     return rows
 
 
@@ -119,8 +112,8 @@ def _state_rows(
     who = ["own", *(f"other_{k}" for k in range(1, n))]
     rows = [(f"{r}_{a}", 0.0, arena[k], "units") for r in who for k, a in enumerate("xy")]
     rows += [(f"{r}_v{a}", -top_speed, top_speed, "units/step") for r in who for a in "xy"]
-    rows += [row for r in who for row in _heading_rows(r, turns)]
-    rows += [row for r in who for row in _flag_row(r, flag)]
+    rows += [row for r in who for row in heading_rows(r, turns)]
+    rows += [row for r in who for row in flag_row(r, flag)]
     return [*rows, ("visit_code", 0.0, float(2**m - 1), "code")]
 
 
@@ -157,14 +150,6 @@ def put_state(ep, lo, hi, tile):
         k += put_flag(ep.status, lo, hi, i, tile, k)
     for w in range(lo, hi):
         tile[k, w - lo] = visit_code(ep.visited[w], ep.codes[w])
-
-
-@compiled
-def put_heading(ep, lo, hi, i, tile, k):
-    """The cosine and the sine of robot i's heading, both 0 if it has none."""
-    for w in range(lo, hi):
-        tile[k, w - lo] = ep.cos[i, w]
-        tile[k + 1, w - lo] = ep.sin[i, w]
 
 
 @compiled
@@ -316,30 +301,24 @@ def put_lidar(p, g, seen, status, rays, ep, lo, hi, i, tile):
 
 
 @compiled
-def put_walls(p, g, rays, ep, lo, hi, i, tile, k):
-    """The entries of ``lidar`` and ``lidar_local`` about the walls; how many there are by then."""
-    lidar.put_rays(p, g, rays, ep, lo, hi, i, tile, k)
-    k += rays.shape[1]
-    lidar.put_margins(p, g, rays, ep, lo, hi, i, tile, k)
-    lidar.put_brake(p, g, g.kinds, ep, lo, hi, i, tile, k + 1)
-    return k + 3
-
-
-@compiled
-def describe(p, g, keys, seen, status, rays, ep, lo, hi, i, tile):
+def describe(p, g, keys, seen, plan, status, rays, scales, ep, lo, hi, i, tile):
     """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side.
 
-    ``keys`` and ``seen`` are those of the memory, ``status`` is that of ``ep``, ``rays`` are those
-    of ``g``. Conditions on their types leave the code of noise, of failures and of lidar, which
-    takes seconds to compile, to those who use it.
+    ``keys``, ``seen`` and ``plan`` are those of the memory, ``status`` is that of ``ep``, ``rays``
+    and ``scales`` are those of ``g``. Conditions on their types leave the code of noise, of
+    failures, of lidar and of entities, which takes seconds to compile, to those who use it.
     """
     n, places, robots = ep.x.shape[0], g, ep
     if seen.ndim == 2:
         look(p, g, keys, seen, ep, lo, hi, i)
         places, robots = seen_places(seen, g, n), seen_robots(seen, ep, g.roi_bits.shape[0])
-    if rays.ndim == 2:
+    if scales.ndim == 1:
+        k = put_entities(
+            *(p, g, places, seen, plan, status, rays, scales, ep, robots, lo, hi, i, tile)
+        )
+    elif rays.ndim == 2:
         k = put_lidar(p, places, seen, status, rays, robots, lo, hi, i, tile)
-        k = put_walls(p, g, rays, ep, lo, hi, i, tile, k)
+        k = lidar.put_walls(p, g, rays, ep, lo, hi, i, tile, k)
     elif p.observation == STATE:
         k = put_own_state(p, places, seen, status, robots, lo, hi, i, tile)
     else:
@@ -377,7 +356,9 @@ def observe(p, g, mem, ep, lo, hi, tile, rows):
     They are made entry by entry in ``tile`` (size, at least hi - lo), where worlds lie side by
     side, and then turned over: faster than writing each entry to its far-apart places at once.
     """
-    keys, seen, status, rays = mem.key, mem.seen, ep.status, g.rays
+    keys, seen, plan, status = mem.key, mem.seen, mem.plan, ep.status
+    rays, scales = g.rays, g.scales
+    assign(g, plan, status, ep, lo, hi)
     for i in range(ep.x.shape[0]):
-        describe(p, g, keys, seen, status, rays, ep, lo, hi, i, tile)
+        describe(p, g, keys, seen, plan, status, rays, scales, ep, lo, hi, i, tile)
         turn_over(tile, lo, hi, np.uint64(i), rows)

@@ -120,6 +120,14 @@ def look(p, g, keys, seen, ep, lo, hi, i):
 
 
 @compiled
+def is_seen(seen, thing, w):
+    """Return whether the observer sees a thing, robot j or ROI j as n + j, at all."""
+    if seen.ndim == 2:
+        return seen[thing, w] != 0
+    return True
+
+
+@compiled
 def drop(seen, thing, lo, hi, tile, k, end):
     """Blank entries k to end - 1 where a thing, robot j or ROI j as n + j, is not seen."""
     if seen.ndim == 2:

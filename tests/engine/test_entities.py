@@ -1,0 +1,183 @@
+"""``entities``, worked out by hand, and what does not change it; ``test_forms`` has the oracle."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbn_marl import BatchEngine, Failures, Field
+from mbn_marl.field import FieldSampler
+from tests.support.worlds import ASSIGNED
+
+SQUARE = np.array([(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)])
+STILL = (0.0, 0.0)
+SHIFT = np.array((512.0, 256.0))
+ROOT = 2**0.5
+PRECISIONS = pytest.mark.parametrize("dtype", ["float32", "float64"])
+TWO = [(20.0, 50.0), (60.0, 90.0)]
+ABC = [(30.0, 50.0), (90.0, 50.0), (50.0, 95.0)]
+
+
+def engine_of(rois: Any, starts: Any, **settings: Any) -> BatchEngine:
+    """Two worlds of a square of 100 units, after their reset."""
+    field = Field(vertices=SQUARE, rois=rois, starts=starts)
+    engine = BatchEngine(field, 2, threads=1, **{"observation": "entities", **settings})
+    engine.reset()
+    return engine
+
+
+def after(engine: BatchEngine, *actions: Any) -> BatchEngine:
+    """The engine after steps in which all worlds do the same."""
+    for action in actions:
+        engine.step(np.broadcast_to(action, (engine.num_worlds, engine.n_robots, 2)))
+    return engine
+
+
+def entries(engine: BatchEngine, robot: int, world: int = 0) -> dict[str, float]:
+    """A robot's observation by name."""
+    row: NDArray[Any] = engine._backend.output.observations[world, robot]
+    assert ((row >= engine.observation_low) & (row <= engine.observation_high)).all()
+    return dict(zip((entry.name for entry in engine.observation_table), row.tolist(), strict=True))
+
+
+@PRECISIONS
+def test_at_rest_by_hand(dtype: Any) -> None:
+    found = entries(engine_of([(26.0, 58.0)], [(20.0, 50.0), (50.0, 90.0)], dtype=dtype), 0)
+    expected = {
+        **{"own_vx": 0.0, "own_vy": 0.0},
+        **{"ray_0": 0.8, "ray_1": 0.5 * ROOT, "ray_2": 0.5, "ray_3": 0.2 * ROOT},
+        **{"ray_4": 0.2, "ray_5": 0.2 * ROOT, "ray_6": 0.5, "ray_7": 0.5 * ROOT},
+        **{"time_to_wall": 1.0, "brake_inside": 1.0, "wall_distance": 0.2},
+        # the other robot at (30, 40), 50 units away
+        **{"other_1_present": 1.0, "other_1_near_x": 30 / 45, "other_1_near_y": 40 / 55},
+        **{"other_1_far_x": 30 / 130, "other_1_far_y": 40 / 140},
+        **{"other_1_dvx": 0.0, "other_1_dvy": 0.0},
+        **{"other_1_apart": 50 / 65, "other_1_approach": 50 / 65},
+        # the ROI at (6, 8), 10 units away, 40 units from the other robot
+        **{"roi_0_left": 1.0, "roi_0_near_x": 6 / 21, "roi_0_near_y": 8 / 23},
+        **{"roi_0_far_x": 6 / 106, "roi_0_far_y": 8 / 108},
+        **{
+            "roi_0_ux": 6 / 11,
+            "roi_0_uy": 8 / 11,
+            "roi_0_away": 10 / 110,
+            "roi_0_others": 40 / 140,
+        },
+    }
+    assert list(found) == list(expected)
+    assert found == pytest.approx(expected, abs=1e-6)
+
+
+def test_velocities_and_approach_by_hand() -> None:
+    push = [(1.0, 0.0), STILL]
+    for other, tau, nearest in [
+        ((54.0, 80.0), 1.0, 30.0),  # passes 30 units below it after 7.5 of 15 steps
+        ((95.0, 50.0), 1.0, 11.0),  # 71 units away, 60 in 15 steps
+        ((93.0, 50.0), 0.5, 41.0),  # 30 in 15 steps
+        ((20.0, 90.0), 1.0, (4.0**2 + 40.0**2) ** 0.5),  # leaves it behind
+    ]:
+        starts = [(20.0, 50.0), other]
+        engine = after(engine_of([(1.0, 1.0)], starts, f_max=4.0, tau=tau), push)
+        found = entries(engine, 0)
+        assert (found["own_vx"], found["other_1_dvx"]) == pytest.approx((0.8, -0.4))
+        assert found["other_1_approach"] == pytest.approx(nearest / (nearest + 15.0), abs=1e-6)
+        assert entries(engine, 1)["other_1_approach"] == found["other_1_approach"]
+
+
+def test_what_is_visited_is_nought() -> None:
+    engine = engine_of([(20.0, 55.0), (90.0, 10.0)], TWO, **{**ASSIGNED, "one_hot": True})
+    before, found = entries(engine, 1), entries(after(engine, STILL), 1)
+    assert before["roi_0_left"] == 1.0 and before["is_robot_1"] == found["is_robot_1"] == 1.0
+    assert not any(value for name, value in found.items() if name.startswith("roi_0"))
+    kept = [name for name in found if name.startswith("roi_1_") and name != "roi_1_order"]
+    assert [found[name] for name in kept] == [before[name] for name in kept]
+
+
+def test_assignment_by_hand() -> None:
+    """Robot 0 to A, 10; robot 1 to C, 10, a tie that the first one wins; B after C, 10 + 45."""
+    engine = engine_of(ABC, TWO, roi_radius=1.0, **ASSIGNED)
+    tours, orders = (10 / 110, 55 / 155), ((1.0, 0.0, 0.0), (0.0, 0.5, 1.0))
+    for robot in (0, 1):
+        found = entries(engine, robot)
+        told = [found[name] for name in ("own_tour", "team_tour", "other_1_tour")]
+        assert told == pytest.approx([tours[robot], tours[1], tours[1 - robot]])
+        assert [found[f"roi_{j}_order"] for j in range(3)] == list(orders[robot])
+        plain = entries(engine_of(ABC, TWO, roi_radius=1.0), robot)
+        assert {name: found[name] for name in plain} == plain
+        own = {"own_tour", "team_tour", "other_1_tour", *(f"roi_{j}_order" for j in range(3))}
+        assert found.keys() - plain.keys() == own
+
+
+def test_robots_that_have_failed_are_assigned_nothing() -> None:
+    """Robot 0 to A, then C, 10 + 45, then B, 55 + 45."""
+    settings = {"failures": Failures(at={1: 1}), "roi_radius": 1.0, **ASSIGNED}
+    engine = after(engine_of(ABC, TWO, **settings), STILL)
+    found, other = entries(engine, 0), entries(engine, 1)
+    assert [found[f"roi_{j}_order"] for j in range(3)] == [1.0, pytest.approx(1 / 3), 0.5]
+    assert [found["own_tour"], found["team_tour"], found["other_1_tour"]] == [0.5, 0.5, 0.0]
+    assert [other["own_tour"], other["team_tour"], other["other_1_tour"]] == [0.0, 0.5, 0.5]
+    assert not any(other[f"roi_{j}_order"] for j in range(3))
+    assert found["other_1_present"] == found["other_1_failed"] == 1.0
+    assert found["roi_0_others"] == 1.0 and other["roi_0_others"] == pytest.approx(10 / 110)
+
+
+def three(rng: np.random.Generator) -> dict[str, Any]:
+    """Three robots and five ROIs in the square, at eighths of a unit."""
+    spots = rng.choice(np.arange(1, 16) * 50, (8, 2), replace=True) / 8 + rng.integers(0, 40, 2) / 8
+    spots[:, 0] = rng.permutation(np.arange(8)) * 11.0 + 5.0  # far enough apart
+    return {"vertices": SQUARE, "starts": spots[:3], "rois": spots[3:]}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_the_field_lies_and_who_is_who_do_not_matter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values, robots, rois = three(rng), rng.permutation(3), rng.permutation(5)
+    fields = [
+        Field(**values),
+        Field(**{name: value + SHIFT for name, value in values.items()}),
+        Field(SQUARE, values["rois"][rois], values["starts"][robots]),
+    ]
+    settings = {"dtype": "float64", "dynamics": "unicycle", "roi_radius": 12.0, **ASSIGNED}
+    failures = Failures(at={0: 5})
+    engine = BatchEngine(fields[:2], 2, threads=1, failures=failures, **settings)
+    failures = Failures(at={int(np.flatnonzero(robots == 0)[0]): 5})
+    other = BatchEngine(fields[2], 2, threads=1, failures=failures, **settings)
+    engine.reset(), other.reset()
+    names = [entry.name for entry in engine.observation_table]
+    for _ in range(12):
+        actions = np.repeat(rng.integers(-8, 9, (1, 3, 2)) / 8, 2, axis=0)
+        seen = engine.step(actions)[0]
+        np.testing.assert_array_equal(seen[0], seen[1])
+        other.step(actions[:, robots])
+        for here, there in enumerate(robots):
+            expected, found = entries(engine, int(there)), entries(other, here)
+            order = [int(there), *(i for i in range(3) if i != there)]
+            others = [i for i in robots if i != there]
+            for name in names:
+                kind, *rest = name.split("_")
+                if kind == "other":
+                    rest[0] = str(1 + others.index(order[int(rest[0])]))
+                elif kind == "roi":
+                    rest[0] = str(int(np.flatnonzero(rois == int(rest[0]))[0]))
+                assert found["_".join([kind, *rest])] == expected[name], name
+
+
+def test_room_for_more_robots_and_rois_changes_nothing() -> None:
+    fields = [FieldSampler(("concave",)).field(world) for world in range(3)]
+    tight = BatchEngine(fields, 3, seed=2, **ASSIGNED)
+    wide = BatchEngine(FieldSampler(robots=(3, 7), rois=(6, 10), size=(200, 420)), 3, **ASSIGNED)
+    for world, field in enumerate(fields):
+        wide.set_field(field, world)
+    tight.reset(), wide.reset()
+    for _ in range(20):
+        actions = np.zeros((3, 7, 2), np.float32)
+        actions[:, :3] = tight.sample_actions()
+        tight.step(actions[:, :3]), wide.step(actions)
+        for world, robot in product(range(3), range(3)):
+            expected, found = entries(tight, robot, world), entries(wide, robot, world)
+            assert {name: found.pop(name) for name in expected} == expected
+            assert found.keys() > {"own_absent", "other_2_absent", "other_3_tour", "roi_6_order"}
+            assert not any(found.values())
