@@ -105,6 +105,7 @@ ALGORITHMS: Mapping[str, Algorithm] = {
         Algorithm("mappo", "decentralized", "torchrl"),
         Algorithm("ippo", "decentralized", "torchrl"),
         Algorithm("ppo-joint", "centralized", "torchrl"),
+        Algorithm("generalist", "decentralized", "torchrl"),
         Algorithm("ppo-shared", "decentralized", "sb3"),
         Algorithm("ppo-supersuit", "decentralized", "sb3"),
     )

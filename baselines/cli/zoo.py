@@ -17,7 +17,8 @@ class Zoo:
     add: Annotated[Path | None, arg(metavar="RUN")] = None
     """Make an entry of this finished run: evaluate its policy and write its card."""
     out: Path | None = None
-    """The folder to make; by default the package's own, named as the run's field."""
+    """The folder to make; by default the package's own, named as the run's field, or as its label
+    if it was trained on random fields."""
 
     def run(self, command_line: str) -> None:
         """Print the cards, after adding one if a run is named."""
@@ -25,10 +26,13 @@ class Zoo:
         from baselines.zoo.entries import FOLDER, entry_names, read_card
         from baselines.zoo.make import make_entry
         from mbn_marl.errors import ConfigError
+        from mbn_marl.field import FieldSampler
 
         if self.add is not None:
             run = RunFolder.open(self.add)
-            print_cards([make_entry(run, self.out or FOLDER / run.field.name)])
+            sampled, config = isinstance(run.fields, FieldSampler), run.config
+            name = (config["label"] or config["algorithm"]) if sampled else run.field.name
+            print_cards([make_entry(run, self.out or FOLDER / name)])
         elif self.out is not None:
             raise ConfigError("zoo", ["out: allowed with --add"])
         else:

@@ -17,7 +17,7 @@ from baselines.evaluation.shielded import Shielded
 from mbn_marl.config import CONDITIONS, Condition, expand, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder
-from mbn_marl.field import Field
+from mbn_marl.field import Field, FieldSampler
 
 EVALUATION_SEED = 1_000_003
 """Seed of the evaluation episodes: the same for every run, and none that training uses."""
@@ -86,7 +86,7 @@ class Evaluation:
 
 def evaluate(
     policy: Policy,
-    field: str | Field,
+    field: str | Field | FieldSampler,
     settings: Mapping[str, Any],
     *,
     episodes: int = 100,
@@ -97,9 +97,10 @@ def evaluate(
 ) -> Evaluation:
     """Run ``episodes`` fresh episodes (> 0) side by side, one world each.
 
-    The settings are those of :class:`mbn_marl.config.NavigationConfig`. ``deterministic`` takes the
-    mean action instead of a sampled one; the seed is that of the worlds and of sampled actions.
-    The episodes of the worlds in ``record`` (from 0) are recorded, the policy is their ``source``.
+    A sampler gives each world a field of its own. The settings are those of
+    :class:`mbn_marl.config.NavigationConfig`. ``deterministic`` takes the mean action instead of a
+    sampled one; the seed is that of the worlds and of sampled actions. The episodes of the worlds
+    in ``record`` (from 0) are recorded, the policy is their ``source``.
 
     Raises:
         ConfigError: the policy was trained for other observations, see :func:`roll_out`.
@@ -149,6 +150,11 @@ def roll_out(
             yield ended
 
 
+def unseen(fields: Field | FieldSampler, seed: int) -> Field | FieldSampler:
+    """Return a field, or a sampler with the ``seed`` of an evaluation, whose fields are new."""
+    return fields if isinstance(fields, Field) else fields.model_copy(update={"seed": seed})
+
+
 def is_one_episode(policy: Policy, settings: Mapping[str, Any], *, deterministic: bool) -> bool:
     """Return whether all episodes are the same: they depend on no random number."""
     while isinstance(policy, LoadedPolicy | Shielded):
@@ -173,7 +179,7 @@ def record_evaluation(
 
 
 def evaluate_both(
-    policy: Policy, field: Field, settings: Mapping[str, Any], **how: Any
+    policy: Policy, field: Field | FieldSampler, settings: Mapping[str, Any], **how: Any
 ) -> dict[str, Evaluation]:
     """Evaluate with sampled actions (``stochastic``) and with mean ones (``deterministic``).
 

@@ -15,7 +15,7 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.observations import WITH_RADIUS, observation_table
 from mbn_marl.errors import ConfigError, unknown
-from mbn_marl.field import Field
+from mbn_marl.field import Field, FieldSampler
 
 Actions = NDArray[np.float32]
 OfEach = dict[str, Actions]
@@ -169,6 +169,8 @@ class Narrowed:
 def fitted(policy: Policy, engine: BatchEngine) -> Policy:
     """Return a policy that acts on what the engine shows; it is to act in this engine.
 
+    One that acts on tokens (``observation="entities"``) fits fields and teams of any size.
+
     Of the headings of robots and the flags of those that have failed, a loaded policy that was
     trained without them sees nothing.
 
@@ -181,10 +183,11 @@ def fitted(policy: Policy, engine: BatchEngine) -> Policy:
     trained: Origin | None = getattr(policy, "origin", None)
     if trained is None:
         return policy
-    if engine.sampler is not None or engine.teams_vary:
+    anywhere = trained.config.observation == "entities"
+    if (engine.sampler is not None or engine.teams_vary) and not anywhere:
         problem = "fields: they vary, and the policy was trained on one; allowed: the same"
         raise ConfigError("policy", [problem])
-    ours, theirs = _sizes(*trained), _sizes(engine.field, engine.config)
+    ours, theirs = _sizes(*trained), _sizes(engine.sampler or engine.field, engine.config)
     new = {name for name in ("headings", "failures") if theirs[name] and not ours[name]}
     problems = [
         f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
@@ -194,7 +197,8 @@ def fitted(policy: Policy, engine: BatchEngine) -> Policy:
         if name in theirs and ours[name] != theirs[name] and name not in new
     ]
     if problems:
-        raise ConfigError(f"policy in {engine.field.name}", problems)
+        place = "random fields" if engine.sampler is not None else engine.field.name
+        raise ConfigError(f"policy in {place}", problems)
     return Narrowed(policy, _known_entries(policy, trained, engine)) if new else policy
 
 
@@ -206,9 +210,8 @@ def _known_entries(policy: Policy, trained: Origin, engine: BatchEngine) -> list
         kept = [*range(4 * n), *(range(headings, 5 * n) if _turns(trained.config, n) else ())]
         kept += range(failures, failures + n) if trained.config.failures is not None else ()
         return [*kept, engine.state().shape[1] - 1]
-    m, arena = len(trained.field.rois), trained.field.arena
     places = {entry.name: entry.offset for entry in engine.observation_table}
-    table = observation_table(trained.config, n, m, arena)
+    table = observation_table(trained.config, n, engine.n_rois, engine.arena)
     return [places[entry.name] for entry in table]
 
 
@@ -217,13 +220,15 @@ def _turns(config: NavigationConfig, n: int) -> bool:
     return count_headings(config.of_each("dynamics", n)) > 0
 
 
-def _sizes(field: Field, config: NavigationConfig) -> dict[str, Any]:
+def _sizes(field: Field | FieldSampler, config: NavigationConfig) -> dict[str, Any]:
     """The settings that an observation's numbers depend on."""
+    sampled = isinstance(field, FieldSampler)
+    robots = config.n_robots or (field.most_robots if sampled else len(field.starts))
+    rois = field.most_rois if sampled else len(field.rois)
+    whole = {"robots": robots, "ROIs": rois, "arena": tuple(map(float, field.arena))}
     sizes = {
-        "robots": config.n_robots or len(field.starts),
-        "ROIs": len(field.rois),
-        "arena": tuple(map(float, field.arena)),
-        "headings": _turns(config, config.n_robots or len(field.starts)),
+        **({} if config.observation == "entities" else whole),
+        "headings": _turns(config, robots),
         "failures": config.failures is not None,
         "v_clip": config.top_speed,
         **{name: getattr(config, name) for name in ("observation", "assignment", "one_hot")},

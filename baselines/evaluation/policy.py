@@ -11,7 +11,7 @@ from baselines.algorithms import find_algorithm
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
-from mbn_marl.field import Field
+from mbn_marl.field import Field, FieldSampler
 
 
 class Policy(Protocol):
@@ -60,7 +60,7 @@ class TrainedPolicy(Policy, Protocol):
 class Origin(NamedTuple):
     """Where a policy was trained."""
 
-    field: Field
+    field: Field | FieldSampler
     config: NavigationConfig
 
 
@@ -85,6 +85,6 @@ def load_trained(run: Path | RunFolder) -> TrainedPolicy:
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
     policy: Any = find_algorithm(folder.config["algorithm"]).load_policy(folder.policy)
-    policy.origin = Origin(folder.field, make_config(folder.config["environment"]))
+    policy.origin = Origin(folder.fields, make_config(folder.config["environment"]))
     trained: TrainedPolicy = policy
     return trained

@@ -2,7 +2,7 @@
 
 Files of a run folder:
     config.json        the resolved configuration: the request, hyperparameters, environment
-    field.yaml         the field
+    field.yaml         the field, or the sampler of its fields
     command.txt        the exact command
     versions.json      Python, packages, machine, git revision
     resumed.json       if it was interrupted: where it was resumed, by what command
@@ -40,7 +40,7 @@ from baselines.runs.files import (
 )
 from baselines.runs.provenance import versions, write_provenance
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import Field, load_field, save_field
+from mbn_marl.field import Field, FieldSampler, load_fields, save_field
 
 FILES = (
     *("config.json", "field.yaml", "command.txt", "versions.json", "resumed.json"),
@@ -56,7 +56,9 @@ class RunFolder:
         self.path = path
 
     @classmethod
-    def create(cls, path: Path, resolved: Mapping[str, Any], field: Field, command: str) -> Self:
+    def create(
+        cls, path: Path, resolved: Mapping[str, Any], field: Field | FieldSampler, command: str
+    ) -> Self:
         """Start a run in a claimed folder, with its resolved configuration (JSON values)."""
         folder = cls(path)
         folder._clear_leftovers()
@@ -66,7 +68,9 @@ class RunFolder:
         return folder
 
     @classmethod
-    def resume(cls, path: Path, resolved: Mapping[str, Any], field: Field, command: str) -> Self:
+    def resume(
+        cls, path: Path, resolved: Mapping[str, Any], field: Field | FieldSampler, command: str
+    ) -> Self:
         """Resume the run in ``path``, if it was interrupted; a finished one is left as it is.
 
         Raises:
@@ -76,7 +80,7 @@ class RunFolder:
         folder = cls.open(path)
         recorded, asked = folder.config, json.loads(json.dumps(resolved))
         problems = differences(recorded, {**dict.fromkeys(recorded), **asked})
-        if (path / "field.yaml").exists() and folder.field != field:
+        if (path / "field.yaml").exists() and folder.fields != field:
             problems.append("field: it has changed since the run was started")
         if problems:
             raise ConfigError(f"{path} cannot be resumed", problems)
@@ -115,12 +119,19 @@ class RunFolder:
         return dict(read_json(self.path / "config.json"))
 
     @property
-    def field(self) -> Field:
-        """The field that the run was trained on, as it was then."""
+    def fields(self) -> Field | FieldSampler:
+        """The field that the run was trained on, as it was then, or the sampler of its fields."""
         path = self.path / "field.yaml"
         if path.is_file():
             check(path)
-        return load_field(path)
+        return load_fields(path)
+
+    @property
+    def field(self) -> Field:
+        """The field that the run was trained on; a RunError says that it had random ones."""
+        if isinstance(fields := self.fields, FieldSampler):
+            raise RunError(f"{self.path} was trained on random fields; name one with --field")
+        return fields
 
     @property
     def command(self) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from baselines.torchrl.networks import Actor, Critic, Sharing
+from baselines.torchrl.networks import Actor, Critic, Network, Sharing
 from baselines.training.aids import Count, Positive, Share, TrainingAids, between
 from baselines.training.hyperparameters import read_block, read_blocks, validate
 
@@ -25,7 +25,10 @@ class MultiAgentPPOConfig(TrainingAids):
         num_worlds: worlds stepped side by side.
         rollout_steps: decisions of every world between two updates.
         epochs, minibatches: passes over a rollout, and minibatches of a pass.
-        hidden: widths of the hidden layers of actor and critic (tanh).
+        network: ``"mlp"``, or ``"entities"``, a network over sets for fields and teams of any
+            size, which are those of the observation of that name; it is shared by all robots.
+        hidden: widths of the hidden layers of actor and critic (tanh); of a network over sets
+            those of its tokens and of what follows.
         sharing: of the networks: ``"full"``, one for all robots; ``"full+id"``, one that also
             gets the robot's number (one-hot); ``"none"``, one for each. A central critic is one.
         learning_rate, adam_epsilon: of Adam; the rate from and to.
@@ -37,6 +40,9 @@ class MultiAgentPPOConfig(TrainingAids):
             one per axis; actions outside [-1, 1] are clipped by the engine).
         log_std_cap: upper limit of it: the first value until ``log_std_cap_from`` (a share of
             training), then falling linearly to the second.
+        shaping: the reward, as the learner sees it, of getting a unit nearer to the end of the
+            team's ways (:meth:`~.entities.Tokens.way_left`); potential-based, so that the best
+            policy stays the same. Only with ``network: entities``.
         search_generations: of the search for a faster episode after training, which takes env-steps
             beyond the budget (:mod:`baselines.training.search`); 0 for none.
     """
@@ -47,6 +53,7 @@ class MultiAgentPPOConfig(TrainingAids):
     rollout_steps: Count
     epochs: Count
     minibatches: Count
+    network: Network
     hidden: tuple[Count, ...]
     sharing: Sharing
     learning_rate: tuple[Positive, Positive]
@@ -59,6 +66,7 @@ class MultiAgentPPOConfig(TrainingAids):
     log_std_start: float
     log_std_cap: tuple[float, float]
     log_std_cap_from: Annotated[float, Field(ge=0.0, lt=1.0)]
+    shaping: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
     search_generations: Annotated[int, Field(ge=0)]
 
     @property
@@ -90,4 +98,6 @@ def load(
     place = f"hyperparameters of {algorithm}" if file is None else str(file)
     config = validate(MultiAgentPPOConfig, {**recorded, **overrides, **given}, place)
     environment = {**config.environment, "one_hot": config.sharing == "full+id"}
+    if config.network == "entities":
+        environment["observation"] = "entities"
     return config.model_copy(update={"environment": environment})

@@ -17,6 +17,9 @@ from tensordict.nn import TensorDictModuleBase
 from torch import nn
 from torchrl.modules import RunningValueNorm
 
+from baselines.torchrl.entities import SetActor, SetCritic, Tokens
+
+Network = Literal["mlp", "entities"]
 Sharing = Literal["full", "full+id", "none"]
 Actor = Literal["centralized", "decentralized"]
 Critic = Literal["centralized", "independent"]
@@ -37,13 +40,17 @@ HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 @dataclass(frozen=True)
 class TeamShape:
-    """The sizes of a team's networks; the last three are as in ``MultiAgentPPOConfig``."""
+    """The sizes of a team's networks; the last of them are as in ``MultiAgentPPOConfig``.
+
+    With ``tokens``, networks over sets have them, for teams of any size.
+    """
 
     obs_size: int
     n_robots: int
     hidden: tuple[int, ...]
     sharing: Sharing
     actor: Actor = "decentralized"
+    tokens: Tokens | None = None
 
     @property
     def networks(self) -> int:
@@ -87,16 +94,28 @@ def joined(rows: torch.Tensor) -> torch.Tensor:
 
 
 class Normalize(TensorDictModuleBase):
-    """Running normalisation of observations, one for each network; none until the first update."""
+    """Running normalisation of observations, one for each network; none until the first update.
+
+    Tokens are left as they are: they are scaled, and one statistic for all slots would not be.
+    """
 
     def __init__(self, shape: TeamShape) -> None:
         super().__init__()
         self.in_keys, self.out_keys = [Key.OBSERVATION], [Key.NORMALIZED]
         robots = (shape.n_robots,) if shape.networks > 1 else ()
-        self.statistics = RunningValueNorm(shape=(*robots, shape.obs_size))
+        self._tokens = shape.tokens is not None
+        if not self._tokens:
+            self.statistics = RunningValueNorm(shape=(*robots, shape.obs_size))
+
+    def update(self, observations: torch.Tensor) -> None:
+        """Take ``observations`` (..., n, obs_size) into the statistics."""
+        if not self._tokens:
+            self.statistics.update(observations)
 
     def normalize(self, observations: torch.Tensor) -> torch.Tensor:
         """Normalise ``observations`` (..., n, obs_size)."""
+        if self._tokens:
+            return observations
         normalized: torch.Tensor = (observations - self.statistics.mean) / self.scale()
         return normalized.clamp_(-CLIP, CLIP)
 
@@ -163,9 +182,13 @@ class GaussianPolicy(TensorDictModuleBase):
         self._joint = shape.actor == "centralized"
         n = shape.n_robots
         ends = (n * shape.obs_size, n * 2) if self._joint else (shape.obs_size, 2)
-        networks = 1 if self._joint else shape.networks
-        self.mean = TeamMLP(networks, (ends[0], *shape.hidden, ends[1]), last_gain=0.01)
-        self.log_std = nn.Parameter(torch.full((n if self._joint else networks, 2), log_std))
+        networks, axes = 1 if self._joint else shape.networks, 2
+        if shape.tokens is None:
+            sizes = (ends[0], *shape.hidden, ends[1])
+            self.mean: TeamMLP | SetActor = TeamMLP(networks, sizes, last_gain=0.01)
+        else:
+            self.mean, axes = SetActor(shape.tokens, shape.hidden), 1  # the axes are alike
+        self.log_std = nn.Parameter(torch.full((n if self._joint else networks, axes), log_std))
 
     @property
     def last_layer(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -198,10 +221,16 @@ class ValueNetwork(TensorDictModuleBase):
         n, joint = shape.n_robots, shape.actor == "centralized"
         ends = (n * shape.obs_size, 1 if joint else n) if self._central else (shape.obs_size, 1)
         networks = 1 if self._central else shape.networks
-        self.values = TeamMLP(networks, (ends[0], *shape.hidden, ends[1]), last_gain=1.0)
+        self._tokens = shape.tokens is not None
+        if shape.tokens is None:
+            sizes = (ends[0], *shape.hidden, ends[1])
+            self.values: TeamMLP | SetCritic = TeamMLP(networks, sizes, last_gain=1.0)
+        else:
+            self.values = SetCritic(shape.tokens, shape.hidden, central=self._central)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Add the values."""
         seen = tensordict.get(Key.NORMALIZED)
-        values = self.values(joined(seen)).mT if self._central else self.values(seen)
+        joint = self._central and not self._tokens
+        values = self.values(joined(seen)).mT if joint else self.values(seen)
         return tensordict.set(Key.VALUE, values)

@@ -12,7 +12,9 @@ import torch
 from baselines.evaluation.layers import Activation, Layers
 from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.tensors import read_tensors, write_tensors
-from baselines.torchrl.networks import CLIP, GaussianPolicy, TeamShape
+from baselines.torchrl.entities import Tokens
+from baselines.torchrl.networks import CLIP, GaussianPolicy, TeamMLP, TeamShape
+from mbn_marl.errors import ConfigError
 
 WEIGHTS = "policy.safetensors"
 SHAPE = "policy.json"
@@ -38,6 +40,8 @@ class TeamPolicy:
     def layers(self) -> Layers:
         """See :class:`~baselines.evaluation.layers.HasLayers`."""
         network, mlp = self.network, self.network.mean
+        if not isinstance(mlp, TeamMLP):
+            raise ConfigError("export", ["network: entities; allowed: mlp, whose layers are plain"])
         team = network.shape.actor == "centralized"  # it has the robots side by side
         mean, scale = (
             part.expand(network.shape.n_robots, -1).reshape(1, 1, -1)
@@ -69,7 +73,11 @@ def load_policy(folder: Path) -> TeamPolicy:
         DamageError: a file is not what was written.
     """
     shape = read_json(folder / SHAPE)
-    network = GaussianPolicy(TeamShape(**{**shape, "hidden": tuple(shape["hidden"])}))
+    tokens = (
+        Tokens(**{k: tuple(v) for k, v in shape["tokens"].items()}) if shape.get("tokens") else None
+    )
+    read = {**shape, "hidden": tuple(shape["hidden"]), "tokens": tokens}
+    network = GaussianPolicy(TeamShape(**read))
     try:
         network.load_state_dict(read_tensors(folder / WEIGHTS))
     except RuntimeError as error:

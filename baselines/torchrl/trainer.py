@@ -20,6 +20,7 @@ from baselines.runs.files import read_arrays, read_json, write_arrays, write_jso
 from baselines.runs.rng_state import restore_generators, save_generators
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
 from baselines.torchrl.config import MultiAgentPPOConfig
+from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
 from baselines.torchrl.policy import TeamPolicy
 from baselines.training.aids import RoiCurriculum, between
@@ -29,6 +30,7 @@ from baselines.training.search import LastLayerSearch
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field, FieldSampler
 
 NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
 WORLDS, COUNTERS = "worlds.npz", "counters.json"
@@ -47,10 +49,27 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     Raises:
         ConfigError: they do not.
     """
-    generations = hyperparameters.search_generations
-    if generations and make_config(task.settings).is_random:
-        allowed = "allowed where starts, failures or disturbances are by chance: 0"
-        raise ConfigError("training", [f"search_generations: {generations}; {allowed}"])
+    settings, drawn = make_config(task.settings), isinstance(task.field, FieldSampler)
+    sets, by_chance = hyperparameters.network == "entities", settings.is_random or drawn
+    wrong = {
+        "search_generations": (by_chance or sets, 0, "with chance or a network over sets"),
+        "scattered": (drawn, 0.0, "on random fields"),
+        "shaping": (not sets, 0.0, "with network mlp"),
+        "network": (drawn, "entities", "on random fields"),
+        "sharing": (sets, "full", "with network entities"),
+        "actor": (sets, "decentralized", "with network entities"),
+    }
+    problems = [
+        f"{name}: {value!r}; allowed {where}: {allowed!r}"
+        for name, (applies, allowed, where) in wrong.items()
+        if applies and (value := getattr(hyperparameters, name)) != allowed
+    ]
+    if sets and settings.observation != "entities":
+        problems.append(
+            f"observation: {settings.observation!r}; allowed: 'entities', the network's"
+        )
+    if problems:
+        raise ConfigError("training", problems)
 
 
 def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
@@ -68,8 +87,11 @@ class Trainer:
         self.task, self.config, self.recorder = task, config, recorder
         self.curriculum = config.curriculum(window=config.num_worlds)
         env = self._make_env()
+        engine, sets = env.engine, config.network == "entities"
+        self.tokens = Tokens.of(engine.observation_table) if sets else None
         shape = TeamShape(
-            env.engine.obs_size, env.n_agents, config.hidden, config.sharing, config.actor
+            *(engine.obs_size, env.n_agents, config.hidden, config.sharing, config.actor),
+            tokens=self.tokens,
         )
         self.network = GaussianPolicy(shape, config.log_std_start).to(env.device)
         self.critic = ValueNetwork(shape, config.critic).to(env.device)
@@ -151,7 +173,7 @@ class Trainer:
             rollout = next(self.rollouts).copy()
             collected = time.perf_counter()
             losses = self._descend(self._samples(rollout, repeat))
-            self.network.norm.statistics.update(rollout[Key.OBSERVATION])
+            self.network.norm.update(rollout[Key.OBSERVATION])
             diagnostics = {
                 "rollout_seconds": collected - started,
                 "update_seconds": time.perf_counter() - collected,
@@ -164,7 +186,7 @@ class Trainer:
             if self.recorder.checkpoint_due:
                 save = partial(self._save, env_steps)
                 self.recorder.save_checkpoint(env_steps, policy, save)
-        if config.search_generations:
+        if config.search_generations and isinstance(self.task.field, Field):
             settings, seed = self.task.settings, self.task.config.seed
             self.network.cpu()  # where the search and its worlds are
             search = LastLayerSearch(self.network, self.task.field, settings, seed)
@@ -192,12 +214,34 @@ class Trainer:
         self.critic(self.network.norm(rollout["next"]))
         rollout[self.reward] *= self.config.reward_scale
         self.estimator.gamma.fill_(self.config.gamma**repeat)
+        if self.tokens is not None and self.config.shaping:
+            rollout[self.reward] += self.config.shaping * self._shaped(rollout, self.tokens)
         self.estimator(rollout)
         advantage = rollout["advantage"]
-        rollout["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        if self.env.engine.teams_vary:  # the rows of absent robots say nothing
+            there = rollout[Key.OBSERVATION].any(-1, keepdim=True)
+            known = advantage[there]
+            rollout["advantage"] = (advantage - known.mean()) / (known.std() + 1e-8) * there
+            rollout["value_target"] *= there
+        else:
+            rollout["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         return rollout.select(
             Key.NORMALIZED, Key.ACTION, Key.LOG_PROB, "advantage", "value_target"
         ).reshape(-1)
+
+    def _shaped(self, rollout: TensorDictBase, tokens: Tokens) -> torch.Tensor:
+        """Return by how many units each decision has shortened the ways left, discounted."""
+        n = self.env.n_agents
+        before, after = (
+            tokens.way_left(td[Key.OBSERVATION].flatten(0, -2), n)
+            for td in (rollout, rollout["next"])
+        )
+        running = ~rollout["next", "terminated"].unsqueeze(-2)  # after the end it is 0
+        rows = rollout[self.reward].shape
+        nearer: torch.Tensor = (
+            before.reshape(rows) - self.estimator.gamma * after.reshape(rows) * running
+        )
+        return nearer
 
     def _descend(self, samples: TensorDictBase) -> dict[str, float]:
         """Take the epochs' steps on minibatches; return the means of the losses.

@@ -15,7 +15,7 @@ from baselines.training.config import Task
 from baselines.training.hyperparameters import Hyperparameters
 from mbn_marl.checked import Uniform
 from mbn_marl.config import make_config
-from mbn_marl.field import Field
+from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.limits import SAFETY_DISTANCE
 
 Count = Annotated[int, pydantic.Field(ge=1)]
@@ -77,9 +77,9 @@ class TrainingAids(Hyperparameters):
             between = (first, last) if first <= longest else None
             changes = {"at": at, "between": between}
             settings["failures"] = true.failures.model_copy(update=changes)
-        fields: Field | list[Field] = task.field
+        fields: Field | FieldSampler | list[Field] = task.field
         count = round(self.scattered * worlds) if radius > 1.0 and not true.random_starts else 0
-        if count:
+        if count and isinstance(task.field, Field):
             apart = max(true.at_most().safety_distance, SAFETY_DISTANCE)
             rng = np.random.default_rng((task.config.seed, curriculum.stage))
             others = [with_other_starts(task.field, apart, rng) for _ in range(count)]

@@ -15,7 +15,7 @@ from tyro.conf import Positional, Suppress, arg
 from baselines.algorithms import SETTINGS, Setting, find_algorithm
 from baselines.training.overrides import ENVIRONMENT, words_of
 from mbn_marl.errors import ConfigError, MbnError, collecting
-from mbn_marl.field import Field, load_field
+from mbn_marl.field import Field, FieldSampler, load_fields
 
 LABEL = re.compile(r"[A-Za-z0-9][\w.+-]*")
 """Labels name folders too."""
@@ -35,7 +35,8 @@ class TrainConfig:
     Attributes:
         algorithm: a2c, ppo, trpo, ars, crossq, tqc, ppo-joint (centralised); mappo, ippo,
             ppo-shared and ppo-supersuit (decentralised).
-        field: a name of `mbn fields`, or the path of a field file.
+        field: a name of `mbn fields`, or the path of a field file; generalist takes random_convex,
+            random_shapes and files of samplers too, which draw a field for each episode.
         setting: A: the paper's library defaults, raw observation and reward. B: its Optuna values.
             C: as A, from a policy trained on another field. N: normalised observation, scaled
             reward.
@@ -109,7 +110,7 @@ class TrainConfig:
             elif self.setting != "C" and self.transferred_from is not None:
                 problems.append(f"from: allowed under setting C, not {self.setting}")
         with collecting(problems):
-            load_field(self.field)
+            load_fields(self.field)
         if problems:
             raise ConfigError("training", problems)
 
@@ -157,11 +158,11 @@ class Budget(NamedTuple):
 
 @dataclass(frozen=True)
 class Task:
-    """A request with its field loaded, as a trainer gets it.
+    """A request with its field loaded, or the sampler of its fields, as a trainer gets it.
 
     ``settings`` are keyword arguments of the environment: the algorithm's own and the request's.
     """
 
     config: TrainConfig
-    field: Field
+    field: Field | FieldSampler
     settings: Mapping[str, Any]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate
+from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate, unseen
 from baselines.evaluation.intervals import passes
 from baselines.evaluation.policy import TrainedPolicy
 from baselines.runs.files import read_json, write_json
@@ -18,6 +18,7 @@ from baselines.training.config import Task
 from baselines.training.loggers import Loggers
 from baselines.training.progress_bar import Listener, Report
 from mbn_marl.config import make_config
+from mbn_marl.field import FieldSampler
 
 
 class EpisodeWindow:
@@ -126,6 +127,7 @@ class Recorder:
         if evaluation_due:
             # Without random numbers all episodes with mean actions are the same.
             several = make_config(self._task.settings).is_random
+            several = several or isinstance(self._task.field, FieldSampler)
             sampled, mean = self._evaluate(
                 env_steps,
                 policy,
@@ -204,7 +206,8 @@ class Recorder:
         def fresh(episodes: int, *, deterministic: bool) -> Evaluation:
             task, seed = self._task, EVALUATION_SEED + number
             how: dict[str, Any] = {"episodes": episodes, "seed": seed}
-            return evaluate(policy, task.field, task.settings, deterministic=deterministic, **how)
+            fields = unseen(task.field, seed)
+            return evaluate(policy, fields, task.settings, deterministic=deterministic, **how)
 
         sampled = fresh(self._task.config.episodes, deterministic=False)
         mean = fresh(mean_episodes, deterministic=True)

@@ -19,7 +19,7 @@ from baselines.training.progress_bar import Listener
 from baselines.training.run_logger import Recorder
 from mbn_marl.config import expand, make_config
 from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
-from mbn_marl.field import Field, load_field
+from mbn_marl.field import Field, FieldSampler, load_fields
 
 
 def train(
@@ -118,7 +118,10 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
         raise ConfigError("training", problems)
     settings = {**expand(hyperparameters.environment), **expand(config.environment)}
     make_config(settings)
-    task = Task(config, load_field(config.field), settings)
+    fields = load_fields(config.field)
+    if isinstance(fields, FieldSampler):  # each run has fields of its own
+        fields = fields.model_copy(update={"seed": fields.seed + config.seed})
+    task = Task(config, fields, settings)
     if config.transferred_from is not None:
         _check_source(RunFolder.open(config.transferred_from), task, hyperparameters)
     return task, hyperparameters

@@ -7,18 +7,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both
+from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
 from baselines.evaluation.policy import load_trained
 from baselines.runs.files import RunError, read_json, replacing_folder, seal, write_json, write_text
 from baselines.runs.folder import RunFolder
 from baselines.zoo.entries import CARD, PREFIX
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import catalogue_names, save_field
+from mbn_marl.field import Field, catalogue_names, sampler_names, save_field
 from mbn_marl.optimum import optimal_return
 
 EPISODES = 100
-LARGEST = 200_000
+LARGEST = 1_000_000
 """Bytes of an entry's files together."""
 
 README = """\
@@ -61,8 +61,8 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
     if not run.finished:
         raise RunError(f"{run.path} is not finished; resume it first (--resume)")
     config, field = run.config, run.config["field"]
-    if field not in catalogue_names():
-        allowed = ", ".join(catalogue_names())
+    if field not in (known := [*catalogue_names(), *sampler_names()]):
+        allowed = ", ".join(known)
         raise ConfigError(str(run.path), [f"field: {field}; allowed: {allowed}"])
     if path.exists() and not (path / CARD).is_file():
         raise RunError(f"{path} already exists, and is no entry of the zoo")
@@ -71,7 +71,7 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
         config[name] = None if config[name] is None else Path(config[name]).name
     with replacing_folder(path) as folder:
         write_json(folder / "config.json", config)
-        save_field(run.field, folder / "field.yaml")
+        save_field(run.fields, folder / "field.yaml")
         load_trained(run).save(folder / "policy")
         write_json(folder / CARD, card)
         for place in (folder / "policy", folder):
@@ -86,7 +86,8 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
 def make_card(run: RunFolder, name: str) -> dict[str, Any]:
     """Evaluate a run's policy; return how it was trained and what it does, as JSON values."""
     config, trained = run.config, run.evaluation
-    where = load_trained(run), run.field, config["environment"]
+    fields = unseen(run.fields, EVALUATION_SEED)
+    where = load_trained(run), fields, config["environment"]
     evaluations = evaluate_both(*where, episodes=EPISODES, seed=EVALUATION_SEED)
     return {
         "name": name,
@@ -95,7 +96,9 @@ def make_card(run: RunFolder, name: str) -> dict[str, Any]:
         "seconds": trained["seconds"],
         "command": plain_command(run.command),
         "versions": read_json(run.path / "versions.json"),
-        "optimum": optimal_return(run.field, make_config(config["environment"])),
+        "optimum": optimal_return(fields, make_config(config["environment"]))
+        if isinstance(fields, Field)
+        else None,
         **{key: evaluation.summary() for key, evaluation in evaluations.items()},
     }
 

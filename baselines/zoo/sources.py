@@ -53,4 +53,6 @@ def find_policy(
         raise RunError(f"{source} is not a run folder: {unknown('policy', source, known)}")
     run = open_run(source if place is None or source != ZOO else f"{PREFIX}{place.name}")
     wanted = under(run.config["environment"], condition, **settings)
-    return LoadedPolicy(source, load_trained(run), wanted, place or run.field)
+    if place is None and isinstance(run.fields, Field):
+        place = run.fields
+    return LoadedPolicy(source, load_trained(run), wanted, place)

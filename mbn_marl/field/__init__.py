@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from mbn_marl.field.catalogue import catalogue_names
+from mbn_marl.field.catalogue import catalogue_names, sampler_names
 from mbn_marl.field.field import Field
-from mbn_marl.field.files import load_field, save_field
+from mbn_marl.field.files import load_field, load_fields, save_field
 from mbn_marl.field.sampler import FieldSampler, generate
 from mbn_marl.field.schema import FORMAT, json_schema
 from mbn_marl.field.splits import Instance, load_split
@@ -18,6 +18,8 @@ __all__ = [
     "generate",
     "json_schema",
     "load_field",
+    "load_fields",
     "load_split",
+    "sampler_names",
     "save_field",
 ]

@@ -1,4 +1,4 @@
-"""Load fields by name or from files, and save them."""
+"""Load fields, and samplers of random ones, by name or from files, and save them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ import yaml
 from pydantic import ValidationError
 
 from mbn_marl.checked import describe
-from mbn_marl.errors import FieldError, unknown
+from mbn_marl.errors import ConfigError, FieldError, unknown
 from mbn_marl.field import authors
-from mbn_marl.field.catalogue import catalogue_file, catalogue_names
+from mbn_marl.field.catalogue import catalogue_file, catalogue_names, sampler_file, sampler_names
 from mbn_marl.field.field import Field
 from mbn_marl.field.limits import MAX_NAME
 from mbn_marl.field.safe_yaml import MAX_BYTES, parse_yaml
-from mbn_marl.field.schema import FORMAT, FieldFile
+from mbn_marl.field.sampler import FieldSampler
+from mbn_marl.field.schema import FORMAT, SAMPLER_FORMAT, FieldFile
 from mbn_marl.files import replacing
 
 
@@ -50,14 +51,42 @@ def load_field(source: str | os.PathLike[str] | Field) -> Field:
     return _field_of_file(location)
 
 
-def save_field(field: Field, path: str | os.PathLike[str]) -> None:
+def load_fields(source: str | os.PathLike[str]) -> Field | FieldSampler:
+    """Load a field as :func:`load_field` does, or a sampler of random fields.
+
+    Args:
+        source: as for :func:`load_field`; or a name of :func:`sampler_names`, or the path of a
+            file in the format ``mbn-sampler/1``, whose other keys are the arguments of
+            :class:`FieldSampler`.
+
+    Raises:
+        FieldError: as :func:`load_field`; or the sampler's arguments are not valid.
+    """
+    text = os.fspath(source)
+    if text in sampler_names():
+        return _sampler_of_document(parse_yaml(sampler_file(text), text), text)
+    if Path(text).is_file():
+        document = parse_yaml(_read(Path(text)), text)
+        if isinstance(document, Mapping) and document.get("format") == SAMPLER_FORMAT:
+            return _sampler_of_document(document, text)
+    return load_field(text)
+
+
+def save_field(field: Field | FieldSampler, path: str | os.PathLike[str]) -> None:
     """Write ``field`` to the file ``path`` in the format ``mbn-field/1``, atomically.
+
+    A sampler is written in the format ``mbn-sampler/1``.
 
     Raises:
         OSError: the file cannot be written; an existing one is unchanged.
     """
-    content = {key: value for key, value in field.to_dict().items() if value not in (None, [])}
-    text = yaml.safe_dump({"format": FORMAT, **content}, sort_keys=False, default_flow_style=None)
+    if isinstance(field, FieldSampler):
+        given = ((name, list(v) if isinstance(v, tuple) else v) for name, v in field)
+        content: dict[str, Any] = {"format": SAMPLER_FORMAT, **dict(given)}
+    else:
+        content = {"format": FORMAT, **field.to_dict()}
+    known = {key: value for key, value in content.items() if value not in (None, [])}
+    text = yaml.safe_dump(known, sort_keys=False, default_flow_style=None)
     with replacing(Path(path)) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -93,6 +122,8 @@ def _read(path: Path) -> bytes:
     if not path.exists():
         is_path = os.sep in text or text.endswith((".yaml", ".yml", ".json"))
         name = f"{unknown('field', text, catalogue_names())}, or a file's path"
+        if text in sampler_names():
+            name = f"{text} is a sampler of random fields; allowed: one field"
         raise FieldError(text, ["file: does not exist" if is_path else name])
     if not path.is_file():
         raise FieldError(text, ["file: not a regular file"])
@@ -112,10 +143,22 @@ def _chosen(
     raise FieldError(path, [f"file: {problem}; pick one as 'path#name', name one of: {names}"])
 
 
+def _sampler_of_document(document: object, source: str) -> FieldSampler:
+    """Return the sampler that a parsed document describes."""
+    given = {**document} if isinstance(document, Mapping) else {}
+    given.pop("format", None)
+    try:
+        return FieldSampler(**given)
+    except ConfigError as error:
+        raise FieldError(source, error.problems) from None
+
+
 def _field_of_document(document: object, source: str, name: str) -> Field:
     """Return the field of a parsed document; ``name`` is used if the document has none."""
     if authors.is_field_set(document):
         return authors.field_from_set(document, source, name)
+    if isinstance(document, Mapping) and document.get("format") == SAMPLER_FORMAT:
+        raise FieldError(source, [f"format: {SAMPLER_FORMAT}, of random fields; allowed: {FORMAT}"])
     if not isinstance(document, Mapping) or "format" not in document:
         raise FieldError(source, [f"format: missing; a field file starts with 'format: {FORMAT}'"])
     problems = []

@@ -25,6 +25,8 @@ from mbn_marl.config import MAX_ROBOTS, MAX_ROIS
 from mbn_marl.field.limits import MAX_COORDINATE, MAX_HOLES, MAX_NAME, MAX_VERTICES, NAME_PATTERN
 
 FORMAT = "mbn-field/1"
+SAMPLER_FORMAT = "mbn-sampler/1"
+"""Of files with the arguments of a :class:`~mbn_marl.field.FieldSampler`."""
 
 _Coordinate = Annotated[float, Described(ge=0.0, le=MAX_COORDINATE)]
 _Side = Annotated[float, Described(gt=0.0, le=MAX_COORDINATE)]

@@ -14,7 +14,17 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mbn_marl.errors import FieldError
-from mbn_marl.field import FORMAT, Field, catalogue_names, json_schema, load_field, save_field
+from mbn_marl.field import (
+    FORMAT,
+    Field,
+    FieldSampler,
+    catalogue_names,
+    json_schema,
+    load_field,
+    load_fields,
+    sampler_names,
+    save_field,
+)
 from mbn_marl.field.safe_yaml import MAX_BYTES, MAX_DEPTH
 from tests.golden import FIELDS
 from tests.support.field_cases import VALID_FILE, problems_of_file, square, write
@@ -71,6 +81,36 @@ class TestCatalogue:
 
 def _catalogue_files() -> list[Any]:
     return [entry for entry in files("envs_catalog").iterdir() if entry.name.endswith(".yaml")]
+
+
+class TestSamplers:
+    @pytest.mark.parametrize("name", sampler_names())
+    def test_a_sampler_of_the_catalogue_loads_and_makes_fields(self, name: str) -> None:
+        sampler = load_fields(name)
+        assert isinstance(sampler, FieldSampler) and sampler.field().rois.shape[1] == 2
+
+    def test_round_trip(self, tmp_path: Path) -> None:
+        sampler = FieldSampler(("farm", "convex"), (2, 5), 4, (200, 300), weights=(1, 3), seed=9)
+        save_field(sampler, tmp_path / "copy.yaml")
+        assert load_fields(tmp_path / "copy.yaml") == sampler
+
+    def test_a_field_is_loaded_too(self) -> None:
+        assert load_fields("field_03") == load_field("field_03")
+
+    def test_wrong_arguments_are_named_together(self, tmp_path: Path) -> None:
+        path = tmp_path / "wrong.yaml"
+        path.write_text("format: mbn-sampler/1\nrobots: 0\nfamilies: [round]\nsides: 3\n")
+        with pytest.raises(FieldError) as caught:
+            load_fields(path)
+        assert {problem.split(":")[0] for problem in caught.value.problems} == {
+            *("robots", "families.0", "sides")
+        }
+
+    def test_where_one_field_is_wanted_a_sampler_is_refused(self, tmp_path: Path) -> None:
+        save_field(FieldSampler(), tmp_path / "copy.yaml")
+        for source in ("random_convex", str(tmp_path / "copy.yaml")):
+            with pytest.raises(FieldError, match="random fields"):
+                load_field(source)
 
 
 class TestFiles:

@@ -30,8 +30,8 @@ STEPS_AHEAD = np.float32(15.0)
 def entity_rows(n: int, m: int, turns: bool, flag: str, assigned: bool) -> list[Row]:
     """The entries of ``entities`` for a team of n robots and m ROIs.
 
-    ``turns``: whether robots have headings; ``flag``: the name of the flag of robots that do not
-    work, or none; ``assigned``: whether ROIs are assigned.
+    ``turns``: whether robots have headings; ``flag``: the name of the flag of robots that have
+    failed, or none; ``assigned``: whether ROIs are assigned.
     """
     near, far = (f"soft, {scale:g} units" for scale in SCALES)
     rows = [(f"own_v{a}", -1.0, 1.0, "speed limits") for a in "xy"]
@@ -177,7 +177,8 @@ def put_entities(p, g, places, seen, plan, status, rays, scales, ep, robots, lo,
     """
     n, m = ep.x.shape[0], g.rois.shape[1]
     k = put_self(p, robots, lo, hi, i, tile)
-    k += put_flag(status, lo, hi, i, tile, k)
+    if g.fail_at.shape[0] > 0:
+        k += put_flag(status, lo, hi, i, tile, k)
     k = lidar.put_walls(p, g, rays, ep, lo, hi, i, tile, k)
     if plan.ndim == 2:
         put_tours(p, scales, plan, n, lo, hi, i, tile, k)
@@ -186,7 +187,8 @@ def put_entities(p, g, places, seen, plan, status, rays, scales, ep, robots, lo,
         if j != i:
             first = k
             k = put_robot(p, scales, ep.drawn, robots, lo, hi, i, j, tile, k)
-            k += put_flag(status, lo, hi, j, tile, k)
+            if g.fail_at.shape[0] > 0:
+                k += put_flag(status, lo, hi, j, tile, k)
             if plan.ndim == 2:
                 for w in range(lo, hi):
                     tile[k, w - lo] = soft(tour(plan, j, w), scales[1])

@@ -73,7 +73,8 @@ def observation_table(
     if config.observation == "state":
         rows = _state_rows(n, m, arena, config.top_speed, turns, flag)
     elif config.observation == "entities":
-        rows = entity_rows(n, m, turns, flag, config.assignment)
+        failed = flag if config.failures else ""  # who is absent, its tokens say
+        rows = entity_rows(n, m, turns, failed, config.assignment)
     else:
         rows = _scaled_rows(n, m, config.observation, turns, flag)
     if config.one_hot:

@@ -1,0 +1,270 @@
+"""Networks over sets: one policy for any field, number of ROIs and size of the team.
+
+A robot's observation ``entities`` is read as tokens: its own, one for each other robot, one for
+each ROI. The tokens of a kind share weights and are pooled, so no size is fixed. Observations are
+turned and mirrored so that the next ROI lies in the same eighth of the plane, and actions back:
+forces and limits are per axis, so all eight symmetries of the square are exact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from torch import nn
+
+from mbn_marl.engine.mdp.entities import SCALES
+from mbn_marl.engine.mdp.observations import Entry
+
+FAR = float(SCALES[1])
+RAYS = tuple(f"ray_{k}" for k in range(8))
+
+
+@dataclass(frozen=True)
+class Tokens:
+    """The entries of a robot's own token, of another robot's and of an ROI's, in order."""
+
+    own: tuple[str, ...]
+    robot: tuple[str, ...]
+    roi: tuple[str, ...]
+
+    @classmethod
+    def of(cls, table: Sequence[Entry]) -> Tokens:
+        """Return the tokens of an observation's table."""
+        names = [entry.name for entry in table]
+        parts = {
+            kind: tuple(name.removeprefix(kind) for name in names if name.startswith(kind))
+            for kind in ("other_1_", "roi_0_")
+        }
+        own = (name for name in names if not name.startswith(("other_", "roi_")))
+        return cls(tuple(own), parts["other_1_"], parts["roi_0_"])
+
+    def split(self, rows: torch.Tensor, n: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return the tokens of rows (B, size) for n robots: (B, own), (B, n - 1, .), (B, m, .)."""
+        own, robots = len(self.own), (n - 1) * len(self.robot)
+        parts = rows.split([own, robots, rows.shape[-1] - own - robots], -1)
+        return (
+            parts[0],
+            parts[1].unflatten(-1, (n - 1, len(self.robot))),
+            parts[2].unflatten(-1, (-1, len(self.roi))),
+        )
+
+    def way_left(self, rows: torch.Tensor, n: int) -> torch.Tensor:
+        """Return how far a team has to go, as a robot sees it, (B,) units for rows (B, size).
+
+        It is the robot's own tour and the longest one, if it sees the assignment; otherwise the
+        sum of the ROIs' distances from their nearest robots. The row of an absent robot has 0.
+        """
+        own, _, rois = self.split(rows, n)
+        if "own_tour" in self.own:
+            at = [self.own.index(name) for name in ("own_tour", "team_tour")]
+            return in_units(own[:, at]).sum(-1)
+        at = [self.roi.index(name) for name in ("away", "others")]
+        return in_units(rois[..., at].clamp(max=0.999)).amin(-1).sum(-1)
+
+
+def in_units(scaled: torch.Tensor) -> torch.Tensor:
+    """Return the lengths of which ``scaled`` is ``length / (length + FAR)``."""
+    return FAR * scaled / (1.0 - scaled)
+
+
+class Turned(nn.Module):
+    """The symmetries of the square: tokens as they look when the next ROI lies in one eighth.
+
+    That ROI is the first of the robot's queue, if it sees the assignment, or else the nearest.
+    Robots with headings are left as they are, since their actions are no vectors.
+    """
+
+    def __init__(self, tokens: Tokens) -> None:
+        super().__init__()
+        self._tokens = tokens
+        self._fixed = any(name.endswith("cos") for name in tokens.own)
+        self._columns: dict[str, tuple[list[list[int]], list[int]]] = {}
+        for kind in ("own", "robot", "roi"):
+            names = getattr(tokens, kind)
+            pairs = [
+                (k, names.index(f"{name[:-1]}y"))
+                for k, name in enumerate(names)
+                if name.endswith("x") and f"{name[:-1]}y" in names
+            ]
+            turned = {k for pair in pairs for k in pair} | {
+                k for k, name in enumerate(names) if name in RAYS
+            }
+            rest = [k for k in range(len(names)) if k not in turned]
+            self._columns[kind] = [list(axis) for axis in zip(*pairs, strict=True)], rest
+        self.register_buffer("_rays", _turned_rays(), False)
+        self._first_ray = tokens.own.index(RAYS[0])
+
+    def signs(self, rois: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the signs (B, 2), and the swaps (B, 1), that bring the next ROI there."""
+        if self._fixed:
+            toward = rois.new_ones(len(rois), 2)
+        else:
+            index = self._tokens.roi.index
+            rank = rois[..., index("left")] * (2.0 - rois[..., index("away")])
+            if "order" in self._tokens.roi:
+                rank = rank + 2.0 * rois[..., index("order")]
+            first = torch.arange(len(rois), device=rois.device), rank.argmax(1)
+            toward = rois[first][:, [index("far_x"), index("far_y")]]
+        swap = toward[:, 1:].abs() > toward[:, :1].abs()
+        return torch.where(toward < 0, -1.0, 1.0), swap
+
+    def rays(self, own: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor) -> torch.Tensor:
+        """Return the rays (B, 8) of own tokens (B, .), turned."""
+        element = ((signs < 0) * signs.new_tensor([1.0, 2.0])).sum(-1) + 4.0 * swap[:, 0]
+        rays = own[:, self._first_ray : self._first_ray + len(RAYS)]
+        return rays.gather(1, self._rays[element.long()])
+
+    def forward(
+        self, kind: str, tokens: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor
+    ) -> torch.Tensor:
+        """Return tokens (K, .) with their scalars first, then the turned vectors, but for rays."""
+        pairs, rest = self._columns[kind]
+        x, y = tokens[:, pairs[0]] * signs[:, :1], tokens[:, pairs[1]] * signs[:, 1:]
+        return torch.cat([tokens[:, rest], torch.where(swap, y, x), torch.where(swap, x, y)], 1)
+
+    @staticmethod
+    def back(actions: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor) -> torch.Tensor:
+        """Return actions (B, 2) as they are in the field."""
+        return torch.where(swap, actions.flip(-1), actions) * signs
+
+
+def _turned_rays() -> torch.Tensor:
+    """Return which ray is seen as each of the 8 after sign changes of x, y and a swap, (8, 8)."""
+    table = torch.empty(8, 8, dtype=torch.long)
+    for element in range(8):
+        for ray in range(8):
+            before = (2 - ray) % 8 if element & 4 else ray
+            before = -before % 8 if element & 2 else before
+            table[element, ray] = (4 - before) % 8 if element & 1 else before
+    return table
+
+
+def _layers(*sizes: int) -> nn.Sequential:
+    """Return linear layers of these sizes, each with a ReLU; weights start orthogonal."""
+    layers: list[nn.Module] = []
+    for inputs, outputs in pairwise(sizes):
+        layers += [_linear(inputs, outputs, math.sqrt(2.0)), nn.ReLU()]
+    return nn.Sequential(*layers)
+
+
+def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
+    layer = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(layer.weight, gain)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+class SetEncoder(nn.Module):
+    """What a robot sees as one vector: pooled tokens of ROIs and robots beside its own.
+
+    ``widths`` are those of the tokens' layers and of the last ones.
+    """
+
+    def __init__(self, tokens: Tokens, widths: tuple[int, ...]) -> None:
+        super().__init__()
+        width, last = widths[0], widths[-1]
+        self._tokens, self.turned = tokens, Turned(tokens)
+        self.own = _layers(len(tokens.own), width)
+        self.robot = _layers(len(tokens.robot), width, width)
+        self.roi = _layers(len(tokens.roi), width, width)
+        self.query = _linear(len(tokens.own), width, 1.0)
+        self.mix = _layers(4 * width, last)
+        self.deep = _layers(last, last)
+
+    def forward(
+        self, rows: torch.Tensor, n: int
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return vectors (B, last) for rows (B, size), and what :meth:`Turned.back` wants."""
+        own, robots, rois = self._tokens.split(rows, n)
+        signs, swap = self.turned.signs(rois)
+        turned = self.turned("own", own, signs, swap)
+        own = torch.cat([turned, self.turned.rays(own, signs, swap)], -1)
+        # Only tokens of what is there are computed: a third of them.
+        row, found = self._found("roi", rois, signs, swap)
+        score = (found * self.query(own)[row]).sum(-1) / math.sqrt(found.shape[-1])
+        most = score.new_full((len(own),), -torch.inf).scatter_reduce(
+            0, row, score.detach(), "amax"
+        )
+        weight = (score - most[row]).exp()
+        total = weight.new_zeros(len(own)).index_add(0, row, weight)
+        weight = (weight / total[row]).unsqueeze(-1)
+        blank = found.new_zeros(len(own), found.shape[-1])
+        seen = [self.own(own), _most(blank, row, found), blank.index_add(0, row, weight * found)]
+        seen.append(_most(blank, *self._found("robot", robots, signs, swap)))
+        flow = self.mix(torch.cat(seen, -1))
+        return flow + self.deep(flow), signs, swap
+
+    def _found(
+        self, kind: str, tokens: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the rows (K,) and the features (K, width) of the tokens that stand for a thing.
+
+        The first entry of a token says whether it does.
+        """
+        row, place = tokens[..., 0].nonzero(as_tuple=True)
+        turned = self.turned(kind, tokens[row, place], signs[row], swap[row])
+        features: torch.Tensor = getattr(self, kind)(turned)
+        return row, features
+
+
+def _most(blank: torch.Tensor, row: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
+    """Return the greatest of the features (K, width) >= 0 of each row, 0 without any."""
+    return blank.scatter_reduce(0, row.unsqueeze(-1).expand_as(features), features, "amax")
+
+
+def _of_present(rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the rows (B, size) of (..., n, size) that are not all 0, and their numbers (B,)."""
+    flat = rows.reshape(-1, rows.shape[-1])
+    present = flat.any(-1).nonzero()[:, 0]
+    return (flat if len(present) == len(flat) else flat[present]), present
+
+
+def _to_all(values: torch.Tensor, present: torch.Tensor, shape: torch.Size) -> torch.Tensor:
+    """Return (..., n, k): ``values`` (B, k) of those that are there, 0 of the others."""
+    whole = values.new_zeros(shape.numel(), values.shape[-1])
+    return whole.index_copy(0, present, values).reshape(*shape, -1)
+
+
+class SetActor(nn.Module):
+    """Mean actions of a team of any size; those of absent robots, whose rows are 0, are 0."""
+
+    def __init__(self, tokens: Tokens, widths: tuple[int, ...]) -> None:
+        super().__init__()
+        self.encoder = SetEncoder(tokens, widths)
+        self.head = _linear(widths[-1], 2, 0.01)
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        """Mean actions (..., n, 2) for rows (..., n, size)."""
+        some, present = _of_present(rows)
+        flow, signs, swap = self.encoder(some, rows.shape[-2])
+        actions = self.encoder.turned.back(self.head(flow), signs, swap)
+        return _to_all(actions, present, rows.shape[:-1])
+
+
+class SetCritic(nn.Module):
+    """Values of the robots of a team, 0 of absent ones.
+
+    If ``central``, each from its own observation and the mean of what all of the team see.
+    """
+
+    def __init__(self, tokens: Tokens, widths: tuple[int, ...], *, central: bool) -> None:
+        super().__init__()
+        self._central, last = central, widths[-1]
+        self.encoder = SetEncoder(tokens, widths)
+        self.mix = _layers(last * (2 if central else 1), last)
+        self.head = _linear(last, 1, 1.0)
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        """Values (..., n, 1) for rows (..., n, size)."""
+        some, present = _of_present(rows)
+        flow, _, _ = self.encoder(some, rows.shape[-2])
+        if self._central:
+            whole = _to_all(flow, present, rows.shape[:-1])
+            count = rows.any(-1, keepdim=True).sum(-2, keepdim=True).clamp(min=1)
+            team = (whole.sum(-2, keepdim=True) / count).expand_as(whole)
+            flow = torch.cat([flow, team.reshape(-1, team.shape[-1])[present]], -1)
+        return _to_all(self.head(self.mix(flow)), present, rows.shape[:-1])

@@ -1,0 +1,214 @@
+"""Networks over sets: symmetries, sizes, absent robots, potentials; trained on random fields."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from baselines import load_policy
+from baselines.algorithms import find_algorithm
+from baselines.evaluation.evaluate import evaluate, unseen
+from baselines.runs.folder import RunFolder
+from baselines.torchrl.entities import SetActor, SetCritic, Tokens
+from baselines.training.config import TrainConfig
+from baselines.training.train import prepare, train
+from mbn_marl.engine import BatchEngine
+from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.field import FieldSampler, load_field, load_fields
+
+SEEN: dict[str, Any] = {"observation": "entities", "assignment": True}
+TEAMS = FieldSampler(robots=(2, 4), rois=(3, 5), seed=7)
+WORLDS = 24
+OF_RAYS = {"x": lambda k: (4 - k) % 8, "y": lambda k: -k % 8, "swap": lambda k: (2 - k) % 8}
+
+
+class Scene:
+    """What teams of 2 to 4 robots see after a few random steps, and networks for it."""
+
+    def __init__(self) -> None:
+        engine = BatchEngine(TEAMS, WORLDS, seed=1, **SEEN)
+        engine.reset()
+        rng = np.random.default_rng(0)
+        for _ in range(30):
+            seen = engine.step(rng.uniform(-1, 1, (WORLDS, 4, 2)).astype(np.float32))[0]
+        self.rows = torch.from_numpy(np.array(seen))
+        self.names = [entry.name for entry in engine.observation_table]
+        self.tokens = Tokens.of(engine.observation_table)
+        torch.manual_seed(0)
+        self.actor = SetActor(self.tokens, (8, 12))
+        self.critic = SetCritic(self.tokens, (8, 12), central=True)
+        torch.nn.init.normal_(self.actor.head.weight)
+
+    def mirrored(self, how: str) -> torch.Tensor:
+        """Return what the robots would see in a field that is mirrored."""
+        rows = self.rows.clone()
+        for k, name in enumerate(self.names):
+            other = f"{name[:-1]}{'x' if name.endswith('y') else 'y'}"
+            if name[-1] in "xy" and other in self.names:
+                if how == "swap":
+                    rows[..., k] = self.rows[..., self.names.index(other)]
+                elif name.endswith(how):
+                    rows[..., k] *= -1
+            if name.startswith("ray_"):
+                before = self.names.index(f"ray_{OF_RAYS[how](int(name[4:]))}")
+                rows[..., k] = self.rows[..., before]
+        return rows
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """Some teams in the middle of their episodes."""
+    return Scene()
+
+
+@pytest.mark.parametrize("how", ["x", "y", "swap"])
+@torch.no_grad()
+def test_in_a_mirrored_field_robots_do_the_mirrored_thing(scene: Scene, how: str) -> None:
+    actions, rows = scene.actor(scene.rows), scene.mirrored(how)
+    assert not torch.equal(rows, scene.rows) and actions.abs().mean() > 0.1
+    signs = {"x": [-1.0, 1.0], "y": [1.0, -1.0], "swap": [1.0, 1.0]}[how]
+    expected = (actions.flip(-1) if how == "swap" else actions) * torch.tensor(signs)
+    torch.testing.assert_close(scene.actor(rows), expected)
+    torch.testing.assert_close(scene.critic(rows), scene.critic(scene.rows))
+
+
+@pytest.mark.parametrize("kinds", [("roi_0_", "roi_3_"), ("other_1_", "other_3_")])
+@torch.no_grad()
+def test_the_order_of_tokens_does_not_matter(scene: Scene, kinds: tuple[str, str]) -> None:
+    places = [[k for k, n in enumerate(scene.names) if n.startswith(kind)] for kind in kinds]
+    rows = scene.rows.clone()
+    rows[..., places[0]], rows[..., places[1]] = (
+        scene.rows[..., places[1]],
+        scene.rows[..., places[0]],
+    )
+    assert not torch.equal(rows, scene.rows)
+    torch.testing.assert_close(scene.actor(rows), scene.actor(scene.rows))
+
+
+@torch.no_grad()
+def test_absent_robots_do_nothing_and_count_for_nothing(scene: Scene) -> None:
+    there = scene.rows.any(-1)
+    counts = there.sum(1)
+    assert {2, 3, 4} == {*counts.tolist()}
+    actions, values = scene.actor(scene.rows), scene.critic(scene.rows)
+    assert (actions.any(-1) == there).all() and (values.squeeze(-1)[~there] == 0).all()
+    world = int((counts == 2).nonzero()[0])  # its rows without the room for others
+    width = len(scene.tokens.robot)
+    own, rest = scene.rows[world, :2].split(
+        [len(scene.tokens.own), len(scene.names) - len(scene.tokens.own)], 1
+    )
+    small = torch.cat([own, rest[:, :width], rest[:, 3 * width :]], 1)
+    torch.testing.assert_close(scene.actor(small), actions[world, :2])
+    torch.testing.assert_close(scene.critic(small), values[world, :2])
+
+
+def test_the_way_left_is_in_units() -> None:
+    own, robot = ("own_tour", "team_tour"), ("present",)
+    rows = torch.tensor([[0.5, 0.75, 1.0, 1.0, 0.2, 0.5], [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    tokens = Tokens(own, robot, ("left", "away", "others"))
+    torch.testing.assert_close(tokens.way_left(rows, 2), torch.tensor([400.0, 0.0]))
+    # Without the assignment: each ROI's distance from its nearest robot, here 25 and 100 units.
+    rows = torch.tensor([[1.0, 0.2, 0.5, 1.0, 0.75, 0.5]])
+    tokens = Tokens((), robot, ("left", "away", "others"))
+    torch.testing.assert_close(tokens.way_left(rows, 1), torch.tensor([125.0]))
+
+
+TINY = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8, 8], "minibatches": 2}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A tiny run on random fields."""
+    config = TrainConfig(
+        "generalist",
+        "random_convex",
+        steps=192,
+        evaluate_every=128,
+        episodes=2,
+        hyperparameters=TINY,
+        environment=SEEN,
+    )
+    return train(config, tmp_path_factory.mktemp("run") / "run")
+
+
+def test_a_run_on_random_fields_is_recorded_and_its_policy_goes_anywhere(run: RunFolder) -> None:
+    fields = load_fields("random_convex")
+    assert run.fields == fields and isinstance(fields, FieldSampler)
+    with pytest.raises(MbnError, match="--field"):
+        _ = run.field
+    free = load_policy(run.path)
+    assert free.field is None and free.settings["observation"] == "entities"
+    for name, robots in (("field_03", 3), ("field_10", 3)):
+        policy = load_policy(run.path, name)
+        seen = BatchEngine(name, 2, **policy.settings).reset()
+        actions = policy.act(seen)
+        assert actions.shape == (2, robots, 2)
+        np.testing.assert_array_equal(free.act(seen), actions)
+        found = evaluate(policy, load_field(name), policy.settings, episodes=2)
+        assert len(found.steps) == 2
+    whole = evaluate(free, unseen(fields, 5), free.settings, episodes=3)
+    assert len(whole.returns) == 3
+
+
+def test_a_policy_says_which_observation_it_needs(run: RunFolder) -> None:
+    with pytest.raises(ConfigError, match="assignment"):
+        load_policy(run.path, "field_03", assignment=False)
+
+
+def test_an_interrupted_run_goes_on_bit_for_bit(run: RunFolder, tmp_path: Path) -> None:
+    config = TrainConfig(
+        "generalist",
+        "random_convex",
+        steps=192,
+        evaluate_every=128,
+        episodes=2,
+        hyperparameters=TINY,
+        environment=SEEN,
+    )
+
+    def stop(report: Any) -> None:
+        if report.env_steps > 128:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(config, tmp_path / "run", listener=stop)
+    again = train(config, tmp_path / "run", resume=True)
+    assert again.evaluation["stochastic"] == run.evaluation["stochastic"]
+    first, second = (load_policy(one.path).policy.network for one in (run, again))
+    for one, other in zip(first.parameters(), second.parameters(), strict=True):
+        assert torch.equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "field", "changes", "named"),
+    [
+        ("mappo", "random_convex", {}, ["network: 'mlp'", "scattered: 0.125"]),
+        ("mappo", "field_03", {"shaping": 0.1}, ["shaping: 0.1"]),
+        (
+            "generalist",
+            "field_03",
+            {"sharing": "none", "search_generations": 3},
+            ["sharing: 'none'", "search_generations: 3"],
+        ),
+        ("ppo-joint", "field_03", {"network": "entities", "sharing": "full"}, ["actor"]),
+    ],
+)
+def test_what_does_not_go_together_is_refused(
+    algorithm: str, field: str, changes: dict[str, Any], named: list[str]
+) -> None:
+    task, hyperparameters = prepare(TrainConfig(algorithm, field, hyperparameters=changes))
+    with pytest.raises(ConfigError) as caught:
+        find_algorithm(algorithm).check(task, hyperparameters)
+    assert all(any(one in problem for problem in caught.value.problems) for one in named)
+    assert len(caught.value.problems) == len(named)
+
+
+def test_each_run_on_random_fields_has_its_own() -> None:
+    tasks = [prepare(TrainConfig("generalist", "random_convex", seed=seed))[0] for seed in (0, 1)]
+    first, second = (task.field for task in tasks)
+    assert isinstance(first, FieldSampler) and isinstance(second, FieldSampler)
+    assert first.field() != second.field()
