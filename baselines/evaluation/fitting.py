@@ -222,19 +222,21 @@ def _turns(config: NavigationConfig, n: int) -> bool:
 
 def _sizes(field: Field | FieldSampler, config: NavigationConfig) -> dict[str, Any]:
     """The settings that an observation's numbers depend on."""
-    sampled = isinstance(field, FieldSampler)
-    robots = config.n_robots or (field.most_robots if sampled else len(field.starts))
-    rois = field.most_rois if sampled else len(field.rois)
-    whole = {"robots": robots, "ROIs": rois, "arena": tuple(map(float, field.arena))}
+    if isinstance(field, FieldSampler):
+        robots, rois = field.most_robots, field.most_rois
+    else:
+        robots, rois = len(field.starts), len(field.rois)
+    robots = config.n_robots or robots
     sizes = {
-        **({} if config.observation == "entities" else whole),
+        **{"robots": robots, "ROIs": rois, "arena": tuple(map(float, field.arena))},
         "headings": _turns(config, robots),
         "failures": config.failures is not None,
         "v_clip": config.top_speed,
         **{name: getattr(config, name) for name in ("observation", "assignment", "one_hot")},
     }
     if config.observation == "entities":
-        del sizes["arena"]
+        for name in ("robots", "ROIs", "arena"):
+            del sizes[name]
         sizes["sensing_radius"] = min(config.sensing_radius, math.hypot(*field.arena))
     elif config.observation in WITH_RADIUS:
         sizes["sensing_radius"] = config.sensing_radius

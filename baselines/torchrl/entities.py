@@ -45,11 +45,11 @@ class Tokens:
     def split(self, rows: torch.Tensor, n: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return the tokens of rows (B, size) for n robots: (B, own), (B, n - 1, .), (B, m, .)."""
         own, robots = len(self.own), (n - 1) * len(self.robot)
-        parts = rows.split([own, robots, rows.shape[-1] - own - robots], -1)
+        parts = torch.split(rows, [own, robots, rows.shape[-1] - own - robots], -1)
         return (
             parts[0],
-            parts[1].unflatten(-1, (n - 1, len(self.robot))),
-            parts[2].unflatten(-1, (-1, len(self.roi))),
+            parts[1].reshape(len(rows), n - 1, len(self.robot)),
+            parts[2].reshape(len(rows), -1, len(self.roi)),
         )
 
     def way_left(self, rows: torch.Tensor, n: int) -> torch.Tensor:
@@ -77,6 +77,8 @@ class Turned(nn.Module):
     That ROI is the first of the robot's queue, if it sees the assignment, or else the nearest.
     Robots with headings are left as they are, since their actions are no vectors.
     """
+
+    _rays: torch.Tensor
 
     def __init__(self, tokens: Tokens) -> None:
         super().__init__()

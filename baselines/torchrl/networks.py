@@ -193,11 +193,13 @@ class GaussianPolicy(TensorDictModuleBase):
     @property
     def last_layer(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Weights (k, inputs, outputs) and biases (k, 1, outputs) of the mean actions."""
+        assert isinstance(self.mean, TeamMLP)
         return self.mean.weights[-1], self.mean.biases[-1]
 
     def features(self, observations: torch.Tensor) -> torch.Tensor:
         """Inputs (k, rows, inputs) of the last layer for observations (..., n, obs_size)."""
         normalized = self.norm.normalize(observations)
+        assert isinstance(self.mean, TeamMLP)
         return self.mean.hidden(joined(normalized) if self._joint else normalized)
 
     def means(self, normalized: torch.Tensor) -> torch.Tensor:

@@ -55,7 +55,6 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
         "search_generations": (by_chance or sets, 0, "with chance or a network over sets"),
         "scattered": (drawn, 0.0, "on random fields"),
         "shaping": (not sets, 0.0, "with network mlp"),
-        "network": (drawn, "entities", "on random fields"),
         "sharing": (sets, "full", "with network entities"),
         "actor": (sets, "decentralized", "with network entities"),
     }

@@ -120,6 +120,9 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
     make_config(settings)
     fields = load_fields(config.field)
     if isinstance(fields, FieldSampler):  # each run has fields of its own
+        if getattr(hyperparameters, "network", None) != "entities":
+            problem = f"field: {config.field} is random fields; allowed: with network=entities"
+            raise ConfigError("training", [problem])
         fields = fields.model_copy(update={"seed": fields.seed + config.seed})
     task = Task(config, fields, settings)
     if config.transferred_from is not None:
@@ -176,6 +179,7 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
     config, theirs = source.config, source.config["hyperparameters"]
     asked = hyperparameters.model_dump(mode="json", exclude={"source", "num_envs"})
     environment = make_config(task.settings).model_dump(mode="json")
+    assert isinstance(task.field, Field)  # no algorithm with setting C takes random ones
     compared = {
         "algorithm": (config["algorithm"], task.config.algorithm),
         **sizes(source.field, task.field),

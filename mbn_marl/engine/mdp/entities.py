@@ -161,6 +161,14 @@ def put_place(p, g, places, seen, status, scales, ep, lo, hi, i, j, tile, k):
 
 
 @compiled
+def put_failed(g, status, lo, hi, i, tile, k):
+    """Write as entry k whether robot i has failed, if robots can fail; how many entries."""
+    if g.fail_at.shape[0] == 0:  # robots are only absent
+        return 0
+    return put_flag(status, lo, hi, i, tile, k)
+
+
+@compiled
 def blank_visited(p, g, ep, lo, hi, j, tile, k, end):
     """Blank the entries k to end - 1, about ROI j, where it is not left."""
     for w in range(lo, hi):
@@ -177,8 +185,7 @@ def put_entities(p, g, places, seen, plan, status, rays, scales, ep, robots, lo,
     """
     n, m = ep.x.shape[0], g.rois.shape[1]
     k = put_self(p, robots, lo, hi, i, tile)
-    if g.fail_at.shape[0] > 0:
-        k += put_flag(status, lo, hi, i, tile, k)
+    k += put_failed(g, status, lo, hi, i, tile, k)
     k = lidar.put_walls(p, g, rays, ep, lo, hi, i, tile, k)
     if plan.ndim == 2:
         put_tours(p, scales, plan, n, lo, hi, i, tile, k)
@@ -187,8 +194,7 @@ def put_entities(p, g, places, seen, plan, status, rays, scales, ep, robots, lo,
         if j != i:
             first = k
             k = put_robot(p, scales, ep.drawn, robots, lo, hi, i, j, tile, k)
-            if g.fail_at.shape[0] > 0:
-                k += put_flag(status, lo, hi, j, tile, k)
+            k += put_failed(g, status, lo, hi, j, tile, k)
             if plan.ndim == 2:
                 for w in range(lo, hi):
                     tile[k, w - lo] = soft(tour(plan, j, w), scales[1])

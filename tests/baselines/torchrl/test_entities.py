@@ -186,7 +186,7 @@ def test_an_interrupted_run_goes_on_bit_for_bit(run: RunFolder, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("algorithm", "field", "changes", "named"),
     [
-        ("mappo", "random_convex", {}, ["network: 'mlp'", "scattered: 0.125"]),
+        ("generalist", "random_convex", {"scattered": 0.5}, ["scattered: 0.5"]),
         ("mappo", "field_03", {"shaping": 0.1}, ["shaping: 0.1"]),
         (
             "generalist",
@@ -205,6 +205,12 @@ def test_what_does_not_go_together_is_refused(
         find_algorithm(algorithm).check(task, hyperparameters)
     assert all(any(one in problem for problem in caught.value.problems) for one in named)
     assert len(caught.value.problems) == len(named)
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "ppo"])
+def test_other_networks_want_one_field(algorithm: str) -> None:
+    with pytest.raises(ConfigError, match="random fields"):
+        prepare(TrainConfig(algorithm, "random_convex"))
 
 
 def test_each_run_on_random_fields_has_its_own() -> None:
