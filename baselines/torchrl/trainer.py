@@ -52,7 +52,11 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     settings, drawn = make_config(task.settings), isinstance(task.field, FieldSampler)
     sets, by_chance = hyperparameters.network == "entities", settings.is_random or drawn
     wrong = {
-        "search_generations": (by_chance or sets, 0, "with chance or a network over sets"),
+        "search_generations": (
+            by_chance or sets,
+            0,
+            "where starts, fields or disturbances are by chance, or with network entities",
+        ),
         "scattered": (drawn, 0.0, "on random fields"),
         "shaping": (not sets, 0.0, "with network mlp"),
         "sharing": (sets, "full", "with network entities"),
