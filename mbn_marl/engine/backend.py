@@ -13,11 +13,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import state
-from mbn_marl.engine.geometry import (
-    read_field,
-    sampler_numbers,
-    write_field,
-)
+from mbn_marl.engine.geometry import column_of, read_field, sampler_numbers, with_room
 from mbn_marl.engine.kernels import INFO_COLUMNS, MEASURES
 from mbn_marl.engine.mdp.drawn import WIND_X, WIND_Y, rows_of_drawn
 from mbn_marl.engine.mdp.failures import ABSENT, FAILED
@@ -26,7 +22,7 @@ from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.engine.state import Array, Episode, Geometry, Memory, Output
 from mbn_marl.errors import ActionError, StepError
 from mbn_marl.field import Field, FieldSampler
-from mbn_marl.field.layout import Tables, make_tables
+from mbn_marl.field.layout import Tables
 
 CUDA_NEEDS = (
     "device: 'cuda' needs an NVIDIA GPU, a torch that can use it (see pytorch.org), "
@@ -174,35 +170,31 @@ class Backend(ABC):
 
     def set_field(self, world: int, field: Field, starts: Array | None) -> None:
         """See ``BatchEngine.set_field``; all is allowed."""
-        f, missing = self._column(world), len(field.edges) - self.geometry.edges.shape[1]
-        if missing > 0:
-            self._add_edges(missing)
-        g = self.geometry
-        sizes = g.edges.shape[1], g.rois.shape[1], g.starts.shape[1]
-        tables = make_tables(*sizes, 1)
-        write_field(tables, 0, field, self.spec.teams_vary, starts)
-        for name, table in tables._asdict().items():
-            getattr(g, name)[..., f] = self.xp.asarray(table[..., 0])
-        if g.kept.shape[0]:
-            g.kept[f] = True
+        f = self._column(world)
+        parts = column_of(field, self.geometry, self.spec.config, self.spec.teams_vary, starts)
+        self._fit(parts["edges"].shape[1], parts["waypoints"].shape[1])
+        for name, part in parts.items():
+            table = getattr(self.geometry, name)[..., f]
+            table[tuple(map(slice, part.shape[:-1]))] = self.xp.asarray(part[..., 0])
+        if self.geometry.kept.shape[0]:
+            self.geometry.kept[f] = True
 
     def set_sampler(self, sampler: FieldSampler) -> None:
         """See ``BatchEngine.set_sampler``; all is allowed."""
         self.geometry.sampler[:] = self.xp.asarray(sampler_numbers(sampler))
 
-    def fit_edges(self, saved: Mapping[str, NDArray[Any]]) -> None:
-        """Make room for the edges of saved worlds, some of which were given a larger field."""
-        count = saved.get("geometry.edges", np.zeros((4, 0))).shape[1]
-        if self.geometry.sampler.ndim == 1 and count > self.geometry.edges.shape[1]:
-            self._add_edges(count - self.geometry.edges.shape[1])
+    def fit_fields(self, saved: Mapping[str, NDArray[Any]]) -> None:
+        """Make room for the fields of saved worlds, some of which were given a larger one."""
+        if self.geometry.sampler.ndim == 1:
+            tables = (saved.get(f"geometry.{name}") for name in ("edges", "waypoints"))
+            self._fit(*(0 if table is None else table.shape[1] for table in tables))
 
-    def _add_edges(self, count: int) -> None:
-        """Make room for more edges in all columns, filled with a vertex of each field."""
-        edges = self.geometry.edges
-        vertex = self.xp.concatenate([edges[:2, :1], edges[:2, :1]])
-        edges = self.xp.concatenate([edges, *[vertex] * count], axis=1)
-        self.geometry = self.geometry._replace(edges=edges)
-        self._connect()
+    def _fit(self, edges: int, waypoints: int) -> None:
+        """Make room for so many edges and waypoints, where there is less."""
+        larger = with_room(self.geometry, edges, waypoints, self.xp)
+        if larger is not self.geometry:
+            self.geometry = larger
+            self._connect()
 
     def wind(self, world: int) -> tuple[float, float]:
         """The velocity that wind and gust add in the next step of a world, units/step."""

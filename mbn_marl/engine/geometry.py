@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from mbn_marl.engine.mdp.dynamics import DYNAMICS, POINT_MASS
 from mbn_marl.engine.mdp.entities import SCALES
 from mbn_marl.engine.mdp.lidar import rays_of
 from mbn_marl.engine.mdp.observations import WITH_RAYS
+from mbn_marl.engine.mdp.ways import Ways, make_ways, no_ways
 from mbn_marl.engine.state import Array, Geometry
 from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.layout import Tables, make_tables, scratch_rows
@@ -66,9 +68,12 @@ def make_geometry(
     tables = make_tables(sizes.edges, sizes.rois, n, len(fields) or worlds)
     for f, field in enumerate(fields):
         write_field(tables, f, field, teams_vary, given_starts)
+    tables = rounded(tables, real)
+    ways = ways_of(tables, sampler, config)
     if len(fields) > 1:
         own = np.arange(worlds) % len(fields)
         tables = Tables(*(np.take(table, own, axis=-1) for table in tables))
+        ways = Ways(*(np.take(table, own, axis=-1) for table in ways))
     robots = np.array([config.at_most().of_each(name, n) for name in LIMITS], real)
     kinds = np.array([DYNAMICS[name] for name in config.of_each("dynamics", n)], np.int32)
     if (kinds == POINT_MASS).all():
@@ -80,7 +85,8 @@ def make_geometry(
     rays = rays_of(config.sensing_radius, sizes.arena) if has_rays else np.zeros(0)
     scales = SCALES if config.observation == "entities" else np.zeros((0, 0))
     return Geometry(
-        **rounded(tables, real)._asdict(),
+        **tables._asdict(),
+        **ways._asdict(),
         robots=robots,
         kinds=kinds,
         fail_at=fail_at,
@@ -91,6 +97,16 @@ def make_geometry(
         scratch=np.zeros(scratch if sampler else (0, 0), np.int64, order="F"),
         kept=np.zeros(worlds if sampler else 0, np.bool_),
     )
+
+
+def ways_of(tables: Tables, sampler: FieldSampler | None, config: NavigationConfig) -> Ways:
+    """The ways around corners in fields, with room for what a sampler draws."""
+    count, m, real = len(tables.codes), tables.rois.shape[1], tables.edges.dtype
+    if not config.assignment:
+        return no_ways(0, m, count, real)._replace(ways_in=np.zeros((0, count), np.int32))
+    if sampler is None:
+        return make_ways(tables.edges, tables.rois, tables.codes)
+    return no_ways(sampler.most_bends, m, count, real)
 
 
 def rounded(tables: Tables, real: np.dtype[Any]) -> Tables:
@@ -123,6 +139,35 @@ def write_field(
     t.boxes[:2, f] = field.vertices.min(axis=0)
     t.boxes[2:, f] = np.ptp(field.vertices, axis=0)
     t.robots_in[f] = len(starts) if teams_vary else n
+
+
+def column_of(
+    field: Field, g: Geometry, config: NavigationConfig, teams_vary: bool, starts: Array | None
+) -> dict[str, Array]:
+    """The tables of a field by name, with one column; as large as those of ``g``, or larger."""
+    edges = max(len(field.edges), g.edges.shape[1])
+    tables = make_tables(edges, g.rois.shape[1], g.starts.shape[1], 1)
+    write_field(tables, 0, field, teams_vary, starts)
+    tables = rounded(tables, np.dtype(config.dtype))
+    return {**tables._asdict(), **ways_of(tables, None, config)._asdict()}
+
+
+def with_room(g: Geometry, edges: int, waypoints: int, xp: ModuleType) -> Geometry:
+    """The tables with room for so many edges and waypoints in all columns, if there is less.
+
+    ``xp`` is numpy or torch. New edges are a vertex of each field.
+    """
+    if (missing := edges - g.edges.shape[1]) > 0:
+        vertex = xp.concatenate([g.edges[:2, :1], g.edges[:2, :1]])
+        g = g._replace(edges=xp.concatenate([g.edges, *[vertex] * missing], axis=1))
+    if (missing := waypoints - g.waypoints.shape[1]) > 0:
+        nodes, known, empty = g.rois.shape[1] + waypoints, len(g.legs), 0 * g.rois[:1, :1]
+        legs = xp.concatenate([xp.concatenate([empty] * nodes, axis=1)] * nodes)
+        legs[:known, :known] = g.legs
+        none = xp.concatenate([empty, empty])
+        corners = xp.concatenate([g.waypoints, *[none] * missing], axis=1)
+        g = g._replace(waypoints=corners, legs=legs)
+    return g
 
 
 def read_field(tables: Tables, arena: tuple[float, float], name: str) -> Field:

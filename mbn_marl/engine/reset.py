@@ -27,6 +27,7 @@ from mbn_marl.engine.mdp.failures import begin_status
 from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES, clear_filter, joint_state_known
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
 from mbn_marl.engine.mdp.visits import all_visited, visit_code
+from mbn_marl.engine.mdp.ways import lay_ways
 from mbn_marl.engine.state import HEADING, OPTIONAL, Episode
 from mbn_marl.field.families import make_field
 
@@ -98,13 +99,15 @@ def place_at_random(p, g, key, now, team, w):
 
 
 @compiled
-def draw_field(p, g, sampler, episode, w):
+def draw_field(p, g, sampler, plan, episode, w):
     """Make the field of the episode that world w begins, unless it was given one."""
     if sampler.ndim == 1:
         f = column(g, w)
         if not g.kept[f]:
             key = stream_key(sampler[-1], world_number(p, w), episode, FOR_FIELDS)
             make_field(sampler, key, g.scratch, g, f)
+            if plan.ndim == 2:
+                lay_ways(g, f)
         g.kept[f] = False
 
 
@@ -115,7 +118,7 @@ def reset_world(p, g, mem, now, w):
     n = now.x.shape[0]
     mem.episode[w] += 1
     key = episode_key(mem.seed[0], world_number(p, w), mem.episode[w])
-    draw_field(p, g, g.sampler, mem.episode[w], w)
+    draw_field(p, g, g.sampler, mem.plan, mem.episode[w], w)
     team = g.robots_in[f]
     draw_numbers(p, g.ranges, now.drawn, key, team, w)
     at_random = False

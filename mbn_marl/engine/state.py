@@ -34,6 +34,9 @@ class Geometry(NamedTuple):
     codes: Array  # (F,) int32: the visit code with all ROIs visited; bits above it are padding
     boxes: Array  # (4, F) real: lowest x, lowest y, width and height of each field
     robots_in: Array  # (F,) int32: how many robots are there, the first ones
+    waypoints: Array  # (2, C, F) real: see ways.Ways; C is 0 if nothing is assigned
+    legs: Array  # (m + C, m + C, F) real: likewise; (0, 0, F) without waypoints
+    ways_in: Array  # (2, F) int32: likewise; (0, F) if nothing is assigned
     robots: Array  # (3, n) real: see dynamics.LIMITS
     kinds: Array  # (n,) int32: dynamics; (0, 0) if all are point masses, the others left out
     fail_at: Array  # (n,) int32: the step in which each robot fails, 0 for none; (0,) without

@@ -44,7 +44,7 @@ def restore_worlds(backend: Backend, saved: Mapping[str, NDArray[Any]]) -> None:
     Raises:
         MbnError: a name, a shape or a type is not that of these worlds. Nothing has changed.
     """
-    backend.fit_edges(saved)
+    backend.fit_fields(saved)
     arrays = changing_arrays(backend)
     given = {name for name in saved if 0 not in saved[name].shape}
     if given != set(arrays):

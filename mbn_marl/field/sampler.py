@@ -162,6 +162,12 @@ class FieldSampler(Checked):
         return max(layout.MOST_EDGES[family] for family in self.families)
 
     @property
+    def most_bends(self) -> int:
+        """The greatest number of corners at which a field can be other than convex."""
+        bent = [layout.MOST_EDGES[family] for family in self.families if family != "convex"]
+        return max(bent, default=3) - 3  # an outline has three corners at least where it is convex
+
+    @property
     def scratch_rows(self) -> int:
         """How many rows of int64 the making of a field needs to work in."""
         return layout.scratch_rows(self.most_robots, self.most_rois)

@@ -16,8 +16,9 @@ from tests.support.worlds import ASSIGNED
 SQUARE = np.array([(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)])
 STILL = (0.0, 0.0)
 SHIFT = np.array((512.0, 256.0))
+LETTER_L = [(0.0, 0.0), (100.0, 0.0), (100.0, 50.0), (60.0, 50.0), (60.0, 100.0), (0.0, 100.0)]
+HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
 ROOT = 2**0.5
-PRECISIONS = pytest.mark.parametrize("dtype", ["float32", "float64"])
 TWO = [(20.0, 50.0), (60.0, 90.0)]
 ABC = [(30.0, 50.0), (90.0, 50.0), (50.0, 95.0)]
 
@@ -44,9 +45,8 @@ def entries(engine: BatchEngine, robot: int, world: int = 0) -> dict[str, float]
     return dict(zip((entry.name for entry in engine.observation_table), row.tolist(), strict=True))
 
 
-@PRECISIONS
-def test_at_rest_by_hand(dtype: Any) -> None:
-    found = entries(engine_of([(26.0, 58.0)], [(20.0, 50.0), (50.0, 90.0)], dtype=dtype), 0)
+def test_at_rest_by_hand() -> None:
+    found = entries(engine_of([(26.0, 58.0)], [(20.0, 50.0), (50.0, 90.0)]), 0)
     expected = {
         **{"own_vx": 0.0, "own_vy": 0.0},
         **{"ray_0": 0.8, "ray_1": 0.5 * ROOT, "ray_2": 0.5, "ray_3": 0.2 * ROOT},
@@ -107,7 +107,9 @@ def test_assignment_by_hand() -> None:
         assert [found[f"roi_{j}_order"] for j in range(3)] == list(orders[robot])
         plain = entries(engine_of(ABC, TWO, roi_radius=1.0), robot)
         assert {name: found[name] for name in plain} == plain
-        own = {"own_tour", "team_tour", "other_1_tour", *(f"roi_{j}_order" for j in range(3))}
+        assert [found[f"roi_{j}_seen"] for j in range(3)] == [1.0] * 3
+        own = {"own_tour", "team_tour", "other_1_tour"}
+        own |= {f"roi_{j}_{name}" for name in ("order", "seen") for j in range(3)}
         assert found.keys() - plain.keys() == own
 
 
@@ -122,6 +124,43 @@ def test_robots_that_have_failed_are_assigned_nothing() -> None:
     assert not any(other[f"roi_{j}_order"] for j in range(3))
     assert found["other_1_present"] == found["other_1_failed"] == 1.0
     assert found["roi_0_others"] == 1.0 and other["roi_0_others"] == pytest.approx(10 / 110)
+
+
+def test_the_way_around_a_corner_by_hand() -> None:
+    """The waypoint is 3 units off (60, 50), at (57.88, 47.88); failed robots see ways too."""
+    rois, starts = [(30.0, 95.0), (90.0, 45.0)], [(90.0, 20.0), (10.0, 95.0)]
+    field = Field(vertices=LETTER_L, rois=rois, starts=starts)
+    engine = BatchEngine(field, 2, threads=1, failures=Failures(at={0: 1}), **ASSIGNED)
+    engine.reset()
+    off = 3 / ROOT
+    to, on = 30 + off, 45 + off  # from robot 0 to the waypoint, and on to ROI 0
+    found = entries(engine, 0)
+    assert (found["roi_0_seen"], found["roi_1_seen"]) == (0.0, 1.0)
+    x, y = -30 - off, 30 - off
+    offset = [part / (abs(part) + scale) for scale in (15, 100) for part in (x, y)]
+    offset += [part / (np.hypot(x, y) + 1) for part in (x, y)]
+    names = [f"roi_0_{name}" for name in ("near_x", "near_y", "far_x", "far_y", "ux", "uy")]
+    assert [found[name] for name in names] == pytest.approx(offset, abs=1e-6)
+    assert found["roi_0_away"] == pytest.approx((to + on) / (100 + to + on))
+    assert found["roi_1_away"] == pytest.approx(25 / 125)
+    assert [found["own_tour"], found["other_1_tour"]] == pytest.approx([25 / 125, 20 / 120])
+    after(engine, STILL)  # robot 1 goes to ROI 0, and from there around the corner to ROI 1
+    total = 20 + on + to
+    assert entries(engine, 1)["own_tour"] == pytest.approx(total / (100 + total))
+    assert entries(engine, 0)["roi_0_near_x"] == found["roi_0_near_x"]
+
+
+def test_the_way_around_a_hole_by_hand() -> None:
+    """By two corners, below or above it; both are 70 units, and below is the first."""
+    field = Field(SQUARE, [(90.0, 50.0)], [(20.0, 50.0), (99.0, 99.0)], holes=[HOLE])
+    engine = BatchEngine([field, Field(SQUARE, [(90.0, 50.0)], field.starts)], 2, **ASSIGNED)
+    engine.reset()
+    found, straight = entries(engine, 0), entries(engine, 0, world=1)
+    x, y = 20 - 3 / ROOT, -10 - 3 / ROOT
+    direction = [part / (np.hypot(x, y) + 1) for part in (x, y)]
+    assert [found["roi_0_ux"], found["roi_0_uy"]] == pytest.approx(direction, abs=1e-6)
+    assert (found["roi_0_seen"], straight["roi_0_seen"]) == (0.0, 1.0)
+    assert found["roi_0_away"] == pytest.approx(70 / 170) == straight["roi_0_away"]
 
 
 def three(rng: np.random.Generator) -> dict[str, Any]:
@@ -172,6 +211,7 @@ def test_room_for_more_robots_and_rois_changes_nothing() -> None:
     for world, field in enumerate(fields):
         wide.set_field(field, world)
     tight.reset(), wide.reset()
+    hidden = 0
     for _ in range(20):
         actions = np.zeros((3, 7, 2), np.float32)
         actions[:, :3] = tight.sample_actions()
@@ -181,3 +221,9 @@ def test_room_for_more_robots_and_rois_changes_nothing() -> None:
             assert {name: found.pop(name) for name in expected} == expected
             assert found.keys() > {"other_3_present", "other_3_tour", "roi_6_order"}
             assert not any(found.values())
+            hidden += sum(expected[f"roi_{j}_left"] > expected[f"roi_{j}_seen"] for j in range(6))
+    assert hidden > 20
+    other = BatchEngine(FieldSampler(robots=(3, 7), rois=(6, 10), size=(200, 420)), 3, **ASSIGNED)
+    other.load_state(wide.save_state())
+    actions = wide.sample_actions()
+    np.testing.assert_array_equal(other.step(actions)[0], wide.step(actions)[0])

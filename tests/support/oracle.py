@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tests.support.disturbances import FAILURES, Disturbances, key_of, uniform
 from tests.support.draws import NUMBERS, drawn_settings, highest, is_range
 from tests.support.scores import Profile, Step, formal_reward, released_reward
-from tests.support.tokens import FAR, NEAR, Plan, approach, offset, soft
+from tests.support.tokens import Atlas, entities
 from tests.support.vehicles import REALS, Robot, Vehicle, clip
 from tests.support.wall_senses import WallSenses
 
@@ -108,6 +108,8 @@ class Oracle:
         self.safety_distance, self.roi_radius = safety_distance, roi_radius
         self.max_steps = max_steps
         self.observation, self.assignment, self.one_hot = observation, assignment, one_hot
+        self.atlas = Atlas(self.polygon, self.rois) if assignment else None
+        self.token = 9 + 2 * assignment
         self.sensing_radius = sensing_radius
         self.failures, self.failure_rate, self.fails = failures, failure_rate, fails or {}
         self.disturbances = Disturbances(real, *self.place, **disturbances)
@@ -192,7 +194,7 @@ class Oracle:
             seen += [self._flag(body) for body in (me, *others)]
             seen.append(np.array([self.visit_code]))
         elif self.observation == "entities":
-            seen = self._entities(i, there, me, others, missing)
+            seen = [*entities(self, i, there, me, others), np.zeros(missing * self.token)]
         else:
             half = np.array([self.width, self.height]) / 2
             low_x, low_y, high_x, high_y = self.polygon.bounds
@@ -222,42 +224,6 @@ class Oracle:
         if self.one_hot:
             seen.append(np.eye(self.n)[i])
         return np.concatenate(seen).astype(np.float32)
-
-    def _entities(
-        self, i: int, there: Robot, me: Robot, others: list[Robot], missing: int
-    ) -> list[NDArray[Any]]:
-        """The entries of ``entities``; robot i is ``there``, and sees itself as ``me``."""
-        left = [j for j, visited in enumerate(self.visited) if not visited]
-        works = [not robot.failed for robot in self.robots]
-        plan = Plan([(robot.x, robot.y) for robot in self.robots], works, self.rois, left)
-        tours = [soft(float(tour), FAR) for tour in plan.tours]
-        reach = min(self.sensing_radius, math.hypot(self.width, self.height))
-        seen = [me.velocity / self.top_speed, *[me.ahead] * self.turning, self._flag(me)]
-        seen.append(self._walls(there, reach))
-        seen.append([tours[i], max(tours)] * self.assignment)
-        for k, other in enumerate(others):
-            d, dv = (part.tolist() for part in (other.position - me.position, other.velocity))
-            dv = [theirs - own for theirs, own in zip(dv, me.velocity.tolist(), strict=True)]
-            nearest = approach(d, dv, 15 * float(self.tau))
-            token = [1.0, *offset(*d), *(part / 2 / float(self.top_speed) for part in dv)]
-            token += [soft(math.hypot(*d), NEAR), soft(nearest, NEAR)]
-            token += [*other.ahead] * self.turning
-            token += [*self._flag(other), *[tours[k + (k >= i)]] * self.assignment]
-            seen.append((other.seen and not self._gone(other)) * np.array(token))
-        for j, roi in enumerate(self.rois):
-            place, is_seen = self.disturbances.seen(i, 64 + j, roi, self.bounds)
-            dx, dy = (np.array(place) - me.position).tolist()
-            distance = math.hypot(dx, dy)
-            rivals = [
-                soft(math.dist(other.position, place), FAR)
-                for other in others
-                if other.seen and not other.failed
-            ]
-            token = [1.0, *offset(dx, dy), dx / (distance + 1.0), dy / (distance + 1.0)]
-            token += [soft(distance, FAR), min([*rivals, 1.0])]
-            token += [plan.turn(i, j)] * self.assignment
-            seen.append((j in left and is_seen) * np.array(token))
-        return [*seen, np.zeros(missing * (9 + self.assignment))]
 
     def _seen_robots(self, i: int, me: Robot) -> list[Robot]:
         """The robots as robot i, which is at ``me``, sees them; itself first."""

@@ -15,7 +15,7 @@ import numpy as np
 from mbn_marl.compiled.jit import compiled
 from mbn_marl.compiled.scalars import clip, column, select
 from mbn_marl.engine.mdp import lidar
-from mbn_marl.engine.mdp.assignment import tour, turn_of
+from mbn_marl.engine.mdp.assignment import STRAIGHT, tour, turn_of, way_to
 from mbn_marl.engine.mdp.drawn import numbers_of
 from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading
 from mbn_marl.engine.mdp.failures import blank_gone, put_flag, works
@@ -49,7 +49,9 @@ def entity_rows(n: int, m: int, turns: bool, flag: str, assigned: bool) -> list[
         rows += [(f"{one}_left", 0.0, 1.0, "flag"), *_offset_rows(one)]
         rows += [(f"{one}_u{a}", -1.0, 1.0, "soft unit vector") for a in "xy"]
         rows += [(f"{one}_away", 0.0, 1.0, far), (f"{one}_others", 0.0, 1.0, far)]
-        rows += [(f"{one}_order", 0.0, 1.0, "1 / place in the robot's order")] * assigned
+        if assigned:
+            rows += [(f"{one}_order", 0.0, 1.0, "1 / place in the robot's order")]
+            rows += [(f"{one}_seen", 0.0, 1.0, "flag")]
     return rows
 
 
@@ -90,6 +92,15 @@ def put_offset(scales, dx, dy, tile, k, entry):
     tile[k + 1, entry] = soft(dy, scales[0])
     tile[k + 2, entry] = soft(dx, scales[1])
     tile[k + 3, entry] = soft(dy, scales[1])
+
+
+@compiled
+def put_direction(p, scales, dx, dy, tile, k, entry):
+    """The four entries of an offset, and the two of its direction."""
+    put_offset(scales, dx, dy, tile, k, entry)
+    distance = norm(dx, dy) + p.one
+    tile[k + 4, entry] = dx / distance
+    tile[k + 5, entry] = dy / distance
 
 
 @compiled
@@ -141,12 +152,9 @@ def put_place(p, g, places, seen, status, scales, ep, lo, hi, i, j, tile, k):
         f = column(g, w)
         dx = spot(places.rois, 0, j, f, w) - ep.x[i, w]
         dy = spot(places.rois, 1, j, f, w) - ep.y[i, w]
-        distance = norm(dx, dy)
         tile[k, w - lo] = p.one
-        put_offset(scales, dx, dy, tile, k + 1, w - lo)
-        tile[k + 5, w - lo] = dx / (distance + p.one)
-        tile[k + 6, w - lo] = dy / (distance + p.one)
-        tile[k + 7, w - lo] = soft(distance, scales[1])
+        put_direction(p, scales, dx, dy, tile, k + 1, w - lo)
+        tile[k + 7, w - lo] = soft(norm(dx, dy), scales[1])
         tile[k + 8, w - lo] = p.one
     for other in range(ep.x.shape[0]):
         if other != i:
@@ -166,6 +174,25 @@ def put_failed(g, status, lo, hi, i, tile, k):
     if g.fail_at.shape[0] == 0:  # robots are only absent
         return 0
     return put_flag(status, lo, hi, i, tile, k)
+
+
+@compiled
+def put_plan(p, g, scales, plan, ep, lo, hi, i, j, tile, k):
+    """What is assigned of ROI j: the entries from k + 9 on; those of a way around a corner."""
+    n, m = ep.x.shape[0], g.rois.shape[1]
+    for w in range(lo, hi):
+        _, first = way_to(plan, n, m, i, j, w)
+        tile[k + 9, w - lo] = turn_of(plan, n, m, i, j, w)
+        tile[k + 10, w - lo] = p.one if first == STRAIGHT else p.zero
+    waypoints, xs, ys = g.waypoints, ep.x, ep.y
+    if waypoints.shape[1] > 0:
+        for w in range(lo, hi):
+            way, first = way_to(plan, n, m, i, j, w)
+            if first >= 0:
+                f = column(g, w)
+                dx, dy = waypoints[0, first, f] - xs[i, w], waypoints[1, first, f] - ys[i, w]
+                put_direction(p, scales, dx, dy, tile, k + 1, w - lo)
+                tile[k + 7, w - lo] = soft(way, scales[1])
 
 
 @compiled
@@ -205,9 +232,8 @@ def put_entities(p, g, places, seen, plan, status, rays, scales, ep, robots, lo,
         first = k
         k = put_place(p, g, places, seen, status, scales, robots, lo, hi, i, j, tile, k)
         if plan.ndim == 2:
-            for w in range(lo, hi):
-                tile[k, w - lo] = turn_of(plan, n, m, i, j, w)
-            k += 1
+            put_plan(p, g, scales, plan, robots, lo, hi, i, j, tile, first)
+            k += 2
         drop(seen, n + j, lo, hi, tile, first, k)
         blank_visited(p, g, ep, lo, hi, j, tile, first, k)
     return k

@@ -1,0 +1,215 @@
+"""Ways around corners, for the assignment (mdp.md, "Entities").
+
+A field's waypoints lie off the corners at which it is not convex. The lengths of the shortest ways
+between them and the ROIs are made when the field is put into a world; a robot adds the first leg. A
+field without waypoints needs none of that: everything is in straight sight.
+
+Source: this package.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbn_marl.compiled.jit import compiled, entry_point
+from mbn_marl.compiled.scalars import count_bits
+from mbn_marl.engine.mdp.containment import in_field
+
+CLEARANCE = np.float32(3.0)
+"""How far waypoints are from their corners, units."""
+BLUNT = np.float32(1e-3)
+"""The sine of the turn up to which a corner counts as straight."""
+CLOSE = np.float32(1e-3)
+"""Ways whose lengths differ by no more are equally long, units."""
+NEVER = np.float32(np.inf)
+EDGES, WAYPOINTS = range(2)
+"""The rows of ``ways_in``."""
+
+
+class Ways(NamedTuple):
+    """The ways in each of F fields with m ROIs, as ``engine.state.Geometry`` has them."""
+
+    waypoints: Any  # (2, C, F) real, units
+    legs: Any  # (m + C, m + C, F) real: from each ROI, then each waypoint, to each; units
+    ways_in: Any  # (2, F) int32: how many edges and waypoints are there, the first ones
+
+
+class Places(NamedTuple):
+    """What ways are made of, and go to."""
+
+    edges: Any
+    rois: Any
+    codes: Any
+    waypoints: Any
+    legs: Any
+    ways_in: Any
+
+
+@compiled
+def length(dx, dy):
+    """How far it is: forces and speed limits are per axis, so this is what takes time."""
+    return max(abs(dx), abs(dy))
+
+
+@compiled
+def side(ax, ay, bx, by, x, y):
+    """Above 0 if a point is to the left of the line from a to b, below 0 to its right."""
+    return (bx - ax) * (y - ay) - (by - ay) * (x - ax)
+
+
+@compiled
+def in_sight(edges, count, f, px, py, qx, qy):
+    """Return whether none of the first ``count`` edges comes between two points of a field.
+
+    Points may lie on edges; a line that touches a corner may count as crossing it.
+    """
+    for e in range(count):
+        ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
+        p, q = side(ax, ay, bx, by, px, py), side(ax, ay, bx, by, qx, qy)
+        apart = ((p < 0) & (q > 0)) | ((p > 0) & (q < 0))
+        if apart and (side(px, py, qx, qy, ax, ay) > 0) != (side(px, py, qx, qy, bx, by) > 0):
+            return False
+    return True
+
+
+@compiled
+def count_edges(edges, f):
+    """How many edges there are before the padding."""
+    count = edges.shape[1]
+    while count > 0:
+        last = count - 1
+        if (edges[0, last, f] != edges[2, last, f]) | (edges[1, last, f] != edges[3, last, f]):
+            break
+        count = last
+    return count
+
+
+@compiled
+def unit(edges, e, f):
+    """The direction of an edge."""
+    x, y = edges[2, e, f] - edges[0, e, f], edges[3, e, f] - edges[1, e, f]
+    size = math.sqrt(x * x + y * y)
+    return x / size, y / size
+
+
+@compiled
+def place_waypoint(g, edges, waypoints, f, before, e, count):
+    """Place a waypoint off the corner where two edges meet, unless the field is convex there.
+
+    The field is to the left of the edges, so it is not convex where they turn right. There are
+    ``count`` waypoints; return how many there are then.
+    """
+    (ux, uy), (vx, vy) = unit(edges, before, f), unit(edges, e, f)
+    if (ux * vy - uy * vx < -BLUNT) & (count < waypoints.shape[1]):
+        dx, dy = (ux - vx) - (uy + vy), (uy - vy) + (ux + vx)  # the bisector, never 0
+        scale = CLEARANCE / math.sqrt(dx * dx + dy * dy)
+        x, y = edges[0, e, f] + scale * dx, edges[1, e, f] + scale * dy
+        if in_field(g, f, x, y):
+            waypoints[0, count, f], waypoints[1, count, f] = x, y
+            return count + 1
+    return count
+
+
+@compiled
+def place_waypoints(g, edges, waypoints, f, count):
+    """Place the waypoints of the field in column f, with ``count`` edges; how many they are."""
+    first, last, placed = 0, 0, 0
+    for e in range(count):
+        if e == first:  # of a ring
+            last = e
+            while last + 1 < count and not (
+                (edges[2, last, f] == edges[0, first, f])
+                & (edges[3, last, f] == edges[1, first, f])
+            ):
+                last += 1
+        before = last if e == first else e - 1
+        placed = place_waypoint(g, edges, waypoints, f, before, e, placed)
+        if e == last:
+            first = e + 1
+    return placed
+
+
+@compiled
+def place_of(rois, waypoints, node, f):
+    """Where a ROI is, or a waypoint after all ROIs."""
+    m = rois.shape[1]
+    if node < m:
+        return rois[0, node, f], rois[1, node, f]
+    return waypoints[0, node - m, f], waypoints[1, node - m, f]
+
+
+@compiled
+def measure_ways(edges, rois, waypoints, legs, f, own, count, placed):
+    """Find the shortest ways between ROIs and waypoints: by legs in straight sight (Floyd).
+
+    ``own`` is how many ROIs the field has, of ``count`` edges and ``placed`` waypoints.
+    """
+    m = rois.shape[1]
+    for a in range(m + placed):
+        for b in range(a, m + placed):
+            ax, ay = place_of(rois, waypoints, a, f)
+            bx, by = place_of(rois, waypoints, b, f)
+            legs[a, b, f] = legs[b, a, f] = NEVER
+            known = ((a < own) | (a >= m)) & ((b < own) | (b >= m))
+            if known and in_sight(edges, count, f, ax, ay, bx, by):
+                legs[a, b, f] = legs[b, a, f] = length(bx - ax, by - ay)
+    for c in range(m, m + placed):
+        for a in range(m + placed):
+            first = legs[a, c, f]
+            if first < NEVER:
+                for b in range(m + placed):
+                    legs[a, b, f] = min(legs[a, b, f], first + legs[c, b, f])
+
+
+@compiled
+def lay_ways(g, f):
+    """Make the ways of the field in column f."""
+    edges, rois, waypoints, legs, ways_in = g.edges, g.rois, g.waypoints, g.legs, g.ways_in
+    if waypoints.shape[1] > 0:
+        count, own = count_edges(edges, f), count_bits(g.codes[f])
+        placed = place_waypoints(g, edges, waypoints, f, count)
+        ways_in[EDGES, f], ways_in[WAYPOINTS, f] = count, placed
+        if placed > 0:
+            measure_ways(edges, rois, waypoints, legs, f, own, count, placed)
+
+
+@entry_point
+def lay_all(places):
+    """Make the ways of all fields."""
+    for f in range(places.codes.shape[0]):
+        lay_ways(places, np.uint64(f))
+
+
+def no_ways(waypoints: int, m: int, count: int, real: Any) -> Ways:
+    """Tables without ways for ``count`` fields with m ROIs, with room for so many waypoints."""
+    nodes = m + waypoints if waypoints else 0
+    return Ways(
+        waypoints=np.zeros((2, waypoints, count), real),
+        legs=np.zeros((nodes, nodes, count), real),
+        ways_in=np.zeros((2, count), np.int32),
+    )
+
+
+def make_ways(edges: Any, rois: Any, codes: Any) -> Ways:
+    """The ways in given fields, with room for the most waypoints that one has.
+
+    Args:
+        edges: (4, E, F), as ``engine.state.Geometry`` has them.
+        rois: (2, m, F), likewise.
+        codes: (F,), likewise.
+    """
+    m = rois.shape[1]
+    ways = no_ways(edges.shape[1], m, len(codes), edges.dtype)
+    lay_all(Places(edges, rois, codes, *ways))
+    most = int(ways.ways_in[WAYPOINTS].max(initial=0))
+    nodes = m + most if most else 0
+    return Ways(ways.waypoints[:, :most], ways.legs[:nodes, :nodes], ways.ways_in)
+
+
+@compiled
+def count_waypoints(ways_in, waypoints, f):
+    """How many waypoints the field in column f has; without any, all is in straight sight."""
+    return ways_in[WAYPOINTS, f] if waypoints.shape[1] > 0 else 0
