@@ -20,7 +20,7 @@ from baselines.evaluation.policy import Origin, Policy, restart, show
 from baselines.evaluation.shielded import Shielded
 from baselines.runs.files import RunError, differences, read_json, write_json
 from baselines.runs.provenance import versions
-from baselines.zoo.sources import brings_field, find_policy
+from baselines.zoo.sources import find_policy, is_trained
 from mbn_marl.checked import Checked
 from mbn_marl.config import Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
@@ -174,7 +174,7 @@ def run_benchmark(
     record: dict[str, Any] = {**asked, "command": command, "versions": versions(), "tiers": {}}
     if resume and path.exists():
         record = _resumed(path, record, asked, tiers)
-    if brings_field(source):  # with settings that are the same in all fields
+    if is_trained(source):  # with settings that are the same in all fields
         check_settings(find_policy(source, condition="calm").settings, "calm", protocol)
     for tier, instances in tiers.items():
         if tier in record["tiers"]:

@@ -9,7 +9,7 @@ from typing import Any
 from baselines.evaluation.fitting import LoadedPolicy
 from baselines.evaluation.policy import Policy
 from baselines.zoo.entries import PREFIX, entry_names
-from baselines.zoo.sources import RANDOM, brings_field, find_policy
+from baselines.zoo.sources import RANDOM, find_policy, goes_anywhere, is_trained
 from mbn_marl.episode import is_episode_file
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field
@@ -38,7 +38,10 @@ def find_actor(source: str, policy: str | None = None, **how: Any) -> Actor:
         ConfigError: a policy for a run, which has its own, or one for other numbers of robots or
             ROIs than the field's.
     """
-    if brings_field(source):
+    if is_trained(source):
+        if goes_anywhere(source):
+            problem = f"{source} is for any field; name one, and {source} as its policy"
+            raise ConfigError("policy", [problem])
         if policy is None:
             return _actor(find_policy(source, **how), source)
         problem = f"policy: {source} has its own; to try another, name a field"

@@ -25,7 +25,7 @@ from mbn_marl.version import __version__
 
 TOLERANCE = 1e-5
 """How far an action of the file may be from the policy's."""
-ALLOWED = "has no network of its own; allowed: zoo:NAME and the folders of runs"
+ALLOWED = "has no network for one field; allowed: zoo:NAME and the folders of runs on one field"
 OPSET = 18
 METADATA = "mbn_marl"
 """The name of the metadata, JSON, in every file."""

@@ -13,22 +13,38 @@ from baselines.runs.files import RunError
 from baselines.zoo.entries import PREFIX, open_run
 from baselines.zoo.own import FORM, is_own, load_own
 from mbn_marl.errors import ConfigError, unknown
-from mbn_marl.field import Field, load_field
+from mbn_marl.field import Field, FieldSampler, load_field
 
 RANDOM = "random"
 ZOO = PREFIX.rstrip(":")
 """The zoo's own policy for each field."""
 
 
-def brings_field(source: str) -> bool:
-    """Return whether a source is a policy with a field: of the zoo, or a run's folder."""
+def is_trained(source: str) -> bool:
+    """Return whether a source is one trained policy: of the zoo, or a run's folder."""
     return source.startswith(PREFIX) or Path(source).is_dir()
 
 
+def goes_anywhere(source: str) -> bool:
+    """Return whether a source is a policy that was trained on random fields.
+
+    Raises:
+        MbnError: there is no such entry of the zoo, or the folder is that of no run.
+    """
+    return is_trained(source) and isinstance(open_run(source).fields, FieldSampler)
+
+
 def takes_field(source: str) -> bool:
-    """Return whether a source is the name of policies for any field, or ``module:callable``."""
-    own = is_own(source) and not brings_field(source)
-    return source in (RANDOM, ZOO, *CLASSICAL) or own
+    """Return whether a source is for any field, or ``module:callable``.
+
+    Raises:
+        MbnError: as :func:`goes_anywhere`.
+    """
+    return source in (RANDOM, ZOO, *CLASSICAL) or _is_own(source) or goes_anywhere(source)
+
+
+def _is_own(source: str) -> bool:
+    return is_own(source) and not is_trained(source)
 
 
 def find_policy(
@@ -45,10 +61,10 @@ def find_policy(
     if source == RANDOM:
         wanted = under({}, condition, **settings)
         return LoadedPolicy(source, RandomPolicy(seed), wanted, place)
-    if takes_field(source) and source != ZOO:
+    if _is_own(source):
         own = load_own(source, place)
         return LoadedPolicy(source, own, under(own.settings, condition, **settings), place)
-    if not (source == ZOO or brings_field(source)):
+    if not (source == ZOO or is_trained(source)):
         known = (*CLASSICAL, RANDOM, ZOO, f"{PREFIX}NAME", FORM)
         raise RunError(f"{source} is not a run folder: {unknown('policy', source, known)}")
     run = open_run(source if place is None or source != ZOO else f"{PREFIX}{place.name}")

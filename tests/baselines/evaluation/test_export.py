@@ -198,7 +198,7 @@ def test_what_cannot_be_exported_is_named(
 ) -> None:
     for name in ("greedy", "zoo", "module:own"):
         told = refusal(["export", name, "-o", "policy.npz"])
-        assert f"{name}: has no network of its own; allowed: zoo:NAME and" in told
+        assert f"{name}: has no network for one field; allowed: zoo:NAME and" in told
     assert "policy.pt: unknown ending" in refusal(["export", "greedy", "-o", "policy.pt"])
     assert "did you mean greedy" in refusal(["export", "gredy", "-o", "policy.npz"])
     zoo = ["export", "zoo:field_07", "-o"]

@@ -19,6 +19,7 @@ from baselines.training.train import prepare, train
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import FieldSampler, load_field, load_fields
+from tests.baselines.conftest import Refusal
 
 SEEN: dict[str, Any] = {"observation": "entities", "assignment": True}
 TEAMS = FieldSampler(robots=(2, 4), rois=(3, 5), seed=7)
@@ -152,6 +153,12 @@ def test_a_run_on_random_fields_is_recorded_and_its_policy_goes_anywhere(run: Ru
         assert len(found.steps) == 2
     whole = evaluate(free, unseen(fields, 5), free.settings, episodes=3)
     assert len(whole.returns) == 3
+
+
+def test_a_policy_for_any_field_wants_to_be_given_one(run: RunFolder, refusal: Refusal) -> None:
+    assert "field: needed" in refusal(["evaluate", str(run.path)])
+    assert "is for any field" in refusal(["render", str(run.path), "-o", "x.gif"])
+    assert "no network for one field" in refusal(["export", str(run.path), "-o", "x.npz"])
 
 
 def test_a_policy_says_which_observation_it_needs(run: RunFolder) -> None:
