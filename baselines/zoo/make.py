@@ -35,7 +35,7 @@ README = """\
 from them; `card.json` has the versions it ran with.
 
 {episodes} fresh episodes each, with sampled and with mean actions, seed {evaluation_seed} \
-(`mbn evaluate {prefix}{name}`):
+({again}):
 
 | actions | return | min | max | success | collisions | makespan |
 |---|---|---|---|---|---|---|
@@ -43,6 +43,7 @@ from them; `card.json` has the versions it ran with.
 
 {optimum}
 """
+ON_RANDOM_FIELDS = "each in a field of its own, that training never had"
 ROW = (
     "| {actions} | {return_mean:,.0f} | {return_min:,.0f} | {return_max:,.0f} "
     "| {success_rate:.1%} | {collision_rate:.1%} | {length} |"
@@ -118,14 +119,18 @@ def readme(card: Mapping[str, Any]) -> str:
     """The card as Markdown."""
     evaluations = card["stochastic"], card["deterministic"]
     optimum = card["optimum"]
-    return README.format(
+    text = README.format(
         **{key: value for key, value in card.items() if key != "optimum"},
         optimum="" if optimum is None else f"The proved optimum is {optimum:,.0f}.",
         prefix=PREFIX,
+        again=ON_RANDOM_FIELDS
+        if card["field"] in sampler_names()
+        else f"`mbn evaluate {PREFIX}{card['name']}`",
         episodes=evaluations[0]["episodes"],
         evaluation_seed=evaluations[0]["seed"],
         rows="\n".join(map(_row, evaluations)),
     )
+    return f"{text.rstrip()}\n"
 
 
 def _row(summary: Mapping[str, Any]) -> str:

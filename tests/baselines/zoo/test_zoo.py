@@ -10,7 +10,9 @@ from typing import Any
 
 import pytest
 
+from baselines import load_policy
 from baselines.cli import main
+from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
 from baselines.runs.folder import RunFolder
 from baselines.training.config import TrainConfig
 from baselines.training.train import train
@@ -48,8 +50,17 @@ def zoo(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     return folder
 
 
+ANYWHERE = ("generalist", "generalist-hint")
+"""The policies that were trained on random fields."""
+
+
 def evaluation_of(name: str, out: Path) -> dict[str, Any]:
     """What ``mbn evaluate`` writes about ``zoo:<name>``, but for the single episodes."""
+    if name in ANYWHERE:
+        loaded, fields = load_policy(f"zoo:{name}"), RunFolder.open(FOLDER / name).fields
+        where = unseen(fields, EVALUATION_SEED), loaded.settings
+        both = evaluate_both(loaded.policy, *where, episodes=100)
+        return {kind: evaluation.summary() for kind, evaluation in both.items()}
     assert main(["evaluate", f"zoo:{name}", "--episodes", "100", "--json", str(out)]) == 0
     result = json.loads(out.read_text())
     return {
@@ -158,9 +169,6 @@ def test_a_command_loses_where_its_files_went() -> None:
 # The zoo of the package
 
 
-ANYWHERE = ("generalist", "generalist-hint")
-
-
 def test_there_is_an_entry_for_every_field() -> None:
     assert {*catalogue_names()} == {*entry_names()} - {*ANYWHERE}
 
@@ -181,7 +189,9 @@ def test_a_shipped_entry_is_small_and_does_what_its_card_says(name: str, tmp_pat
         said = card[kind]
         # Another processor may round otherwise, and an episode may go another way.
         assert found["success_rate"] == pytest.approx(said["success_rate"], abs=0.02)
-        assert found["return_mean"] == pytest.approx(said["return_mean"], rel=0.02)
+        assert found["makespan"] == pytest.approx(said["makespan"], rel=0.02)
+        if name not in ANYWHERE:  # where one team that is stuck outweighs all others
+            assert found["return_mean"] == pytest.approx(said["return_mean"], rel=0.02)
 
 
 def test_every_file_of_the_zoo_is_package_data(zoo: Path) -> None:
