@@ -34,7 +34,8 @@ class Leaderboard:
     name: ClassVar[str] = "leaderboard"
 
     folder: Path = Path("docs/results/leaderboard")
-    """With results of `mbn benchmark`, each under a name of its own; the page is beside it."""
+    """With results of `mbn benchmark`, each under a name of its own, behind the shield NAME-shield;
+    the page is beside it."""
 
     def run(self, command: str) -> bool:
         """Write the page."""
@@ -70,9 +71,7 @@ def leaderboard(folder: Path) -> str:
     ]
     if problems:
         raise ConfigError(str(folder), problems)
-    results = {
-        f"{name}{behind(record.get('shield', False))}": record for name, record in results.items()
-    }
+    results = {_row_name(name, record): record for name, record in results.items()}
     parts += [CAPTION, ""]
     whole = {name: record["all"] for name, record in results.items() if record["all"]}
     parts += [_table(whole).markdown("All tiers"), ""] if whole else []
@@ -81,6 +80,12 @@ def leaderboard(folder: Path) -> str:
         parts += [_table(found).markdown(tier), ""]
     commands = [f"- {name}: `{record['command']}`" for name, record in results.items()]
     return "\n".join([*parts, "## Commands", "", *commands, ""])
+
+
+def _row_name(name: str, record: Mapping[str, Any]) -> str:
+    """Return the name of a result in the tables; those behind the shield say so."""
+    shield = record.get("shield", False)
+    return f"{name.removesuffix('-shield') if shield else name}{behind(shield)}"
 
 
 def _problems(record: Any, frozen: Mapping[str, tuple[Instance, ...]]) -> Iterator[str]:
