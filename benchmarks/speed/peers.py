@@ -18,7 +18,7 @@ from mbn_marl import load_field
 
 ROOT = Path(__file__).parents[2]
 ROBOTS = 3
-PARTS = ("disturbances", "scores", "vehicles", "draws", "wall_senses")
+PARTS = ("tokens", "disturbances", "scores", "vehicles", "draws", "wall_senses")
 """The modules that the oracle imports."""
 VMAS_WORLDS = (1024, 4096, 16_384, 65_536)
 

@@ -236,7 +236,7 @@ def test_what_drops_out_is_nought(observation: Any) -> None:
     things = {name for name in found if name.startswith(("other", "roi"))} - kept
     assert things and not any(found[name] for name in things)
     assert all(found[name] == 1.0 for name in kept & found.keys())
-    assert found["own_x"] and (found.get("ray_0", 1.0) > 0.0)
+    assert found.get("own_x", 1.0) and (found.get("ray_0", 1.0) > 0.0)
     assert engine.infos()[1, 0, 1] == 1.0
 
 
