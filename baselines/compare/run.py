@@ -16,6 +16,7 @@ from baselines.training.loggers import find_wandb
 from baselines.training.progress_bar import Listener
 from baselines.training.train import prepare
 from mbn_marl.errors import ConfigError, collecting
+from mbn_marl.field import load_field
 
 
 def train_all_runs(
@@ -48,6 +49,7 @@ def train_all_runs(
     problems: list[str] = []
     for run in runs:
         with collecting(problems):
+            load_field(run.field)  # results are of one field each
             prepare(run)
     if problems:
         raise ConfigError("comparison", problems)

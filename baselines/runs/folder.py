@@ -130,7 +130,7 @@ class RunFolder:
     def field(self) -> Field:
         """The field that the run was trained on; a RunError says that it had random ones."""
         if isinstance(fields := self.fields, FieldSampler):
-            raise RunError(f"{self.path} was trained on random fields; name one with --field")
+            raise RunError(f"{self.path} was trained on random fields; allowed here: one field")
         return fields
 
     @property

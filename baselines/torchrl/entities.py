@@ -3,7 +3,7 @@
 A robot's observation ``entities`` is read as tokens: its own, one for each other robot, one for
 each ROI. The tokens of a kind share weights and are pooled, so no size is fixed. Observations are
 turned and mirrored so that the next ROI lies in the same eighth of the plane, and actions back:
-forces and limits are per axis, so all eight symmetries of the square are exact.
+forces and limits are per axis, so all eight symmetries of the square are exact without wind.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
 
 
 class SetEncoder(nn.Module):
-    """What a robot sees as one vector: pooled tokens of ROIs and robots beside its own.
+    """Make one vector of what a robot sees: pooled tokens of ROIs and robots beside its own.
 
     ``widths`` are those of the tokens' layers and of the last ones.
     """

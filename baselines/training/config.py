@@ -35,8 +35,8 @@ class TrainConfig:
     Attributes:
         algorithm: a2c, ppo, trpo, ars, crossq, tqc, ppo-joint (centralised); mappo, ippo,
             ppo-shared and ppo-supersuit (decentralised).
-        field: a name of `mbn fields`, or the path of a field file; generalist takes random_convex,
-            random_shapes and files of samplers too, which draw a field for each episode.
+        field: a name of `mbn fields`, or the path of a field file; generalist, and mappo and
+            ippo with network=entities, take random_convex, random_shapes and sampler files too.
         setting: A: the paper's library defaults, raw observation and reward. B: its Optuna values.
             C: as A, from a policy trained on another field. N: normalised observation, scaled
             reward.

@@ -123,7 +123,7 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
         if getattr(hyperparameters, "network", None) != "entities":
             problem = f"field: {config.field} is random fields; allowed: with network=entities"
             raise ConfigError("training", [problem])
-        fields = fields.model_copy(update={"seed": fields.seed + config.seed})
+        fields = fields.model_copy(update={"seed": (fields.seed + config.seed) % 2**63})
     task = Task(config, fields, settings)
     if config.transferred_from is not None:
         _check_source(RunFolder.open(config.transferred_from), task, hyperparameters)

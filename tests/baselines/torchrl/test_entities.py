@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 
 from baselines import load_policy
 from baselines.algorithms import find_algorithm
 from baselines.evaluation.evaluate import evaluate, unseen
 from baselines.runs.folder import RunFolder
 from baselines.torchrl.entities import SetActor, SetCritic, Tokens
+from baselines.torchrl.trainer import Trainer
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
 from mbn_marl.engine import BatchEngine
@@ -119,27 +122,27 @@ def test_the_way_left_is_in_units() -> None:
 
 
 TINY = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8, 8], "minibatches": 2}
+CONFIG = TrainConfig(
+    "generalist",
+    "random_convex",
+    steps=192,
+    evaluate_every=128,
+    episodes=2,
+    hyperparameters=TINY,
+    environment=SEEN,
+)
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """A tiny run on random fields."""
-    config = TrainConfig(
-        "generalist",
-        "random_convex",
-        steps=192,
-        evaluate_every=128,
-        episodes=2,
-        hyperparameters=TINY,
-        environment=SEEN,
-    )
-    return train(config, tmp_path_factory.mktemp("run") / "run")
+    return train(CONFIG, tmp_path_factory.mktemp("run") / "run")
 
 
 def test_a_run_on_random_fields_is_recorded_and_its_policy_goes_anywhere(run: RunFolder) -> None:
     fields = load_fields("random_convex")
     assert run.fields == fields and isinstance(fields, FieldSampler)
-    with pytest.raises(MbnError, match="--field"):
+    with pytest.raises(MbnError, match="random fields"):
         _ = run.field
     free = load_policy(run.path)
     assert free.field is None and free.settings["observation"] == "entities"
@@ -167,23 +170,14 @@ def test_a_policy_says_which_observation_it_needs(run: RunFolder) -> None:
 
 
 def test_an_interrupted_run_goes_on_bit_for_bit(run: RunFolder, tmp_path: Path) -> None:
-    config = TrainConfig(
-        "generalist",
-        "random_convex",
-        steps=192,
-        evaluate_every=128,
-        episodes=2,
-        hyperparameters=TINY,
-        environment=SEEN,
-    )
 
     def stop(report: Any) -> None:
         if report.env_steps > 128:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(config, tmp_path / "run", listener=stop)
-    again = train(config, tmp_path / "run", resume=True)
+        train(CONFIG, tmp_path / "run", listener=stop)
+    again = train(CONFIG, tmp_path / "run", resume=True)
     assert again.evaluation["stochastic"] == run.evaluation["stochastic"]
     first, second = (load_policy(one.path).policy.network for one in (run, again))
     for one, other in zip(first.parameters(), second.parameters(), strict=True):
@@ -198,8 +192,8 @@ def test_an_interrupted_run_goes_on_bit_for_bit(run: RunFolder, tmp_path: Path) 
         (
             "generalist",
             "field_03",
-            {"sharing": "none", "search_generations": 3},
-            ["sharing: 'none'", "search_generations: 3"],
+            {"sharing": "none", "search_generations": 3, "hidden": [64]},
+            ["sharing: 'none'", "search_generations: 3", "hidden: [64]"],
         ),
         ("ppo-joint", "field_03", {"network": "entities", "sharing": "full"}, ["actor"]),
     ],
@@ -225,3 +219,29 @@ def test_each_run_on_random_fields_has_its_own() -> None:
     first, second = (task.field for task in tasks)
     assert isinstance(first, FieldSampler) and isinstance(second, FieldSampler)
     assert first.field() != second.field()
+
+
+@pytest.mark.parametrize("terminated", [True, False])
+def test_shaping_is_the_discounted_difference_of_the_ways_left(terminated: bool) -> None:
+    def seen(ways: list[float]) -> torch.Tensor:
+        """One world of two robots, the second absent, whose first has so far to go."""
+        rows = torch.zeros(1, len(ways), 2, 6)
+        rows[0, :, 0, 0] = torch.tensor([way / (way + 100.0) for way in ways])
+        return rows
+
+    trainer = Trainer.__new__(Trainer)
+    trainer.env = SimpleNamespace(n_agents=2)  # type: ignore[assignment]
+    trainer.estimator = SimpleNamespace(gamma=torch.tensor(0.5))  # type: ignore[assignment]
+    trainer.reward = ("next", "robots", "reward")
+    tokens = Tokens(("own_tour", "team_tour"), ("present",), ("left", "away", "others"))
+    ended = torch.tensor([[[False], [False], [terminated]]])
+    after = {"robots": {"observation": seen([200, 100, 60]), "reward": torch.zeros(1, 3, 2, 1)}}
+    rollout = TensorDict(
+        {"robots": {"observation": seen([300, 200, 100])}, "next": {**after, "terminated": ended}},
+        (1, 3),
+    )
+    # 300 - 200 / 2, 200 - 100 / 2, and 100 - 60 / 2 if the episode was only cut off.
+    first = torch.tensor([200.0, 150.0, 100.0 if terminated else 70.0])
+    found = trainer._shaped(rollout, tokens)
+    torch.testing.assert_close(found[0, :, 0, 0], first)
+    assert found.shape == (1, 3, 2, 1) and not found[0, :, 1].any()
