@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from baselines.compare.benchmark import load_protocol, load_tiers
 from baselines.compare.benchmark_page import CAPTION, cells, headings
 from baselines.compare.benchmark_statistics import WAYS, is_summary, tier_problems
@@ -14,9 +16,9 @@ from baselines.compare.text_table import TextTable
 from baselines.evaluation.shielded import behind
 from baselines.runs.files import read_json, write_text
 from mbn_marl.errors import ConfigError, collecting
-from mbn_marl.field import Instance
+from mbn_marl.field import Instance, splits
 
-SPLIT = "test"
+SPLIT, REFERENCE = "test", "greedy"
 INTRODUCTION = """# Leaderboard
 
 Policies on the split `test` by protocol {version} of [the benchmark](../benchmark.md), which says
@@ -78,8 +80,49 @@ def leaderboard(folder: Path) -> str:
     for tier in protocol.tiers:
         found = {name: record["tiers"][tier] for name, record in results.items()}
         parts += [_table(found).markdown(tier), ""]
+    parts += [_by_condition(results).markdown(f"{splits.WEATHER}, success by condition"), ""]
+    if REFERENCE in results:
+        parts += [_faster(results).markdown(f"Instances solved faster than by {REFERENCE}"), ""]
     commands = [f"- {name}: `{record['command']}`" for name, record in results.items()]
     return "\n".join([*parts, "## Commands", "", *commands, ""])
+
+
+def _by_condition(results: Mapping[str, Any]) -> TextTable:
+    """Return a table of the mean success in the instances of each condition."""
+    lines = []
+    for name, way, rows in _rows_of(results, splits.WEATHER):
+        found = {
+            condition: [row[way]["success_rate"] for row in rows if row["condition"] == condition]
+            for condition in splits.CONDITIONS
+        }
+        lines.append(
+            (name, way, *(f"{np.mean(one):.1%}" if one else "-" for one in found.values()))
+        )
+    return TextTable("", ("policy", "actions", *splits.CONDITIONS), tuple(lines), words=2)
+
+
+def _faster(results: Mapping[str, Any]) -> TextTable:
+    """Return a table of how many instances have a mean makespan below the reference's."""
+    counts: dict[tuple[str, str], dict[str, str]] = {}
+    for tier in splits.TIERS:
+        theirs = [row["mean"]["makespan"] for row in results[REFERENCE]["tiers"][tier]["instances"]]
+        for name, way, rows in _rows_of(results, tier):
+            ours = (row[way]["makespan"] for row in rows)
+            pairs = [*zip(ours, theirs, strict=True)]
+            faster = sum(a is not None and (b is None or a < b) for a, b in pairs)
+            if name != REFERENCE:
+                counts.setdefault((name, way), {})[tier] = f"{faster} of {len(pairs)}"
+    lines = tuple(
+        (*who, *(one.get(tier, "-") for tier in splits.TIERS)) for who, one in counts.items()
+    )
+    return TextTable("", ("policy", "actions", *splits.TIERS), lines, words=2)
+
+
+def _rows_of(results: Mapping[str, Any], tier: str) -> Iterator[tuple[str, str, Sequence[Any]]]:
+    """Yield the policies and ways of acting that have instances in a tier, with the instances."""
+    for name, record in results.items():
+        rows = record["tiers"][tier]["instances"]
+        yield from ((name, way, rows) for way in WAYS if rows and rows[0][way])
 
 
 def _row_name(name: str, record: Mapping[str, Any]) -> str:

@@ -120,7 +120,7 @@ class RunFolder:
 
     @property
     def fields(self) -> Field | FieldSampler:
-        """The field that the run was trained on, as it was then, or the sampler of its fields."""
+        """The field that the run was trained on, as recorded then, or the sampler of its fields."""
         path = self.path / "field.yaml"
         if path.is_file():
             check(path)

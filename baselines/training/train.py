@@ -105,8 +105,7 @@ def notes(config: TrainConfig) -> list[str]:
 def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
     """Load and resolve what a trainer gets; raise an MbnError if any of it is not valid."""
     problems: list[str] = []
-    with collecting(problems):
-        make_config(config.environment)
+    recorded: dict[str, Any] = {}
     with collecting(problems):
         hyperparameters: Hyperparameters = find_algorithm(config.algorithm).resolve(
             config.hyperparameters,
@@ -114,10 +113,12 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
             num_envs=config.num_envs,
             file=config.hyperparams,
         )
+        recorded = expand(hyperparameters.environment)
+    with collecting(problems):
+        settings = {**recorded, **expand(config.environment)}
+        make_config(settings)
     if problems:
         raise ConfigError("training", problems)
-    settings = {**expand(hyperparameters.environment), **expand(config.environment)}
-    make_config(settings)
     fields = load_fields(config.field)
     if isinstance(fields, FieldSampler):  # each run has fields of its own
         if getattr(hyperparameters, "network", None) != "entities":

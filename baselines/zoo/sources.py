@@ -69,6 +69,6 @@ def find_policy(
         raise RunError(f"{source} is not a run folder: {unknown('policy', source, known)}")
     run = open_run(source if place is None or source != ZOO else f"{PREFIX}{place.name}")
     wanted = under(run.config["environment"], condition, **settings)
-    if place is None and isinstance(run.fields, Field):
-        place = run.fields
+    if place is None and isinstance(home := run.fields, Field):
+        place = home
     return LoadedPolicy(source, load_trained(run), wanted, place)

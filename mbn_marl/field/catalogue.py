@@ -7,8 +7,6 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 
 _FOLDER = files("envs_catalog")
-
-
 _SAMPLERS = _FOLDER / "samplers"
 
 

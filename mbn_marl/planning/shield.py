@@ -27,7 +27,7 @@ MARGIN = 1e-3
 
 
 class Cautious:
-    """What takes a team through one episode so that its robots can always brake.
+    """Base of controllers whose robots can always brake, for one team and episode.
 
     Args:
         problem: the instance; its ``starts`` do not matter.

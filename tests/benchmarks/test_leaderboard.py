@@ -13,7 +13,7 @@ import pytest
 from baselines.compare.benchmark import load_tiers, run_benchmark
 from baselines.runs.files import write_json
 from benchmarks.__main__ import main
-from benchmarks.leaderboard import NOBODY, leaderboard
+from benchmarks.leaderboard import NOBODY, _by_condition, _faster, leaderboard
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import splits
 from tests.support.frozen import write_split, write_splits
@@ -57,12 +57,24 @@ def write(results: Results, folder: Path) -> None:
         write_json(folder / f"{name}.json", record)
 
 
+RANDOM = "random + shield"
+
+
+def rows_of(text: str) -> dict[tuple[str, str], tuple[str, ...]]:
+    """Return the cells of a table in Markdown, by policy and way of acting."""
+    lines = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")]
+    return {(name, way): tuple(cells) for name, way, *cells in lines[2:]}
+
+
 def test_a_table_for_each_tier_with_the_best_first(results: Results, tmp_path: Path) -> None:
     write(results, tmp_path / "board")
     assert main(["leaderboard", "--folder", str(tmp_path / "board")]) == 0
     page = (tmp_path / "board.md").read_text()
     parts = {part.splitlines()[0]: part for part in page.split("\n## ")[1:]}
-    assert [*parts] == ["All tiers", *splits.NAMES, "Commands"]
+    more = ["5-weather, success by condition", "Instances solved faster than by greedy"]
+    assert [*parts] == ["All tiers", *splits.NAMES, *more, "Commands"]
+    assert [*rows_of(parts[more[0]])] == [("greedy", "mean"), (RANDOM, "mean"), (RANDOM, "sampled")]
+    assert rows_of(parts[more[1]])[RANDOM, "mean"][1] == "-"  # it does not fit the second tier
     rows = {
         title: [line.split(" | ")[:2] for line in part.splitlines() if line.startswith("| ")][2:]
         for title, part in parts.items()
@@ -76,6 +88,22 @@ def test_a_table_for_each_tier_with_the_best_first(results: Results, tmp_path: P
     gap = results["greedy"]["tiers"]["1-convex"]["mean"]["gap"]["mean"]
     assert f"{gap:.1%}" in parts["1-convex"]
     assert "- random + shield: `mbn benchmark random`" in parts["Commands"]
+
+
+def test_who_is_faster_and_who_succeeds_where_counted_by_hand(results: Results) -> None:
+    swift, stuck = copy.deepcopy(results["greedy"]), copy.deepcopy(results["greedy"])
+    swift["tiers"]["1-convex"]["instances"][0]["mean"]["makespan"] -= 1.0
+    stuck["tiers"]["1-convex"]["instances"][0]["mean"]["makespan"] = None
+    weather = swift["tiers"]["5-weather"]["instances"]
+    first = weather[0]["condition"]
+    for row in weather:
+        row["mean"]["success_rate"] = 0.25 if row["condition"] == first else 1.0
+    teams = {"greedy": results["greedy"], "swift": swift, "stuck": stuck}
+    faster = rows_of(_faster(teams).markdown(""))
+    assert faster["swift", "mean"][:2] == ("1 of 1", "0 of 1")
+    assert faster["stuck", "mean"][:2] == ("0 of 1", "0 of 1")
+    found = rows_of(_by_condition(teams).markdown(""))["swift", "mean"]
+    assert found[splits.CONDITIONS.index(first)] == "25.0%"
 
 
 def test_results_that_are_not_to_be_compared_are_refused(

@@ -1,6 +1,6 @@
 """Which robot would be the first at each ROI that is left (mdp.md, "Entities").
 
-``Memory.plan`` has it, made anew for each observation. For n robots and m ROIs its rows are, one
+``Memory.plan`` has it, computed for each observation. For n robots and m ROIs its rows are, one
 after the other: how far each robot would go in all (n), how many ROIs it would visit (n), the robot
 that would visit each ROI (m), 1 over its place in that robot's order (m), each robot's way to each
 ROI: its length (n m) and its first waypoint (n m); the way from where each robot would be (n m),

@@ -17,7 +17,7 @@ from mbn_marl.compiled.scalars import clip, column, select
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import STRAIGHT, tour, turn_of, way_to
 from mbn_marl.engine.mdp.drawn import numbers_of
-from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading
+from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading, put_own_motion
 from mbn_marl.engine.mdp.failures import blank_gone, put_flag, works
 from mbn_marl.engine.mdp.sight import drop, is_seen, spot
 
@@ -104,18 +104,6 @@ def put_direction(p, scales, dx, dy, tile, k, entry):
 
 
 @compiled
-def put_self(p, ep, lo, hi, i, tile):
-    """The first entries, robot i's own motion; how many there are."""
-    for w in range(lo, hi):
-        tile[0, w - lo] = ep.vx[i, w] * p.per_speed
-        tile[1, w - lo] = ep.vy[i, w] * p.per_speed
-    if p.headings > 0:
-        put_heading(ep, lo, hi, i, tile, 2)
-        return 4
-    return 2
-
-
-@compiled
 def put_tours(p, scales, plan, n, lo, hi, i, tile, k):
     """How far robot i would go, and the robot that goes farthest."""
     for w in range(lo, hi):
@@ -178,7 +166,7 @@ def put_failed(g, status, lo, hi, i, tile, k):
 
 @compiled
 def put_plan(p, g, scales, plan, ep, lo, hi, i, j, tile, k):
-    """What is assigned of ROI j: the entries from k + 9 on; those of a way around a corner."""
+    """Write the assignment of ROI j, from entry k + 9 on, and a way around a corner to it."""
     n, m = ep.x.shape[0], g.rois.shape[1]
     for w in range(lo, hi):
         _, first = way_to(plan, n, m, i, j, w)
@@ -211,7 +199,7 @@ def put_entities(p, g, places, seen, plan, status, rays, scales, ep, robots, lo,
     ``places`` and ``robots`` are the ROIs and the robots as it sees them.
     """
     n, m = ep.x.shape[0], g.rois.shape[1]
-    k = put_self(p, robots, lo, hi, i, tile)
+    k = put_own_motion(p, robots, lo, hi, i, tile, 0)
     k += put_failed(g, status, lo, hi, i, tile, k)
     k = lidar.put_walls(p, g, rays, ep, lo, hi, i, tile, k)
     if plan.ndim == 2:

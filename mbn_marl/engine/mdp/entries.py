@@ -1,4 +1,4 @@
-"""What the tables of all observations have in common.
+"""The parts that several observations share.
 
 Source: this package.
 """
@@ -27,3 +27,15 @@ def put_heading(ep, lo, hi, i, tile, k):
     for w in range(lo, hi):
         tile[k, w - lo] = ep.cos[i, w]
         tile[k + 1, w - lo] = ep.sin[i, w]
+
+
+@compiled
+def put_own_motion(p, ep, lo, hi, i, tile, k):
+    """Robot i's own velocity and heading, from entry k on; how many entries there are by then."""
+    for w in range(lo, hi):
+        tile[k, w - lo] = ep.vx[i, w] * p.per_speed
+        tile[k + 1, w - lo] = ep.vy[i, w] * p.per_speed
+    if p.headings > 0:
+        put_heading(ep, lo, hi, i, tile, k + 2)
+        return k + 4
+    return k + 2

@@ -22,7 +22,7 @@ from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import assign
 from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.entities import entity_rows, put_entities
-from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading
+from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading, put_own_motion
 from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
 from mbn_marl.engine.mdp.sight import drop, look, seen_places, seen_robots, spot
 from mbn_marl.engine.mdp.visits import visit_code, within
@@ -178,12 +178,7 @@ def put_own(p, ep, lo, hi, i, tile):
     for w in range(lo, hi):
         tile[0, w - lo] = (ep.x[i, w] - p.half_arena_x) * p.per_half_arena_x
         tile[1, w - lo] = (ep.y[i, w] - p.half_arena_y) * p.per_half_arena_y
-        tile[2, w - lo] = ep.vx[i, w] * p.per_speed
-        tile[3, w - lo] = ep.vy[i, w] * p.per_speed
-    if p.headings > 0:
-        put_heading(ep, lo, hi, i, tile, 4)
-        return 6
-    return 4
+    return put_own_motion(p, ep, lo, hi, i, tile, 2)
 
 
 @compiled

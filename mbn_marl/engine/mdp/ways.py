@@ -38,7 +38,7 @@ class Ways(NamedTuple):
 
 
 class Places(NamedTuple):
-    """What ways are made of, and go to."""
+    """The tables that ways are computed from, and those that they are written to."""
 
     edges: Any
     rois: Any

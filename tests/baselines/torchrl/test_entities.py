@@ -31,7 +31,7 @@ OF_RAYS = {"x": lambda k: (4 - k) % 8, "y": lambda k: -k % 8, "swap": lambda k: 
 
 
 class Scene:
-    """What teams of 2 to 4 robots see after a few random steps, and networks for it."""
+    """The observations of teams of 2 to 4 robots after random steps, and networks for them."""
 
     def __init__(self) -> None:
         engine = BatchEngine(TEAMS, WORLDS, seed=1, **SEEN)
