@@ -18,7 +18,7 @@ from baselines.training.train import train
 
 def small_config(name: str) -> TrainConfig:
     """A run of ``"mappo"`` or ``"ppo"`` with two fresh evaluations on the way."""
-    hyperparameters: dict[str, Any] = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8]}
+    hyperparameters: dict[str, Any] = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8, 8]}
     hyperparameters |= {"action_repeat": [1, 1], "action_repeat_until": 0.5}
     if name == "ppo":
         model = {"policy_kwargs": {"net_arch": [8]}, "n_steps": 32, "batch_size": 32}

@@ -56,7 +56,7 @@ MODELS: dict[str, dict[str, Any]] = {
 def _config(name: str, **changes: Any) -> TrainConfig:
     """A run of a few updates with a checkpoint on the way."""
     if ALGORITHMS[name].package == "torchrl":
-        small = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8]}
+        small = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8, 8]}
         small |= AIDS
         config = TrainConfig(name, "field_03", steps=320, evaluate_every=128, episodes=2)
         return replace(config, hyperparameters=small, **changes)
