@@ -1,9 +1,9 @@
 """BenchMARL: the suite as a task, for any of its algorithms.
 
 Requirements: pip install "mbn_marl[torchrl]" benchmarl==1.5.2 torchrl==0.11.1 tensordict==0.11.0
-Command: python examples/benchmarl_task.py mappo (or masac)
-Printed: success 3% in the last five batches, with sampled actions (masac: 12%). It shows that they
-    run; 40,960 env-steps are too few to learn the field.
+Command: python examples/benchmarl_task.py mappo (or masac --frames 40960)
+Printed: success 100% in the last five batches, with sampled actions (29 s on one core; masac: 10%,
+    19 s, too few frames to learn the field)
 """
 
 import argparse
@@ -91,7 +91,7 @@ class Navigation(TaskClass):
 
 parser = argparse.ArgumentParser()
 parser.add_argument("algorithm", choices=["mappo", "masac"])
-parser.add_argument("--frames", type=int, default=40_960)
+parser.add_argument("--frames", type=int, default=192_000, help="of four env-steps")
 arguments = parser.parse_args()
 
 config = ExperimentConfig.get_from_yaml()
@@ -103,8 +103,10 @@ config.on_policy_collected_frames_per_batch = 4096
 config.on_policy_n_minibatch_iters, config.on_policy_minibatch_size = 10, 1024
 config.off_policy_collected_frames_per_batch, config.off_policy_n_optimizer_steps = 1024, 32
 algorithm = {"mappo": MappoConfig, "masac": MasacConfig}[arguments.algorithm].get_from_yaml()
+if arguments.algorithm == "mappo":  # MASAC finds its entropy by itself
+    algorithm.entropy_coef, algorithm.lmbda = 0.01, 0.95
 model = MlpConfig(num_cells=[64, 64], activation_class=torch.nn.Tanh, layer_class=torch.nn.Linear)
-task = Navigation("field_03", {"one_hot": True})
+task = Navigation("field_03", {"one_hot": True, "reward_sharing": "team", "action_repeat": 4})
 experiment = Experiment(
     task=task,
     algorithm_config=algorithm,
