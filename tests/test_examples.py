@@ -1,4 +1,4 @@
-"""The scripts of ``examples`` that need nothing else run, tiny."""
+"""The scripts of ``examples`` that run on the versions of ``constraints.txt`` do so, tiny."""
 
 from __future__ import annotations
 
@@ -13,10 +13,17 @@ FOLDER = Path(__file__).parents[1] / "examples"
 TINY = {
     "cleanrl_ppo": ("--steps 1200 --worlds 8", r"\d+ episodes ended .*return (-?[\d,]+|nan)"),
     "sb3_ppo": ("--steps 1 --worlds 8", r"1536 robot-steps, success \d+%"),
+    "skrl_ppo": ("--steps 1200 --worlds 8", r"\d+ episodes ended, return .*: (-?[\d,]+|nan)"),
 }
 """For each script, options that make it short, and the output to expect."""
-ELSEWHERE = {"benchmarl_task", "rllib_ppo"}
-"""Their libraries want another TorchRL or Gymnasium than ours: run by hand, with that."""
+ELSEWHERE = {
+    "agilerl_ippo",
+    "benchmarl_task",
+    "minari_dataset",
+    "rllib_ppo",
+    "tianshou_ppo",
+}
+"""Their libraries want other versions than ours, or JAX: run by hand, with those."""
 
 
 @pytest.mark.parametrize("name", TINY)
