@@ -11,6 +11,8 @@ from typing import Any
 
 import numba
 from numba.core import event
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
@@ -50,6 +52,34 @@ class _Announcer(event.Listener):
 event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
 
 
+class _NoEnvironment:
+    """Stands where Numba would tell the machine code of a function its globals."""
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Do nothing: there is no machine code."""
+
+
+class _Part(JITCodeLibrary):
+    """Optimised code that others link; none of it becomes machine code by itself."""
+
+    codegen = _NoEnvironment()
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """There is no such function in memory, which Numba writes as 0."""
+        return 0
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+
+class _PartCompiler(Compiler):
+    """Compiles a rule into a part."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+        part = _Part(target.codegen(), "part")  # type: ignore[no-untyped-call]
+        super().__init__(typing, target, part, *rest)  # type: ignore[no-untyped-call]
+
+
 class Rule(CPUDispatcher):
     """A compiled function that is made to become part of the compiled functions that call it.
 
@@ -70,7 +100,8 @@ class Rule(CPUDispatcher):
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a rule or a pass, to become part of what calls it."""
     inlined = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return Rule(function, targetoptions={"nopython": True, **COMMON, **inlined})
+    options = {"nopython": True, **COMMON, **inlined}
+    return Rule(function, targetoptions=options, pipeline_class=_PartCompiler)
 
 
 def generated(name: str, source: str, **names: Any) -> Any:

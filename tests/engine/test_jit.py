@@ -8,8 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
+from numba.core.registry import cpu_target
+
 import mbn_marl
-from mbn_marl.compiled.jit import SOURCES, digest_of_sources
+from mbn_marl.compiled.jit import SOURCES, compiled, digest_of_sources
 
 PROBE = """
 from mbn_marl.engine.mdp.dynamics import next_velocity
@@ -38,6 +41,22 @@ def test_cache_is_used_and_renewed(tmp_path: Path) -> None:
     assert "return velocity + wind" in source
     wind.write_text(source.replace("velocity + wind", "velocity - wind"), encoding="utf-8")
     assert probe(tmp_path) == ["2.5", "0"]
+
+
+def test_only_what_python_calls_becomes_machine_code() -> None:
+    @compiled
+    def twice(x):  # type: ignore[no-untyped-def]
+        return 2 * x
+
+    @numba.njit
+    def four_times(x):  # type: ignore[no-untyped-def]
+        return twice(twice(x))
+
+    assert four_times(3) == 12
+    in_memory = cpu_target.target_context.codegen()._engine.is_symbol_defined
+    made = {f: [cr.fndesc.mangled_name for cr in f.overloads.values()] for f in (twice, four_times)}
+    assert list(map(in_memory, made[twice])) == [False]
+    assert list(map(in_memory, made[four_times])) == [True]
 
 
 def test_every_source_counts_wherever_it_is(tmp_path: Path) -> None:
