@@ -32,10 +32,10 @@ mypy: ruff
 	$(BIN)/mypy
 
 pytest: ruff
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist worksteal
 
 quick: ruff
-	$(BIN)/pytest -n 2 -m "not slow"
+	$(BIN)/pytest -n 2 --dist worksteal -m "not slow"
 
 test:
 	$(MAKE) -j2 mypy pytest

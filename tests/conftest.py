@@ -65,7 +65,7 @@ settings.load_profile("repeatable")
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what is slow, beside the tests that are marked themselves."""
-    items.sort(key=lambda item: item.name not in LONGEST)
+    items.sort(key=lambda item: item.name.partition("[")[0] not in LONGEST)
     for item in items:
         place = str(item.path.relative_to(FOLDER))
         if any(fnmatch(place, slow) for slow in SLOW):

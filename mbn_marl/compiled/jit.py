@@ -15,8 +15,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 
-COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-"""Compiled code runs without the GIL, and divides as NumPy does."""
+COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""Compiled code runs without the GIL, divides as NumPy does, and is not for C to call."""
 
 ANNOUNCEMENT = "mbn_marl: compiling the engine for this configuration, once per machine"
 FOLDERS = ("compiled", "engine", "field")
@@ -99,8 +99,7 @@ class Rule(CPUDispatcher):
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a rule or a pass, to become part of what calls it."""
-    inlined = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    options = {"nopython": True, **COMMON, **inlined}
+    options = {"nopython": True, **COMMON, "forceinline": True, "no_cpython_wrapper": True}
     return Rule(function, targetoptions=options, pipeline_class=_PartCompiler)
 
 

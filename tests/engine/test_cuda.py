@@ -33,10 +33,17 @@ needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch find
 MOST_LOCAL_BYTES = 128
 
 
-def test_in_the_simulator() -> None:
-    """Runs the tests of ``simulated_cuda.py``: the simulator is chosen when numba is imported."""
+@pytest.mark.parametrize(
+    "part", ["features", "random_fields", "not features and not random_fields"]
+)
+def test_in_the_simulator(part: str) -> None:
+    """Runs the tests of ``simulated_cuda.py``: the simulator is chosen when numba is imported.
+
+    No two parts compile the same.
+    """
+    tests = ["tests/support/simulated_cuda.py", "-k", part]
     run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "tests/support/simulated_cuda.py"],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", *tests],
         cwd=ROOT,
         env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"},
         capture_output=True,

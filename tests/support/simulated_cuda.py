@@ -1,6 +1,6 @@
 """The CUDA backend in Numba's simulator, where kernels are Python and threads are Python's.
 
-``test_cuda.py`` runs this file in a process of its own, with NUMBA_ENABLE_CUDASIM=1. The functions
+``test_cuda.py`` runs this file in processes of its own, with NUMBA_ENABLE_CUDASIM=1. The functions
 of the MDP that the kernels call are compiled for the CPU, so all that differs from a GPU is the
 kernels' own code. torch's tensors lie on the CPU: ``SimulatedDevice`` is the only stand-in.
 """
@@ -135,22 +135,55 @@ def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
     "settings",
     [
         {"observation": "local", "one_hot": True},
-        {"field": ["field_05", "field_09"], "observation": "lidar_local"},
-        {"field": FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 8)), "observation": "state"},
-        {"field": FieldSampler(robots=(2, 3)), "gust": 0.1, "failures": Failures(between=(3, 9))},
-        {"field": FieldSampler(FAMILIES, robots=(2, 4)), "dropout": 0.2, **ASSIGNED},
         {"reward": "formal", "observation": "state", "n_robots": 2},
         {"reward_sharing": "team", "mass": (1.0, 1.5, 2.0), "f_max": 3.0},
-        {"dynamics": ("holonomic", "unicycle", "bicycle"), "f_max": (1.0, 2.0, 3.0)},
-        {"dynamics": MIXED, "observation": "lidar", "reward": "formal"},
-        {"gust": 0.1, "action_loss": 0.3, "dropout": 0.2, "observation": "lidar_local"},
-        {"failures": {"rate": 0.05, "at": {2: 9}, "most": 3, "kind": "coast"}, "dynamics": MIXED},
-        {"failures": {"rate": 0.05, "kind": "vanish"}, "observation": "lidar", "reward": "formal"},
-        {**CONDITIONS["storm"], "mass": Uniform(0.5, 2.0), "tau": Uniform(0.8, 1.2)},
     ],
-    ids=lambda settings: ", ".join(settings),
+    ids=", ".join,
 )
 def test_equals_the_cpu_in_other_configurations(settings: dict[str, Any]) -> None:
+    run(*pair(**(SETTINGS | settings)), steps=60)
+
+
+BLOWN: dict[str, Any] = {"gust": 0.1, "failures": Failures(between=(3, 9)), "dynamics": "mixed"}
+HARD: dict[str, Any] = {"gust": 0.1, "action_loss": 0.3, "dropout": 0.2}
+SEVERAL: dict[str, Any] = {"field": ["field_05", "field_09"], **HARD}
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {
+            **{"observation": "lidar_local", **SEVERAL},
+            **{"dynamics": ("holonomic", "unicycle", "bicycle"), "f_max": (1.0, 2.0, 3.0)},
+            "failures": {"rate": 0.05, "at": {2: 9}, "most": 3, "kind": "coast"},
+        },
+        {
+            **{"observation": "lidar", "reward": "formal", **SEVERAL, "dynamics": MIXED},
+            "failures": {"rate": 0.05, "kind": "vanish"},
+        },
+        {
+            **{**CONDITIONS["storm"], "mass": Uniform(0.5, 2.0), "tau": Uniform(0.8, 1.2)},
+            "dynamics": MIXED,
+        },
+    ],
+    ids=["coasting", "vanishing", "storm"],
+)
+def test_equals_the_cpu_with_features(settings: dict[str, Any]) -> None:
+    """Each set of features is a program to compile, so there are few."""
+    run(*pair(**(SETTINGS | settings)), steps=60)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"field": FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 8)), "observation": "state"}
+        | BLOWN,
+        {"field": FieldSampler(robots=(2, 3)), **BLOWN},
+        {"field": FieldSampler(FAMILIES, robots=(2, 4)), "dropout": 0.2, **ASSIGNED},
+    ],
+    ids=["state", "relative", "entities"],
+)
+def test_equals_the_cpu_on_random_fields(settings: dict[str, Any]) -> None:
     run(*pair(**(SETTINGS | settings)), steps=60)
 
 
