@@ -118,7 +118,7 @@ geometry_of = _view_of(
     sampler="",
     kept="[w:end]",
 )
-memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="", seen=ROWS, plan=ROWS)
+memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="", seen=ROWS)
 episode_of = _view_of(Episode, ":, w:end", MOTION, team_return="[w:end]", codes="[w:end]")
 output_of = _view_of(Output, "w:end", RESULTS)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.mdp.assignment import rows_planned
+from mbn_marl.engine.mdp.assignment import plan_size
 from mbn_marl.engine.mdp.disturbances import DISTURBANCES, OF_ACTIONS, OF_SIGHT, any_on
 from mbn_marl.engine.mdp.drawn import is_drawn, rows_drawn
 from mbn_marl.engine.mdp.dynamics import count_headings
@@ -98,7 +98,7 @@ class Memory(NamedTuple):
     draw: Array  # (1,) int64: number of the next draw of random actions
     acted: Array  # (W, n, 2) real: the actions that arrived; (0, n, 2) if undisturbed
     seen: Array  # (rows_seen, W) real: what a robot sees; (0, 0, W) if it sees all as it is
-    plan: Array  # (rows_planned, W) real: who is to visit what; (0, 0, W) if nothing is assigned
+    plan: Array  # (W, plan_size) real: who is to visit what; (W, 0, 0) if nothing is assigned
 
 
 class Output(NamedTuple):
@@ -148,7 +148,7 @@ def make_memory(
     formal = config.reward.rules == "formal"
     motion = 3 if now.heading.shape[0] else 2
     seen = (rows_seen(n, m), worlds) if any_on(config, OF_SIGHT) else (0, 0, worlds)
-    plan = (rows_planned(n, m), worlds) if config.assignment else (0, 0, worlds)
+    plan = (worlds, plan_size(n, m)) if config.assignment else (worlds, 0, 0)
     keyed = any_on(config, DISTURBANCES) or config.failures is not None or is_drawn(config)
     words = filter_size(length * (1 if formal else n)) + ODD_LINES
     trail = xp.zeros((worlds, length * n, 2), dtype=real)

@@ -12,7 +12,7 @@ from mbn_marl.errors import MbnError
 
 VIEWS = ("x_bits", "y_bits", "trail_bits", "trail_key")
 """Arrays of ``Memory`` that are another array's memory."""
-PASSING = ("acted", "seen", "plan")
+PASSING = ("acted", "seen")
 """Arrays of ``Memory`` that nothing is read from after a step."""
 FIXED = ("robots", "kinds", "fail_at", "ranges", "rays", "scales", "scratch")
 """Arrays of ``Geometry`` that do not depend on the field, or that nothing is read from."""

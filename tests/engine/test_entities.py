@@ -97,13 +97,16 @@ def test_what_is_visited_is_nought() -> None:
 
 
 def test_assignment_by_hand() -> None:
-    """Robot 0 to A, 10; robot 1 to C, 10, a tie that the first one wins; B after C, 10 + 45."""
+    """B, then C before it, then A are inserted; then C is moved, as 57.5 is less than 60.6.
+
+    Robot 0 goes to A, 10, and C, 45 + 20 / 8; robot 1 to B, 40 + 30 / 8.
+    """
     engine = engine_of(ABC, TWO, roi_radius=1.0, **ASSIGNED)
-    tours, orders = (10 / 110, 55 / 155), ((1.0, 0.0, 0.0), (0.0, 0.5, 1.0))
+    tours, orders = (57.5 / 157.5, 43.75 / 143.75), ((1.0, 0.0, 0.5), (0.0, 1.0, 0.0))
     for robot in (0, 1):
         found = entries(engine, robot)
         told = [found[name] for name in ("own_tour", "team_tour", "other_1_tour")]
-        assert told == pytest.approx([tours[robot], tours[1], tours[1 - robot]])
+        assert told == pytest.approx([tours[robot], tours[0], tours[1 - robot]])
         assert [found[f"roi_{j}_order"] for j in range(3)] == list(orders[robot])
         plain = entries(engine_of(ABC, TWO, roi_radius=1.0), robot)
         assert {name: found[name] for name in plain} == plain
@@ -114,13 +117,14 @@ def test_assignment_by_hand() -> None:
 
 
 def test_robots_that_have_failed_are_assigned_nothing() -> None:
-    """Robot 0 to A, then C, 10 + 45, then B, 55 + 45."""
+    """Robot 0 to A, 10, then C, 45 + 20 / 8, then B, 45 + 40 / 8."""
     settings = {"failures": Failures(at={1: 1}), "roi_radius": 1.0, **ASSIGNED}
     engine = after(engine_of(ABC, TWO, **settings), STILL)
     found, other = entries(engine, 0), entries(engine, 1)
     assert [found[f"roi_{j}_order"] for j in range(3)] == [1.0, pytest.approx(1 / 3), 0.5]
-    assert [found["own_tour"], found["team_tour"], found["other_1_tour"]] == [0.5, 0.5, 0.0]
-    assert [other["own_tour"], other["team_tour"], other["other_1_tour"]] == [0.0, 0.5, 0.5]
+    names, all_of_it = ("own_tour", "team_tour", "other_1_tour"), pytest.approx(107.5 / 207.5)
+    assert [found[name] for name in names] == [all_of_it, all_of_it, 0.0]
+    assert [other[name] for name in names] == [0.0, all_of_it, all_of_it]
     assert not any(other[f"roi_{j}_order"] for j in range(3))
     assert found["other_1_present"] == found["other_1_failed"] == 1.0
     assert found["roi_0_others"] == 1.0 and other["roi_0_others"] == pytest.approx(10 / 110)
@@ -133,7 +137,7 @@ def test_the_way_around_a_corner_by_hand() -> None:
     engine = BatchEngine(field, 2, threads=1, failures=Failures(at={0: 1}), **ASSIGNED)
     engine.reset()
     off = 3 / ROOT
-    to, on = 30 + off, 45 + off  # from robot 0 to the waypoint, and on to ROI 0
+    to, on = (30 + off) + (30 - off) / 8, (45 + off) + (30 - off) / 8  # to the waypoint, to ROI 0
     found = entries(engine, 0)
     assert (found["roi_0_seen"], found["roi_1_seen"]) == (0.0, 1.0)
     x, y = -30 - off, 30 - off
@@ -145,13 +149,13 @@ def test_the_way_around_a_corner_by_hand() -> None:
     assert found["roi_1_away"] == pytest.approx(25 / 125)
     assert [found["own_tour"], found["other_1_tour"]] == pytest.approx([25 / 125, 20 / 120])
     after(engine, STILL)  # robot 1 goes to ROI 0, and from there around the corner to ROI 1
-    total = 20 + on + to
+    total = 20 + on + (30 + off) + (5 - off) / 8
     assert entries(engine, 1)["own_tour"] == pytest.approx(total / (100 + total))
     assert entries(engine, 0)["roi_0_near_x"] == found["roi_0_near_x"]
 
 
 def test_the_way_around_a_hole_by_hand() -> None:
-    """By two corners, below or above it; both are 70 units, and below is the first."""
+    """By two corners, below or above it; both are equally long, and below is the first."""
     field = Field(SQUARE, [(90.0, 50.0)], [(20.0, 50.0), (99.0, 99.0)], holes=[HOLE])
     engine = BatchEngine([field, Field(SQUARE, [(90.0, 50.0)], field.starts)], 2, **ASSIGNED)
     engine.reset()
@@ -160,7 +164,9 @@ def test_the_way_around_a_hole_by_hand() -> None:
     direction = [part / (np.hypot(x, y) + 1) for part in (x, y)]
     assert [found["roi_0_ux"], found["roi_0_uy"]] == pytest.approx(direction, abs=1e-6)
     assert (found["roi_0_seen"], straight["roi_0_seen"]) == (0.0, 1.0)
-    assert found["roi_0_away"] == pytest.approx(70 / 170) == straight["roi_0_away"]
+    way = 70 + 2 * (10 + 3 / ROOT) / 8
+    assert found["roi_0_away"] == pytest.approx(way / (100 + way))
+    assert straight["roi_0_away"] == pytest.approx(70 / 170)
 
 
 def three(rng: np.random.Generator) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tests.support.disturbances import FAILURES, Disturbances, key_of, uniform
 from tests.support.draws import NUMBERS, drawn_settings, highest, is_range
 from tests.support.scores import Profile, Step, formal_reward, released_reward
-from tests.support.tokens import Atlas, entities
+from tests.support.tokens import Atlas, Plan, entities
 from tests.support.vehicles import REALS, Robot, Vehicle, clip
 from tests.support.wall_senses import WallSenses
 
@@ -134,6 +134,8 @@ class Oracle:
         self.steps = 0
         self.episode_return = 0.0
         self.success = self.collision = False
+        self.plan = Plan(self.atlas, len(self.robots)) if self.atlas else None
+        self._assign()
 
     @property
     def visit_code(self) -> int:
@@ -173,7 +175,15 @@ class Oracle:
         self.steps += 1
         self._end(step)
         self._reward(step)
+        self._assign()
         return step
+
+    def _assign(self) -> None:
+        """Bring the plan up to date."""
+        if self.plan:
+            works = [not robot.failed for robot in self.robots]
+            left = [j for j, visited in enumerate(self.visited) if not visited]
+            self.plan.update([(robot.x, robot.y) for robot in self.robots], works, left)
 
     def observe(
         self, i: int, missing: int = 0, shift: tuple[float, float] = (0.0, 0.0)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import cmath
+import functools
 import heapq
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -34,8 +36,18 @@ def approach(d: list[float], dv: list[float], time: float) -> float:
 
 
 def span(a: Any, b: Any) -> Any:
-    """How far it is from a to b, by the longer side."""
-    return max(abs(p - q) for p, q in zip(a, b, strict=True))
+    """How far it is from a to b: the longer side, and an eighth of the shorter one."""
+    shorter, longer = sorted(abs(p - q) for p, q in zip(a, b, strict=True))
+    return longer + shorter / 8
+
+
+def first_least(choices: list[Any], cost: Callable[[Any], float]) -> Any:
+    """The choice that costs least; a later one only if it costs over 1/1000 less."""
+    best = choices[0]
+    for choice in choices:
+        if cost(choice) < cost(best) - 1e-3:
+            best = choice
+    return best
 
 
 class Atlas:
@@ -50,6 +62,7 @@ class Atlas:
         self.polygon, self.rois = polygon, rois
         self.waypoints = [*self._off_corners()]
         self.rests = [self._from(roi) for roi in rois]
+        self.way = functools.lru_cache(4096)(self._way)
 
     def _off_corners(self) -> Iterator[tuple[float, float]]:
         """Points 3 units off the corners at which the field is not convex, on their bisectors."""
@@ -85,7 +98,7 @@ class Atlas:
                     heapq.heappush(queue, (way, k))
         return found
 
-    def way(self, spot: Any, j: int) -> tuple[Any, Any, bool]:
+    def _way(self, spot: Any, j: int) -> tuple[Any, Any, bool]:
         """From somewhere to ROI j: the length, the place to go to first, whether it is the ROI."""
         roi, rests = self.rois[j], self.rests[j]
         if not self.waypoints or self.sees(spot, roi):
@@ -103,32 +116,64 @@ class Atlas:
 
 
 class Plan:
-    """Who would visit what: the ROIs that are left, the earliest possible visit always next.
+    """Who visits what, in which order: ROIs are inserted, then moved, whenever something changes.
 
     Args:
         atlas: the ways.
-        spots: where the robots are.
-        works: which of them work.
-        left: the indices of the ROIs that are left.
+        n: how many robots there are.
     """
 
-    def __init__(self, atlas: Atlas, spots: list[Any], works: list[bool], left: list[int]):
-        self.orders: list[list[int]] = [[] for _ in spots]
-        self.tours = [spot[0] * 0 for spot in spots]
-        at, left = list(spots), list(left)
+    def __init__(self, atlas: Atlas, n: int) -> None:
+        self._atlas = atlas
+        self.orders: list[list[int]] = [[] for _ in range(n)]
+
+    def update(self, spots: list[Any], works: list[bool], left: list[int]) -> None:
+        """Assign the ROIs that are left to the robots that work, given where all are."""
+        self._spots = spots
         team = [i for i, able in enumerate(works) if able]
-        ways: dict[Any, Any] = {}
+        kept = [
+            [j for j in order if works[i] and j in left] for i, order in enumerate(self.orders)
+        ]
+        changed, self.orders = kept != self.orders, kept
+        new = [j for j in left if not any(j in order for order in kept)] if team else []
+        changed |= bool(new)
+        while new:
+            places = [(*self._best_place(team, j, 1), j) for j in new]
+            _, self.orders, j = first_least(places, lambda place: -place[0])
+            new.remove(j)
+        for _ in range(2 * len(self._atlas.rois) * changed):
+            moves = [(self._cost(self.orders, 1 / 64), self.orders)]
+            for j in sorted(itertools.chain(*self.orders)):
+                moves.append(self._best_place(team, j, 1 / 64))
+            _, orders = first_least(moves, lambda move: move[0])
+            if orders is self.orders:
+                break
+            self.orders = orders
+        self.tours = [self._tour(i, order) for i, order in enumerate(self.orders)]
 
-        def way(spot: Any, j: int) -> Any:
-            if (spot, j) not in ways:
-                ways[spot, j] = atlas.way(spot, j)[0]
-            return ways[spot, j]
+    def _tour(self, i: int, order: list[int]) -> Any:
+        """How far robot i goes if it visits ROIs in this order."""
+        stops = [self._spots[i], *(self._atlas.rois[j] for j in order)]
+        ways = (self._atlas.way(stop, j)[0] for stop, j in zip(stops, order, strict=False))
+        return sum(ways, stops[0][0] * 0)
 
-        while left and team:
-            total, i, j = min((self.tours[i] + way(at[i], j), i, j) for i in team for j in left)
-            self.tours[i], at[i] = total, atlas.rois[j]
-            self.orders[i].append(j)
-            left.remove(j)
+    def _cost(self, orders: list[list[int]], weight: float) -> float:
+        """The longest tour and the weighted sum of all."""
+        tours = [float(self._tour(i, order)) for i, order in enumerate(orders)]
+        return max(tours) + weight * sum(tours)
+
+    def _best_place(
+        self, team: list[int], j: int, weight: float
+    ) -> tuple[float, list[list[int]]]:
+        """The least cost with ROI j in an order, and the orders then."""
+        without = [[k for k in order if k != j] for order in self.orders]
+        ways = []
+        for i in team:
+            for at in range(len(without[i]) + 1):
+                orders = [[*order] for order in without]
+                orders[i].insert(at, j)
+                ways.append((self._cost(orders, weight), orders))
+        return first_least(ways, lambda way: way[0])
 
     def turn(self, i: int, j: int) -> float:
         """1 over the place of ROI j in the order of robot i, or 0."""
@@ -139,10 +184,8 @@ def entities(oracle: Any, i: int, there: Any, me: Any, others: list[Any]) -> Ite
     """The entries for robot i of an oracle, which is ``there`` and sees itself as ``me``."""
     rois, atlas, tau = oracle.rois, oracle.atlas, float(oracle.tau)
     left = [j for j, visited in enumerate(oracle.visited) if not visited]
-    plan, tours = None, [0.0] * len(oracle.robots)
-    if atlas:
-        works = [not robot.failed for robot in oracle.robots]
-        plan = Plan(atlas, [(robot.x, robot.y) for robot in oracle.robots], works, left)
+    plan, tours = oracle.plan, [0.0] * len(oracle.robots)
+    if plan:
         tours = [soft(float(tour), FAR) for tour in plan.tours]
     yield from (me.velocity / oracle.top_speed, *[me.ahead] * oracle.turning, oracle._flag(me))
     reach = min(oracle.sensing_radius, math.hypot(oracle.width, oracle.height))

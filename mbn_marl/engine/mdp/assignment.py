@@ -1,11 +1,11 @@
-"""Which robot would be the first at each ROI that is left (mdp.md, "Entities").
+"""Which robot visits which of the ROIs that are left, and in which order (mdp.md, "Entities").
 
-``Memory.plan`` has it, computed for each observation. For n robots and m ROIs its rows are, one
-after the other: how far each robot would go in all (n), how many ROIs it would visit (n), the robot
-that would visit each ROI (m), 1 over its place in that robot's order (m), each robot's way to each
-ROI: its length (n m) and its first waypoint (n m); the way from where each robot would be (n m),
-and the least of these sums and where it is (2). Where nothing is assigned, it has three dimensions
-and no entries, and all of this is left out when it is compiled.
+``Memory.plan`` has it, up to date at each observation. For n robots and m ROIs a world's numbers are,
+one after the other: how far each robot goes in all (n), the ROI that each visits first (n), the robot
+that visits each ROI (m), 1 over its place in that robot's order (m), the ROIs visited after (m) and
+before it (m), and each robot's way to each ROI: its length (n m) and its first waypoint (n m).
+Where nothing is assigned, it has three dimensions and no entries, and all of this is left out when
+it is compiled.
 
 Source: this package.
 """
@@ -29,11 +29,17 @@ from mbn_marl.engine.mdp.ways import (
 
 STRAIGHT, NO_WAY = -1, -2
 """In place of a first waypoint: the ROI is in straight sight, or no way is known."""
+END = -1
+"""In place of a robot or an ROI: none."""
+SUM, SPREAD = np.float32(1), np.float32(1 / 64)
+"""The weight of the sum of the tours when ROIs are inserted, and when they are moved."""
+MOVES = 2
+"""How often ROIs are moved, at most, for each ROI of the field."""
 
 
-def rows_planned(n: int, m: int) -> int:
-    """How many rows ``Memory.plan`` has for n robots and m ROIs."""
-    return 2 * n + 2 * m + 3 * n * m + 2
+def plan_size(n: int, m: int) -> int:
+    """How many numbers ``Memory.plan`` has of a world with n robots and m ROIs."""
+    return 2 * n + 4 * m + 2 * n * m
 
 
 @compiled
@@ -46,7 +52,7 @@ def look_for(edges, rois, roi_bits, plan, visited, x, y, way, via, count, f, w):
     for j in range(rois.shape[1]):
         left = (visited & roi_bits[j, f]) == 0
         if left and not in_sight(edges, count, f, x, y, rois[0, j, f], rois[1, j, f]):
-            plan[way + j, w], plan[via + j, w] = NEVER, NO_WAY
+            plan[w, way + j], plan[w, via + j] = NEVER, NO_WAY
             some = True
     return some
 
@@ -58,14 +64,14 @@ def try_waypoint(legs, plan, m, way, via, c, first, f, w):
     Of several ways that are equally long, that with the shortest rest.
     """
     for j in range(m):
-        if plan[via + j, w] != STRAIGHT:
-            rest, best = legs[j, m + c, f], plan[way + j, w]
+        if plan[w, via + j] != STRAIGHT:
+            rest, best = legs[j, m + c, f], plan[w, way + j]
             better = first + rest < best - CLOSE
-            if (plan[via + j, w] >= 0) & (first + rest <= best + CLOSE):
-                better |= rest < legs[j, m + np.int64(plan[via + j, w]), f] - CLOSE
+            if (plan[w, via + j] >= 0) & (first + rest <= best + CLOSE):
+                better |= rest < legs[j, m + np.int64(plan[w, via + j]), f] - CLOSE
             if better:
-                plan[via + j, w] = c
-                plan[way + j, w] = first + rest
+                plan[w, via + j] = c
+                plan[w, way + j] = first + rest
 
 
 @compiled
@@ -81,7 +87,7 @@ def look_around(g, plan, status, ep, lo, hi):
             if is_absent(status, i, w):
                 continue
             x, y = xs[i, w], ys[i, w]
-            way, via = 2 * n + 2 * m + m * i, 2 * n + 2 * m + n * m + m * i
+            way, via = 2 * n + 4 * m + m * i, 2 * n + 4 * m + n * m + m * i
             if look_for(edges, rois, bits, plan, visited[w], x, y, way, via, count, f, w):
                 for c in range(corners):
                     cx, cy = waypoints[0, c, f], waypoints[1, c, f]
@@ -89,86 +95,172 @@ def look_around(g, plan, status, ep, lo, hi):
                         first = length(cx - x, cy - y)
                         try_waypoint(legs, plan, m, way, via, c, first, f, w)
                 for j in range(m):
-                    if plan[via + j, w] == NO_WAY:
-                        plan[way + j, w] = length(rois[0, j, f] - x, rois[1, j, f] - y)
+                    if plan[w, via + j] == NO_WAY:
+                        plan[w, way + j] = length(rois[0, j, f] - x, rois[1, j, f] - y)
 
 
 @compiled
 def find_ways(g, plan, status, ep, lo, hi):
     """Find each robot's way to each ROI."""
     n, m = ep.x.shape[0], g.rois.shape[1]
-    ways, vias = 2 * n + 2 * m, 2 * n + 2 * m + n * m
+    ways, vias = 2 * n + 4 * m, 2 * n + 4 * m + n * m
     for i in range(n):
         for j in range(m):
             for w in range(lo, hi):
                 f = column(g, w)
                 dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
-                plan[ways + m * i + j, w] = length(dx, dy)
-                plan[vias + m * i + j, w] = STRAIGHT
+                plan[w, ways + m * i + j] = length(dx, dy)
+                plan[w, vias + m * i + j] = STRAIGHT
     if g.waypoints.shape[1] > 0:
         look_around(g, plan, status, ep, lo, hi)
 
 
 @compiled
-def begin_plan(g, plan, status, ep, lo, hi):
-    """Nothing is assigned: each robot that works can go to each ROI that is left."""
-    n, m = ep.x.shape[0], g.rois.shape[1]
-    for row in range(2 * n + 2 * m):
-        for w in range(lo, hi):
-            plan[row, w] = 0
-    find_ways(g, plan, status, ep, lo, hi)
-    ways, costs = 2 * n + 2 * m, 2 * n + 2 * m + 2 * n * m
-    for i in range(n):
-        for j in range(m):
-            for w in range(lo, hi):
-                left = (ep.visited[w] & g.roi_bits[j, column(g, w)]) == 0
-                way = plan[ways + m * i + j, w]
-                possible = left & works(status, i, w)
-                plan[costs + m * i + j, w] = select(possible, way, NEVER)
+def next_of(plan, n, m, i, a, w):
+    """The ROI that robot i visits after ROI a, or first of all if that is ``END``."""
+    row = n + i if a == END else 2 * n + 2 * m + a
+    return np.int64(plan[w, row])
 
 
 @compiled
-def find_next(plan, n, m, lo, hi):
-    """Find the earliest visit that is possible, the lowest robot's and ROI's of several."""
-    costs = 2 * n + 2 * m + 2 * n * m
-    least, place = costs + n * m, costs + n * m + 1
-    for w in range(lo, hi):
-        plan[least, w] = NEVER
-    for i in range(n):
-        for j in range(m):
-            here = np.float32(m * i + j)
-            for w in range(lo, hi):
-                total = plan[i, w] + plan[costs + m * i + j, w]
-                closer = total < plan[least, w]
-                plan[place, w] = select(closer, here, plan[place, w])
-                plan[least, w] = select(closer, total, plan[least, w])
-
-
-@compiled
-def assign_next(plan, rois, legs, bent, n, m, f, w):
-    """Assign the visit that was found; return whether there was one.
+def leg(plan, rois, legs, bent, n, i, a, b, f, w):
+    """How far robot i goes to ROI b from ROI a, or from where it is if that is ``END``.
 
     ``bent``: whether corners of the field in column f are in the way.
     """
-    costs = 2 * n + 2 * m + 2 * n * m
-    total = plan[costs + n * m, w]
-    if total == NEVER:
-        return False
-    place = np.int64(plan[costs + n * m + 1, w])
-    i, j = place // m, place % m
-    plan[i, w] = total
-    plan[n + i, w] += 1
-    plan[2 * n + j, w] = i
-    plan[2 * n + m + j, w] = 1 / plan[n + i, w]
-    for robot in range(n):
-        plan[costs + m * robot + j, w] = NEVER
-    for k in range(m):
-        if plan[costs + m * i + k, w] < NEVER:
-            way = length(rois[0, k, f] - rois[0, j, f], rois[1, k, f] - rois[1, j, f])
-            if bent:
-                way = select(legs[j, k, f] < NEVER, legs[j, k, f], way)
-            plan[costs + m * i + k, w] = way
-    return True
+    m = rois.shape[1]
+    if a == END:
+        return plan[w, 2 * n + 4 * m + m * i + b]
+    way = length(rois[0, b, f] - rois[0, a, f], rois[1, b, f] - rois[1, a, f])
+    if bent:
+        way = select(legs[a, b, f] < NEVER, legs[a, b, f], way)
+    return way
+
+
+@compiled
+def detour(plan, rois, legs, bent, n, i, a, j, f, w):
+    """How much farther robot i goes if it visits ROI j between ROI a and the one after that."""
+    then = next_of(plan, n, rois.shape[1], i, a, w)
+    more = leg(plan, rois, legs, bent, n, i, a, j, f, w)
+    if then != END:
+        more += leg(plan, rois, legs, bent, n, i, j, then, f, w)
+        more -= leg(plan, rois, legs, bent, n, i, a, then, f, w)
+    return more
+
+
+@compiled
+def place(plan, rois, legs, bent, n, i, a, j, f, w):
+    """Let robot i visit ROI j after ROI a, or first of all."""
+    m = rois.shape[1]
+    then = next_of(plan, n, m, i, a, w)
+    plan[w, i] += detour(plan, rois, legs, bent, n, i, a, j, f, w)
+    plan[w, n + i if a == END else 2 * n + 2 * m + a] = j
+    plan[w, 2 * n + j], plan[w, 2 * n + 2 * m + j], plan[w, 2 * n + 3 * m + j] = i, then, a
+    if then != END:
+        plan[w, 2 * n + 3 * m + then] = j
+
+
+@compiled
+def take_out(plan, rois, legs, bent, n, j, f, w):
+    """Let no robot visit ROI j; return the one that did, and the ROI that it visits before."""
+    m = rois.shape[1]
+    i, then = np.int64(plan[w, 2 * n + j]), np.int64(plan[w, 2 * n + 2 * m + j])
+    a = np.int64(plan[w, 2 * n + 3 * m + j])
+    plan[w, n + i if a == END else 2 * n + 2 * m + a] = then
+    if then != END:
+        plan[w, 2 * n + 3 * m + then] = a
+    plan[w, 2 * n + j] = END
+    plan[w, i] -= detour(plan, rois, legs, bent, n, i, a, j, f, w)
+    return i, a
+
+
+@compiled
+def best_place(plan, status, rois, legs, bent, n, j, weight, f, w):
+    """Find where ROI j costs least: the cost, the robot, ``END`` if none works, the ROI before.
+
+    The cost is that of all tours: the longest one plus ``weight`` times their sum.
+    """
+    least, robot, after = NEVER, END, END
+    for i in range(n):
+        if works(status, i, w):
+            longest, total = -NEVER, plan[w, i]
+            for other in range(n):
+                if other != i:
+                    longest = max(longest, plan[w, other])
+                    total += plan[w, other]
+            a = END
+            while True:
+                more = detour(plan, rois, legs, bent, n, i, a, j, f, w)
+                cost = max(longest, plan[w, i] + more) + weight * (total + more)
+                if cost < least - CLOSE:
+                    least, robot, after = cost, i, a
+                a = next_of(plan, n, rois.shape[1], i, a, w)
+                if a == END:
+                    break
+    return least, robot, after
+
+
+@compiled
+def insert_one(plan, status, left, bits, rois, legs, bent, n, f, w):
+    """Insert the ROI that costs most where it costs least; return whether one was left to insert.
+
+    ``left`` has the bits of the ROIs that are to be visited.
+    """
+    most, dearest, robot, after = -NEVER, END, END, END
+    for j in range(rois.shape[1]):
+        if (plan[w, 2 * n + j] == END) & ((left & bits[j, f]) != 0):
+            cost, i, a = best_place(plan, status, rois, legs, bent, n, j, SUM, f, w)
+            if (i != END) & (cost > most + CLOSE):
+                most, dearest, robot, after = cost, j, i, a
+    if dearest != END:
+        place(plan, rois, legs, bent, n, robot, after, dearest, f, w)
+    return dearest != END
+
+
+@compiled
+def move_one(plan, status, rois, legs, bent, n, f, w):
+    """Move the ROI to another place that lowers the cost most; return whether any does."""
+    longest, total = plan[w, 0], plan[w, 0]
+    for i in range(1, n):
+        longest, total = max(longest, plan[w, i]), total + plan[w, i]
+    least, moved, robot, after = longest + SPREAD * total, END, END, END
+    for j in range(rois.shape[1]):
+        if plan[w, 2 * n + j] != END:
+            i, a = take_out(plan, rois, legs, bent, n, j, f, w)
+            cost, to, at = best_place(plan, status, rois, legs, bent, n, j, SPREAD, f, w)
+            place(plan, rois, legs, bent, n, i, a, j, f, w)
+            if cost < least - CLOSE:
+                least, moved, robot, after = cost, j, to, at
+    if moved != END:
+        take_out(plan, rois, legs, bent, n, moved, f, w)
+        place(plan, rois, legs, bent, n, robot, after, moved, f, w)
+    return moved != END
+
+
+@compiled
+def forget(plan, status, visited, bits, rois, legs, bent, n, f, w):
+    """Take out the ROIs that are visited, or whose robots do not work; return whether any is."""
+    some = False
+    for j in range(rois.shape[1]):
+        i = np.int64(plan[w, 2 * n + j])
+        if (i != END) and (((visited & bits[j, f]) != 0) | (not works(status, i, w))):
+            take_out(plan, rois, legs, bent, n, j, f, w)
+            some = True
+    return some
+
+
+@compiled
+def measure_tours(plan, rois, legs, bent, n, f, w):
+    """Write the tours' lengths, leg by leg, and 1 over each visit's place."""
+    m = rois.shape[1]
+    for i in range(n):
+        count, plan[w, i] = 0, 0
+        a, j = END, np.int64(plan[w, n + i])
+        while j != END:
+            count += 1
+            plan[w, i] += leg(plan, rois, legs, bent, n, i, a, j, f, w)
+            plan[w, 2 * n + m + j] = 1 / count
+            a, j = j, np.int64(plan[w, 2 * n + 2 * m + j])
 
 
 @compiled
@@ -178,34 +270,42 @@ def assign(g, plan, status, ep, lo, hi):
     ``plan`` is that of the memory, ``status`` that of ``ep``.
     """
     if plan.ndim == 2:
-        rois, legs, waypoints, ways_in = g.rois, g.legs, g.waypoints, g.ways_in
-        n, m = ep.x.shape[0], rois.shape[1]
-        begin_plan(g, plan, status, ep, lo, hi)
-        some = True
-        for _ in range(m):
-            if some:
-                find_next(plan, n, m, lo, hi)
-                some = False
-                for w in range(lo, hi):
-                    f = column(g, w)
-                    bent = count_waypoints(ways_in, waypoints, f) > 0
-                    some |= assign_next(plan, rois, legs, bent, n, m, f, w)
+        rois, legs, waypoints, ways_in, bits = g.rois, g.legs, g.waypoints, g.ways_in, g.roi_bits
+        n, m, visited, steps = ep.x.shape[0], rois.shape[1], ep.visited, ep.steps
+        find_ways(g, plan, status, ep, lo, hi)
+        for w in range(lo, hi):
+            f, seen = column(g, w), visited[w]
+            bent = count_waypoints(ways_in, waypoints, f) > 0
+            changed = steps[w] == 0
+            if changed:
+                for row in range(n, 2 * n + m):
+                    plan[w, row] = END
+            else:
+                changed = forget(plan, status, seen, bits, rois, legs, bent, n, f, w)
+            measure_tours(plan, rois, legs, bent, n, f, w)
+            if changed:
+                while insert_one(plan, status, ~seen, bits, rois, legs, bent, n, f, w):
+                    pass
+                for _ in range(MOVES * m):
+                    if not move_one(plan, status, rois, legs, bent, n, f, w):
+                        break
+                measure_tours(plan, rois, legs, bent, n, f, w)
 
 
 @compiled
 def tour(plan, i, w):
-    """How far robot i would go in all, units."""
-    return plan[i, w]
+    """How far robot i goes in all, units."""
+    return plan[w, i]
 
 
 @compiled
 def turn_of(plan, n, m, i, j, w):
-    """1 over the place of ROI j in the order in which robot i would visit it, 0 if it would not."""
-    return plan[2 * n + m + j, w] if plan[2 * n + j, w] == i else plan[0, w] * 0
+    """1 over the place of ROI j in the order of robot i, 0 if that does not visit it."""
+    return plan[w, 2 * n + m + j] if plan[w, 2 * n + j] == i else plan[w, 0] * 0
 
 
 @compiled
 def way_to(plan, n, m, i, j, w):
     """How far robot i's way to ROI j is, and its first waypoint, or ``STRAIGHT`` or ``NO_WAY``."""
-    row = 2 * n + 2 * m + m * i + j
-    return plan[row, w], np.int64(plan[row + n * m, w])
+    row = 2 * n + 4 * m + m * i + j
+    return plan[w, row], np.int64(plan[w, row + n * m])

@@ -24,6 +24,8 @@ BLUNT = np.float32(1e-3)
 """The sine of the turn up to which a corner counts as straight."""
 CLOSE = np.float32(1e-3)
 """Ways whose lengths differ by no more are equally long, units."""
+SHORTER = np.float32(1 / 8)
+"""What the shorter side of a leg counts."""
 NEVER = np.float32(np.inf)
 EDGES, WAYPOINTS = range(2)
 """The rows of ``ways_in``."""
@@ -50,8 +52,12 @@ class Places(NamedTuple):
 
 @compiled
 def length(dx, dy):
-    """How far it is: forces and speed limits are per axis, so this is what takes time."""
-    return max(abs(dx), abs(dy))
+    """How far it is: forces and speed limits are per axis, so the longer side takes the time.
+
+    The shorter one tells ways apart that take the same.
+    """
+    dx, dy = abs(dx), abs(dy)
+    return max(dx, dy) + SHORTER * min(dx, dy)
 
 
 @compiled
