@@ -131,9 +131,7 @@ class Plan:
         """Assign the ROIs that are left to the robots that work, given where all are."""
         self._spots = spots
         team = [i for i, able in enumerate(works) if able]
-        kept = [
-            [j for j in order if works[i] and j in left] for i, order in enumerate(self.orders)
-        ]
+        kept = [[j for j in order if works[i] and j in left] for i, order in enumerate(self.orders)]
         changed, self.orders = kept != self.orders, kept
         new = [j for j in left if not any(j in order for order in kept)] if team else []
         changed |= bool(new)
@@ -162,9 +160,7 @@ class Plan:
         tours = [float(self._tour(i, order)) for i, order in enumerate(orders)]
         return max(tours) + weight * sum(tours)
 
-    def _best_place(
-        self, team: list[int], j: int, weight: float
-    ) -> tuple[float, list[list[int]]]:
+    def _best_place(self, team: list[int], j: int, weight: float) -> tuple[float, list[list[int]]]:
         """The least cost with ROI j in an order, and the orders then."""
         without = [[k for k in order if k != j] for order in self.orders]
         ways = []

@@ -1,9 +1,10 @@
 """Which robot visits which of the ROIs that are left, and in which order (mdp.md, "Entities").
 
-``Memory.plan`` has it, up to date at each observation. For n robots and m ROIs a world's numbers are,
-one after the other: how far each robot goes in all (n), the ROI that each visits first (n), the robot
-that visits each ROI (m), 1 over its place in that robot's order (m), the ROIs visited after (m) and
-before it (m), and each robot's way to each ROI: its length (n m) and its first waypoint (n m).
+``Memory.plan`` has it, up to date at each observation. For n robots and m ROIs a world's numbers
+are, one after the other: how far each robot goes in all (n), the ROI that each visits first (n),
+the robot that visits each ROI (m), 1 over its place in that robot's order (m), the ROIs visited
+after (m) and before it (m), and each robot's way to each ROI: its length (n m) and its first
+waypoint (n m).
 Where nothing is assigned, it has three dimensions and no entries, and all of this is left out when
 it is compiled.
 
