@@ -256,7 +256,7 @@ def measure_tours(plan, rois, legs, bent, n, f, w):
     m = rois.shape[1]
     for i in range(n):
         count, plan[w, i] = 0, 0
-        a, j = END, np.int64(plan[w, n + i])
+        a, j = np.int64(END), np.int64(plan[w, n + i])
         while j != END:
             count += 1
             plan[w, i] += leg(plan, rois, legs, bent, n, i, a, j, f, w)
