@@ -39,7 +39,11 @@ def load_policy(
             or an older version wrote it.
         FieldError: the field is unknown or not valid.
         DamageError: a file of the policy is not what was written.
+        ModuleNotFoundError: the extra ``baselines`` is not installed.
     """
-    from baselines.zoo.sources import find_policy
-
+    try:
+        from baselines.zoo.sources import find_policy
+    except ModuleNotFoundError as error:
+        error.add_note("pip install 'mbn_marl[baselines]' brings what policies need")
+        raise
     return find_policy(str(source), field, seed=seed, **settings)

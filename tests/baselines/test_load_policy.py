@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +26,16 @@ from mbn_marl.errors import ConfigError, MbnError
 ROOT = Path(__file__).parents[2]
 LIDAR = {"observation": "lidar"}
 Write = Callable[[str], str]
+
+
+def test_a_missing_extra_is_named() -> None:
+    program = (
+        "import sys; sys.modules['filelock'] = None; import baselines as b; b.load_policy('greedy')"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (
+        run.stderr.splitlines()[-1] == "pip install 'mbn_marl[baselines]' brings what policies need"
+    )
 
 
 @pytest.mark.parametrize("name", ["field_03", "field_07"])
