@@ -43,12 +43,12 @@ class CpuBackend(Backend):
         parked = None
         if self._count_waiting or active is not None:
             parked = self._checked_parked(active)
-            kept = [array[..., parked] for array in self.now]
+            kept = [array[..., parked] for array in self.now], self.memory.plan[parked]
         ended = self.threads.step(self.store, forces)
         if self.spec.autoreset == "disabled":
             self._count_waiting = ended
         if parked is not None:
-            self._restore(parked, kept)
+            self._restore(parked, *kept)
 
     def _checked_parked(self, active: Any) -> NDArray[np.intp]:
         """The ended worlds that this step leaves out, or an error naming the first offender."""
@@ -59,10 +59,11 @@ class CpuBackend(Backend):
             raise self._left_out(int(world))
         return np.flatnonzero(~moving)
 
-    def _restore(self, parked: NDArray[np.intp], kept: list[Array]) -> None:
+    def _restore(self, parked: NDArray[np.intp], kept: list[Array], plan: Array) -> None:
         """Undo the step for worlds that were left out of it."""
         for array, columns in zip(self.now, kept, strict=True):
             array[..., parked] = columns
+        self.memory.plan[parked] = plan
         mask = np.zeros(self.spec.num_worlds, np.bool_)
         mask[parked] = True
         kernels.rest_worlds(self.store, mask)

@@ -160,7 +160,7 @@ def make_memory(
         trail_key=trail,
         trail_velocity=xp.zeros((worlds, length * n * formal, motion), dtype=real),
         trail_code=xp.zeros((worlds, length * formal), dtype=xp.int32),
-        words=xp.zeros(worlds, dtype=xp.uint64),
+        words=xp.full((worlds,), filter_size(1), dtype=xp.uint64),
         filter=xp.zeros((worlds, words), dtype=xp.uint64),
         pending=xp.ones(worlds, dtype=xp.bool),
         episode=xp.full((worlds,), -1, dtype=xp.int64),
@@ -169,7 +169,7 @@ def make_memory(
         draw=xp.zeros(1, dtype=xp.int64),
         acted=xp.zeros((worlds if now.queue.ndim == 2 else 0, n, 2), dtype=real),
         seen=xp.zeros(seen, dtype=real),
-        plan=xp.zeros(plan, dtype=real),
+        plan=xp.full(plan, -1, dtype=real),  # nothing is assigned
     )
     return share_bits(memory, now, xp)
 

@@ -130,6 +130,22 @@ def test_robots_that_have_failed_are_assigned_nothing() -> None:
     assert found["roi_0_others"] == 1.0 and other["roi_0_others"] == pytest.approx(10 / 110)
 
 
+def test_worlds_that_are_left_out_keep_their_assignment() -> None:
+    """World 0 has ended, robot 0 one step from A, at full speed; world 2 is never reset."""
+    field = Field(SQUARE, [(36.0, 50.0), *ABC[1:]], [(22.0, 50.0), (60.0, 90.0)])
+    settings = {"autoreset": "disabled", "max_steps": 2, "roi_radius": 1.0, "f_max": 4.0}
+    engine = BatchEngine(field, 3, threads=1, **{**settings, **ASSIGNED})
+    actions = np.broadcast_to([(1.0, 0.0), STILL], (3, 2, 2))
+    engine.reset_worlds(np.array([True, True, False]))
+    for _ in range(2):
+        engine.step(actions, np.array([True, True, False]))
+    engine.reset_worlds(np.array([False, True, False]))
+    before = entries(engine, 0)
+    assert before["roi_0_order"] == 1.0
+    engine.step(actions, np.array([False, True, False]))
+    assert entries(engine, 0) == before
+
+
 def test_the_way_around_a_corner_by_hand() -> None:
     """The waypoint is 3 units off (60, 50), at (57.88, 47.88); failed robots see ways too."""
     rois, starts = [(30.0, 95.0), (90.0, 45.0)], [(90.0, 20.0), (10.0, 95.0)]

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import column, select
+from mbn_marl.compiled.scalars import column, count_bits, select
 from mbn_marl.engine.mdp.failures import is_absent, works
 from mbn_marl.engine.mdp.ways import (
     CLOSE,
@@ -287,7 +287,7 @@ def assign(g, plan, status, ep, lo, hi):
             if changed:
                 while insert_one(plan, status, ~seen, bits, rois, legs, bent, n, f, w):
                     pass
-                for _ in range(MOVES * m):
+                for _ in range(MOVES * count_bits(g.codes[f])):
                     if not move_one(plan, status, rois, legs, bent, n, f, w):
                         break
                 measure_tours(plan, rois, legs, bent, n, f, w)
