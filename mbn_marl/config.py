@@ -139,8 +139,7 @@ class NavigationConfig(Checked):
             ``"mixed"``: point mass, unicycle and bicycle in turn.
         observation: ``"relative"``, ``"state"``, ``"local"``, ``"lidar"``, ``"lidar_local"`` or
             ``"entities"``, see ``engine.mdp.observations``.
-        assignment: only with ``"entities"``: it says who is to visit which ROI, in which
-            order, and the way there.
+        assignment: only with ``"entities"``: who visits which ROI when, and the way.
         one_hot: append the robot's index as a one-hot vector to its observation.
         sensing_radius: how far ``"local"``, ``"lidar"`` and ``"lidar_local"`` see, and the rays of
             ``"entities"``, in units.

@@ -37,10 +37,7 @@ MOST_LOCAL_BYTES = 128
     "part", ["features", "random_fields", "not features and not random_fields"]
 )
 def test_in_the_simulator(part: str) -> None:
-    """Runs the tests of ``simulated_cuda.py``: the simulator is chosen when numba is imported.
-
-    No two parts compile the same.
-    """
+    """Run a part of ``simulated_cuda.py``: the simulator is chosen when numba is imported."""
     tests = ["tests/support/simulated_cuda.py", "-k", part]
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", *tests],

@@ -117,10 +117,15 @@ def find_ways(g, plan, status, ep, lo, hi):
 
 
 @compiled
+def next_row(n, m, i, a):
+    """Where the ROI is kept that robot i visits after ROI a, or first of all if that is ``END``."""
+    return n + i if a == END else 2 * n + 2 * m + a
+
+
+@compiled
 def next_of(plan, n, m, i, a, w):
     """The ROI that robot i visits after ROI a, or first of all if that is ``END``."""
-    row = n + i if a == END else 2 * n + 2 * m + a
-    return np.int64(plan[w, row])
+    return np.int64(plan[w, next_row(n, m, i, a)])
 
 
 @compiled
@@ -155,7 +160,7 @@ def place(plan, rois, legs, bent, n, i, a, j, f, w):
     m = rois.shape[1]
     then = next_of(plan, n, m, i, a, w)
     plan[w, i] += detour(plan, rois, legs, bent, n, i, a, j, f, w)
-    plan[w, n + i if a == END else 2 * n + 2 * m + a] = j
+    plan[w, next_row(n, m, i, a)] = j
     plan[w, 2 * n + j], plan[w, 2 * n + 2 * m + j], plan[w, 2 * n + 3 * m + j] = i, then, a
     if then != END:
         plan[w, 2 * n + 3 * m + then] = j
@@ -165,9 +170,9 @@ def place(plan, rois, legs, bent, n, i, a, j, f, w):
 def take_out(plan, rois, legs, bent, n, j, f, w):
     """Let no robot visit ROI j; return the one that did, and the ROI that it visits before."""
     m = rois.shape[1]
-    i, then = np.int64(plan[w, 2 * n + j]), np.int64(plan[w, 2 * n + 2 * m + j])
-    a = np.int64(plan[w, 2 * n + 3 * m + j])
-    plan[w, n + i if a == END else 2 * n + 2 * m + a] = then
+    i, a = np.int64(plan[w, 2 * n + j]), np.int64(plan[w, 2 * n + 3 * m + j])
+    then = next_of(plan, n, m, i, j, w)
+    plan[w, next_row(n, m, i, a)] = then
     if then != END:
         plan[w, 2 * n + 3 * m + then] = a
     plan[w, 2 * n + j] = END
@@ -256,12 +261,13 @@ def measure_tours(plan, rois, legs, bent, n, f, w):
     m = rois.shape[1]
     for i in range(n):
         count, plan[w, i] = 0, 0
-        a, j = np.int64(END), np.int64(plan[w, n + i])
+        a = np.int64(END)
+        j = next_of(plan, n, m, i, a, w)
         while j != END:
             count += 1
             plan[w, i] += leg(plan, rois, legs, bent, n, i, a, j, f, w)
             plan[w, 2 * n + m + j] = 1 / count
-            a, j = j, np.int64(plan[w, 2 * n + 2 * m + j])
+            a, j = j, next_of(plan, n, m, i, j, w)
 
 
 @compiled

@@ -25,7 +25,7 @@ BLUNT = np.float32(1e-3)
 CLOSE = np.float32(1e-3)
 """Ways whose lengths differ by no more are equally long, units."""
 SHORTER = np.float32(1 / 8)
-"""What the shorter side of a leg counts."""
+"""The weight of a leg's shorter side."""
 NEVER = np.float32(np.inf)
 EDGES, WAYPOINTS = range(2)
 """The rows of ``ways_in``."""
