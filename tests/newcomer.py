@@ -3,8 +3,9 @@
 It builds the wheel, installs it with the extra ``export`` into a new virtual environment, and runs
 every command line of the README and of docs from an empty folder, without a checkout: with tiny
 budgets, page by page, in order. Blocks under a comment ``<!-- needs: ... -->`` and the pages
-of results, which record what was run, are left out. Each command runs in a pipe; one that prints a
-table runs again in a terminal of 80 columns, where no number or label may be broken.
+of results, which record what was run, are left out. Each command runs in a pipe; the first one that
+prints a kind of table runs again in a terminal of 80 columns, where no number or label may be
+broken. The first command of all compiles the engine; the others may use what the tests compiled.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
+
+from numba import config
+from numba.core.caching import _CacheLocator
 
 from tests.support.pages import (
     PAGES,
@@ -77,6 +81,12 @@ def broken_words(whole: str, narrow: str) -> Iterator[str]:
         yield next(line for line in narrow.splitlines() if "…" in line).strip()
 
 
+def tables_of(text: str) -> set[tuple[str, ...]]:
+    """Return the kinds of tables in a text: the words above the first rule of each."""
+    lines = pairwise(text.splitlines())
+    return {tuple(above.split()) for above, below in lines if RULE.search(below)}
+
+
 class Newcomer:
     """Someone who has installed the wheel into an environment of their own.
 
@@ -86,12 +96,13 @@ class Newcomer:
 
     def __init__(self, folder: Path) -> None:
         self._bin = folder / "venv" / "bin"
-        self._folder = folder
+        self._folder, self._cache = folder, folder / "cache"
+        self._seen: set[tuple[str, ...]] = set()
         kept = {name: os.environ[name] for name in ("PATH", "HOME", "LANG") if name in os.environ}
         self._environment = {
             **kept,
             "PATH": f"{self._bin}:{kept['PATH']}",
-            "NUMBA_CACHE_DIR": str(folder / "cache"),
+            "NUMBA_CACHE_DIR": str(self._cache),
             "XDG_CONFIG_HOME": str(folder / "config"),
             "SDL_VIDEODRIVER": "dummy",  # a window that nobody sees
             "OMP_NUM_THREADS": "1",
@@ -105,6 +116,21 @@ class Newcomer:
         pip = [str(self._bin / "pip"), "install", "-q", "-c", str(ROOT / "constraints.txt")]
         subprocess.run([*pip, "torch"], check=True)
         subprocess.run([*pip, f"{wheel}[export]"], check=True)
+
+    def take_compiled(self) -> int:
+        """Take over what the tests have compiled; return how many files that is.
+
+        Numba keeps it by the path of the source, and the package uses it for the same sources only.
+        """
+        place, files = _CacheLocator.get_suitable_cache_subpath, 0
+        (site,) = (self._folder / "venv" / "lib").glob("*/site-packages")
+        for folder in {source.parent for source in (ROOT / "mbn_marl").rglob("*.py")}:
+            known = Path(config.CACHE_DIR, place(str(folder / "any.py")))
+            if config.CACHE_DIR and known.is_dir():
+                own = self._cache / place(str(site / folder.relative_to(ROOT) / "any.py"))
+                shutil.copytree(known, own, dirs_exist_ok=True)
+                files += len([*known.iterdir()])
+        return files
 
     def run(self, words: Sequence[str], folder: Path, code: int = 0) -> str:
         """Run a command in a pipe; return its output."""
@@ -122,11 +148,12 @@ class Newcomer:
         return done.stdout
 
     def try_command(self, words: Sequence[str], folder: Path) -> None:
-        """Run a command in a pipe, and in a terminal too if it prints a table."""
+        """Run a command in a pipe, and in a terminal too if it prints a new kind of table."""
         with tempfile.TemporaryDirectory(dir=self._folder) as other:
             before = shutil.copytree(folder, Path(other) / "before", symlinks=True)
             whole = self.run(words, folder)
-            if RULE.search(whole):
+            if new := tables_of(whole) - self._seen:
+                self._seen |= new
                 narrow = in_terminal(words, WIDTH, folder=before, environment=self._environment)
                 broken = [*broken_words(whole, narrow)]
                 assert not broken, f"broken at {WIDTH} columns: {broken}\n{narrow}"
@@ -169,6 +196,7 @@ def main() -> int:
         newcomer.install()
         (folder / "empty").mkdir()
         newcomer.run(["mbn", "evaluate", "zoo:field_07", "--episodes", "2"], folder / "empty")
+        print(newcomer.take_compiled(), "files of compiled code are the tests'", flush=True)
         for line in WRONG:
             newcomer.run(shlex.split(line), folder / "empty", code=2)
         with ThreadPoolExecutor(PAGES_AT_A_TIME) as readers:

@@ -1,12 +1,17 @@
-"""The check of tests/newcomer.py for what is broken at 80 columns."""
+"""The newcomer's checks for what is broken at 80 columns, and the compiled code that it is lent."""
 
 from __future__ import annotations
 
+import shutil
 import sys
+from pathlib import Path
 
 import pytest
+from numba import config
 
-from tests.newcomer import WIDTH, broken_words
+from tests.engine.test_jit import probe
+from tests.newcomer import WIDTH, Newcomer, broken_words, tables_of
+from tests.support.pages import ROOT
 from tests.support.terminal import in_terminal
 
 WHOLE = """
@@ -35,3 +40,24 @@ def test_broken_words(narrow: str, broken: list[str]) -> None:
 def test_a_terminal_has_80_columns() -> None:
     code = "import os; print('lost\\r', os.get_terminal_size().columns, '\\x1b[1mbold\\x1b[0m')"
     assert in_terminal([sys.executable, "-c", code]) == f" {WIDTH} bold\n"
+
+
+def test_tables_of_a_kind_have_the_same_head() -> None:
+    rule = "\n ──── ──────\n "
+    first, second = f"a\n\n algo  return{rule}ppo   1", f"algo   return{rule}mappo 2,000"
+    assert tables_of(first) == tables_of(second) == {("algo", "return")}
+    assert tables_of(first + "\n\n gap" + rule) == {("algo", "return"), ("gap",)}
+    assert tables_of(WHOLE) == set()
+
+
+@pytest.mark.slow
+def test_the_newcomer_is_lent_compiled_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    newcomer, site = Newcomer(tmp_path), tmp_path / "venv" / "lib" / "python" / "site-packages"
+    for name in ("mbn_marl", "envs_catalog"):
+        shutil.copytree(ROOT / name, site / name)
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "tests"))
+    assert probe(ROOT, tmp_path / "tests") == ["3.5", "0"]
+    assert newcomer.take_compiled() == 2  # an index and the code
+    assert probe(site, tmp_path / "cache") == ["3.5", "1"]
