@@ -19,6 +19,10 @@ from tests.support.worlds import ASSIGNED
 
 ALL = FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 6), seed=5)
 WORLDS = 3
+HINDERED: dict[str, Any] = {
+    **{"condition": "gusty", "mass": Uniform(0.8, 1.5)},
+    "failures": Failures(at={0: 5, 1: 9}),
+}
 TEAM_NUMBERS = ("wall_hits", "path_length", "impulse", "failed", "return_")
 
 
@@ -57,10 +61,10 @@ def assert_same_observations(ours: BatchEngine, theirs: BatchEngine, world: int,
 @pytest.mark.parametrize(
     "settings",
     [
-        {"random_starts": True, "reward_sharing": "team", "condition": "gusty"},
+        {"random_starts": True, "reward_sharing": "team", **HINDERED},
         {"condition": "noisy", **ASSIGNED},
         {"dtype": "float64", "observation": "lidar_local", "failures": Failures(between=(1, 9))},
-        {"reward": "formal", "mass": Uniform(0.8, 1.5), "failures": Failures(at={0: 5, 1: 9})},
+        {"reward": "formal", **HINDERED},
     ],
     ids=["starts", "entities", "lidar", "formal"],
 )
