@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 from numba.core import event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
+from numba.core.targetconfig import ConfigStack
 
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Compiled code runs without the GIL, divides as NumPy does, and is not for C to call."""
@@ -87,27 +89,55 @@ class Rule(CPUDispatcher):
     A call from Python, by a test or a curious reader, compiles the function alone.
     """
 
+    returns_views = False
+
+    def get_call_template(self, arguments: Any, keywords: Any) -> Any:
+        """Check that no caller that counts references is given arrays whose own were not."""
+        template = super().get_call_template(arguments, keywords)
+        models = self.targetctx.data_model_manager
+        caller: Any = ConfigStack.top_or_none()  # type: ignore[no-untyped-call]
+        for result in self.overloads.values():
+            kind = result.signature.return_type  # type: ignore[attr-defined]
+            if caller.nrt and models[kind].contains_nrt_meminfo():
+                problem = f"{self.py_func.__name__} returns {kind}"
+                raise TypeError(f"{problem}; allowed where an entry point calls it: numbers")
+        return template
+
     def __call__(self, *arguments: Any) -> Any:
         """Call the function alone."""
-        return self.alone(*arguments)
+        result = self.alone(*arguments)
+        parts = result if isinstance(result, tuple) else (result,)
+        if not self.returns_views and any(isinstance(part, np.ndarray) for part in parts):
+            raise TypeError(f"{self.py_func.__name__} returns arrays; allowed: returning_views")
+        return result
 
     @cached_property
     def alone(self) -> Any:
         """The function with machine code of its own."""
-        return entry_point(self.py_func)
+        return _cached(self.py_func, _nrt=self.returns_views)
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a rule or a pass, to become part of what calls it."""
-    options = {"nopython": True, **COMMON, "forceinline": True, "no_cpython_wrapper": True}
-    return Rule(function, targetoptions=options, pipeline_class=_PartCompiler)
+    """Compile a rule or a pass, to become part of what calls it.
+
+    It neither makes arrays nor counts references to those it is given, which takes time.
+    """
+    inlined = {"nopython": True, "forceinline": True, "no_cpython_wrapper": True, "_nrt": False}
+    return Rule(function, targetoptions={**COMMON, **inlined}, pipeline_class=_PartCompiler)
 
 
-def generated(name: str, source: str, **names: Any) -> Any:
+def returning_views(function: Callable[..., Any]) -> Any:
+    """Compile a rule that returns arrays it was given, or parts of them, for other rules."""
+    rule = compiled(function)
+    rule.returns_views = True
+    return rule
+
+
+def generated(name: str, source: str, as_rule: Callable[..., Any] = compiled, **names: Any) -> Any:
     """Compile the function ``name`` of a source text that was put together from fields' names."""
     module = {"__name__": __name__, **names}
     exec(source, module)
-    return compiled(module[name])
+    return as_rule(module[name])
 
 
 def entry_point(function: Callable[..., Any]) -> Any:

@@ -21,7 +21,7 @@ from numba import cuda
 from numba.core import config
 from numba.core.compiler_lock import global_compiler_lock
 
-from mbn_marl.compiled.jit import compiled, generated
+from mbn_marl.compiled.jit import compiled, generated, returning_views
 from mbn_marl.compiled.scalars import column
 from mbn_marl.engine.constants import AUTORESET_MODES
 from mbn_marl.engine.kernels import draw_world, is_final, put_infos
@@ -94,7 +94,8 @@ def _view_of(kind: Any, index: str, given: tuple[str, ...] = (), **places: str) 
     index_of = {field: f"[{index}]" for field in kind._fields} | places
     arrays = (field if field in given else f"source.{field}{index_of[field]}" for field in index_of)
     head = f"def view({', '.join(('source', 'w', 'end', *given))}):"
-    return generated("view", f"{head}\n    return Kind({', '.join(arrays)})\n", Kind=kind)
+    source = f"{head}\n    return Kind({', '.join(arrays)})\n"
+    return generated("view", source, returning_views, Kind=kind)
 
 
 TABLE, ROWS = "[:, :, w:end]", "[:, w:end]"

@@ -58,9 +58,8 @@ def _copy_of(name: str, fields: Sequence[str]) -> Any:
         if field not in (*of_world, *HEADING, *OPTIONAL):
             lines.append(f"        target.{field}[i, w] = source.{field}[i, v]")
     if turns := [field for field in fields if field in HEADING]:
-        lines.append("    if headings > 0:  # only then are the arrays counted as referenced")
-        lines.append("        for i in range(headings):")
-        lines += [f"            target.{field}[i, w] = source.{field}[i, v]" for field in turns]
+        lines.append("    for i in range(headings):")
+        lines += [f"        target.{field}[i, w] = source.{field}[i, v]" for field in turns]
     lines += [f"    target.{field}[w] = source.{field}[v]" for field in of_world]
     for field in (field for field in fields if field in OPTIONAL):
         lines.append(f"    copy_world(source.{field}, v, target.{field}, w)")

@@ -3,9 +3,7 @@
 Each pass applies one scalar rule to every world of the block, so its loop is branch-free and LLVM
 turns it into vector instructions; a block is small enough to stay in the first-level cache from
 pass to pass. Nothing is shared between worlds: neither the block size nor the thread changes a
-result. World indices are unsigned, which spares the loop Python's negative indexing. Where a loop's
-rule branches, arrays are named before it: taken from their tuple inside it, they would be counted
-as references at each turn.
+result. World indices are unsigned, which spares the loop Python's negative indexing.
 """
 
 from __future__ import annotations
@@ -59,7 +57,7 @@ class Scratch(NamedTuple):
     tile: Any  # (observation size, block) float32
 
 
-@compiled
+@entry_point
 def scratch_of(reals, seen, flags, keys, tile):
     """The scratch in these arrays."""
     move, ahead = (reals[0], reals[1], reals[2], reals[3]), (reals[4], reals[5], reals[6])
@@ -67,7 +65,7 @@ def scratch_of(reals, seen, flags, keys, tile):
     return Scratch(*move, *ahead, *sums, seen, *filters, tile)
 
 
-@compiled
+@entry_point
 def make_scratch(size, n, entries, real):
     """Scratch for a block of at most ``size`` worlds whose observations have ``entries``."""
     reals = np.empty((9, size), real)

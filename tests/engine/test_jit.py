@@ -9,10 +9,12 @@ import sys
 from pathlib import Path
 
 import numba
+import numpy as np
+import pytest
 from numba.core.registry import cpu_target
 
 import mbn_marl
-from mbn_marl.compiled.jit import SOURCES, compiled, digest_of_sources
+from mbn_marl.compiled.jit import SOURCES, compiled, digest_of_sources, returning_views
 
 PROBE = """
 from mbn_marl.engine.mdp.dynamics import next_velocity
@@ -58,6 +60,26 @@ def test_only_what_python_calls_becomes_machine_code() -> None:
     made = {f: [cr.fndesc.mangled_name for cr in f.overloads.values()] for f in (twice, four_times)}
     assert list(map(in_memory, made[twice])) == [False]
     assert list(map(in_memory, made[four_times])) == [True]
+
+
+def test_arrays_stay_among_rules_that_do_not_count_references() -> None:
+    @returning_views
+    def turned(pair):  # type: ignore[no-untyped-def]
+        return pair[1][1:], pair[0]
+
+    @compiled
+    def total(pair):  # type: ignore[no-untyped-def]
+        return turned(pair)[0].sum()
+
+    pair = (np.ones(3), np.ones(2))
+    assert numba.njit(lambda pair: total(pair))(pair) == total(pair) == 1
+    assert [len(part) for part in turned(pair)] == [1, 3]
+    with pytest.raises(TypeError, match="returns arrays; allowed: returning_views"):
+        compiled(lambda pair: (pair[0], 2))(pair)
+    with pytest.raises(TypeError, match=r"turned returns .* entry point calls it: numbers"):
+        numba.njit(lambda pair: turned(pair)[0][1])(pair)
+    with pytest.raises(numba.TypingError, match="NRT"):
+        compiled(lambda pair: pair[0].copy().sum())(pair)
 
 
 def test_every_source_counts_wherever_it_is(tmp_path: Path) -> None:

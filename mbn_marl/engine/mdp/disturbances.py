@@ -16,7 +16,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from mbn_marl.compiled.elementary import exponential
-from mbn_marl.compiled.jit import compiled
+from mbn_marl.compiled.jit import compiled, returning_views
 from mbn_marl.compiled.rng import (
     FOR_GUSTS,
     FOR_SENDING,
@@ -106,7 +106,7 @@ def send(p, drawn, keys, queue, acted, steps, actions, i, lo, hi):
             acted[w, i, axis] = clip(arrived, -p.one, p.one)
 
 
-@compiled
+@returning_views
 def arrived_actions(p, drawn, keys, queue, acted, steps, actions, lo, hi):
     """The actions (W, n, 2) that a block's robots take: those given, or disturbed, in ``acted``."""
     if queue.ndim == 2:

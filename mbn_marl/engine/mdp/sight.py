@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled
+from mbn_marl.compiled.jit import compiled, returning_views
 from mbn_marl.compiled.rng import FOR_SIGHT, normal, stream_of, uniform
 from mbn_marl.compiled.scalars import clip, column, select
 from mbn_marl.config import MAX_ROBOTS
@@ -49,7 +49,7 @@ def rows_seen(n: int, m: int) -> int:
     return (n + m) + 4 * n + 2 * m
 
 
-@compiled
+@returning_views
 def seen_robots(seen, ep, m):
     """The robots in ``seen``, of as many as the episode has, and of m ROIs."""
     n = ep.x.shape[0]
@@ -58,7 +58,7 @@ def seen_robots(seen, ep, m):
     return SeenRobots(*motion, ep.visited, ep.cos, ep.sin)
 
 
-@compiled
+@returning_views
 def seen_places(seen, g, n):
     """The ROIs in ``seen``, beside those of n robots."""
     m = g.roi_bits.shape[0]

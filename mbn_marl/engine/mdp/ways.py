@@ -212,7 +212,9 @@ def make_ways(edges: Any, rois: Any, codes: Any) -> Ways:
     lay_all(Places(edges, rois, codes, *ways))
     most = int(ways.ways_in[WAYPOINTS].max(initial=0))
     nodes = m + most if most else 0
-    return Ways(ways.waypoints[:, :most], ways.legs[:nodes, :nodes], ways.ways_in)
+    waypoints, legs = ways.waypoints[:, :most], ways.legs[:nodes, :nodes]
+    # Arrays with gaps would be other types to compile for.
+    return Ways(np.ascontiguousarray(waypoints), np.ascontiguousarray(legs), ways.ways_in)
 
 
 @compiled
