@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.compiled.jit import entry_point
+from mbn_marl.compiled.jit import compiled, entry_point
 from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.engine import step
 from mbn_marl.engine.batch import BatchEngine
@@ -121,16 +121,12 @@ class TrackedWorld:
         self._backend.recount()
 
 
-@entry_point
-def choose_velocities(store, actions, velocities, allowed):
-    """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
-    p = unpack(store.constants)
-    g, mem, now = store.geometry, store.memory, store.now
-    n = now.x.shape[0]
-    to = step.make_scratch(HI, n, 1, now.x.dtype)
+@compiled
+def put_velocities(p, g, mem, now, to, actions, velocities, allowed):
+    """See :func:`choose_velocities`."""
     keys, drawn = mem.key, now.drawn
     taken = arrived_actions(p, drawn, keys, now.queue, mem.acted, now.steps, actions, LO, HI)
-    for i in range(n):
+    for i in range(now.x.shape[0]):
         move_or_fail(p, g, mem, now.status, now, to, taken, i, LO, HI)
         step.test_containment(g, to, LO, HI)
         keep_heading(g.kinds, now, to, i, LO, HI)
@@ -138,6 +134,14 @@ def choose_velocities(store, actions, velocities, allowed):
         allowed[i] = inside
         velocities[0, i, 0] = select(inside, to.vx[0], p.zero)
         velocities[0, i, 1] = select(inside, to.vy[0], p.zero)
+
+
+@entry_point
+def choose_velocities(store, actions, velocities, allowed):
+    """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
+    p, now = unpack(store.constants), store.now
+    to = step.make_scratch(HI, now.x.shape[0], 1, now.x.dtype)
+    put_velocities(p, store.geometry, store.memory, now, to, actions, velocities, allowed)
 
 
 @entry_point
