@@ -187,7 +187,7 @@ def fitted(policy: Policy, engine: BatchEngine) -> Policy:
     if (engine.sampler is not None or engine.teams_vary) and not anywhere:
         problem = "fields: they vary, and the policy was trained on one; allowed: the same"
         raise ConfigError("policy", [problem])
-    ours, theirs = _sizes(*trained), _sizes(engine.sampler or engine.field, engine.config)
+    ours, theirs = acts_on(*trained), acts_on(engine.sampler or engine.field, engine.config)
     new = {name for name in ("headings", "failures") if theirs[name] and not ours[name]}
     problems = [
         f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
@@ -220,8 +220,8 @@ def _turns(config: NavigationConfig, n: int) -> bool:
     return count_headings(config.of_each("dynamics", n)) > 0
 
 
-def _sizes(field: Field | FieldSampler, config: NavigationConfig) -> dict[str, Any]:
-    """The settings that an observation's numbers depend on."""
+def acts_on(field: Field | FieldSampler, config: NavigationConfig) -> dict[str, Any]:
+    """Return by name what the numbers that a policy acts on depend on."""
     if isinstance(field, FieldSampler):
         robots, rois = field.most_robots, field.most_rois
     else:

@@ -16,6 +16,7 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
+from baselines.evaluation.policy import load_trained
 from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
 from baselines.runs.rng_state import restore_generators, save_generators
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
@@ -27,6 +28,7 @@ from baselines.training.aids import RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
 from baselines.training.search import LastLayerSearch
+from baselines.zoo.entries import open_run
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
@@ -173,6 +175,9 @@ class Trainer:
         env_steps = 0
         if self.recorder.checkpoint is not None:
             env_steps = self._restore(self.recorder.checkpoint)
+        elif (source := self.task.config.transferred_from) is not None:
+            theirs: Any = load_trained(open_run(str(source)))
+            self.network.load_state_dict(theirs.network.state_dict())
         self.recorder.start()
         while env_steps < self.task.config.steps and not self.recorder.passed:
             progress = env_steps / self.task.config.steps

@@ -52,8 +52,9 @@ class TrainConfig:
         num_envs: worlds stepped side by side; by default 1 under A, B and C, the recorded number
             under N.
         hyperparams: a YAML file whose block named as the setting replaces the recorded one.
-        transferred_from: under C: the folder of the run whose policy it begins with; `mbn transfer`
-            does it all.
+        transferred_from: the folder of the run whose policy it begins with. Under C networks and
+            optimisers, `mbn transfer` does it all; mappo, ippo, ppo-joint and generalist take the
+            actor's network, also of the zoo (zoo:NAME), whose field may be another one.
         device: where the networks run, and under mappo and ippo the worlds too; of the centralised
             algorithms, worth it for crossq and tqc.
         label: the name in tables and figures, and of the folder; by default the algorithm.
@@ -101,14 +102,18 @@ class TrainConfig:
                 "or digit"
             )
         with collecting(problems):
-            allowed = find_algorithm(self.algorithm).settings
+            algorithm = find_algorithm(self.algorithm)
+            allowed, of_sb3 = algorithm.settings, algorithm.package == "sb3"
             if self.setting not in allowed:
                 has = ", ".join(allowed)
                 problems.append(f"setting: {self.algorithm} has {has}, not {self.setting}")
             elif self.setting == "C" and self.transferred_from is None:
                 problems.append("setting: C continues from a trained policy; name it with --from")
-            elif self.setting != "C" and self.transferred_from is not None:
-                problems.append(f"from: allowed under setting C, not {self.setting}")
+            elif self.setting != "C" and self.transferred_from is not None and of_sb3:
+                problems.append(
+                    f"from: allowed under setting C, not {self.setting}, and for mappo, ippo, "
+                    "ppo-joint and generalist"
+                )
         with collecting(problems):
             load_fields(self.field)
         if problems:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.algorithms import find_algorithm
+from baselines.evaluation.fitting import acts_on
 from baselines.runs.files import RunError, alone, claim_folder
 from baselines.runs.folder import RunFolder
 from baselines.training.config import DivergenceError, Task, TrainConfig
@@ -17,9 +18,13 @@ from baselines.training.hyperparameters import Hyperparameters
 from baselines.training.loggers import find_wandb
 from baselines.training.progress_bar import Listener
 from baselines.training.run_logger import Recorder
+from baselines.zoo.entries import CARD, PREFIX, open_run
 from mbn_marl.config import expand, make_config
 from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
 from mbn_marl.field import Field, FieldSampler, load_fields
+
+NETWORK = ("actor", "network", "hidden", "sharing")
+"""The hyperparameters that decide which networks there are."""
 
 
 def train(
@@ -127,7 +132,7 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
         fields = fields.model_copy(update={"seed": (fields.seed + config.seed) % 2**63})
     task = Task(config, fields, settings)
     if config.transferred_from is not None:
-        _check_source(RunFolder.open(config.transferred_from), task, hyperparameters)
+        _check_source(open_run(str(config.transferred_from)), task, hyperparameters)
     return task, hyperparameters
 
 
@@ -175,17 +180,25 @@ def sizes(theirs: Field, ours: Field) -> dict[str, tuple[Any, Any]]:
 
 def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameters) -> None:
     """Check that the run that a task begins with is finished and fits; raise an error if not."""
-    if not source.finished:
+    if not (source.finished or (source.path / CARD).is_file()):
         raise RunError(f"{source.path} is not finished; resume it first (--resume)")
     config, theirs = source.config, source.config["hyperparameters"]
     asked = hyperparameters.model_dump(mode="json", exclude={"source", "num_envs"})
-    environment = make_config(task.settings).model_dump(mode="json")
-    assert isinstance(task.field, Field)  # no algorithm with setting C takes random ones
-    compared = {
-        "algorithm": (config["algorithm"], task.config.algorithm),
-        **sizes(source.field, task.field),
-        "environment": (config["environment"], environment),
-        **{f"hyperparameters.{name}": (theirs.get(name), ours) for name, ours in asked.items()},
+    environment = make_config(task.settings)
+    if task.config.setting == "C":
+        assert isinstance(task.field, Field)  # no algorithm with setting C takes random ones
+        compared = {
+            "algorithm": (config["algorithm"], task.config.algorithm),
+            **sizes(source.field, task.field),
+            "environment": (config["environment"], environment.model_dump(mode="json")),
+        }
+    else:
+        asked = {name: asked[name] for name in NETWORK}
+        seen = acts_on(source.fields, make_config(config["environment"]))
+        here = acts_on(task.field, environment)
+        compared = {name: (seen.get(name), here.get(name)) for name in {**seen, **here}}
+    compared |= {
+        f"hyperparameters.{name}": (theirs.get(name), ours) for name, ours in asked.items()
     }
     problems = [
         f"{name}: the policy's run has {theirs}, this run {ours}"
@@ -204,8 +217,9 @@ def found_anywhere(field: str) -> str:
 def resolve(task: Task, hyperparameters: Hyperparameters) -> Mapping[str, Any]:
     """Return the resolved configuration of a run, with every default, as JSON values."""
     paths = {
-        name: None if (path := getattr(task.config, name)) is None else str(path.resolve())
+        name: str(path if str(path).startswith(PREFIX) else path.resolve())
         for name in ("hyperparams", "transferred_from")
+        if (path := getattr(task.config, name)) is not None
     }
     return {
         **asdict(task.config),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -182,6 +183,32 @@ def test_an_interrupted_run_goes_on_bit_for_bit(run: RunFolder, tmp_path: Path) 
     first, second = (load_policy(one.path).policy.network for one in (run, again))
     for one, other in zip(first.parameters(), second.parameters(), strict=True):
         assert torch.equal(one, other)
+
+
+def test_a_run_begins_with_the_network_of_another_one(tmp_path: Path) -> None:
+    small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1, "learning_rate": (1e-9, 1e-9)}
+    config = TrainConfig(
+        "generalist",
+        "field_03",
+        steps=16,
+        episodes=1,
+        transferred_from=Path("zoo:generalist"),
+        hyperparameters=small,
+    )
+    tuned = train(config, tmp_path / "tuned")
+    first, second = (load_policy(str(p)).policy.network for p in ("zoo:generalist", tuned.path))
+    for one, other in zip(first.parameters(), second.parameters(), strict=True):
+        torch.testing.assert_close(one, other, atol=1e-6, rtol=0.0)
+    assert "--from zoo:generalist" in tuned.command
+    other = {"hidden": (8, 8), "sharing": "none", "network": "mlp"}
+    with pytest.raises(ConfigError) as caught:
+        train(replace(config, hyperparameters=other), tmp_path / "other")
+    problems = caught.value.problems
+    assert [problem.split(":")[0] for problem in problems] == [
+        *("observation", "robots", "ROIs", "arena"),
+        *(f"hyperparameters.{name}" for name in ("network", "hidden", "sharing")),
+    ]
+    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.parametrize(
