@@ -78,7 +78,7 @@ def test_arrays_stay_among_rules_that_do_not_count_references() -> None:
         compiled(lambda pair: (pair[0], 2))(pair)
     with pytest.raises(TypeError, match=r"turned returns .* entry point calls it: numbers"):
         numba.njit(lambda pair: turned(pair)[0][1])(pair)
-    with pytest.raises(numba.TypingError, match="NRT"):
+    with pytest.raises(numba.core.errors.NumbaError, match="NRT"):
         compiled(lambda pair: pair[0].copy().sum())(pair)
 
 

@@ -51,8 +51,9 @@ def test_the_forms_find_all_compiled() -> None:
     assert seconds.startswith("relative, calm: ")
     before, after = json.loads(found)
     assert {"make_store", "reset_worlds", "step_worlds", "step_ranges"} < set(before)
-    assert all(before.values())
-    assert after == before
+    parts = {"make_scratch", "scratch_of"}  # of step_worlds, which may come from the cache
+    assert all(before[name] for name in before.keys() - parts)
+    assert all(after[name] == before[name] for name in before.keys() - parts)
 
 
 def test_compilation_is_announced_once(tmp_path: Path) -> None:
