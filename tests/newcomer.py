@@ -3,9 +3,9 @@
 It builds the wheel, installs it with the extra ``export`` into a new virtual environment, and runs
 every command line of the README and of docs from an empty folder, without a checkout: with tiny
 budgets, page by page, in order. Blocks under a comment ``<!-- needs: ... -->`` and the pages
-of results, which record what was run, are left out. Each command runs in a pipe; the first one that
-prints a kind of table runs again in a terminal of 80 columns, where no number or label may be
-broken. The first command of all compiles the engine; the others may use what the tests compiled.
+of results, which record what was run, are left out. Each command runs in a pipe; one that prints a
+table runs again in a terminal of 80 columns, where no number or label may be broken. The first
+command of all compiles the engine; the others may use what the tests have compiled.
 """
 
 from __future__ import annotations
@@ -81,12 +81,6 @@ def broken_words(whole: str, narrow: str) -> Iterator[str]:
         yield next(line for line in narrow.splitlines() if "…" in line).strip()
 
 
-def tables_of(text: str) -> set[tuple[str, ...]]:
-    """Return the kinds of tables in a text: the words above the first rule of each."""
-    lines = pairwise(text.splitlines())
-    return {tuple(above.split()) for above, below in lines if RULE.search(below)}
-
-
 class Newcomer:
     """Someone who has installed the wheel into an environment of their own.
 
@@ -97,7 +91,6 @@ class Newcomer:
     def __init__(self, folder: Path) -> None:
         self._bin = folder / "venv" / "bin"
         self._folder, self._cache = folder, folder / "cache"
-        self._seen: set[tuple[str, ...]] = set()
         kept = {name: os.environ[name] for name in ("PATH", "HOME", "LANG") if name in os.environ}
         self._environment = {
             **kept,
@@ -148,12 +141,11 @@ class Newcomer:
         return done.stdout
 
     def try_command(self, words: Sequence[str], folder: Path) -> None:
-        """Run a command in a pipe, and in a terminal too if it prints a new kind of table."""
+        """Run a command in a pipe, and in a terminal too if it prints a table."""
         with tempfile.TemporaryDirectory(dir=self._folder) as other:
             before = shutil.copytree(folder, Path(other) / "before", symlinks=True)
             whole = self.run(words, folder)
-            if new := tables_of(whole) - self._seen:
-                self._seen |= new
+            if RULE.search(whole):
                 narrow = in_terminal(words, WIDTH, folder=before, environment=self._environment)
                 broken = [*broken_words(whole, narrow)]
                 assert not broken, f"broken at {WIDTH} columns: {broken}\n{narrow}"

@@ -10,7 +10,7 @@ import pytest
 from numba import config
 
 from tests.engine.test_jit import probe
-from tests.newcomer import WIDTH, Newcomer, broken_words, tables_of
+from tests.newcomer import WIDTH, Newcomer, broken_words
 from tests.support.pages import ROOT
 from tests.support.terminal import in_terminal
 
@@ -40,14 +40,6 @@ def test_broken_words(narrow: str, broken: list[str]) -> None:
 def test_a_terminal_has_80_columns() -> None:
     code = "import os; print('lost\\r', os.get_terminal_size().columns, '\\x1b[1mbold\\x1b[0m')"
     assert in_terminal([sys.executable, "-c", code]) == f" {WIDTH} bold\n"
-
-
-def test_tables_of_a_kind_have_the_same_head() -> None:
-    rule = "\n ──── ──────\n "
-    first, second = f"a\n\n algo  return{rule}ppo   1", f"algo   return{rule}mappo 2,000"
-    assert tables_of(first) == tables_of(second) == {("algo", "return")}
-    assert tables_of(first + "\n\n gap" + rule) == {("algo", "return"), ("gap",)}
-    assert tables_of(WHOLE) == set()
 
 
 @pytest.mark.slow

@@ -182,7 +182,8 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
     """Check that the run that a task begins with is finished and fits; raise an error if not."""
     if not (source.finished or (source.path / CARD).is_file()):
         raise RunError(f"{source.path} is not finished; resume it first (--resume)")
-    config, theirs = source.config, source.config["hyperparameters"]
+    config = source.config
+    theirs = {"network": "mlp", **config["hyperparameters"]}  # older runs have no other
     asked = hyperparameters.model_dump(mode="json", exclude={"source", "num_envs"})
     environment = make_config(task.settings)
     if task.config.setting == "C":

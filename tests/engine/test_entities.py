@@ -151,7 +151,8 @@ def test_the_way_around_a_corner_by_hand() -> None:
     rois, starts = [(30.0, 95.0), (90.0, 45.0)], [(90.0, 20.0), (10.0, 95.0)]
     field = Field(vertices=LETTER_L, rois=rois, starts=starts)
     engine = BatchEngine(field, 2, threads=1, failures=Failures(at={0: 1}), **ASSIGNED)
-    assert all(table.flags.c_contiguous for table in engine._backend.geometry), "a type more"
+    tables = engine._backend.geometry
+    assert all(table.flags.c_contiguous for table in tables)  # or all is compiled again
     engine.reset()
     off = 3 / ROOT
     to, on = (30 + off) + (30 - off) / 8, (45 + off) + (30 - off) / 8  # to the waypoint, to ROI 0

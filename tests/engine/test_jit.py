@@ -24,7 +24,7 @@ print(next_velocity(1.0, 2.0, 1.0, 0.5, 5.0), sum(next_velocity.alone.stats.cach
 
 
 def probe(folder: Path, cache: Path) -> list[str]:
-    """What a rule gives in a process of its own, and how often compiled code was in the cache."""
+    """Return what a rule computes in a new process, and the number of hits in the cache."""
     environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)}
     command = [sys.executable, "-c", PROBE]
     done = subprocess.run(

@@ -185,24 +185,31 @@ def test_an_interrupted_run_goes_on_bit_for_bit(run: RunFolder, tmp_path: Path) 
         assert torch.equal(one, other)
 
 
-def test_a_run_begins_with_the_network_of_another_one(tmp_path: Path) -> None:
-    small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1, "learning_rate": (1e-9, 1e-9)}
-    config = TrainConfig(
-        "generalist",
-        "field_03",
-        steps=16,
-        episodes=1,
-        transferred_from=Path("zoo:generalist"),
-        hyperparameters=small,
+SMALL: dict[str, Any] = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "source"), [("generalist", "zoo:generalist"), ("mappo", "zoo:field_03")]
+)
+def test_a_run_begins_with_the_network_of_another_one(
+    algorithm: str, source: str, tmp_path: Path
+) -> None:
+    still = {**SMALL, "learning_rate": (1e-9, 1e-9), "log_std_cap": (9.0, 9.0)}
+    begins = {"steps": 16, "episodes": 1, "transferred_from": Path(source)}
+    tuned = train(
+        TrainConfig(algorithm, "field_03", hyperparameters=still, **begins), tmp_path / "tuned"
     )
-    tuned = train(config, tmp_path / "tuned")
-    first, second = (load_policy(str(p)).policy.network for p in ("zoo:generalist", tuned.path))
+    first, second = (load_policy(str(p)).policy.network for p in (source, tuned.path))
     for one, other in zip(first.parameters(), second.parameters(), strict=True):
         torch.testing.assert_close(one, other, atol=1e-6, rtol=0.0)
-    assert "--from zoo:generalist" in tuned.command
+    assert f"--from {source}" in tuned.command
+
+
+def test_a_run_begins_with_a_network_that_fits_or_not_at_all(tmp_path: Path) -> None:
+    begins = TrainConfig("generalist", "field_03", transferred_from=Path("zoo:generalist"))
     other = {"hidden": (8, 8), "sharing": "none", "network": "mlp"}
     with pytest.raises(ConfigError) as caught:
-        train(replace(config, hyperparameters=other), tmp_path / "other")
+        train(replace(begins, hyperparameters=SMALL | other), tmp_path / "other")
     problems = caught.value.problems
     assert [problem.split(":")[0] for problem in problems] == [
         *("observation", "robots", "ROIs", "arena"),
