@@ -1,10 +1,11 @@
-"""Sine, cosine, tangent and exponential from + - x / alone, which every processor rounds alike.
+"""Sine, cosine, tangent, exponential and length, the same bits on every processor.
 
-Libraries differ in the last bit of them. Here they are float64 whatever the engine's precision, and
-no two operations are fused: the series of the sine, up to its term of degree 21, about the nearest
-point where the function is 0. Absolute errors are below 4e-16, a tangent's relative to its square
+They are made from + - x / and the square root, which all processors round alike; libraries
+differ in the last bit of them. Here they are float64 whatever the engine's precision, and no two
+operations are fused: the series of the sine, up to its term of degree 21, about the nearest point
+where the function is 0. Absolute errors are below 4e-16, a tangent's relative to its square
 (mdp.md, "Dynamics"). The exponential is its own series for a part of x, squared (mdp.md,
-"Disturbances").
+"Disturbances"). The length is a root, corrected once (mdp.md, "The same bits").
 """
 
 from __future__ import annotations
@@ -73,3 +74,21 @@ def turned(heading, turn, pi):
     turns = clip(turns + select(turns > 0, HALF, -HALF), -MANY, MANY)
     angle -= np.float32(np.int32(turns)) * circle
     return select((angle >= -pi) & (angle < pi), angle, -pi)
+
+
+@compiled
+def length(x, y):
+    """``sqrt(x^2 + y^2)``, float64: the root, corrected once.
+
+    Borges, "Algorithm 1014: An Improved Algorithm for hypot(x, y)", without fused operations.
+    """
+    a, b = abs(np.float64(x)), abs(np.float64(y))
+    most, least = max(a, b), min(a, b)
+    root = math.sqrt(most * most + least * least)
+    if root <= 2.0 * least:
+        rest = root - least
+        error = most * (2.0 * rest - most) + (rest - 2.0 * (most - least)) * rest
+    else:
+        rest = root - most
+        error = 2.0 * rest * (most - 2.0 * least) + ((4.0 * rest - least) * least + rest * rest)
+    return root - error / (2.0 * root) if root > 0.0 else root

@@ -13,9 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from mbn_marl.compiled.elementary import cosine, sine, tangent, turned
+from mbn_marl.compiled.elementary import cosine, length, sine, tangent, turned
 from mbn_marl.compiled.jit import compiled
 from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.engine.mdp.disturbances import add_wind, wind_along
@@ -71,7 +69,7 @@ def add_impulse(impulse, thrust, tau):
 @compiled
 def objective(impulse_x, impulse_y):
     """``|sum_t u_t tau|``, of which the paper minimises the sum over robots (section 3)."""
-    return np.hypot(impulse_x, impulse_y)
+    return length(impulse_x, impulse_y)
 
 
 @compiled
