@@ -8,6 +8,8 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from baselines.cli.options import check_options
+
 
 @dataclass(frozen=True)
 class Export:
@@ -17,6 +19,8 @@ class Export:
     """The folder of a run, or zoo:NAME (see `mbn zoo`)."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """The file to write: .onnx, .pt2 or .npz."""
+    field: str | None = None
+    """For policies that have none of their own: a name of `mbn fields`, or a field file."""
     force: bool = False
     """If the file exists, move it aside (to OUT.1, OUT.2, ...)."""
 
@@ -24,14 +28,20 @@ class Export:
         """Load the policy, write and check the file, and say what it needs."""
         from baselines import load_policy
         from baselines.evaluation.export import ALLOWED, export_policy, writer_of
-        from baselines.zoo.sources import takes_field
+        from baselines.zoo.sources import goes_anywhere, takes_field
         from mbn_marl.config import make_config
-        from mbn_marl.errors import ConfigError
 
         writer_of(self.out)
-        if takes_field(self.policy):
-            raise ConfigError("export", [f"{self.policy}: {ALLOWED}"])
-        policy = load_policy(self.policy)
+        asks = goes_anywhere(self.policy)
+        network = asks or not takes_field(self.policy)
+        example = f"needed, for example: mbn export {self.policy} --field field_03 -o {self.out}"
+        field = example if asks else f"{self.policy} has its own"
+        wrong = {
+            f"{self.policy}: {ALLOWED}": not network,
+            f"field: {field}": network and asks != (self.field is not None),
+        }
+        check_options("export", wrong)
+        policy = load_policy(self.policy, self.field)
         metadata, difference = export_policy(policy, self.out, force=self.force)
         config, clip = make_config(policy.settings), metadata["clip"]
         shape, returned = (", ".join(map(str, metadata[name])) for name in ("shape", "returns"))

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.evaluation.fitting import LoadedPolicy
-from baselines.evaluation.layers import HasLayers, Layers, run_arrays
+from baselines.evaluation.layers import HasLayers, Layers, Sets, run_arrays
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError, unknown
 from mbn_marl.files import check_free, claim_file, replacing
@@ -25,7 +25,7 @@ from mbn_marl.version import __version__
 
 TOLERANCE = 1e-5
 """How far an action of the file may be from the policy's."""
-ALLOWED = "has no network for one field; allowed: zoo:NAME and the folders of runs on one field"
+ALLOWED = "has no network; allowed: zoo:NAME and the folders of runs"
 OPSET = 18
 METADATA = "mbn_marl"
 """The name of the metadata, JSON, in every file."""
@@ -33,11 +33,6 @@ CHECKED_WORLDS = 256
 WORLDS = {0: torch.export.Dim("worlds")}
 """The axis of what worlds show that may have any length."""
 
-ACTIVATIONS: Mapping[str, Callable[[torch.Tensor], torch.Tensor]] = {
-    "tanh": torch.tanh,
-    "relu": torch.relu,
-    "clip": lambda flow: flow.clamp(-1.0, 1.0),
-}
 Seen = NDArray[np.float32]
 Run = Callable[[Seen], NDArray[np.float32]]
 Metadata = dict[str, Any]
@@ -56,27 +51,22 @@ class Exported(NamedTuple):
 
 
 class Network(torch.nn.Module):
-    """:class:`Layers` in torch: actions (W, n, 2) for what W worlds show."""
+    """:func:`~.layers.run_arrays` in torch: actions (W, n, 2) for what W worlds show."""
 
-    def __init__(self, layers: Layers) -> None:
+    def __init__(self, network: Layers | Sets) -> None:
         super().__init__()
-        for name, array in layers.arrays().items():
-            if array.ndim == 3:
-                self.register_buffer(name, torch.from_numpy(array))
-        self._clip = layers.clip
-        self._activations = layers.activations
+        self._names = []
+        self._numbers = network.arrays()  # those of an axis or none, and words, are constants
+        for name, array in self._numbers.items():
+            if array.ndim > 1:
+                self._names.append((name, f"array_{len(self._names)}"))
+                self.register_buffer(self._names[-1][1], torch.tensor(array))
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
         """See :func:`~.layers.run_arrays`."""
-        parts = dict(self.named_buffers())
-        networks, _, inputs = parts["mean"].shape
-        flow = seen.reshape(-1, networks, inputs).transpose(0, 1)
-        flow = (flow.to(parts["mean"].dtype) - parts["mean"]) / parts["scale"]
-        flow = flow.clamp(-self._clip, self._clip).to(torch.float32)
-        for layer, activation in enumerate(self._activations):
-            flow = flow @ parts[f"weight_{layer}"] + parts[f"bias_{layer}"]
-            flow = ACTIVATIONS[activation](flow)
-        return flow.transpose(0, 1).reshape(seen.shape[0], -1, 2)
+        tensors: Any = {name: getattr(self, buffer) for name, buffer in self._names}
+        actions: torch.Tensor = run_arrays(self._numbers | tensors, seen, torch)
+        return actions
 
 
 def export_policy(policy: LoadedPolicy, path: Path, *, force: bool = False) -> Exported:
@@ -115,14 +105,20 @@ def export_policy(policy: LoadedPolicy, path: Path, *, force: bool = False) -> E
 
 
 def _drawn(engine: BatchEngine, observes: str) -> Seen:
-    """Return what worlds may show, (W, n, obs_size) or (W, size), uniform within its bounds."""
+    """Return what worlds may show, (W, n, obs_size) or (W, size), within its bounds.
+
+    A third is 0, as of what is not there to be seen, the rest uniform.
+    """
     high = np.ones((engine.n_robots, engine.obs_size))
     low, high = (engine.state_low, engine.state_high) if observes == "state" else (-high, high)
     random = np.random.default_rng(0)
-    return random.uniform(low, high, (CHECKED_WORLDS, *low.shape)).astype(np.float32)
+    drawn = random.uniform(low, high, (CHECKED_WORLDS, *low.shape)).astype(np.float32)
+    return np.where(random.random(drawn.shape) < 1 / 3, np.float32(0.0), drawn)
 
 
-def _describe(policy: LoadedPolicy, layers: Layers, shape: tuple[int, ...], n: int) -> Metadata:
+def _describe(
+    policy: LoadedPolicy, layers: Layers | Sets, shape: tuple[int, ...], n: int
+) -> Metadata:
     """Return what a program has to know that feeds the file."""
     return {
         "policy": policy.name,
@@ -144,7 +140,7 @@ def writer_of(path: Path) -> Write:
     return write
 
 
-def _write_npz(layers: Layers, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
+def _write_npz(layers: Layers | Sets, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
     buffer = io.BytesIO()
     named: dict[str, Any] = {**layers.arrays(), METADATA: np.array(json.dumps(metadata))}
     np.savez(buffer, **named)
@@ -153,7 +149,7 @@ def _write_npz(layers: Layers, metadata: Metadata, seen: Seen) -> tuple[bytes, R
     return buffer.getvalue(), lambda rows: run_arrays(arrays, rows)
 
 
-def _write_pt2(layers: Layers, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
+def _write_pt2(layers: Layers | Sets, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
     buffer = io.BytesIO()
     example = (torch.from_numpy(seen),)
     program = torch.export.export(Network(layers), example, dynamic_shapes=(WORLDS,))
@@ -162,7 +158,7 @@ def _write_pt2(layers: Layers, metadata: Metadata, seen: Seen) -> tuple[bytes, R
     return buffer.getvalue(), lambda rows: module(torch.from_numpy(rows)).numpy()
 
 
-def _write_onnx(layers: Layers, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
+def _write_onnx(layers: Layers | Sets, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
     import onnxruntime
     import onnxscript  # noqa: F401 - the exporter needs it, and says otherwise what is missing
 
@@ -197,6 +193,6 @@ def _silence() -> Iterator[None]:
             logging.disable(logging.NOTSET)
 
 
-Write = Callable[[Layers, Metadata, Seen], tuple[bytes, Run]]
+Write = Callable[[Layers | Sets, Metadata, Seen], tuple[bytes, Run]]
 FORMATS: Mapping[str, Write] = {".onnx": _write_onnx, ".pt2": _write_pt2, ".npz": _write_npz}
 """For each ending, returns the bytes of the file, and the function that is read from them."""

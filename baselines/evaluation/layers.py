@@ -1,8 +1,12 @@
-"""A trained network as plain arrays, for programs that have none of the libraries it comes from."""
+"""A trained network as plain arrays, for programs that have none of the libraries it comes from.
+
+:func:`run_arrays` needs NumPy alone: a robot can take this file along. It runs in torch as well,
+where ``xp`` is torch, which is how the other formats are made.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -12,11 +16,9 @@ from numpy.typing import NDArray
 Activation = Literal["tanh", "relu", "clip"]
 Arrays = dict[str, NDArray[Any]]
 
-ACTIVATIONS: Mapping[str, Callable[[NDArray[np.float32]], NDArray[np.float32]]] = {
-    "tanh": np.tanh,
-    "relu": lambda flow: np.maximum(flow, 0),
-    "clip": lambda flow: np.clip(flow, -1, 1),
-}
+LIMITS = {"relu": (0.0, None), "clip": (-1.0, 1.0)}
+NOTHING = -1e9
+"""A score below all others."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +53,32 @@ class Layers:
         return named
 
 
+@dataclass(frozen=True)
+class Sets:
+    """A network over sets, from raw ``entities`` to mean actions (:mod:`..torchrl.entities`).
+
+    Attributes:
+        named: ``sizes``, entries of the own token, of another robot's and of an ROI's; for each of
+            ``own``, ``robot`` and ``roi`` the columns ``_pairs`` (2, k) that turn and ``_rest``
+            that do not; ``next``, the columns by which the next ROI is found; ``rays`` (8, 8), and
+            the ``first_ray``; ``turns``, whether observations are turned; and of each layer the
+            weight (inputs, outputs) and the ``_bias`` (1, outputs), float32.
+        clip: infinite, since tokens are not normalised.
+    """
+
+    named: Arrays
+    clip: float = math.inf
+
+    def arrays(self) -> Arrays:
+        """Return all of it by name."""
+        return self.named
+
+
 @runtime_checkable
 class HasLayers(Protocol):
     """A policy that can be exported."""
 
-    def layers(self) -> Layers:
+    def layers(self) -> Layers | Sets:
         """Return its network.
 
         Raises:
@@ -64,13 +87,70 @@ class HasLayers(Protocol):
         ...
 
 
-def run_arrays(file: Arrays, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return mean actions (W, n, 2) of :meth:`Layers.arrays` for W worlds, as the page has it."""
+def run_arrays(file: Arrays, seen: Any, xp: Any = np) -> Any:
+    """Return mean actions (W, n, 2), float32, of ``arrays()`` for what W worlds show."""
+    if "sizes" in file:
+        return _run_sets(file, seen, xp)
     networks, _, inputs = file["mean"].shape
     rows = seen.reshape(-1, networks, inputs).swapaxes(0, 1)
-    flow: NDArray[Any] = (rows - file["mean"]) / file["scale"]
-    flow = np.clip(flow, -file["clip"], file["clip"]).astype(np.float32)
+    limit = float(file["clip"])
+    flow = xp.clip((rows - file["mean"]) / file["scale"], -limit, limit)
+    flow = xp.asarray(flow, dtype=xp.float32)
     for layer, activation in enumerate(file["activations"]):
-        flow = ACTIVATIONS[str(activation)](flow @ file[f"weight_{layer}"] + file[f"bias_{layer}"])
-    actions: NDArray[np.float32] = flow.swapaxes(0, 1).reshape(len(seen), -1, 2)
-    return actions
+        flow = flow @ file[f"weight_{layer}"] + file[f"bias_{layer}"]
+        limits = LIMITS.get(str(activation))
+        flow = xp.tanh(flow) if limits is None else xp.clip(flow, *limits)
+    return flow.swapaxes(0, 1).reshape(seen.shape[0], -1, 2)
+
+
+def _run_sets(file: Arrays, seen: Any, xp: Any) -> Any:
+    """Return the actions of :class:`Sets` for observations (W, n, size) of any n and m."""
+    (own_size, robot_size, roi_size), n = file["sizes"].tolist(), seen.shape[1]
+    rows, start = seen.reshape(-1, seen.shape[2]), own_size + (n - 1) * robot_size
+    count, own = rows.shape[0], rows[:, None, :own_size]
+    robots = rows[:, own_size:start].reshape(count, n - 1, robot_size)
+    rois = rows[:, start:].reshape(count, -1, roi_size)
+    each = xp.arange(count)
+    left, away, *order, x, y = file["next"].tolist()
+    rank = rois[..., left] * (2.0 - rois[..., away])
+    for column in order:
+        rank = rank + 2.0 * rois[..., column]
+    toward = rois[each, rank.argmax(1)][:, [x, y]] * float(file["turns"])
+    sign = xp.where(toward < 0.0, -xp.ones_like(toward), xp.ones_like(toward))
+    swap = abs(toward[:, 1:]) > abs(toward[:, :1])
+
+    def turned(kind: str, tokens: Any) -> Any:
+        columns, rest = file[f"{kind}_pairs"], file[f"{kind}_rest"]
+        x, y = (
+            tokens[..., columns[0]] * sign[:, None, :1],
+            tokens[..., columns[1]] * sign[:, None, 1:],
+        )
+        first, second = xp.where(swap[:, None], y, x), xp.where(swap[:, None], x, y)
+        return xp.concatenate([tokens[..., rest], first, second], -1)
+
+    def layer(name: str, flow: Any) -> Any:
+        return xp.clip(flow @ file[name] + file[f"{name}_bias"], 0.0, None)
+
+    def found(kind: str, tokens: Any) -> tuple[Any, Any]:
+        """Features of the tokens, 0 of those that stand for nothing, and which do not."""
+        there = tokens[..., :1] != 0.0
+        return layer(f"{kind}.2", layer(f"{kind}.0", turned(kind, tokens))) * there, there
+
+    element = (sign[:, 0] < 0) + 2 * (sign[:, 1] < 0) + 4 * swap[:, 0]
+    rays = own[each[:, None], 0, int(file["first_ray"]) + file["rays"][element]]
+    flow = xp.concatenate([turned("own", own)[:, 0], rays], -1)
+    features, there = found("roi", rois)
+    query = flow @ file["query"] + file["query_bias"]
+    score = (features * query[:, None]).sum(-1)[..., None] / math.sqrt(query.shape[-1])
+    score = xp.where(there, score, xp.full_like(score, NOTHING))
+    weight = xp.exp(score - xp.amax(score, 1)[:, None]) * there
+    weight = weight / xp.clip(weight.sum(1), 1e-9, None)[:, None]
+    own_features = layer("own.0", flow)
+    others = xp.concatenate([0.0 * own_features[:, None], found("robot", robots)[0]], 1)
+    parts = [own_features, xp.amax(features, 1), (weight * features).sum(1), xp.amax(others, 1)]
+    flow = layer("mix.0", xp.concatenate(parts, -1))
+    flow = flow + layer("deep.0", flow)
+    action = flow @ file["head"] + file["head_bias"]
+    action = xp.where(swap, action[:, [1, 0]], action) * sign
+    action = xp.clip(action, -1.0, 1.0) * (rows != 0.0).any(-1)[:, None]
+    return action.reshape(-1, n, 2)

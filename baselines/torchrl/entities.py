@@ -13,9 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
 import torch
 from torch import nn
 
+from baselines.evaluation.layers import Sets
 from mbn_marl.engine.mdp.entities import SCALES
 from mbn_marl.engine.mdp.observations import Entry
 
@@ -127,6 +129,18 @@ class Turned(nn.Module):
         pairs, rest = self._columns[kind]
         x, y = tokens[:, pairs[0]] * signs[:, :1], tokens[:, pairs[1]] * signs[:, 1:]
         return torch.cat([tokens[:, rest], torch.where(swap, y, x), torch.where(swap, x, y)], 1)
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return which entries it reads and turns, as :class:`Sets` has them."""
+        tokens, index = self._tokens, self._tokens.roi.index
+        order = ["order"] if "order" in tokens.roi else []
+        following = [index(name) for name in ("left", "away", *order, "far_x", "far_y")]
+        sizes = [len(tokens.own), len(tokens.robot), len(tokens.roi)]
+        named = {"sizes": sizes, "next": following, "turns": not self._fixed}
+        named |= {"first_ray": self._first_ray, "rays": self._rays.tolist()}
+        for kind, (pairs, rest) in self._columns.items():
+            named |= {f"{kind}_pairs": pairs, f"{kind}_rest": rest}
+        return {name: np.array(values) for name, values in named.items()}
 
     @staticmethod
     def back(actions: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor) -> torch.Tensor:
@@ -245,6 +259,16 @@ class SetActor(nn.Module):
         flow, signs, swap = self.encoder(some, rows.shape[-2])
         actions = self.encoder.turned.back(self.head(flow), signs, swap)
         return _to_all(actions, present, rows.shape[:-1])
+
+    def layers(self) -> Sets:
+        """Return the network as plain arrays."""
+        named = self.encoder.turned.columns()
+        for name, module in self.named_modules():
+            if isinstance(module, nn.Linear):
+                place = name.removeprefix("encoder.")
+                named[place] = module.weight.T.contiguous().numpy(force=True)
+                named[f"{place}_bias"] = module.bias[None].numpy(force=True)
+        return Sets(named)
 
 
 class SetCritic(nn.Module):

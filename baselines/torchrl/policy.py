@@ -9,12 +9,11 @@ from typing import Literal
 import numpy as np
 import torch
 
-from baselines.evaluation.layers import Activation, Layers
+from baselines.evaluation.layers import Activation, Layers, Sets
 from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.tensors import read_tensors, write_tensors
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import CLIP, GaussianPolicy, TeamMLP, TeamShape
-from mbn_marl.errors import ConfigError
 
 WEIGHTS = "policy.safetensors"
 SHAPE = "policy.json"
@@ -37,11 +36,11 @@ class TeamPolicy:
         actions = mean if deterministic else torch.normal(mean, std.expand_as(mean))
         return actions.numpy()
 
-    def layers(self) -> Layers:
+    def layers(self) -> Layers | Sets:
         """See :class:`~baselines.evaluation.layers.HasLayers`."""
         network, mlp = self.network, self.network.mean
         if not isinstance(mlp, TeamMLP):
-            raise ConfigError("export", ["network: entities; allowed: mlp, whose layers are plain"])
+            return mlp.layers()
         team = network.shape.actor == "centralized"  # it has the robots side by side
         mean, scale = (
             part.expand(network.shape.n_robots, -1).reshape(1, 1, -1)

@@ -26,6 +26,7 @@ from baselines.evaluation.layers import Layers, run_arrays
 from baselines.sb3.config import algorithm_class
 from baselines.sb3.layers import layers_of
 from baselines.sb3.policy import Normalization, SB3Policy
+from baselines.torchrl.entities import SetActor, Tokens
 from baselines.torchrl.networks import Actor, GaussianPolicy, Sharing, TeamShape
 from baselines.torchrl.policy import TeamPolicy
 from mbn_marl import BatchEngine, load_field, parallel_env
@@ -33,6 +34,7 @@ from mbn_marl.errors import ConfigError
 from tests.baselines.conftest import Refusal
 
 Seen = np.ndarray
+SETS: dict[str, Any] = {"threads": 1, "observation": "entities"}
 Read = Callable[[Path], tuple[Callable[[Seen], np.ndarray], str]]
 
 
@@ -103,6 +105,47 @@ def test_the_arrays_of_every_team_act_as_it_does(
     actions = run_arrays(policy.layers().arrays(), seen)
     np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-6)
     assert len(np.unique(actions)) > 10
+
+
+@pytest.mark.parametrize("n", [1, 4])
+@pytest.mark.parametrize("assignment", [False, True])
+@pytest.mark.parametrize("dynamics", ["point_mass", "unicycle"])
+def test_the_arrays_of_a_network_over_sets_act_as_it_does(
+    dynamics: str, assignment: bool, n: int
+) -> None:
+    settings: dict[str, Any] = {"dynamics": dynamics, "assignment": assignment}
+    engine = BatchEngine("field_03", 1, n_robots=4, random_starts=True, **SETS, **settings)
+    tokens = Tokens.of(engine.observation_table)
+    torch.manual_seed(0)
+    network = GaussianPolicy(TeamShape(engine.obs_size, n, (8, 12), "full", tokens=tokens))
+    assert isinstance(network.mean, SetActor)
+    torch.nn.init.normal_(network.mean.head.weight)
+    policy = TeamPolicy(network)
+    size = len(tokens.own) + (n - 1) * len(tokens.robot) + 3 * len(tokens.roi)  # of any team
+    random = np.random.default_rng(0)
+    seen = random.uniform(-1.0, 1.0, (30, n, size)).astype(np.float32)
+    seen[random.random(seen.shape) < 0.3] = 0.0
+    seen[random.random((30, n)) < 0.3] = 0.0  # absent robots
+    expected = np.clip(policy.act(seen, deterministic=True), -1, 1)
+    actions = run_arrays(policy.layers().arrays(), seen)
+    assert actions.dtype == np.float32
+    np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-5)
+    assert len(np.unique(actions)) > 10 and (actions == 0).all(-1).any()
+
+
+@pytest.mark.parametrize("read", [read_onnx, read_pt2, read_npz])
+def test_a_policy_for_any_field_is_exported_for_the_sizes_of_one(
+    read: Read, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / f"policy.{read.__name__.removeprefix('read_')}"
+    export = ["export", "zoo:generalist-hint", "-o", str(path)]
+    assert main([*export, "--field", "field_03"]) == 0
+    assert "observation='entities'" in capfd.readouterr().out
+    act, _ = read(path)
+    policy = load_policy("zoo:generalist-hint", "field_03")
+    engine = BatchEngine("field_03", 5, **{**policy.settings, "random_starts": True})
+    seen = engine.reset(seed=1)
+    np.testing.assert_allclose(act(seen), policy.act(seen), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -198,10 +241,13 @@ def test_what_cannot_be_exported_is_named(
 ) -> None:
     for name in ("greedy", "zoo", "module:own"):
         told = refusal(["export", name, "-o", "policy.npz"])
-        assert f"{name}: has no network for one field; allowed: zoo:NAME and" in told
+        assert f"{name}: has no network; allowed: zoo:NAME and the folders" in told
     assert "policy.pt: unknown ending" in refusal(["export", "greedy", "-o", "policy.pt"])
     assert "did you mean greedy" in refusal(["export", "gredy", "-o", "policy.npz"])
+    told = refusal(["export", "zoo:generalist", "-o", "policy.npz"])
+    assert "field: needed, for example: mbn export zoo:generalist --field field_03 -o" in told
     zoo = ["export", "zoo:field_07", "-o"]
+    assert "field: zoo:field_07 has its own" in refusal([*zoo, "a.npz", "--field", "field_03"])
     assert "policy.pt: unknown ending" in (told := refusal([*zoo, "policy.pt"]))
     assert ".onnx, .pt2, .npz" in told
     Path("policy.npz").touch()
