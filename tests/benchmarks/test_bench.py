@@ -32,7 +32,7 @@ from benchmarks.speed.parts import OBSERVATIONS, PARTS, REWARDS, partial_step
 from benchmarks.speed.sizes import SIZES, USUAL, make_field, measure_sizes
 from benchmarks.speed.timing import Budget, Case, interleaved
 from mbn_marl import BatchEngine, load_field
-from mbn_marl.config import make_config
+from mbn_marl.config import Condition, make_config
 
 TINY = Budget(
     rounds=2, seconds=0.0, warm_up=3, worlds=8, many_worlds=16, sized_worlds=2, startup=False
@@ -167,7 +167,10 @@ def test_features_are_measured_against_the_plain_engine(monkeypatch: pytest.Monk
 
 
 def test_conditions_are_those_of_the_zoo_and_the_classical_policies() -> None:
-    found = Conditions(fields=("field_03",), episodes=2).measure(lambda: None)
+    conditions: tuple[Condition, ...] = ("calm", "failing", "storm")
+    found = Conditions(conditions=conditions, fields=("field_03",), episodes=2).measure(
+        lambda: None
+    )
     for name, rows in found.details["evaluations"].items():
         assert rows["calm"]["field_03"]["success_rate"] == 1.0, name
     assert not found.details["evaluations"]["planner"]["failing"]
