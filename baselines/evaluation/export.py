@@ -55,7 +55,7 @@ class Network(torch.nn.Module):
 
     def __init__(self, network: Layers | Sets) -> None:
         super().__init__()
-        self._names = []
+        self._names: list[tuple[str, str]] = []
         self._numbers = network.arrays()  # those of an axis or none, and words, are constants
         for name, array in self._numbers.items():
             if array.ndim > 1:

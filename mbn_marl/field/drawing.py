@@ -5,6 +5,8 @@ All are int64, but for keys, which are uint64: Numba makes float64 of the two to
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mbn_marl.compiled.jit import compiled
@@ -46,14 +48,9 @@ def sine(angle):
 @compiled
 def root(number):
     """The square root of a number below 2^62, rounded up to one more than the whole part."""
-    found, bit = 0, 1 << 60
-    while bit != 0:
-        if number >= found + bit:
-            number -= found + bit
-            found += bit << 1
-        found >>= 1
-        bit >>= 2
-    return found + 1
+    found = np.int64(math.sqrt(np.float64(number)))  # at most 1 off
+    found -= np.int64(found * found > number)
+    return found + np.int64((found + 1) * (found + 1) <= number) + 1
 
 
 @compiled

@@ -74,23 +74,23 @@ def place_points(key, scratch, f, corners, box, size, rois, robots):
         for t in range(TRIES):
             x = left + below(key, scratch, f, width + 1)
             y = low + below(key, scratch, f, height + 1)
-            wall = shrinking(WALL_WISH, WALL, TRIES - t)
-            if not is_clear(scratch, f, corners, x, y, wall):
-                continue
             from_rois = shrinking(rois_wish, ROIS_APART, TRIES - t)
             if p >= rois:
                 from_rois = shrinking(ROI_WISH, 0, TRIES - t)
             from_starts = shrinking(STARTS_WISH, STARTS_APART, TRIES - t)
-            placed = True
+            wall = shrinking(WALL_WISH, WALL, TRIES - t)
+            # A point of the field that is so close to a side of the box is closer to an edge.
+            placed = min(x - left, y - low, left + width - x, low + height - y) >= wall
             for q in range(p):
                 dx = scratch[POINTS + 2 * q, f] - x
                 dy = scratch[POINTS + 2 * q + 1, f] - y
                 apart = from_rois if q < rois else from_starts
                 placed = placed and dx * dx + dy * dy >= apart * apart
-            if placed:
+            if placed and is_clear(scratch, f, corners, x, y, wall):
                 scratch[POINTS + 2 * p, f] = x
                 scratch[POINTS + 2 * p + 1, f] = y
                 break
+            placed = False
         if not placed:
             return False
     return True
