@@ -1,6 +1,6 @@
 """RLlib: PPO with one policy for all robots, on PettingZoo's parallel form.
 
-Requirements: pip install mbn_marl "ray[rllib]==2.60.0" torch (gymnasium 1.2.2 comes with it, so not
+Requirements: pip install . -r examples/rllib_requirements.txt (RLlib wants gymnasium 1.2.2, so not
     with the suite's constraints.txt)
 Command: python examples/rllib_ppo.py
 Printed: 12,000 env-steps, team return -144,114 (too few to learn from: it shows that it runs)
