@@ -17,8 +17,8 @@ Activation = Literal["tanh", "relu", "clip"]
 Arrays = dict[str, NDArray[Any]]
 
 LIMITS = {"relu": (0.0, None), "clip": (-1.0, 1.0)}
-NOTHING = -1e9
-"""A score below all others."""
+LEAST = 1e-30
+"""Added to a sum of weights, which is 0 where no ROI is left."""
 
 
 @dataclass(frozen=True)
@@ -129,12 +129,15 @@ def _run_sets(file: Arrays, seen: Any, xp: Any) -> Any:
         return xp.concatenate([tokens[..., rest], first, second], -1)
 
     def layer(name: str, flow: Any) -> Any:
-        return xp.clip(flow @ file[name] + file[f"{name}_bias"], 0.0, None)
+        flow = flow @ file[name] + file[f"{name}_bias"]
+        return flow * (flow > 0.0)
 
     def found(kind: str, tokens: Any) -> tuple[Any, Any]:
         """Features of the tokens, 0 of those that stand for nothing, and which do not."""
         there = tokens[..., :1] != 0.0
-        return layer(f"{kind}.2", layer(f"{kind}.0", turned(kind, tokens))) * there, there
+        flow = turned(kind, tokens).reshape(count * tokens.shape[1], tokens.shape[2])
+        flow = layer(f"{kind}.2", layer(f"{kind}.0", flow))
+        return flow.reshape(count, tokens.shape[1], flow.shape[1]) * there, there
 
     element = (sign[:, 0] < 0) + 2 * (sign[:, 1] < 0) + 4 * swap[:, 0]
     rays = own[each[:, None], 0, int(file["first_ray"]) + file["rays"][element]]
@@ -142,9 +145,8 @@ def _run_sets(file: Arrays, seen: Any, xp: Any) -> Any:
     features, there = found("roi", rois)
     query = flow @ file["query"] + file["query_bias"]
     score = (features * query[:, None]).sum(-1)[..., None] / math.sqrt(query.shape[-1])
-    score = xp.where(there, score, xp.full_like(score, NOTHING))
     weight = xp.exp(score - xp.amax(score, 1)[:, None]) * there
-    weight = weight / xp.clip(weight.sum(1), 1e-9, None)[:, None]
+    weight = weight / (weight.sum(1)[:, None] + LEAST)
     own_features = layer("own.0", flow)
     others = xp.concatenate([0.0 * own_features[:, None], found("robot", robots)[0]], 1)
     parts = [own_features, xp.amax(features, 1), (weight * features).sum(1), xp.amax(others, 1)]
