@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Activation = Literal["tanh", "relu", "clip"]
 Arrays = dict[str, NDArray[Any]]
 
-LIMITS = {"relu": (0.0, None), "clip": (-1.0, 1.0)}
+LIMITS = {"relu": (0.0, None), "clip": (-1.0, 1.0)}  # tanh has none
 LEAST = 1e-30
 """Added to a sum of weights, which is 0 where no ROI is left."""
 
@@ -121,10 +121,8 @@ def _run_sets(file: Arrays, seen: Any, xp: Any) -> Any:
 
     def turned(kind: str, tokens: Any) -> Any:
         columns, rest = file[f"{kind}_pairs"], file[f"{kind}_rest"]
-        x, y = (
-            tokens[..., columns[0]] * sign[:, None, :1],
-            tokens[..., columns[1]] * sign[:, None, 1:],
-        )
+        x = tokens[..., columns[0]] * sign[:, None, :1]
+        y = tokens[..., columns[1]] * sign[:, None, 1:]
         first, second = xp.where(swap[:, None], y, x), xp.where(swap[:, None], x, y)
         return xp.concatenate([tokens[..., rest], first, second], -1)
 
@@ -133,7 +131,7 @@ def _run_sets(file: Arrays, seen: Any, xp: Any) -> Any:
         return flow * (flow > 0.0)
 
     def found(kind: str, tokens: Any) -> tuple[Any, Any]:
-        """Features of the tokens, 0 of those that stand for nothing, and which do not."""
+        """Return the features of tokens, 0 where nothing is there, and whether it is."""
         there = tokens[..., :1] != 0.0
         flow = turned(kind, tokens).reshape(count * tokens.shape[1], tokens.shape[2])
         flow = layer(f"{kind}.2", layer(f"{kind}.0", flow))
