@@ -33,6 +33,7 @@ StudyName = Literal[
     "ablations",
     "aids",
     "conditions",
+    "failing",
     "forms",
     "learning",
     "records",
