@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import pickle
 from itertools import combinations, pairwise
 from typing import Any, get_args
@@ -16,6 +17,7 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.geometry import make_geometry
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, FieldSampler, generate, load_field, save_field
+from mbn_marl.field.drawing import root
 from mbn_marl.field.families import make_fields
 from mbn_marl.field.layout import FAMILIES, Tables, make_tables
 from mbn_marl.field.sampler import Family, field_of, least_size
@@ -330,3 +332,10 @@ class TestSampler:
     def test_the_least_size_is_enough(self) -> None:
         assert least_size(1, 1) == least_size(3, 6) == 100
         assert least_size(64, 24) == 410
+
+
+@pytest.mark.parametrize("whole", [0, 1, 2, 3, 94_906_265, 94_906_267, 2**30 + 1, 2**31 - 1])
+def test_roots_are_one_more_than_their_whole_part(whole: int) -> None:
+    square = whole * whole
+    for number in {square, square + 1, square + 2 * whole}:  # up to the next square
+        assert root(np.int64(number)) == math.isqrt(number) + 1
