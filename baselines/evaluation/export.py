@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.evaluation.fitting import LoadedPolicy
-from baselines.evaluation.layers import HasLayers, Layers, Sets, run_arrays
+from baselines.evaluation.layers import HasLayers, Plain, run_arrays
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError, unknown
 from mbn_marl.files import check_free, claim_file, replacing
@@ -53,7 +53,7 @@ class Exported(NamedTuple):
 class Network(torch.nn.Module):
     """:func:`~.layers.run_arrays` in torch: actions (W, n, 2) for what W worlds show."""
 
-    def __init__(self, network: Layers | Sets) -> None:
+    def __init__(self, network: Plain) -> None:
         super().__init__()
         self._names: list[tuple[str, str]] = []
         self._numbers = network.arrays()  # those of an axis or none, and words, are constants
@@ -116,9 +116,7 @@ def _drawn(engine: BatchEngine, observes: str) -> Seen:
     return np.where(random.random(drawn.shape) < 1 / 3, np.float32(0.0), drawn)
 
 
-def _describe(
-    policy: LoadedPolicy, layers: Layers | Sets, shape: tuple[int, ...], n: int
-) -> Metadata:
+def _describe(policy: LoadedPolicy, layers: Plain, shape: tuple[int, ...], n: int) -> Metadata:
     """Return what a program has to know that feeds the file."""
     return {
         "policy": policy.name,
@@ -140,7 +138,7 @@ def writer_of(path: Path) -> Write:
     return write
 
 
-def _write_npz(layers: Layers | Sets, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
+def _write_npz(layers: Plain, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
     buffer = io.BytesIO()
     named: dict[str, Any] = {**layers.arrays(), METADATA: np.array(json.dumps(metadata))}
     np.savez(buffer, **named)
@@ -149,7 +147,7 @@ def _write_npz(layers: Layers | Sets, metadata: Metadata, seen: Seen) -> tuple[b
     return buffer.getvalue(), lambda rows: run_arrays(arrays, rows)
 
 
-def _write_pt2(layers: Layers | Sets, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
+def _write_pt2(layers: Plain, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
     buffer = io.BytesIO()
     example = (torch.from_numpy(seen),)
     program = torch.export.export(Network(layers), example, dynamic_shapes=(WORLDS,))
@@ -158,7 +156,7 @@ def _write_pt2(layers: Layers | Sets, metadata: Metadata, seen: Seen) -> tuple[b
     return buffer.getvalue(), lambda rows: module(torch.from_numpy(rows)).numpy()
 
 
-def _write_onnx(layers: Layers | Sets, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
+def _write_onnx(layers: Plain, metadata: Metadata, seen: Seen) -> tuple[bytes, Run]:
     import onnxruntime
     import onnxscript  # noqa: F401 - the exporter needs it, and says otherwise what is missing
 
@@ -193,6 +191,6 @@ def _silence() -> Iterator[None]:
             logging.disable(logging.NOTSET)
 
 
-Write = Callable[[Layers | Sets, Metadata, Seen], tuple[bytes, Run]]
+Write = Callable[[Plain, Metadata, Seen], tuple[bytes, Run]]
 FORMATS: Mapping[str, Write] = {".onnx": _write_onnx, ".pt2": _write_pt2, ".npz": _write_npz}
 """For each ending, returns the bytes of the file, and the function that is read from them."""

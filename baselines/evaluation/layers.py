@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Activation = Literal["tanh", "relu", "clip"]
 Arrays = dict[str, NDArray[Any]]
 
-LIMITS = {"relu": (0.0, None), "clip": (-1.0, 1.0)}  # tanh has none
+LIMITS = {"relu": (0.0, None), "clip": (-1.0, 1.0)}
 LEAST = 1e-30
 """Added to a sum of weights, which is 0 where no ROI is left."""
 
@@ -74,11 +74,15 @@ class Sets:
         return self.named
 
 
+Plain = Layers | Sets
+"""What :func:`run_arrays` runs."""
+
+
 @runtime_checkable
 class HasLayers(Protocol):
     """A policy that can be exported."""
 
-    def layers(self) -> Layers | Sets:
+    def layers(self) -> Plain:
         """Return its network.
 
         Raises:
@@ -98,8 +102,8 @@ def run_arrays(file: Arrays, seen: Any, xp: Any = np) -> Any:
     flow = xp.asarray(flow, dtype=xp.float32)
     for layer, activation in enumerate(file["activations"]):
         flow = flow @ file[f"weight_{layer}"] + file[f"bias_{layer}"]
-        limits = LIMITS.get(str(activation))
-        flow = xp.tanh(flow) if limits is None else xp.clip(flow, *limits)
+        name = str(activation)
+        flow = xp.tanh(flow) if name == "tanh" else xp.clip(flow, *LIMITS[name])
     return flow.swapaxes(0, 1).reshape(seen.shape[0], -1, 2)
 
 

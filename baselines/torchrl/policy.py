@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from baselines.evaluation.layers import Activation, Layers, Sets
+from baselines.evaluation.layers import Activation, Layers, Plain
 from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.tensors import read_tensors, write_tensors
 from baselines.torchrl.entities import Tokens
@@ -36,7 +36,7 @@ class TeamPolicy:
         actions = mean if deterministic else torch.normal(mean, std.expand_as(mean))
         return actions.numpy()
 
-    def layers(self) -> Layers | Sets:
+    def layers(self) -> Plain:
         """See :class:`~baselines.evaluation.layers.HasLayers`."""
         network, mlp = self.network, self.network.mean
         if not isinstance(mlp, TeamMLP):
