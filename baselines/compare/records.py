@@ -107,12 +107,17 @@ def find_records(
     """Read the runs at ``paths``: run folders, or folders with run folders anywhere inside.
 
     See :func:`baselines.runs.discover.run_folders`, and :meth:`RunRecord.read` for ``finished``.
+    Runs on random fields are left out; ``note`` receives a line about each.
 
     Raises:
-        RunError: a path holds no run, or a run cannot be read.
+        RunError: a path holds no run, a run cannot be read, or all are on random fields.
     """
-    folders = run_folders(paths, note, comparisons=comparisons)
-    return [RunRecord.read(RunFolder.open(path), finished=finished) for path in folders]
+    runs = [RunFolder.open(path) for path in run_folders(paths, note, comparisons=comparisons)]
+    some = [run for run in runs if isinstance(run.fields, Field)]
+    for run in runs if some else ():
+        if run not in some:
+            note(f"left out: {run.path}, trained on random fields")
+    return [RunRecord.read(run, finished=finished) for run in some or runs]
 
 
 def ordered(algorithms: Mapping[str, str]) -> dict[str, int]:

@@ -16,9 +16,10 @@ from baselines.compare.summary import THRESHOLDS, summarise
 from baselines.compare.tables import gaps, print_comparison
 from baselines.console import WholeCells
 from baselines.runs.files import RunError
+from baselines.runs.folder import RunFolder
 from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import Field, load_field
+from mbn_marl.field import Field, load_field, load_fields
 from tests.support.records import make_run
 
 
@@ -231,3 +232,14 @@ def test_only_finished_runs_are_compared(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(RunError, match="empty"):
         find_records([tmp_path / "empty"])
+
+
+def test_runs_on_random_fields_are_left_out(tmp_path: Path) -> None:
+    one = make_run(tmp_path).run.path
+    random = tmp_path / "random"
+    RunFolder.create(random, {}, load_fields("random_convex"), "mbn train")
+    notes: list[str] = []
+    assert [record.run.path for record in find_records([tmp_path], notes.append)] == [one]
+    assert notes == [f"left out: {random}, trained on random fields"]
+    with pytest.raises(RunError, match="random fields"):
+        find_records([random])
