@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from typing import Any, Literal, Unpack, cast
 
 import gymnasium
@@ -208,15 +209,18 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
             The states ``(W, 4n+1)``, fresh, and the infos.
 
         Raises:
-            ConfigError: a mask of the wrong shape or type, or together with a seed.
+            ConfigError: a mask of the wrong shape or type, or together with a seed; or a ``field``
+                or ``starts``, which are for one environment.
         """
+        options = options or {}
+        self._check(options, seed)
         super().reset(seed=seed)
-        mask = (options or {}).get("reset_mask")
+        mask = options.get("reset_mask")
         if mask is None:
             self.engine.reset(seed)
             mask = np.ones(self.num_envs, np.bool_)
         else:
-            self._reset_some(mask, seed)
+            self.engine.reset_worlds(mask)
         rows = np.where(mask[:, None], self._infos.of_resets(), 0.0)
         return self.engine.state(), self._by_key(rows, mask)
 
@@ -250,17 +254,22 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         """Release the viewer; ``**kwargs`` is Gymnasium's and ignored."""
         self._viewer.close()
 
-    def _reset_some(self, mask: Any, seed: int | None) -> None:
-        problems = []
-        if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_):
-            problems.append(f"reset_mask: {type(mask).__name__}, allowed: a bool array")
-        elif mask.shape != (self.num_envs,):
-            problems.append(f"reset_mask: shape {mask.shape}, allowed: ({self.num_envs},)")
-        if seed is not None:
-            problems.append("reset_mask: a seed restarts all worlds; give only one of the two")
+    def _check(self, options: Mapping[str, Any], seed: int | None) -> None:
+        """Check the options of :meth:`reset`; those of wrappers are left to them."""
+        problems = [
+            f"{name}: allowed for one environment, not for a vector"
+            for name in ("field", "starts")
+            if options.get(name) is not None
+        ]
+        if (mask := options.get("reset_mask")) is not None:
+            if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_):
+                problems.append(f"reset_mask: {type(mask).__name__}, allowed: a bool array")
+            elif mask.shape != (self.num_envs,):
+                problems.append(f"reset_mask: shape {mask.shape}, allowed: ({self.num_envs},)")
+            if seed is not None:
+                problems.append("reset_mask: a seed restarts all worlds; give only one of the two")
         if problems:
             raise ConfigError("options", problems)
-        self.engine.reset_worlds(mask)
 
     def _step_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         """Return a step's infos in the layout of Gymnasium's own vector environments."""

@@ -313,19 +313,21 @@ class TestVector:
         assert infos["_success"].tolist() == [False, True, False]
 
     @pytest.mark.parametrize(
-        ("mask", "seed", "named"),
+        ("options", "seed", "named"),
         [
-            (np.array([True]), None, "reset_mask: "),
-            ([True, False], None, "reset_mask: "),
-            (np.array([1, 0]), None, "reset_mask: "),
-            (np.array([True, False]), 3, "reset_mask: "),
+            ({"reset_mask": np.array([True])}, None, "reset_mask: shape"),
+            ({"reset_mask": [True, False]}, None, "reset_mask: list"),
+            ({"reset_mask": np.array([1, 0])}, None, "reset_mask: ndarray"),
+            ({"reset_mask": np.array([True, False])}, 3, "reset_mask: a seed"),
+            ({"field": "field_03", "reset_mask": [True]}, None, r"field: allowed(.|\n)*reset_mask"),
+            ({"starts": np.zeros((3, 2))}, None, "starts: allowed"),
         ],
     )
-    def test_a_wrong_mask(self, mask, seed, named):
+    def test_wrong_options(self, options, seed, named):
         envs = CentralizedVectorEnv(2)
         before, _ = envs.reset()
         with pytest.raises(ConfigError, match=named):
-            envs.reset(seed=seed, options={"reset_mask": mask})
+            envs.reset(seed=seed, options=options)
         assert np.array_equal(envs.engine.state(), before)
 
     def test_wrong_actions_name_the_world(self):
