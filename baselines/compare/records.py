@@ -114,8 +114,8 @@ def find_records(
     """
     runs = [RunFolder.open(path) for path in run_folders(paths, note, comparisons=comparisons)]
     some = [run for run in runs if isinstance(run.fields, Field)]
-    for run in runs if some else ():
-        if run not in some:
+    for run in runs:
+        if some and run not in some:
             note(f"left out: {run.path}, trained on random fields")
     return [RunRecord.read(run, finished=finished) for run in some or runs]
 
