@@ -12,10 +12,10 @@ from typing import Any
 import numba
 import numpy as np
 from numba.core import event
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 from numba.core.targetconfig import ConfigStack
+
+from mbn_marl.compiled.part import AssembledCompiler, PartCompiler
 
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Compiled code runs without the GIL, divides as NumPy does, and is not for C to call."""
@@ -54,34 +54,6 @@ class _Announcer(event.Listener):
 event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
 
 
-class _NoEnvironment:
-    """Stands where Numba would tell the machine code of a function its globals."""
-
-    def set_env(self, name: str, environment: Any) -> None:
-        """Do nothing: there is no machine code."""
-
-
-class _Part(JITCodeLibrary):
-    """Optimised code that others link; none of it becomes machine code by itself."""
-
-    codegen = _NoEnvironment()
-
-    def get_pointer_to_function(self, name: str) -> int:
-        """There is no such function in memory, which Numba writes as 0."""
-        return 0
-
-    def _finalize_final_module(self) -> None:
-        self._finalized = True
-
-
-class _PartCompiler(Compiler):
-    """Compiles a rule into a part."""
-
-    def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
-        part = _Part(target.codegen(), "part")  # type: ignore[no-untyped-call]
-        super().__init__(typing, target, part, *rest)  # type: ignore[no-untyped-call]
-
-
 class Rule(CPUDispatcher):
     """A compiled function that is made to become part of the compiled functions that call it.
 
@@ -117,13 +89,18 @@ class Rule(CPUDispatcher):
         return _cached(self.py_func, _nrt=self.returns_views)
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], compiler: type[PartCompiler] = PartCompiler) -> Any:
     """Compile a rule or a pass, to become part of what calls it.
 
     It neither makes arrays nor counts references to those it is given, which takes time.
     """
     inlined = {"nopython": True, "forceinline": True, "no_cpython_wrapper": True, "_nrt": False}
-    return Rule(function, targetoptions={**COMMON, **inlined}, pipeline_class=_PartCompiler)
+    return Rule(function, targetoptions={**COMMON, **inlined}, pipeline_class=compiler)
+
+
+def assembled(function: Callable[..., Any]) -> Any:
+    """Compile a rule that mostly calls others: it is optimised only as part of what calls it."""
+    return compiled(function, AssembledCompiler)
 
 
 def returning_views(function: Callable[..., Any]) -> Any:

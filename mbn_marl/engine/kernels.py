@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from mbn_marl.compiled.jit import compiled, entry_point, parallel_entry_point
+from mbn_marl.compiled.jit import assembled, compiled, entry_point, parallel_entry_point
 from mbn_marl.compiled.rng import FOR_ACTIONS, stream_key, uniform, world_number
 from mbn_marl.compiled.scalars import count_bits, is_set
 from mbn_marl.engine.constants import unpack
@@ -15,7 +15,8 @@ from mbn_marl.engine.mdp.failures import has_failed
 from mbn_marl.engine.mdp.observations import observe, put_state
 from mbn_marl.engine.mdp.visits import visit_code
 from mbn_marl.engine.reset import begin_world, clear_output
-from mbn_marl.engine.step import SAME_STEP, step_worlds
+from mbn_marl.engine.step import SAME_STEP, sizes_of, step_worlds
+from mbn_marl.engine.store import parts_of
 
 FIRST, NEXT = np.uint64(0), np.uint64(1)
 
@@ -45,12 +46,11 @@ def step_ranges(store, actions, cuts):
     return ended
 
 
-@entry_point
-def reset_worlds(store, mask):
-    """Begin a new episode in the masked worlds."""
-    p = unpack(store.constants)
-    g, mem, now, out = store.geometry, store.memory, store.now, store.output
-    tile = np.empty((out.observations.shape[2], 1), np.float32)
+@assembled
+def reset_masked(store, tile, mask):
+    """See :func:`reset_worlds`; ``tile`` is (observation size, 1)."""
+    constants, g, mem, now, _, out = parts_of(store)
+    p = unpack(constants)
     for w in range(FIRST, np.uint64(mask.size)):
         if mask[w]:
             begin_world(p, g, mem, now, out, w)
@@ -58,11 +58,17 @@ def reset_worlds(store, mask):
 
 
 @entry_point
-def rest_worlds(store, mask):
-    """Make the outputs of the masked worlds those of a step in which nothing happened."""
-    p = unpack(store.constants)
-    g, mem, now, out = store.geometry, store.memory, store.now, store.output
-    tile = np.empty((out.observations.shape[2], 1), np.float32)
+def reset_worlds(store, mask):
+    """Begin a new episode in the masked worlds."""
+    _, entries = sizes_of(store)
+    reset_masked(store, np.empty((entries, 1), np.float32), mask)
+
+
+@assembled
+def rest_masked(store, tile, mask):
+    """See :func:`rest_worlds`."""
+    constants, g, mem, now, _, out = parts_of(store)
+    p = unpack(constants)
     for w in range(FIRST, np.uint64(mask.size)):
         if mask[w]:
             mem.pending[w] = True
@@ -72,6 +78,13 @@ def rest_worlds(store, mask):
                 mem.trail[w, last, 1] = now.y[i, w]
             clear_output(p, out, w)
             observe(p, g, mem, now, w, w + NEXT, tile, out.observations)
+
+
+@entry_point
+def rest_worlds(store, mask):
+    """Make the outputs of the masked worlds those of a step in which nothing happened."""
+    _, entries = sizes_of(store)
+    rest_masked(store, np.empty((entries, 1), np.float32), mask)
 
 
 @compiled

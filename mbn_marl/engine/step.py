@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled, entry_point
+from mbn_marl.compiled.jit import assembled, compiled, entry_point
 from mbn_marl.compiled.scalars import clip, column, is_set, select
 from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.intrinsics import prefetch
@@ -28,6 +28,7 @@ from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.termination import is_terminated, is_truncated
 from mbn_marl.engine.mdp.visits import all_visited, visit_code, within
 from mbn_marl.engine.reset import ENDED, RESTARTS, clear_output, copy_episode, reset_world
+from mbn_marl.engine.store import parts_of
 
 BLOCK = 256
 """Worlds per block."""
@@ -294,7 +295,7 @@ def close_step(p, mem, out, w):
     return 0
 
 
-@compiled
+@assembled
 def autoreset(p, g, mem, now, final, out, to, lo, hi):
     """Reset worlds whose episode has ended, if they restart; return how many have ended."""
     ended = 0
@@ -316,7 +317,7 @@ def autoreset(p, g, mem, now, final, out, to, lo, hi):
     return ended
 
 
-@compiled
+@assembled
 def move_robots(p, g, mem, status, now, out, to, actions, lo, hi):
     """Steps 1 to 3 and 5: where every robot goes, what it visits; its memory is fetched ahead.
 
@@ -339,7 +340,7 @@ def move_robots(p, g, mem, status, now, out, to, actions, lo, hi):
     pass_time(p, now.drawn, mem.key, now.gust, now.steps, lo, hi)
 
 
-@compiled
+@assembled
 def score_step(p, g, mem, status, now, out, to, lo, hi):
     """Steps 4 and 6 to 8: revisits, collisions, how the step ended, rewards."""
     if p.rules == rewards.RELEASED:
@@ -352,13 +353,11 @@ def score_step(p, g, mem, status, now, out, to, lo, hi):
         grow_filter(mem, now, lo, hi)
 
 
-@entry_point
-def step_worlds(store, actions, lo, hi):
-    """Step worlds ``lo`` to ``hi - 1`` with ``actions`` (W, n, 2); return how many ended."""
-    p = unpack(store.constants)
-    g, mem, now, final, out = store.geometry, store.memory, store.now, store.final, store.output
-    block, entries = min(hi - lo, np.uint64(BLOCK)), out.observations.shape[2]
-    to = make_scratch(block, now.x.shape[0], entries, now.x.dtype)
+@assembled
+def step_blocks(store, to, actions, lo, hi):
+    """Step worlds ``lo`` to ``hi - 1``, a block at a time; return how many ended."""
+    constants, g, mem, now, final, out = parts_of(store)
+    p = unpack(constants)
     ended = 0
     while lo < hi:
         end = min(lo + np.uint64(BLOCK), hi)
@@ -368,3 +367,18 @@ def step_worlds(store, actions, lo, hi):
         ended += autoreset(p, g, mem, now, final, out, to, lo, end)
         lo = end
     return ended
+
+
+@compiled
+def sizes_of(store):
+    """Return the number of robots and the size of an observation."""
+    _, _, _, now, _, out = parts_of(store)
+    return now.x.shape[0], out.observations.shape[2]
+
+
+@entry_point
+def step_worlds(store, actions, lo, hi):
+    """Step worlds ``lo`` to ``hi - 1`` with ``actions`` (W, n, 2); return how many ended."""
+    robots, entries = sizes_of(store)
+    to = make_scratch(min(hi - lo, np.uint64(BLOCK)), robots, entries, actions.dtype)
+    return step_blocks(store, to, actions, lo, hi)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.compiled.jit import compiled, entry_point
+from mbn_marl.compiled.jit import assembled, entry_point
 from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.engine import step
 from mbn_marl.engine.batch import BatchEngine
@@ -25,6 +25,7 @@ from mbn_marl.engine.mdp.dynamics import V_CLIP, keep_heading, limits_of
 from mbn_marl.engine.mdp.failures import has_failed, is_absent, move_or_fail
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
+from mbn_marl.engine.store import parts_of
 from mbn_marl.errors import ActionError, MbnError, StepError
 
 LO, HI = np.uint64(0), np.uint64(1)
@@ -121,10 +122,11 @@ class TrackedWorld:
         self._backend.recount()
 
 
-@compiled
-def put_velocities(p, g, mem, now, to, actions, velocities, allowed):
+@assembled
+def put_velocities(store, to, actions, velocities, allowed):
     """See :func:`choose_velocities`."""
-    keys, drawn = mem.key, now.drawn
+    constants, g, mem, now, _, _ = parts_of(store)
+    p, keys, drawn = unpack(constants), mem.key, now.drawn
     taken = arrived_actions(p, drawn, keys, now.queue, mem.acted, now.steps, actions, LO, HI)
     for i in range(now.x.shape[0]):
         move_or_fail(p, g, mem, now.status, now, to, taken, i, LO, HI)
@@ -139,18 +141,15 @@ def put_velocities(p, g, mem, now, to, actions, velocities, allowed):
 @entry_point
 def choose_velocities(store, actions, velocities, allowed):
     """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
-    p, now = unpack(store.constants), store.now
-    to = step.make_scratch(HI, now.x.shape[0], 1, now.x.dtype)
-    put_velocities(p, store.geometry, store.memory, now, to, actions, velocities, allowed)
+    to = step.make_scratch(HI, actions.shape[1], 1, actions.dtype)
+    put_velocities(store, to, actions, velocities, allowed)
 
 
-@entry_point
-def take_positions(store, positions, velocities, allowed):
-    """Steps 3 to 8 for robots that came to ``positions`` with ``velocities``, (1, n, 2)."""
-    p = unpack(store.constants)
-    g, mem, now, final, out = store.geometry, store.memory, store.now, store.final, store.output
-    n = now.x.shape[0]
-    to = step.make_scratch(HI, n, out.observations.shape[2], now.x.dtype)
+@assembled
+def put_positions(store, to, positions, velocities, allowed):
+    """See :func:`take_positions`."""
+    constants, g, mem, now, final, out = parts_of(store)
+    p, n = unpack(constants), now.x.shape[0]
     for i in range(n):
         to.x[0], to.y[0] = positions[0, i, 0], positions[0, i, 1]
         _, _, v_clip = limits_in(limits_of(g, i), now.drawn, i, LO)
@@ -172,3 +171,11 @@ def take_positions(store, positions, velocities, allowed):
     observe(p, g, mem, now, LO, HI, to.tile, out.observations)
     step.score_step(p, g, mem, now.status, now, out, to, LO, HI)
     return step.autoreset(p, g, mem, now, final, out, to, LO, HI)
+
+
+@entry_point
+def take_positions(store, positions, velocities, allowed):
+    """Steps 3 to 8 for robots that came to ``positions`` with ``velocities``, (1, n, 2)."""
+    robots, entries = step.sizes_of(store)
+    to = step.make_scratch(HI, robots, entries, positions.dtype)
+    return put_positions(store, to, positions, velocities, allowed)

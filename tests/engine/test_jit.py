@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -60,6 +61,37 @@ def test_only_what_python_calls_becomes_machine_code() -> None:
     made = {f: [cr.fndesc.mangled_name for cr in f.overloads.values()] for f in (twice, four_times)}
     assert list(map(in_memory, made[twice])) == [False]
     assert list(map(in_memory, made[four_times])) == [True]
+
+
+class Pair(NamedTuple):
+    """Two arrays."""
+
+    left: Any
+    right: Any
+
+
+def test_a_rule_takes_its_arguments_whole() -> None:
+    def worth(pair, weight):  # type: ignore[no-untyped-def]
+        left, best, where = pair.left, -1.0, -1
+        twice = 2 * weight
+        for i in range(left.size):
+            value = left[i] * twice
+            if value > best:
+                best = value
+                where = i
+            else:
+                value = 0.0
+            best += value / 8
+        return best + (pair.right[where] if where >= 0 else twice)
+
+    rule = compiled(worth)
+    caller = numba.njit(lambda pair, weight: rule(pair, weight))
+    for left in ([1.0, 3.0, 2.0], [-4.0, -5.0], []):
+        pair = Pair(np.array(left), np.array([5.0, 7.0, 9.0]))
+        assert caller(pair, 1.5) == worth(pair, 1.5)
+    (result,) = rule.overloads.values()
+    function = result.library.get_function(result.fndesc.mangled_name)
+    assert len(list(function.arguments)) == 2 + len(("result", "exception"))
 
 
 def test_arrays_stay_among_rules_that_do_not_count_references() -> None:

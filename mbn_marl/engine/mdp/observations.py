@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled
+from mbn_marl.compiled.jit import assembled, compiled
 from mbn_marl.compiled.scalars import FIRST, clip, column
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.intrinsics import SIDE, transpose
@@ -345,7 +345,7 @@ def turn_over(tile, lo, hi, i, rows):
         w += np.uint64(1)
 
 
-@compiled
+@assembled
 def observe(p, g, mem, ep, lo, hi, tile, rows):
     """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size).
 

@@ -1,0 +1,145 @@
+"""How rules are compiled: into parts of what calls them, without machine code of their own."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+from numba.core import ir
+from numba.core.analysis import compute_cfg_from_blocks, compute_use_defs, must_use_alloca
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.compiler_machinery import register_pass
+from numba.core.datamodel.packer import ArgPacker
+from numba.core.lowering import Lower
+from numba.core.registry import cpu_target
+from numba.core.typed_passes import BaseNativeLowering, NativeLowering
+
+
+class Whole(tuple[Any, ...]):
+    """The types of arguments that are passed as they are.
+
+    Numba takes arguments apart, down to each length of an array: some hundred numbers for the
+    engine's named tuples. To pack and unpack them would be most of a rule's code.
+    """
+
+
+class _WholePacker:
+    """What Numba wants of an ``ArgPacker``, for arguments that are passed as they are."""
+
+    def __init__(self, models: Any, kinds: Whole) -> None:
+        self.argument_types = tuple(models.lookup(kind).get_value_type() for kind in kinds)
+
+    def as_arguments(self, builder: Any, values: Any) -> Any:
+        """Return the arguments of a call with these values."""
+        return values
+
+    def from_arguments(self, builder: Any, arguments: Any) -> Any:
+        """Return the values of the arguments of a call."""
+        return arguments
+
+    def assign_names(self, arguments: Any, names: Any) -> None:
+        """Name the arguments in the code."""
+        for argument, name in zip(arguments, names, strict=True):
+            argument.name = name
+
+
+def _packer(kinds: tuple[Any, ...]) -> Any:
+    """Return what packs arguments of these types for a call."""
+    models = cpu_target.target_context.data_model_manager
+    make: Any = _WholePacker if isinstance(kinds, Whole) else ArgPacker
+    return make(models, kinds)
+
+
+cpu_target.target_context.get_arg_packer = _packer  # both ends of a call ask it
+
+
+class _PartLowering(Lower):
+    """Writes the code of a rule, with arguments as they are and no memory for what has one value.
+
+    Numba keeps a variable that several basic blocks use in memory, so that each use of a named
+    tuple of arrays copies all of it, and the optimiser has to take the copies apart.
+    """
+
+    def __init__(self, context: Any, library: Any, function: Any, *rest: Any, **named: Any) -> None:
+        function.argtypes = Whole(function.argtypes)
+        super().__init__(context, library, function, *rest, **named)  # type: ignore[no-untyped-call]
+
+    def _find_singly_assigned_variable(self) -> None:
+        """Find the variables that are assigned once, before all their uses."""
+        blocks = self.func_ir.blocks
+        above = compute_cfg_from_blocks(blocks).dominators()  # type: ignore[no-untyped-call]
+        uses = compute_use_defs(blocks).usemap  # type: ignore[no-untyped-call]
+        places = defaultdict(list)
+        for label, block in blocks.items():
+            for assignment in block.find_insts(ir.Assign):
+                places[assignment.target.name].append(label)
+        self._blk_local_varmap: dict[str, Any] = {}
+        self._singly_assigned_vars = {
+            name
+            for name, labels in places.items()
+            if len(labels) == 1 and all(labels[0] in above[at] for at in above if name in uses[at])
+        } - must_use_alloca(blocks)  # type: ignore[no-untyped-call]
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)  # type: ignore[no-untyped-call]
+class _LowerPart(BaseNativeLowering):
+    """Takes the place of ``NativeLowering`` for a rule."""
+
+    _name = "lower_part"  # type: ignore[assignment]
+
+    @property
+    def lowering_class(self) -> type[Lower]:
+        """Return what writes the code."""
+        return _PartLowering
+
+
+class _NoEnvironment:
+    """Stands where Numba would tell the machine code of a function its globals."""
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Do nothing: there is no machine code."""
+
+
+class _Part(JITCodeLibrary):
+    """Optimised code that others link; none of it becomes machine code by itself."""
+
+    codegen = _NoEnvironment()
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """There is no such function in memory, which Numba writes as 0."""
+        return 0
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+
+class _Assembled(_Part):
+    """A part that is optimised only where it is linked."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+
+class PartCompiler(Compiler):
+    """Compiles a rule into a part."""
+
+    library: type[_Part] = _Part
+
+    def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+        part = self.library(target.codegen(), "part")
+        super().__init__(typing, target, part, *rest)  # type: ignore[no-untyped-call]
+
+    def define_pipelines(self) -> list[Any]:
+        """Return the usual passes, but for the one that writes the code."""
+        (passes,) = super().define_pipelines()  # type: ignore[no-untyped-call]
+        place = [kind for kind, _ in passes.passes].index(NativeLowering)
+        passes.passes[place] = (_LowerPart, "lower a part")
+        passes.finalize()
+        return [passes]
+
+
+class AssembledCompiler(PartCompiler):
+    """Compiles a rule made of others, which need not be optimised twice."""
+
+    library = _Assembled
