@@ -355,12 +355,11 @@ def score_step(p, g, mem, status, now, out, to, lo, hi):
 
 @assembled
 def step_blocks(store, to, actions, lo, hi):
-    """Step worlds ``lo`` to ``hi - 1``, a block at a time; return how many ended."""
+    """Step worlds ``lo`` to ``hi - 1``, as many at a time as ``to`` has; return how many ended."""
     constants, g, mem, now, final, out = parts_of(store)
-    p = unpack(constants)
-    ended = 0
+    p, block, ended = unpack(constants), np.uint64(to.own.size), 0
     while lo < hi:
-        end = min(lo + np.uint64(BLOCK), hi)
+        end = min(lo + block, hi)
         move_robots(p, g, mem, now.status, now, out, to, actions, lo, end)
         observe(p, g, mem, now, lo, end, to.tile, out.observations)
         score_step(p, g, mem, now.status, now, out, to, lo, end)
