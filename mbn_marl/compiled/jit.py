@@ -127,6 +127,15 @@ def parallel_entry_point(function: Callable[..., Any]) -> Any:
     return _cached(function, parallel=True)
 
 
+def address_of(function: Any, *arguments: Any) -> int:
+    """Return where the machine code of an entry point for arguments of these types is."""
+    kinds = tuple(map(numba.typeof, arguments))
+    function.compile(kinds)
+    result = function.overloads[kinds]
+    address: int = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
+    return address
+
+
 def _cached(function: Callable[..., Any], **options: Any) -> Any:
     """Compile for the types of each call, and keep the machine code on disk.
 

@@ -47,6 +47,27 @@ prefetch: Any = intrinsic(_prefetch)
 """``prefetch(array, row, column)``, for compiled functions; it changes nothing but the time."""
 
 
+def _call_step(typing: Any, address: Any, store: Any, actions: Any, lo: Any, hi: Any) -> Any:
+    """Call the ``step_worlds`` at ``address`` with the other arguments; return how many ended."""
+    kinds = (store, actions, lo, hi)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        calls = context.call_conv
+        kind = calls.get_function_type(types.int64, kinds)
+        function = builder.inttoptr(arguments[0], kind.as_pointer())
+        called = calls.call_function(builder, function, types.int64, kinds, arguments[1:])
+        status, ended = called
+        with cgutils.if_unlikely(builder, status.is_error):
+            calls.return_status_propagate(builder, status)
+        return ended
+
+    return types.int64(address, *kinds), generate
+
+
+call_step: Any = intrinsic(_call_step)
+"""``call_step(address, store, actions, lo, hi)``: what calls it need not be compiled with it."""
+
+
 def _transpose(typing: Any, tile: Any, k: Any, column: Any, rows: Any, w: Any, i: Any) -> Any:
     """``rows[w + b, i, k + a] = tile[k + a, column + b]`` for a and b from 0 to ``SIDE`` - 1."""
 

@@ -9,13 +9,14 @@ from mbn_marl.compiled.jit import assembled, compiled, entry_point, parallel_ent
 from mbn_marl.compiled.rng import FOR_ACTIONS, stream_key, uniform, world_number
 from mbn_marl.compiled.scalars import count_bits, is_set
 from mbn_marl.engine.constants import unpack
+from mbn_marl.engine.intrinsics import call_step
 from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
 from mbn_marl.engine.mdp.failures import has_failed
 from mbn_marl.engine.mdp.observations import observe, put_state
 from mbn_marl.engine.mdp.visits import visit_code
 from mbn_marl.engine.reset import begin_world, clear_output
-from mbn_marl.engine.step import SAME_STEP, sizes_of, step_worlds
+from mbn_marl.engine.step import SAME_STEP, sizes_of
 from mbn_marl.engine.store import parts_of
 
 FIRST, NEXT = np.uint64(0), np.uint64(1)
@@ -38,11 +39,14 @@ def all_finite(actions):
 
 
 @parallel_entry_point
-def step_ranges(store, actions, cuts):
-    """Step worlds ``cuts[k]`` to ``cuts[k + 1] - 1`` for every k; return how many ended."""
+def step_ranges(address, store, actions, cuts):
+    """Step worlds ``cuts[k]`` to ``cuts[k + 1] - 1`` for every k; return how many ended.
+
+    ``address`` is that of ``step_worlds``, which would otherwise be compiled three times more.
+    """
     ended = 0
     for k in prange(cuts.size - 1):
-        ended += step_worlds(store, actions, cuts[k], cuts[k + 1])
+        ended += call_step(address, store, actions, cuts[k], cuts[k + 1])
     return ended
 
 

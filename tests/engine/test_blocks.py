@@ -13,6 +13,7 @@ import pytest
 
 from mbn_marl import BatchEngine
 from mbn_marl.engine import kernels, step
+from mbn_marl.engine import threads as threading
 from mbn_marl.engine.threads import WorldThreads
 
 WORLDS, STEPS = 600, 120
@@ -96,10 +97,11 @@ def test_ranges_of_threads_cover_every_world_once(
         seen[int(lo) : int(hi)] += 1
         return int(hi - lo)
 
-    def mark_ranges(store: Any, actions: Any, cuts: Any) -> int:
+    def mark_ranges(address: int, store: Any, actions: Any, cuts: Any) -> int:
         return sum(mark(store, actions, lo, hi) for lo, hi in pairwise(cuts))
 
     monkeypatch.setattr(step, "step_worlds", mark)
     monkeypatch.setattr(kernels, "step_ranges", mark_ranges)
+    monkeypatch.setattr(threading, "address_of", lambda *_: 0)
     assert WorldThreads(worlds, threads).step(None, seen) == worlds  # type: ignore[arg-type]
     assert (seen == 1).all()

@@ -20,7 +20,6 @@ from numba.cuda.simulator.kernelapi import FakeCUDAShared
 from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, Failures, Uniform
-from mbn_marl.config import CONDITIONS
 from mbn_marl.engine import cuda, cuda_kernels
 from mbn_marl.errors import ActionError, ConfigError, StepError
 from mbn_marl.field import FieldSampler
@@ -144,8 +143,15 @@ def test_equals_the_cpu_in_other_configurations(settings: dict[str, Any]) -> Non
     run(*pair(**(SETTINGS | settings)), steps=60)
 
 
-BLOWN: dict[str, Any] = {"gust": 0.1, "failures": Failures(between=(3, 9)), "dynamics": "mixed"}
-HARD: dict[str, Any] = {"gust": 0.1, "action_loss": 0.3, "dropout": 0.2}
+BLOWN: dict[str, Any] = {
+    **{"gust": 0.1, "failures": Failures(between=(3, 9)), "dynamics": "mixed"},
+    **{"mass": Uniform(0.5, 2.0), "tau": Uniform(0.8, 1.2)},
+    "wind": (Uniform(0.1, 0.25), Uniform(0.0, 360.0)),
+}
+HARD: dict[str, Any] = {
+    **{"gust": 0.1, "action_noise": 0.1, "action_loss": 0.3, "action_delay": 2},
+    **{"position_noise": 1.0, "velocity_noise": 0.1, "dropout": 0.2},
+}
 SEVERAL: dict[str, Any] = {"field": ["field_05", "field_09"], **HARD}
 
 
@@ -161,12 +167,8 @@ SEVERAL: dict[str, Any] = {"field": ["field_05", "field_09"], **HARD}
             **{"observation": "lidar", "reward": "formal", **SEVERAL, "dynamics": MIXED},
             "failures": {"rate": 0.05, "kind": "vanish"},
         },
-        {
-            **{**CONDITIONS["storm"], "mass": Uniform(0.5, 2.0), "tau": Uniform(0.8, 1.2)},
-            "dynamics": MIXED,
-        },
     ],
-    ids=["coasting", "vanishing", "storm"],
+    ids=["coasting", "vanishing"],
 )
 def test_equals_the_cpu_with_features(settings: dict[str, Any]) -> None:
     """Each set of features is a program to compile, so there are few."""
