@@ -169,19 +169,16 @@ def compare(world: World, dtype: str, num_worlds: int, which: int) -> Counter[st
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("rules", ["released", "formal"])
 def test_all_forms_agree_with_the_oracle(rules: Any, dtype: str) -> None:
-    """Disturbed in float32 only: disturbances are code of their own to compile."""
     seen: Counter[str] = Counter()
-    disturbed = dtype == "float32"
 
     def agree(world: World, num_worlds: int, data: st.DataObject) -> None:
-        # Disturbances are those of world 0 in the other forms.
+        disturbed = "gust" in world.settings  # as the worlds 0 of the other forms are
         which = 0 if disturbed else data.draw(st.integers(0, num_worlds - 1), label="world")
         seen.update(compare(world, dtype, num_worlds, which))
 
     for n in range(1, 8):
         repeat = settings(max_examples=EXAMPLES)
-        drawn = worlds(n, rules, disturbed=disturbed)
-        repeat(given(drawn, st.integers(1, 5), st.data())(agree))()
+        repeat(given(worlds(n, rules), st.integers(1, 5), st.data())(agree))()
     assert seen.pop("tie", 0) <= 7 * EXAMPLES / 4
     assert min(seen.values()) >= 3, f"the random worlds hardly ever get into a situation: {seen}"
 
@@ -222,8 +219,7 @@ def test_all_forms_agree_with_the_oracle_when_robots_fail(
             kind=st.sampled_from(["brake", "coast", "vanish"]),
         )
         repeat = settings(max_examples=3 * EXAMPLES)
-        drawn = worlds(n, rules, disturbed=True)
-        repeat(given(drawn, failing, st.sampled_from(seen_as))(agree))()
+        repeat(given(worlds(n, rules), failing, st.sampled_from(seen_as))(agree))()
     for situation in ("failed", "all failed", "wall", "roi", "success", "collision"):
         assert seen[situation] >= 3, seen
 

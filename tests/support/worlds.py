@@ -50,9 +50,7 @@ class World:
 
 
 @st.composite
-def worlds(
-    draw: st.DrawFn, n: int, rules: Literal["released", "formal"], *, disturbed: bool
-) -> World:
+def worlds(draw: st.DrawFn, n: int, rules: Literal["released", "formal"]) -> World:
     """A random world of n robots: its field, weights, wind, masses, limits, behaviours."""
     seed = draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
@@ -79,7 +77,7 @@ def worlds(
         **draw(st.sampled_from([*({"observation": name} for name in OBSERVATIONS), ASSIGNED])),
         "sensing_radius": draw(st.sampled_from([60.0, 17.3])),
         "one_hot": draw(st.booleans()),
-        **(DISTURBANCES if disturbed else {}),
+        **draw(st.sampled_from([{}, DISTURBANCES])),
     }
     one = st.sampled_from(BEHAVIOURS)
     behaviours = draw(
