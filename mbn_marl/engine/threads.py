@@ -34,19 +34,16 @@ class WorldThreads:
     def __init__(self, worlds: int, threads: int | None) -> None:
         if threads is None:
             threads = max(1, min(_cores(), worlds // WORLDS_PER_THREAD))
-        self._addresses: dict[bool, int] = {}
+        self._address: int | None = None
         self.cuts = np.array([worlds * k // threads for k in range(threads + 1)], np.uint64)
 
     def step(self, store: Store, actions: np.ndarray[Any, Any]) -> int:
         """Step all worlds with ``actions`` (W, n, 2); return how many episodes ended."""
         if self.cuts.size == 2:
             return int(step.step_worlds(store, actions, self.cuts[0], self.cuts[1]))
-        writeable = actions.flags.writeable  # two types to Numba
-        if writeable not in self._addresses:
-            self._addresses[writeable] = address_of(
-                step.step_worlds, store, actions, *self.cuts[:2]
-            )
-        return int(kernels.step_ranges(self._addresses[writeable], store, actions, self.cuts))
+        if self._address is None:  # it does for actions that cannot be written, too
+            self._address = address_of(step.step_worlds, store, actions, *self.cuts[:2])
+        return int(kernels.step_ranges(self._address, store, actions, self.cuts))
 
 
 def _cores() -> int:

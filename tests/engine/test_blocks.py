@@ -87,6 +87,18 @@ def test_two_threads_at_the_same_time(case: str) -> None:
         assert trajectory(make_engine(case, threads=2)) == expected
 
 
+def test_threads_take_actions_that_cannot_be_written() -> None:
+    free, kept = (make_engine("released", threads=2) for _ in range(2))
+    free.reset()
+    kept.reset()
+    for can in (True, False, True):
+        actions = free.sample_actions().copy()
+        expected = free.step(actions)
+        actions.flags.writeable = can
+        for one, other in zip(kept.step(actions), expected, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize(("worlds", "threads"), [(1, 1), (5, 2), (7, 7), (3, 5), (600, 2)])
 def test_ranges_of_threads_cover_every_world_once(
     worlds: int, threads: int, monkeypatch: pytest.MonkeyPatch

@@ -74,6 +74,8 @@ def test_a_rule_takes_its_arguments_whole() -> None:
     def worth(pair, weight):  # type: ignore[no-untyped-def]
         left, best, where = pair.left, -1.0, -1
         twice = 2 * weight
+        if left.size > 2:
+            more = twice + 1
         for i in range(left.size):
             value = left[i] * twice
             if value > best:
@@ -82,6 +84,8 @@ def test_a_rule_takes_its_arguments_whole() -> None:
             else:
                 value = 0.0
             best += value / 8
+        if left.size > 2:
+            best += more
         return best + (pair.right[where] if where >= 0 else twice)
 
     rule = compiled(worth)
