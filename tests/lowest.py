@@ -30,7 +30,7 @@ alone.step(alone.action_space.sample())
 envs = gymnasium.make_vec("mbn/field_03-v0", num_envs=3)
 envs.reset(seed=0)
 assert envs.step(envs.action_space.sample())[0].shape == (3, 13)
-engine = BatchEngine("field_03", 3)
+engine = BatchEngine("field_03", 3, threads=2)
 engine.reset(seed=0)
 engine.step(engine.sample_actions())
 """
