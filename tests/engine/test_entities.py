@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import combinations_with_replacement, pairwise, permutations, product
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, Failures, Field
-from mbn_marl.field import FieldSampler
+from mbn_marl.field import FieldSampler, catalogue_names, load_field
+from tests.support.tokens import Atlas, Plan
 from tests.support.worlds import ASSIGNED
 
 SQUARE = np.array([(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)])
@@ -97,9 +98,9 @@ def test_what_is_visited_is_nought() -> None:
 
 
 def test_assignment_by_hand() -> None:
-    """B, then C before it, then A are inserted; then C is moved, as 57.5 is less than 60.6.
+    """Robot 0 goes to A, 10, and C, 45 + 20 / 8; robot 1 to B, 40 + 30 / 8.
 
-    Robot 0 goes to A, 10, and C, 45 + 20 / 8; robot 1 to B, 40 + 30 / 8.
+    If robot 1 goes to C and B, that is 60.6, and what going back costs, instead of 57.5.
     """
     engine = engine_of(ABC, TWO, roi_radius=1.0, **ASSIGNED)
     tours, orders = (57.5 / 157.5, 43.75 / 143.75), ((1.0, 0.0, 0.5), (0.0, 1.0, 0.0))
@@ -116,13 +117,41 @@ def test_assignment_by_hand() -> None:
         assert found.keys() - plain.keys() == own
 
 
+def test_turning_back_costs_as_much_as_sixteen_units() -> None:
+    """At the first ROI, 10 units to the left; the second one is 50 units to its right."""
+    engine = engine_of([(40.0, 50.0), (90.0, 50.0)], [(50.0, 50.0)], roi_radius=1.0, **ASSIGNED)
+    assert entries(engine, 0)["own_tour"] == pytest.approx((10 + 16 + 50) / (100 + 76))
+
+
+@pytest.mark.parametrize("name", catalogue_names())
+def test_on_the_catalogue_the_assignment_is_the_cheapest_of_all(name: str) -> None:
+    field = load_field(name)
+    n, m = len(field.starts), len(field.rois)
+    plan = Plan(Atlas(field.polygon, [*map(tuple, field.rois.tolist())]), n)
+    plan.update([*map(tuple, field.starts.tolist())], [True] * n, [*range(m)])
+    orders = (
+        [list(order[a:b]) for a, b in pairwise((0, *cuts, m))]
+        for order in permutations(range(m))
+        for cuts in combinations_with_replacement(range(m + 1), n - 1)
+    )
+    engine = BatchEngine(field, 1, threads=1, **ASSIGNED)
+    engine.reset()
+    found = []
+    for robot in range(n):
+        turns = {j: entries(engine, robot)[f"roi_{j}_order"] for j in range(m)}
+        found.append(sorted(filter(turns.get, turns), key=lambda j: -turns[j]))
+    assert plan.cost(found) == pytest.approx(min(map(plan.cost, orders)), abs=1e-2)
+
+
 def test_robots_that_have_failed_are_assigned_nothing() -> None:
-    """Robot 0 to A, 10, then C, 45 + 20 / 8, then B, 45 + 40 / 8."""
+    """Robot 0 to A, 10, then C, 45 + 20 / 8, then B, 45 + 40 / 8, and partly back for that."""
     settings = {"failures": Failures(at={1: 1}), "roi_radius": 1.0, **ASSIGNED}
     engine = after(engine_of(ABC, TWO, **settings), STILL)
     found, other = entries(engine, 0), entries(engine, 1)
     assert [found[f"roi_{j}_order"] for j in range(3)] == [1.0, pytest.approx(1 / 3), 0.5]
-    names, all_of_it = ("own_tour", "team_tour", "other_1_tour"), pytest.approx(107.5 / 207.5)
+    names, total = ("own_tour", "team_tour", "other_1_tour"), 107.5
+    total -= 16 * np.dot((20, 45), (40, -45)) / np.hypot(20, 45) / np.hypot(40, 45)
+    all_of_it = pytest.approx(total / (100 + total))
     assert [found[name] for name in names] == [all_of_it, all_of_it, 0.0]
     assert [other[name] for name in names] == [0.0, all_of_it, all_of_it]
     assert not any(other[f"roi_{j}_order"] for j in range(3))

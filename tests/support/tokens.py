@@ -116,7 +116,7 @@ class Atlas:
 
 
 class Plan:
-    """Who visits what, in which order: ROIs are inserted, then moved, whenever something changes.
+    """Who visits what, in which order: made at first, and again when a robot with ROIs fails.
 
     Args:
         atlas: the ways.
@@ -126,49 +126,73 @@ class Plan:
     def __init__(self, atlas: Atlas, n: int) -> None:
         self._atlas = atlas
         self.orders: list[list[int]] = [[] for _ in range(n)]
+        self._made = False
 
     def update(self, spots: list[Any], works: list[bool], left: list[int]) -> None:
         """Assign the ROIs that are left to the robots that work, given where all are."""
         self._spots = spots
-        team = [i for i, able in enumerate(works) if able]
-        kept = [[j for j in order if works[i] and j in left] for i, order in enumerate(self.orders)]
-        changed, self.orders = kept != self.orders, kept
-        new = [j for j in left if not any(j in order for order in kept)] if team else []
-        changed |= bool(new)
-        while new:
-            places = [(*self._best_place(team, j, 1), j) for j in new]
-            _, self.orders, j = first_least(places, lambda place: -place[0])
-            new.remove(j)
-        for _ in range(2 * len(self._atlas.rois) * changed):
-            moves = [(self._cost(self.orders, 1 / 64), self.orders)]
-            for j in sorted(itertools.chain(*self.orders)):
-                moves.append(self._best_place(team, j, 1 / 64))
-            _, orders = first_least(moves, lambda move: move[0])
-            if orders is self.orders:
-                break
-            self.orders = orders
+        self.orders = [[j for j in order if j in left] for order in self.orders]
+        failed = any(order and not works[i] for i, order in enumerate(self.orders))
+        if failed or not self._made:
+            made = [self._assigned(works, left, weight) for weight in (1, 1 / 64)]
+            self.orders = first_least(made, self.cost)
+            self._made = True
         self.tours = [self._tour(i, order) for i, order in enumerate(self.orders)]
 
+    def _assigned(self, works: list[bool], left: list[int], weight: float) -> list[list[int]]:
+        """The orders if ROIs are inserted with a weight."""
+        team = [i for i, able in enumerate(works) if able]
+        orders: list[list[int]] = [[] for _ in works]
+        new = [*left] if team else []
+        while new:
+            places = [(*self._best_place(team, orders, j, weight), j) for j in new]
+            _, orders, j = first_least(places, lambda place: -place[0])
+            new.remove(j)
+        for _ in range(2 * len(self._atlas.rois)):
+            changes = [(self.cost(orders), orders)]
+            for j in itertools.chain(*orders):
+                changes.append(self._best_place(team, orders, j, 1 / 64))
+            for i, k in itertools.combinations(team, 2):
+                for a in range(len(orders[i]) + 1):
+                    for b in range(len(orders[k]) + 1):
+                        other = [*orders]
+                        other[i] = orders[i][:a] + orders[k][b:]
+                        other[k] = orders[k][:b] + orders[i][a:]
+                        changes.append((self.cost(other), other))
+            _, better = first_least(changes, lambda change: change[0])
+            if better is orders:
+                break
+            orders = better
+        return orders
+
     def _tour(self, i: int, order: list[int]) -> Any:
-        """How far robot i goes if it visits ROIs in this order."""
+        """How far robot i goes if it visits ROIs in this order, and what turning back costs."""
         stops = [self._spots[i], *(self._atlas.rois[j] for j in order)]
         ways = (self._atlas.way(stop, j)[0] for stop, j in zip(stops, order, strict=False))
-        return sum(ways, stops[0][0] * 0)
+        total = sum(ways, stops[0][0] * 0)
+        places = [complex(*map(float, stop)) for stop in stops]
+        for before, here, after in zip(places, places[1:], places[2:], strict=False):
+            come, go = here - before, after - here
+            if come and go:
+                total += 16 * max(0.0, -math.cos(cmath.phase(go) - cmath.phase(come)))
+        return total
 
-    def _cost(self, orders: list[list[int]], weight: float) -> float:
+    def cost(self, orders: list[list[int]], weight: float = 1 / 64) -> float:
         """The longest tour and the weighted sum of all."""
         tours = [float(self._tour(i, order)) for i, order in enumerate(orders)]
         return max(tours) + weight * sum(tours)
 
-    def _best_place(self, team: list[int], j: int, weight: float) -> tuple[float, list[list[int]]]:
+    def _best_place(
+        self, team: list[int], orders: list[list[int]], j: int, weight: float
+    ) -> tuple[float, list[list[int]]]:
         """The least cost with ROI j in an order, and the orders then."""
-        without = [[k for k in order if k != j] for order in self.orders]
+        without = [[k for k in order if k != j] for order in orders]
         ways = []
         for i in team:
             for at in range(len(without[i]) + 1):
-                orders = [[*order] for order in without]
-                orders[i].insert(at, j)
-                ways.append((self._cost(orders, weight), orders))
+                longer = [[*order] for order in without]
+                longer[i].insert(at, j)
+                ways.append((self.cost(longer, weight), longer))
         return first_least(ways, lambda way: way[0])
 
     def turn(self, i: int, j: int) -> float:

@@ -2,9 +2,8 @@
 
 ``Memory.plan`` has it, up to date at each observation. For n robots and m ROIs a world's numbers
 are, one after the other: how far each robot goes in all (n), the ROI that each visits first (n),
-the robot that visits each ROI (m), 1 over its place in that robot's order (m), the ROIs visited
-after (m) and before it (m), and each robot's way to each ROI: its length (n m) and its first
-waypoint (n m).
+the robot that visits each ROI (m), 1 over its place in that robot's order (m), the ROI visited
+after it (m), and each robot's way to each ROI: its length (n m) and its first waypoint (n m).
 Where nothing is assigned, it has three dimensions and no entries, and all of this is left out when
 it is compiled.
 
@@ -13,10 +12,12 @@ Source: this package.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import column, count_bits, select
+from mbn_marl.compiled.scalars import column, count_bits
 from mbn_marl.engine.mdp.failures import is_absent, works
 from mbn_marl.engine.mdp.ways import (
     CLOSE,
@@ -33,14 +34,16 @@ STRAIGHT, NO_WAY = -1, -2
 END = -1
 """In place of a robot or an ROI: none."""
 SUM, SPREAD = np.float32(1), np.float32(1 / 64)
-"""The weight of the sum of the tours when ROIs are inserted, and when they are moved."""
-MOVES = 2
-"""How often ROIs are moved, at most, for each ROI of the field."""
+"""Weights of the sum of the tours: ROIs are inserted with each, and moved with the latter."""
+CHANGES = 2
+"""How often an assignment is changed, at most, for each ROI of the field."""
+TURN_BACK = np.float32(16)
+"""What it costs to go straight back from an ROI, units."""
 
 
 def plan_size(n: int, m: int) -> int:
     """How many numbers ``Memory.plan`` has of a world with n robots and m ROIs."""
-    return 2 * n + 4 * m + 2 * n * m
+    return 2 * n + 3 * m + 2 * n * m
 
 
 @compiled
@@ -88,7 +91,7 @@ def look_around(g, plan, status, ep, lo, hi):
             if is_absent(status, i, w):
                 continue
             x, y = xs[i, w], ys[i, w]
-            way, via = 2 * n + 4 * m + m * i, 2 * n + 4 * m + n * m + m * i
+            way, via = 2 * n + 3 * m + m * i, 2 * n + 3 * m + n * m + m * i
             if look_for(edges, rois, bits, plan, visited[w], x, y, way, via, count, f, w):
                 for c in range(corners):
                     cx, cy = waypoints[0, c, f], waypoints[1, c, f]
@@ -104,7 +107,7 @@ def look_around(g, plan, status, ep, lo, hi):
 def find_ways(g, plan, status, ep, lo, hi):
     """Find each robot's way to each ROI."""
     n, m = ep.x.shape[0], g.rois.shape[1]
-    ways, vias = 2 * n + 4 * m, 2 * n + 4 * m + n * m
+    ways, vias = 2 * n + 3 * m, 2 * n + 3 * m + n * m
     for i in range(n):
         for j in range(m):
             for w in range(lo, hi):
@@ -129,145 +132,213 @@ def next_of(plan, n, m, i, a, w):
 
 
 @compiled
-def leg(plan, rois, legs, bent, n, i, a, b, f, w):
-    """How far robot i goes to ROI b from ROI a, or from where it is if that is ``END``.
-
-    ``bent``: whether corners of the field in column f are in the way.
-    """
-    m = rois.shape[1]
-    if a == END:
-        return plan[w, 2 * n + 4 * m + m * i + b]
-    way = length(rois[0, b, f] - rois[0, a, f], rois[1, b, f] - rois[1, a, f])
-    if bent:
-        way = select(legs[a, b, f] < NEVER, legs[a, b, f], way)
-    return way
-
-
-@compiled
-def detour(plan, rois, legs, bent, n, i, a, j, f, w):
-    """How much farther robot i goes if it visits ROI j between ROI a and the one after that."""
-    then = next_of(plan, n, rois.shape[1], i, a, w)
-    more = leg(plan, rois, legs, bent, n, i, a, j, f, w)
-    if then != END:
-        more += leg(plan, rois, legs, bent, n, i, j, then, f, w)
-        more -= leg(plan, rois, legs, bent, n, i, a, then, f, w)
-    return more
-
-
-@compiled
-def place(plan, rois, legs, bent, n, i, a, j, f, w):
-    """Let robot i visit ROI j after ROI a, or first of all."""
-    m = rois.shape[1]
-    then = next_of(plan, n, m, i, a, w)
-    plan[w, i] += detour(plan, rois, legs, bent, n, i, a, j, f, w)
+def put_after(plan, n, m, i, a, j, w):
+    """Let robot i visit ROI j after ROI a."""
+    plan[w, next_row(n, m, i, j)] = next_of(plan, n, m, i, a, w)
     plan[w, next_row(n, m, i, a)] = j
-    plan[w, 2 * n + j], plan[w, 2 * n + 2 * m + j], plan[w, 2 * n + 3 * m + j] = i, then, a
-    if then != END:
-        plan[w, 2 * n + 3 * m + then] = j
 
 
 @compiled
-def take_out(plan, rois, legs, bent, n, j, f, w):
-    """Let no robot visit ROI j; return the one that did, and the ROI that it visits before."""
-    m = rois.shape[1]
-    i, a = np.int64(plan[w, 2 * n + j]), np.int64(plan[w, 2 * n + 3 * m + j])
-    then = next_of(plan, n, m, i, j, w)
-    plan[w, next_row(n, m, i, a)] = then
-    if then != END:
-        plan[w, 2 * n + 3 * m + then] = a
-    plan[w, 2 * n + j] = END
-    plan[w, i] -= detour(plan, rois, legs, bent, n, i, a, j, f, w)
-    return i, a
+def take_after(plan, n, m, i, a, w):
+    """Leave out the ROI that robot i visits after ROI a; return it."""
+    j = next_of(plan, n, m, i, a, w)
+    plan[w, next_row(n, m, i, a)] = next_of(plan, n, m, i, j, w)
+    return j
 
 
 @compiled
-def best_place(plan, status, rois, legs, bent, n, j, weight, f, w):
+def exchange(plan, n, m, i, a, k, b, w):
+    """Let robot i visit after ROI a what robot k visits after ROI b, and the other way round."""
+    u, v = next_of(plan, n, m, i, a, w), next_of(plan, n, m, k, b, w)
+    plan[w, next_row(n, m, i, a)], plan[w, next_row(n, m, k, b)] = v, u
+
+
+@compiled
+def measure(g, plan, ep, i, w):
+    """How far robot i goes: the ways to its ROIs, and what turning back at them costs."""
+    rois, legs, f, n, m = g.rois, g.legs, column(g, w), ep.x.shape[0], g.rois.shape[1]
+    bent = count_waypoints(g.ways_in, g.waypoints, f) > 0
+    total = ux = uy = plan[w, i] * 0
+    a, x, y = END, ep.x[i, w], ep.y[i, w]
+    b = next_of(plan, n, m, i, a, w)
+    while b != END:
+        dx, dy = rois[0, b, f] - x, rois[1, b, f] - y
+        if a == END:
+            total += plan[w, 2 * n + 3 * m + m * i + b]
+        elif bent and legs[a, b, f] < NEVER:
+            total += legs[a, b, f]
+        else:
+            total += length(dx, dy)
+        far = max(math.sqrt(dx * dx + dy * dy), CLOSE)
+        total += TURN_BACK * max(-(ux * dx + uy * dy) / far, 0)
+        a, x, y, ux, uy = b, rois[0, b, f], rois[1, b, f], dx / far, dy / far
+        b = next_of(plan, n, m, i, a, w)
+    return total
+
+
+@compiled
+def others(plan, n, i, k, w):
+    """The longest tour of the robots but for i and k, and the sum of theirs."""
+    longest = total = plan[w, 0] * 0
+    for other in range(n):
+        if (other != i) & (other != k):
+            longest, total = max(longest, plan[w, other]), total + plan[w, other]
+    return longest, total
+
+
+@compiled
+def best_place(g, plan, status, ep, j, weight, w):
     """Find where ROI j costs least: the cost, the robot, ``END`` if none works, the ROI before.
 
     The cost is that of all tours: the longest one plus ``weight`` times their sum.
     """
+    n, m = ep.x.shape[0], g.rois.shape[1]
     least, robot, after = NEVER, END, END
     for i in range(n):
         if works(status, i, w):
-            longest, total = -NEVER, plan[w, i]
-            for other in range(n):
-                if other != i:
-                    longest = max(longest, plan[w, other])
-                    total += plan[w, other]
-            a = END
-            while True:
-                more = detour(plan, rois, legs, bent, n, i, a, j, f, w)
-                cost = max(longest, plan[w, i] + more) + weight * (total + more)
+            longest, total = others(plan, n, i, i, w)
+            a, more = END, True
+            while more:
+                put_after(plan, n, m, i, a, j, w)
+                tour = measure(g, plan, ep, i, w)
+                take_after(plan, n, m, i, a, w)
+                cost = max(longest, tour) + weight * (total + tour)
                 if cost < least - CLOSE:
                     least, robot, after = cost, i, a
-                a = next_of(plan, n, rois.shape[1], i, a, w)
-                if a == END:
-                    break
+                a = next_of(plan, n, m, i, a, w)
+                more = a != END
     return least, robot, after
 
 
 @compiled
-def insert_one(plan, status, left, bits, rois, legs, bent, n, f, w):
-    """Insert the ROI that costs most where it costs least; return whether one was left to insert.
-
-    ``left`` has the bits of the ROIs that are to be visited.
-    """
+def insert_one(g, plan, status, ep, weight, w):
+    """Insert the ROI that costs most where it costs least; return whether one was left."""
+    n, m, f = ep.x.shape[0], g.rois.shape[1], column(g, w)
     most, dearest, robot, after = -NEVER, END, END, END
-    for j in range(rois.shape[1]):
-        if (plan[w, 2 * n + j] == END) & ((left & bits[j, f]) != 0):
-            cost, i, a = best_place(plan, status, rois, legs, bent, n, j, SUM, f, w)
+    for j in range(m):
+        if (plan[w, 2 * n + j] == END) & ((ep.visited[w] & g.roi_bits[j, f]) == 0):
+            cost, i, a = best_place(g, plan, status, ep, j, weight, w)
             if (i != END) & (cost > most + CLOSE):
                 most, dearest, robot, after = cost, j, i, a
     if dearest != END:
-        place(plan, rois, legs, bent, n, robot, after, dearest, f, w)
+        put_after(plan, n, m, robot, after, dearest, w)
+        plan[w, 2 * n + dearest] = robot
+        plan[w, robot] = measure(g, plan, ep, robot, w)
     return dearest != END
 
 
 @compiled
-def move_one(plan, status, rois, legs, bent, n, f, w):
-    """Move the ROI to another place that lowers the cost most; return whether any does."""
-    longest, total = plan[w, 0], plan[w, 0]
-    for i in range(1, n):
-        longest, total = max(longest, plan[w, i]), total + plan[w, i]
-    least, moved, robot, after = longest + SPREAD * total, END, END, END
-    for j in range(rois.shape[1]):
-        if plan[w, 2 * n + j] != END:
-            i, a = take_out(plan, rois, legs, bent, n, j, f, w)
-            cost, to, at = best_place(plan, status, rois, legs, bent, n, j, SPREAD, f, w)
-            place(plan, rois, legs, bent, n, i, a, j, f, w)
-            if cost < least - CLOSE:
-                least, moved, robot, after = cost, j, to, at
-    if moved != END:
-        take_out(plan, rois, legs, bent, n, moved, f, w)
-        place(plan, rois, legs, bent, n, robot, after, moved, f, w)
-    return moved != END
+def best_move(g, plan, status, ep, least, w):
+    """Find the ROI that had better be elsewhere, so that the cost is less than ``least``.
 
-
-@compiled
-def forget(plan, status, visited, bits, rois, legs, bent, n, f, w):
-    """Take out the ROIs that are visited, or whose robots do not work; return whether any is."""
-    some = False
-    for j in range(rois.shape[1]):
-        i = np.int64(plan[w, 2 * n + j])
-        if (i != END) and (((visited & bits[j, f]) != 0) | (not works(status, i, w))):
-            take_out(plan, rois, legs, bent, n, j, f, w)
-            some = True
-    return some
-
-
-@compiled
-def measure_tours(plan, rois, legs, bent, n, f, w):
-    """Write the tours' lengths, leg by leg, and 1 over each visit's place."""
-    m = rois.shape[1]
+    Return the cost, its robot, ``END`` if there is none, the ROI before it, and both elsewhere.
+    """
+    n, m = ep.x.shape[0], g.rois.shape[1]
+    robot, before, to, after = END, END, END, END
     for i in range(n):
-        count, plan[w, i] = 0, 0
-        a = np.int64(END)
-        j = next_of(plan, n, m, i, a, w)
+        a, tour = END, plan[w, i]
+        while next_of(plan, n, m, i, a, w) != END:
+            j = take_after(plan, n, m, i, a, w)
+            plan[w, i] = measure(g, plan, ep, i, w)
+            cost, k, b = best_place(g, plan, status, ep, j, SPREAD, w)
+            put_after(plan, n, m, i, a, j, w)
+            plan[w, i] = tour
+            if cost < least - CLOSE:
+                least, robot, before, to, after = cost, i, a, k, b
+            a = j
+    return least, robot, before, to, after
+
+
+@compiled
+def best_exchange(g, plan, status, ep, least, w):
+    """Find two robots that had better exchange the ends of their orders, for less than ``least``.
+
+    Return the first, ``END`` if there is none, the ROI before its end, and both of the second.
+    """
+    n, m = ep.x.shape[0], g.rois.shape[1]
+    one, before, two, after = END, END, END, END
+    for i in range(n):
+        for k in range(i + 1, n):
+            longest, total = others(plan, n, i, k, w)
+            a, more = END, works(status, i, w) & works(status, k, w)
+            while more:
+                b, other_more = END, True
+                while other_more:
+                    exchange(plan, n, m, i, a, k, b, w)
+                    tour, other = measure(g, plan, ep, i, w), measure(g, plan, ep, k, w)
+                    exchange(plan, n, m, i, a, k, b, w)
+                    cost = max(longest, max(tour, other)) + SPREAD * (total + tour + other)
+                    if cost < least - CLOSE:
+                        least, one, before, two, after = cost, i, a, k, b
+                    b = next_of(plan, n, m, k, b, w)
+                    other_more = b != END
+                a = next_of(plan, n, m, i, a, w)
+                more = a != END
+    return one, before, two, after
+
+
+@compiled
+def change_one(g, plan, status, ep, w):
+    """Make the change that lowers the cost most; return whether any does."""
+    n, m = ep.x.shape[0], g.rois.shape[1]
+    longest, total = others(plan, n, END, END, w)
+    least, robot, before, to, place = best_move(g, plan, status, ep, longest + SPREAD * total, w)
+    one, a, two, b = best_exchange(g, plan, status, ep, least, w)
+    if one != END:
+        exchange(plan, n, m, one, a, two, b, w)
+    elif robot != END:
+        put_after(plan, n, m, to, place, take_after(plan, n, m, robot, before, w), w)
+    changed = (one != END) | (robot != END)
+    if changed:
+        measure_all(g, plan, ep, w)
+    return changed
+
+
+@compiled
+def measure_all(g, plan, ep, w):
+    """Write each robot's tour, and the robot that visits each ROI and 1 over its place."""
+    n, m = ep.x.shape[0], g.rois.shape[1]
+    for i in range(n):
+        plan[w, i] = measure(g, plan, ep, i, w)
+        count, j = 0, next_of(plan, n, m, i, END, w)
         while j != END:
             count += 1
-            plan[w, i] += leg(plan, rois, legs, bent, n, i, a, j, f, w)
-            plan[w, 2 * n + m + j] = 1 / count
-            a, j = j, next_of(plan, n, m, i, j, w)
+            plan[w, 2 * n + j], plan[w, 2 * n + m + j] = i, 1 / count
+            j = next_of(plan, n, m, i, j, w)
+
+
+@compiled
+def assign_all(g, plan, status, ep, weight, w):
+    """Assign the ROIs that are left, inserted with ``weight``; return the cost."""
+    n, m = ep.x.shape[0], g.rois.shape[1]
+    for i in range(n):
+        plan[w, i] = 0
+    for row in range(n, 2 * n + m):
+        plan[w, row] = END
+    while insert_one(g, plan, status, ep, weight, w):
+        pass
+    measure_all(g, plan, ep, w)
+    for _ in range(CHANGES * count_bits(g.codes[column(g, w)])):
+        if not change_one(g, plan, status, ep, w):
+            break
+    longest, total = others(plan, n, END, END, w)
+    return longest + SPREAD * total
+
+
+@compiled
+def keep(g, plan, status, ep, w):
+    """Leave out what has been visited; return whether all robots with ROIs left work."""
+    n, m, f, kept = ep.x.shape[0], g.rois.shape[1], column(g, w), True
+    for i in range(n):
+        a = END
+        j = next_of(plan, n, m, i, a, w)
+        while j != END:
+            if (ep.visited[w] & g.roi_bits[j, f]) != 0:
+                plan[w, 2 * n + take_after(plan, n, m, i, a, w)] = END
+            else:
+                a, kept = j, kept & works(status, i, w)
+            j = next_of(plan, n, m, i, a, w)
+    return kept
 
 
 @compiled
@@ -277,26 +348,14 @@ def assign(g, plan, status, ep, lo, hi):
     ``plan`` is that of the memory, ``status`` that of ``ep``.
     """
     if plan.ndim == 2:
-        rois, legs, waypoints, ways_in, bits = g.rois, g.legs, g.waypoints, g.ways_in, g.roi_bits
-        n, m, visited, steps = ep.x.shape[0], rois.shape[1], ep.visited, ep.steps
         find_ways(g, plan, status, ep, lo, hi)
         for w in range(lo, hi):
-            f, seen = column(g, w), visited[w]
-            bent = count_waypoints(ways_in, waypoints, f) > 0
-            changed = steps[w] == 0
-            if changed:
-                for row in range(n, 2 * n + m):
-                    plan[w, row] = END
+            if (ep.steps[w] > 0) and keep(g, plan, status, ep, w):
+                measure_all(g, plan, ep, w)
             else:
-                changed = forget(plan, status, seen, bits, rois, legs, bent, n, f, w)
-            measure_tours(plan, rois, legs, bent, n, f, w)
-            if changed:
-                while insert_one(plan, status, ~seen, bits, rois, legs, bent, n, f, w):
-                    pass
-                for _ in range(MOVES * count_bits(g.codes[f])):
-                    if not move_one(plan, status, rois, legs, bent, n, f, w):
-                        break
-                measure_tours(plan, rois, legs, bent, n, f, w)
+                cost = assign_all(g, plan, status, ep, SUM, w)
+                if assign_all(g, plan, status, ep, SPREAD, w) >= cost - CLOSE:
+                    assign_all(g, plan, status, ep, SUM, w)
 
 
 @compiled
@@ -314,5 +373,5 @@ def turn_of(plan, n, m, i, j, w):
 @compiled
 def way_to(plan, n, m, i, j, w):
     """How far robot i's way to ROI j is, and its first waypoint, or ``STRAIGHT`` or ``NO_WAY``."""
-    row = 2 * n + 4 * m + m * i + j
+    row = 2 * n + 3 * m + m * i + j
     return plan[w, row], np.int64(plan[w, row + n * m])
