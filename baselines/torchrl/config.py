@@ -43,6 +43,8 @@ class MultiAgentPPOConfig(TrainingAids):
         shaping: the reward, as the learner sees it, of getting a unit nearer to the end of the
             team's ways (:meth:`~.entities.Tokens.way_left`); potential-based, so that the best
             policy stays the same. Only with ``network: entities``.
+        final_gain: what mean actions are multiplied by after the last update. Full force is the
+            fastest, but while noise adds to them, larger means gain little.
         search_generations: of the search for a faster episode after training, which takes env-steps
             beyond the budget (:mod:`baselines.training.search`); 0 for none.
     """
@@ -67,6 +69,7 @@ class MultiAgentPPOConfig(TrainingAids):
     log_std_cap: tuple[float, float]
     log_std_cap_from: Annotated[float, Field(ge=0.0, lt=1.0)]
     shaping: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+    final_gain: Positive
     search_generations: Annotated[int, Field(ge=0)]
 
     @property

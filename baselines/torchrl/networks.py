@@ -196,6 +196,13 @@ class GaussianPolicy(TensorDictModuleBase):
         assert isinstance(self.mean, TeamMLP)
         return self.mean.weights[-1], self.mean.biases[-1]
 
+    @torch.no_grad()
+    def amplify(self, gain: float) -> None:
+        """Multiply the mean actions by ``gain``, in the weights of the last layer."""
+        last = self.mean.head.parameters() if isinstance(self.mean, SetActor) else self.last_layer
+        for values in last:
+            values *= gain
+
     def features(self, observations: torch.Tensor) -> torch.Tensor:
         """Inputs (k, rows, inputs) of the last layer for observations (..., n, obs_size)."""
         normalized = self.norm.normalize(observations)

@@ -202,6 +202,7 @@ class Trainer:
             if self.recorder.checkpoint_due:
                 save = partial(self._save, env_steps)
                 self.recorder.save_checkpoint(env_steps, policy, save)
+        self.network.amplify(config.final_gain)
         if config.search_generations and isinstance(self.task.field, Field):
             settings, seed = self.task.settings, self.task.config.seed
             self.network.cpu()  # where the search and its worlds are

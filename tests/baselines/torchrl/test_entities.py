@@ -189,10 +189,11 @@ SMALL: dict[str, Any] = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "source"), [("generalist", "zoo:generalist"), ("mappo", "zoo:field_03")]
+    ("algorithm", "source", "gain"),
+    [("generalist", "zoo:generalist", 3.0), ("mappo", "zoo:field_03", 1.0)],
 )
-def test_a_run_begins_with_the_network_of_another_one(
-    algorithm: str, source: str, tmp_path: Path
+def test_a_run_begins_with_the_network_of_another_one_and_ends_with_its_gain(
+    algorithm: str, source: str, gain: float, tmp_path: Path
 ) -> None:
     still = {**SMALL, "learning_rate": (1e-9, 1e-9), "log_std_cap": (9.0, 9.0)}
     begins = {"steps": 16, "episodes": 1, "transferred_from": Path(source)}
@@ -200,8 +201,10 @@ def test_a_run_begins_with_the_network_of_another_one(
         TrainConfig(algorithm, "field_03", hyperparameters=still, **begins), tmp_path / "tuned"
     )
     first, second = (load_policy(str(p)).policy.network for p in (source, tuned.path))
-    for one, other in zip(first.parameters(), second.parameters(), strict=True):
-        torch.testing.assert_close(one, other, atol=1e-6, rtol=0.0)
+    tuned_to = dict(second.named_parameters())
+    for name, values in first.named_parameters():
+        expected = gain * values if name.startswith("mean.head") else values
+        torch.testing.assert_close(tuned_to[name], expected, atol=1e-6, rtol=0.0)
     assert f"--from {source}" in tuned.command
 
 

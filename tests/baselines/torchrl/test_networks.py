@@ -169,6 +169,17 @@ def test_a_saved_policy_acts_as_before(tmp_path: Path, sharing: Sharing, actor: 
     assert found[Key.SCALE].shape == (6, 3, 2) and (found[Key.SCALE] == network.log_std.exp()).all()
 
 
+@pytest.mark.parametrize("actor", ["decentralized", "centralized"])
+@pytest.mark.parametrize("sharing", ["full", "none"])
+def test_a_gain_multiplies_the_mean_actions(sharing: Sharing, actor: Actor) -> None:
+    network = GaussianPolicy(TeamShape(4, 3, (8, 8), sharing, actor))
+    for bias in network.mean.biases:
+        torch.nn.init.normal_(bias)
+    before = network.means(torch.ones(6, 3, 4))
+    network.amplify(4.0)
+    assert before.any() and torch.equal(network.means(torch.ones(6, 3, 4)), 4.0 * before)
+
+
 def test_a_damaged_policy_is_named(tmp_path: Path) -> None:
     TeamPolicy(GaussianPolicy(TeamShape(4, 3, (8,), "full"))).save(tmp_path)
     (tmp_path / "policy.safetensors").write_bytes(b"nonsense")
