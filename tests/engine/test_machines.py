@@ -56,7 +56,7 @@ EXPECTED: dict[str, dict[str, str]] = {
         "return_": "f10e790483e9",
     },
     "random fields in a storm, float32": {
-        "observations": "c62127f675ca",
+        "observations": "5ee891ef7405",
         "rewards": "c2fb49bf9ae3",
         "terminated": "352fe46a2ed0",
         "truncated": "935d0ce93a21",
