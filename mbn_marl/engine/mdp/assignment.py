@@ -34,11 +34,11 @@ STRAIGHT, NO_WAY = -1, -2
 END = -1
 """In place of a robot or an ROI: none."""
 SUM, SPREAD = np.float32(1), np.float32(1 / 64)
-"""Weights of the sum of the tours: ROIs are inserted with each, and moved with the latter."""
+"""Weights of the sum of the tours: both are tried to insert ROIs; changes use the latter."""
 CHANGES = 2
 """How often an assignment is changed, at most, for each ROI of the field."""
 TURN_BACK = np.float32(16)
-"""What it costs to go straight back from an ROI, units."""
+"""The cost of a U-turn at an ROI, units; less for smaller turns, 0 up to a right angle."""
 
 
 def plan_size(n: int, m: int) -> int:
@@ -155,7 +155,7 @@ def exchange(plan, n, m, i, a, k, b, w):
 
 @compiled
 def measure(g, plan, ep, i, w):
-    """How far robot i goes: the ways to its ROIs, and what turning back at them costs."""
+    """The length of robot i's tour: the ways to its ROIs, and the cost of its turns there."""
     rois, legs, f, n, m = g.rois, g.legs, column(g, w), ep.x.shape[0], g.rois.shape[1]
     bent = count_waypoints(g.ways_in, g.waypoints, f) > 0
     total = ux = uy = plan[w, i] * 0
@@ -353,6 +353,7 @@ def assign(g, plan, status, ep, lo, hi):
             if (ep.steps[w] > 0) and keep(g, plan, status, ep, w):
                 measure_all(g, plan, ep, w)
             else:
+                # The cheaper one is made again, if it was the first: none is stored.
                 cost = assign_all(g, plan, status, ep, SUM, w)
                 if assign_all(g, plan, status, ep, SPREAD, w) >= cost - CLOSE:
                     assign_all(g, plan, status, ep, SUM, w)
