@@ -145,12 +145,12 @@ class LoadedPolicy:
         )
 
 
-class Narrowed:
-    """A policy that acts on some of the entries of what it is shown.
+class Selected:
+    """A policy that acts on the entries that it was trained with.
 
     Args:
         policy: the policy.
-        entries: the places of the entries that it was trained with.
+        entries: their places in what it is shown; -1 for those that are not shown: they are 0.
     """
 
     def __init__(self, policy: Policy, entries: list[int]) -> None:
@@ -159,7 +159,8 @@ class Narrowed:
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         """See :class:`Policy`."""
-        return self._policy.act(seen[..., self._entries], deterministic=deterministic)
+        with_zero = np.concatenate([seen, np.zeros_like(seen[..., :1])], axis=-1)
+        return self._policy.act(with_zero[..., self._entries], deterministic=deterministic)
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
         """See :func:`~.policy.restart`."""
@@ -172,7 +173,8 @@ def fitted(policy: Policy, engine: BatchEngine) -> Policy:
     One that acts on tokens (``observation="entities"``) fits fields and teams of any size.
 
     Of the headings of robots and the flags of those that have failed, a loaded policy that was
-    trained without them sees nothing.
+    trained without them sees nothing. One that was trained with flags sees 0 where no robot can
+    fail.
 
     Raises:
         ConfigError: naming all that a loaded policy was trained with otherwise: robots, ROIs and,
@@ -188,31 +190,34 @@ def fitted(policy: Policy, engine: BatchEngine) -> Policy:
         problem = "fields: they vary, and the policy was trained on one; allowed: the same"
         raise ConfigError("policy", [problem])
     ours, theirs = acts_on(*trained), acts_on(engine.sampler or engine.field, engine.config)
-    new = {name for name in ("headings", "failures") if theirs[name] and not ours[name]}
+    differ = {name for name in ("headings", "failures") if ours[name] != theirs[name]}
+    differ -= {"headings"} if ours["headings"] else set()
     problems = [
         f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
         for name in (
             ("robots", "ROIs", "headings", "failures") if policy.observes == "state" else ours
         )
-        if name in theirs and ours[name] != theirs[name] and name not in new
+        if name in theirs and ours[name] != theirs[name] and name not in differ
     ]
     if problems:
         place = "random fields" if engine.sampler is not None else engine.field.name
         raise ConfigError(f"policy in {place}", problems)
-    return Narrowed(policy, _known_entries(policy, trained, engine)) if new else policy
+    return Selected(policy, _known_entries(policy, trained, engine)) if differ else policy
 
 
 def _known_entries(policy: Policy, trained: Origin, engine: BatchEngine) -> list[int]:
-    """Return the places of what a policy was trained with in what the engine shows."""
+    """Return the places of what a policy was trained with in what the engine shows, or -1."""
     n = engine.n_robots
     if policy.observes == "state":
-        headings, failures = 4 * n, engine.state().shape[1] - 1 - n
-        kept = [*range(4 * n), *(range(headings, 5 * n) if _turns(trained.config, n) else ())]
-        kept += range(failures, failures + n) if trained.config.failures is not None else ()
-        return [*kept, engine.state().shape[1] - 1]
+        visited = engine.state_low.size - 1
+        kept = [*range(4 * n), *(range(4 * n, 5 * n) if _turns(trained.config, n) else ())]
+        if trained.config.failures is not None:
+            shown = engine.config.failures is not None
+            kept += range(visited - n, visited) if shown else [-1] * n
+        return [*kept, visited]
     places = {entry.name: entry.offset for entry in engine.observation_table}
     table = observation_table(trained.config, n, engine.n_rois, engine.arena)
-    return [places[entry.name] for entry in table]
+    return [places.get(entry.name, -1) for entry in table]
 
 
 def _turns(config: NavigationConfig, n: int) -> bool:

@@ -32,6 +32,17 @@ class Trained:
         return np.zeros((len(seen), 2, 2), np.float32)
 
 
+class Watching(Trained):
+    """One that keeps what it was shown first."""
+
+    seen: np.ndarray | None = None
+
+    def act(self, shown: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        if self.seen is None:
+            self.seen = shown.copy()
+        return super().act(shown, deterministic=deterministic)
+
+
 def refused(policy: Any, field: Field, settings: dict[str, Any]) -> list[str]:
     """What the errors of both ways to run a policy name."""
     named = []
@@ -88,26 +99,39 @@ def test_what_a_policy_was_not_trained_with_is_not_shown_to_it(
         names = [entry.name for entry in engine.observation_table]
         more = [k for k, name in enumerate(names) if name.endswith(("_cos", "_sin", "_failed"))]
         expected = np.delete(shown, more, axis=2)[0]
-    seen: list[np.ndarray] = []
-
-    class Watching(Trained):
-        def act(self, shown: np.ndarray, *, deterministic: bool) -> np.ndarray:
-            seen.append(shown.copy())
-            return super().act(shown, deterministic=deterministic)
-
-    fitted(Watching(observes), engine).act(shown, deterministic=True)
-    assert seen[0].shape[-1] == plain
-    assert np.array_equal(seen[0][0], expected)
+    trained = Watching(observes)
+    fitted(trained, engine).act(shown, deterministic=True)
+    assert trained.seen is not None and trained.seen.shape[-1] == plain
+    assert np.array_equal(trained.seen[0], expected)
     assert len(evaluate(Watching(observes), HOME, SHOWN, episodes=2).steps) == 2
 
 
 @pytest.mark.parametrize("observes", ["observations", "state"])
-def test_what_a_policy_was_trained_with_has_to_be_shown(
+def test_headings_that_a_policy_was_trained_with_have_to_be_shown(
     observes: Literal["observations", "state"],
 ) -> None:
     trained = Trained(observes)
     trained.origin = Origin(HOME, make_config(SHOWN))
-    assert refused(trained, HOME, {}) == ["headings", "failures"]
+    assert refused(trained, HOME, {}) == ["headings"]
+
+
+@pytest.mark.parametrize("observes", ["observations", "state"])
+def test_flags_of_failed_robots_are_zero_where_none_can_fail(
+    observes: Literal["observations", "state"],
+) -> None:
+    engine = BatchEngine(HOME, 1, **{k: v for k, v in SHOWN.items() if k != "failures"})
+    engine.reset()
+    wanted = BatchEngine(HOME, 1, **SHOWN)
+    wanted.reset()
+    if observes == "state":
+        shown, expected = engine.state(), wanted.state()
+    else:
+        shown = engine.step(np.ones((1, 2, 2)))[0]
+        expected = wanted.step(np.ones((1, 2, 2)))[0]  # robot 1 fails two steps later
+    trained = Watching(observes)
+    trained.origin = Origin(HOME, make_config(SHOWN))
+    fitted(trained, engine).act(shown, deterministic=True)
+    assert trained.seen is not None and np.array_equal(trained.seen, expected)
 
 
 def test_the_scale_of_speeds_has_to_be_that_of_training() -> None:
