@@ -14,7 +14,7 @@ from baselines.compare.text_table import TextTable
 from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate
 from benchmarks.report import Advance, Benchmark, Findings, Measurement
 from mbn_marl.config import Condition
-from mbn_marl.errors import ConfigError, unknown
+from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import catalogue_names
 
 ZOO = {"zoo": True, "zoo-sampled": False}
@@ -32,7 +32,7 @@ class Conditions(Benchmark):
     name: ClassVar[str] = "conditions"
 
     policies: tuple[str, ...] = POLICIES
-    """Which of them."""
+    """Which of them; a run or ``zoo:NAME`` too, with mean actions."""
     conditions: tuple[Condition, ...] = get_args(Condition)
     """Under which conditions."""
     fields: tuple[str, ...] = tuple(catalogue_names())
@@ -49,13 +49,12 @@ class Conditions(Benchmark):
 
     def measure(self, advance: Advance) -> Findings:
         """Evaluate every policy on every field under every condition."""
-        wrong = [
-            f"policies: {unknown('policy', p, POLICIES)}"
-            for p in self.policies
-            if p not in POLICIES
-        ]
-        if wrong:
-            raise ConfigError("conditions", wrong)
+        problems: list[str] = []
+        for policy in set(self.policies) - set(POLICIES):
+            with collecting(problems):
+                load_policy(policy, self.fields[0])
+        if problems:
+            raise ConfigError("conditions", problems)
         found: dict[str, dict[str, dict[str, Any]]] = {}
         for policy in self.policies:
             for condition in self.conditions:
@@ -82,7 +81,7 @@ class Conditions(Benchmark):
         how: dict[str, Any] = {"episodes": self.episodes, "seed": self.seed}
         try:
             loaded = load_policy("zoo" if policy in ZOO else policy, name, condition=condition)
-            how["deterministic"] = ZOO.get(policy, False)
+            how["deterministic"] = ZOO.get(policy, policy not in CLASSICAL)
             return evaluate(loaded, name, loaded.settings, **how)
         except ConfigError:
             return None

@@ -17,7 +17,7 @@ from matplotlib.image import imread
 from rich.console import Console
 
 from benchmarks.__main__ import SUBJECTS, benchmark_class, main
-from benchmarks.conditions import Conditions
+from benchmarks.conditions import POLICIES, Conditions
 from benchmarks.report import (
     Findings,
     Measurement,
@@ -33,6 +33,7 @@ from benchmarks.speed.sizes import SIZES, USUAL, make_field, measure_sizes
 from benchmarks.speed.timing import Budget, Case, interleaved
 from mbn_marl import BatchEngine, load_field
 from mbn_marl.config import Condition, make_config
+from mbn_marl.errors import ConfigError
 
 TINY = Budget(
     rounds=2, seconds=0.0, warm_up=3, worlds=8, many_worlds=16, sized_worlds=2, startup=False
@@ -167,15 +168,22 @@ def test_features_are_measured_against_the_plain_engine(monkeypatch: pytest.Monk
 
 def test_conditions_are_those_of_the_zoo_and_the_classical_policies() -> None:
     conditions: tuple[Condition, ...] = ("calm", "failing", "storm")
-    found = Conditions(conditions=conditions, fields=("field_03",), episodes=2).measure(
-        lambda: None
-    )
+    policies = (*POLICIES, "zoo:generalist-hint")
+    asked = Conditions(policies=policies, conditions=conditions, fields=("field_03",), episodes=2)
+    found = asked.measure(lambda: None)
     for name, rows in found.details["evaluations"].items():
         assert rows["calm"]["field_03"]["success_rate"] == 1.0, name
     assert not found.details["evaluations"]["planner"]["failing"]
     assert found.details["evaluations"]["zoo-sampled"]["storm"]["field_03"]["episodes"] == 2
     (success, _) = found.tables.values()
     assert success.lines[0][:2] == ("calm", "100.0% (100%)")
+
+
+def test_every_unknown_policy_is_named() -> None:
+    asked = Conditions(policies=("greedy", "nobody", "zoo:none"), fields=("field_03",))
+    with pytest.raises(ConfigError) as caught:
+        asked.measure(lambda: None)
+    assert len(caught.value.problems) == 2
 
 
 @pytest.mark.parametrize("quantity", SIZES)
