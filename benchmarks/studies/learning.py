@@ -39,6 +39,7 @@ StudyName = Literal[
     "records",
     "reward",
     "sensing",
+    "sets",
     "sharing",
     "teams",
 ]
