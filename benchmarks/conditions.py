@@ -32,11 +32,11 @@ class Conditions(Benchmark):
     name: ClassVar[str] = "conditions"
 
     policies: tuple[str, ...] = POLICIES
-    """Which of them; a run or ``zoo:NAME`` too, with mean actions."""
+    """Which of them; or a run or zoo:NAME, with mean actions."""
     conditions: tuple[Condition, ...] = get_args(Condition)
     """Under which conditions."""
     fields: tuple[str, ...] = tuple(catalogue_names())
-    """Names of `mbn fields` that are in the zoo."""
+    """Names of `mbn fields`."""
     episodes: int = 100
     """How many episodes of each."""
     seed: int = EVALUATION_SEED
@@ -50,7 +50,7 @@ class Conditions(Benchmark):
     def measure(self, advance: Advance) -> Findings:
         """Evaluate every policy on every field under every condition."""
         problems: list[str] = []
-        for policy in set(self.policies) - set(POLICIES):
+        for policy in (name for name in self.policies if name not in POLICIES):
             with collecting(problems):
                 load_policy(policy, self.fields[0])
         if problems:

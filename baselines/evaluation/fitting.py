@@ -190,19 +190,20 @@ def fitted(policy: Policy, engine: BatchEngine) -> Policy:
         problem = "fields: they vary, and the policy was trained on one; allowed: the same"
         raise ConfigError("policy", [problem])
     ours, theirs = acts_on(*trained), acts_on(engine.sampler or engine.field, engine.config)
-    differ = {name for name in ("headings", "failures") if ours[name] != theirs[name]}
-    differ -= {"headings"} if ours["headings"] else set()
+    may_differ = {"failures"} if ours["headings"] else {"failures", "headings"}
     problems = [
         f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
         for name in (
             ("robots", "ROIs", "headings", "failures") if policy.observes == "state" else ours
         )
-        if name in theirs and ours[name] != theirs[name] and name not in differ
+        if name in theirs and ours[name] != theirs[name] and name not in may_differ
     ]
     if problems:
         place = "random fields" if engine.sampler is not None else engine.field.name
         raise ConfigError(f"policy in {place}", problems)
-    return Selected(policy, _known_entries(policy, trained, engine)) if differ else policy
+    if all(ours[name] == theirs[name] for name in may_differ):
+        return policy
+    return Selected(policy, _known_entries(policy, trained, engine))
 
 
 def _known_entries(policy: Policy, trained: Origin, engine: BatchEngine) -> list[int]:
