@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -25,6 +27,9 @@ from mbn_marl.field import Field, FieldSampler, load_fields
 
 NETWORK = ("actor", "network", "hidden", "sharing")
 """The hyperparameters that decide which networks there are."""
+KEPT = {-3: 2**30, -1: 2**31 - 1}
+"""Of glibc's malloc: the bytes from which a block is a mapping of its own (``M_MMAP_THRESHOLD``),
+and how many may lie free at the top (``M_TRIM_THRESHOLD``)."""
 
 
 def train(
@@ -149,6 +154,7 @@ def _running(run: RunFolder) -> Iterator[None]:
             hook(arguments)
 
     torch.set_num_threads(1)
+    keep_freed_memory()
     threading.excepthook = quiet
     try:
         yield
@@ -208,6 +214,13 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
     ]
     if problems:
         raise ConfigError(f"from: {source.path}", problems)
+
+
+def keep_freed_memory() -> None:
+    """Let glibc keep freed memory: a learner soon wants as much, which Linux would clear again."""
+    if sys.platform == "linux" and (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)):
+        for option, size in KEPT.items():
+            mallopt(option, size)
 
 
 def found_anywhere(field: str) -> str:

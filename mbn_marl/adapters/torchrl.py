@@ -250,16 +250,16 @@ class NavigationEnv(EnvBase):
             observations = self.engine.reset_worlds(self._give(ended.reshape(-1)))
             tensordict[GROUP, "observation"] = self._tensor(observations)
             if self.engine.may_rest:
-                tensordict[GROUP, "mask"] = self._tensor(self.engine.working)
+                tensordict[GROUP, "mask"] = self._fresh(self.engine.working)
             if self._state:
-                tensordict["state"] = self._tensor(self.engine.state())
-            for name in FLAGS:
-                tensordict[name] = torch.zeros_like(ended)
+                tensordict["state"] = self._fresh(self.engine.state())
+            for name, flag in zip(FLAGS, ended.new_zeros(len(FLAGS), *ended.shape), strict=True):
+                tensordict.set(name, flag)
             for name, numbers in self.engine.drawn().items() if self._drawn else ():
-                tensordict["metrics", f"drawn/{name}"] = self._tensor(numbers).float()[:, None]
+                tensordict["metrics", f"drawn/{name}"] = self._fresh(numbers).float()[:, None]
             past = [("metrics", name) for name in self._measures]
             for key in (*past, *(("team_reward",) if self._team_reward else ())):
-                tensordict[key] = tensordict[key].masked_fill(ended, 0)
+                tensordict.set(key, tensordict.get(key).masked_fill(ended, 0))
         return tensordict
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
@@ -303,22 +303,25 @@ class NavigationEnv(EnvBase):
         """Return the metrics to report, (count, W) float32."""
         known = [*self.engine.metrics(self._measures).values()]
         known += self.engine.drawn().values() if self._drawn else []
-        rows = [torch.as_tensor(one, device=self.device) for one in known]
-        return torch.stack([row.float() for row in rows]) if rows else self._no_rows
+        if not known:
+            return self._no_rows
+        if self.engine.device == "cuda":
+            return torch.stack([torch.as_tensor(row).float() for row in known])
+        return torch.from_numpy(np.array(known, np.float32)).to(self.device)
 
     def _entries(self, outcome: _Outcome) -> TensorDict:
         """Return the tensordict of a step or a reset; the specs' checks are for its readers."""
         worlds = self.batch_size
         robots = {"observation": self._tensor(outcome.observations)}
         if self.engine.may_rest:
-            robots["mask"] = self._tensor(self.engine.working)
+            robots["mask"] = self._fresh(self.engine.working)
         flags = (outcome.terminated, outcome.truncated, outcome.terminated | outcome.truncated)
         entries: dict[str, Any] = {
             name: flag.unsqueeze(-1) for name, flag in zip(FLAGS, flags, strict=True)
         }
         entries[GROUP] = self._unchecked(robots, torch.Size((*worlds, self.n_agents)))
         if self._state:
-            entries["state"] = self._tensor(self.engine.state())
+            entries["state"] = self._fresh(self.engine.state())
         if self._team_reward:
             entries["team_reward"] = outcome.team_reward.unsqueeze(-1)
         if self._metrics:
@@ -331,6 +334,10 @@ class NavigationEnv(EnvBase):
         """Return a tensordict of entries that have its batch size and device by construction."""
         made: TensorDict = TensorDict._new_unsafe(entries, size, device=self.device)
         return made
+
+    def _fresh(self, array: Rows) -> torch.Tensor:
+        """Return an array that the engine has made for the caller, not copied."""
+        return torch.as_tensor(array, device=self.device)
 
     def _tensor(self, array: Rows) -> torch.Tensor:
         """Return a copy of an engine's array, which the engine will overwrite."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import ModuleType
 from typing import Any
 
@@ -257,31 +258,40 @@ class Backend(ABC):
 
     def metrics(self, names: Collection[str], same_step: bool) -> dict[str, Array]:
         """See ``BatchEngine.metrics``."""
-        now, final, xp, outcomes = self.now, self.final, self.xp, self.output.outcomes
+        outcomes, has_status = self.output.outcomes, self.now.status.ndim == 2
         collision = (outcomes & COLLISION) > 0
         ended = (self.output.terminated | self.output.truncated) & same_step
+
+        def last(name: str) -> Array:
+            """The part ``name`` of the episodes that the last step was of, ([n,] W)."""
+            part: Array = self.xp.where(ended, getattr(self.final, name), getattr(self.now, name))
+            return part
+
         measures: dict[str, Callable[[], Array]] = {
             "success": lambda: ((outcomes & SUCCESS) > 0) & ~collision,
             "collision": lambda: collision,
-            "steps": lambda: xp.where(ended, final.steps, now.steps),
-            "episode_return": lambda: xp.where(ended, final.team_return, now.team_return),
+            "steps": lambda: last("steps"),
+            "episode_return": lambda: last("team_return"),
+            "rois_visited": lambda: self._count_bits(last("visited") & last("codes")),
+            "wall_hits": lambda: last("wall_hits").T,
             "failed": lambda: (
-                xp.where(ended, final.status, now.status).T == FAILED
-                if now.status.ndim == 2
-                else self._have_status(FAILED)
+                last("status").T == FAILED if has_status else self._have_status(FAILED)
             ),
-            "return_": lambda: xp.where(ended, final.returns, now.returns).T,
+            "return_": lambda: last("returns").T,
         }
         if not set(names) <= set(measures):
             infos = self.infos()
             columns = {name: infos[..., k] for k, name in enumerate(MEASURES)}
             measures |= {
-                "rois_visited": lambda: xp.asarray(columns["rois_visited"][:, 0], dtype=xp.int32),
-                "wall_hits": lambda: xp.asarray(columns["wall_hits"], dtype=xp.int32),
-                "path_length": lambda: columns["path_length"],
-                "impulse": lambda: columns["impulse"],
+                name: partial(columns.__getitem__, name) for name in ("path_length", "impulse")
             }
         return {name: measures[name]() for name in names}
+
+    def _count_bits(self, codes: Array) -> Array:
+        """How many ROIs visit codes (W,) int32 have, a fresh array."""
+        rois = range(self.geometry.rois.shape[1])
+        count: Array = sum((codes >> k & 1 for k in rois), self.xp.zeros_like(codes))
+        return count
 
     def draw_actions(self) -> Array:
         """The seed's next random actions, a fresh array."""

@@ -167,8 +167,8 @@ class Readings:
         """Measures of each episode as of the last step, before any automatic reset.
 
         Args:
-            names: those to return, of ``METRICS``. ``success``, ``collision``, ``steps``,
-                ``episode_return`` and ``return_`` cost next to nothing.
+            names: those to return, of ``METRICS``; all but ``path_length`` and ``impulse`` cost
+                next to nothing.
 
         Returns:
             ``success``, ``collision`` (W,) bool; ``steps`` (W,) int32; ``episode_return`` (W,)

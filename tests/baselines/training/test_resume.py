@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import signal
 import socket
 import subprocess
@@ -257,6 +258,27 @@ def test_torch_has_its_threads_again_after_a_run(tmp_path: Path) -> None:
     finally:
         torch.set_num_threads(threads)
     assert set(during) == {1}
+
+
+MEMORY = """
+import numpy as np
+from pathlib import Path
+from baselines.training.train import keep_freed_memory
+
+def held():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+
+keep_freed_memory()
+before, block = held(), np.ones(2**24)
+del block
+print(held() - before)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="malloc is another one")
+def test_freed_memory_is_kept_for_the_next_update() -> None:
+    ran = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True)
+    assert int(ran.stdout) > 2**26  # half of the block
 
 
 def test_a_finished_run_is_left_as_it_is(tmp_path: Path) -> None:
