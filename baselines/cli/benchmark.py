@@ -17,8 +17,8 @@ class Benchmark:
     """Measure a policy on frozen fields with proved bounds, by the same rules for all."""
 
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
-    """zoo:NAME, a policy of `mbn zoo`; the folder of a run; greedy, planner, replan or random; or
-    module:callable, your own."""
+    """zoo:NAME, a policy of `mbn zoo`; the folder of a run; greedy, planner, replan or random;
+    module:callable, your own; or lookahead: before one of them, see docs/benchmark.md."""
     split: Literal["test", "validation"] = "test"
     """Which fields: those to choose by are of validation."""
     shield: bool = False

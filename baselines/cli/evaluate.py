@@ -25,7 +25,7 @@ class Evaluate:
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
     """The folder of a run; zoo:NAME, a policy of `mbn zoo`; greedy, nearest ROIs first; planner,
     the best plan, followed in closed loop; replan, which plans again if the world leaves it;
-    random; or module:callable, your own."""
+    random; module:callable, your own; or lookahead: before one of them, see docs/benchmark.md."""
     field: str | None = None
     """For policies that have none of their own: a name of `mbn fields`, or a field file."""
     episodes: int = 100

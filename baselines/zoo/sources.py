@@ -8,6 +8,7 @@ from typing import Any
 from baselines.classical.controller import CLASSICAL, make_classical
 from baselines.evaluation.evaluate import under
 from baselines.evaluation.fitting import LoadedPolicy
+from baselines.evaluation.lookahead import Lookahead
 from baselines.evaluation.policy import RandomPolicy, load_trained
 from baselines.runs.files import RunError
 from baselines.zoo.entries import PREFIX, open_run
@@ -16,6 +17,8 @@ from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import Field, FieldSampler, load_field
 
 RANDOM = "random"
+LOOKAHEAD = "lookahead:"
+"""Before a source: the policy looks ahead."""
 ZOO = PREFIX.rstrip(":")
 """The zoo's own policy for each field."""
 
@@ -40,7 +43,8 @@ def takes_field(source: str) -> bool:
     Raises:
         MbnError: as :func:`goes_anywhere`.
     """
-    return source in (RANDOM, ZOO, *CLASSICAL) or _is_own(source) or goes_anywhere(source)
+    given = source in (RANDOM, ZOO, *CLASSICAL) or source.startswith(LOOKAHEAD)
+    return given or _is_own(source) or goes_anywhere(source)
 
 
 def _is_own(source: str) -> bool:
@@ -51,6 +55,11 @@ def find_policy(
     source: str, field: str | Path | Field | None = None, *, seed: int = 0, **settings: Any
 ) -> LoadedPolicy:
     """Find a policy; see :func:`baselines.load_policy`."""
+    if source.startswith(LOOKAHEAD):
+        if field is None:
+            raise ConfigError("policy", [f"field: {source} looks ahead in one; name it"])
+        found = find_policy(source.removeprefix(LOOKAHEAD), field, seed=seed, **settings)
+        return LoadedPolicy(source, Lookahead(found), found.settings, found.field)
     place = None if field is None else load_field(field)
     condition = settings.pop("condition", None)
     if place is None and source in (ZOO, *CLASSICAL):
@@ -65,7 +74,7 @@ def find_policy(
         own = load_own(source, place)
         return LoadedPolicy(source, own, under(own.settings, condition, **settings), place)
     if not (source == ZOO or is_trained(source)):
-        known = (*CLASSICAL, RANDOM, ZOO, f"{PREFIX}NAME", FORM)
+        known = (*CLASSICAL, RANDOM, ZOO, f"{PREFIX}NAME", f"{LOOKAHEAD}POLICY", FORM)
         raise RunError(f"{source} is not a run folder: {unknown('policy', source, known)}")
     run = open_run(source if place is None or source != ZOO else f"{PREFIX}{place.name}")
     wanted = under(run.config["environment"], condition, **settings)

@@ -107,16 +107,6 @@ def test_a_team_that_fails_is_left_as_it_is() -> None:
     assert search.env_steps == WORLDS * 10
 
 
-def test_missing_is_the_way_left_to_the_rois() -> None:
-    policy: Any = load_trained(open_run("zoo:field_03"))
-    search = LastLayerSearch(policy.network, FIELD, SETTINGS, seed=0)
-    search._play([part.unsqueeze(1).expand(-1, WORLDS, -1, -1) for part in search._layer], 12)
-    now = search._engine.snapshot(0)
-    assert 0 < now.visited.sum() < len(FIELD.rois)
-    apart = np.linalg.norm(now.positions[:, None] - FIELD.rois[~now.visited], axis=-1)
-    np.testing.assert_allclose(search._missing(), apart.min(axis=0).sum(), rtol=1e-5)
-
-
 def test_a_training_ends_with_the_search_and_counts_its_steps(tmp_path: Path) -> None:
     config = small_config("mappo")
     plain = train(config, tmp_path / "plain")
