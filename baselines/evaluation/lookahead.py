@@ -115,6 +115,8 @@ def _look_ahead(policy: Policy, like: BatchEngine, generations: int) -> NDArray[
     best = kept = np.zeros((0, engine.n_robots, 2), np.float32)
     highest, nearest, horizon = -math.inf, math.inf, min(LONGEST, like.config.max_steps)
     for _ in range(generations):
+        if not horizon:  # one step is the least
+            break
         change = _draw_change(rng, len(kept), engine.n_robots)
         trial = _play(engine, acting, kept, change, horizon, rng)
         returns = np.where(trial.success, trial.returns, -math.inf)

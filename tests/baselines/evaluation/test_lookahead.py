@@ -16,9 +16,8 @@ from mbn_marl import BatchEngine, Field, load_field
 from mbn_marl.errors import ConfigError
 from tests.baselines.conftest import Refusal
 
-ROOM = Field(
-    [(100, 100), (400, 100), (400, 400), (100, 400)], [(130, 240), (100, 260)], [(100, 200)]
-)
+WALLS = [(100, 100), (400, 100), (400, 400), (100, 400)]
+ROOM = Field(WALLS, [(130, 240), (100, 260)], [(100, 200)])
 
 
 class Resting:
@@ -52,6 +51,11 @@ def test_without_a_success_the_policy_acts_as_it_is() -> None:
     acting = fitted(Lookahead(Resting(), 2), engine)
     engine.reset(seed=0)
     assert not acting.act(engine.state(), deterministic=False).any()
+
+
+def test_an_episode_of_one_step_cannot_be_shorter() -> None:
+    there = Field(WALLS, [(205, 200)], [(200, 200)])
+    assert evaluate(Lookahead(Resting(), 2), there, {}, episodes=1).steps == [1]
 
 
 def test_missing_is_the_way_left_and_a_diagonal_for_every_wall_hit() -> None:
