@@ -10,7 +10,7 @@ from baselines.classical.controller import CLASSICAL
 from baselines.demo.resolve import Actor, find_actor
 from baselines.evaluation.fitting import fitted
 from baselines.evaluation.policy import restart
-from baselines.zoo.sources import takes_field
+from baselines.zoo.sources import LOOKAHEAD, takes_field
 from mbn_marl.config import Condition
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
@@ -33,9 +33,12 @@ def find_pilots(
         condition: whose weather and failures replace those that the policy brings.
 
     Raises:
-        ConfigError: a policy that needs a field has none.
+        ConfigError: a policy that needs a field has none, or one looks ahead.
         MbnError: a field, or a policy for it, is not there.
     """
+    if policy.startswith(LOOKAHEAD):
+        problem = f"policy: {policy} plans for the plane; allowed: one without {LOOKAHEAD}"
+        raise ConfigError("deployment", [problem])
     if not fields:
         if takes_field(policy):
             problem = f"field: {policy} has none of its own; name one or more"

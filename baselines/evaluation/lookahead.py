@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.evaluation.fitting import LoadedPolicy, fitted
-from baselines.evaluation.policy import Origin, Policy, restart
+from baselines.evaluation.policy import Origin, Policy, restart, show
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
@@ -34,7 +34,7 @@ ALONE = 0.7
 class Change(NamedTuple):
     """How each world departs from the episode that is kept."""
 
-    robots: NDArray[np.bool_]  # (W, n): which do
+    robots: NDArray[np.bool_]  # (W, n): which do; past its end, all
     first: NDArray[np.intp]  # (W,): the step from which they do, by the policy and noise
     last: NDArray[np.intp]  # (W,): the step from which there is no noise
     sigma: NDArray[np.float64]  # (W,)
@@ -46,7 +46,7 @@ class Trial(NamedTuple):
 
     success: NDArray[np.bool_]  # (W,)
     returns: NDArray[np.float64]  # (W,) reward units, the team's
-    missing: NDArray[np.float64]  # (W,) units, see missing(); inf where the episode has ended
+    missing: NDArray[np.float64]  # (W,) units, see missing(); inf where it is over
     actions: NDArray[np.float32]  # (T, W, n, 2)
 
 
@@ -54,13 +54,18 @@ class Lookahead:
     """A policy that improves its episode before it acts, where nothing is by chance.
 
     Every generation plays an episode in each of many worlds, in which some robots depart from the
-    best one so far: from some step on they take mean actions again, with noise for a while. The
-    fastest episode is kept, or, if none is faster, the one that came nearest to it. If no episode
-    succeeds, the policy acts as it would without. :func:`~.fitting.fitted` shows it the engine.
+    best one so far: from some step on they take mean actions again, with noise for a while. Ever
+    shorter episodes are played, and the one with the highest return is kept, or, if none succeeds,
+    the one that came nearest. If none ever does, within ``LONGEST`` steps, the policy acts as it
+    would without. It counts on the field's own starts. :func:`~.fitting.fitted` shows it the
+    engine.
 
     Args:
         policy: the policy, loaded or not.
         generations: how many; at least 1.
+
+    Raises:
+        ConfigError: from :meth:`watch`: episodes differ there; from :meth:`act`: it was shown none.
     """
 
     samples = False
@@ -81,6 +86,7 @@ class Lookahead:
                 engine.config.is_random
             ),
             "fields: several; allowed: one": engine.sampler is not None or len(engine.fields) > 1,
+            "autoreset: 'next_step'; allowed: the others": engine.autoreset == "next_step",
         }
         if problems := [problem for problem, holds in wrong.items() if holds]:
             raise ConfigError("lookahead", problems)
@@ -95,15 +101,19 @@ class Lookahead:
             raise ConfigError("lookahead", ["engine: none; needed: policy = fitted(...)"])
         if self._plan is None:
             self._plan = _look_ahead(self.policy, self._watched, self.generations)
+            show(self.policy, self._watched)
+            restart(self.policy)
         if not len(self._plan):
             return self.policy.act(seen, deterministic=True)
+        self._steps = np.resize(self._steps, len(seen))  # of a loaded policy: any number of worlds
         actions: NDArray[np.float32] = self._plan[np.minimum(self._steps, len(self._plan) - 1)]
         self._steps += 1
         return actions
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
         """See :func:`~.policy.restart`."""
-        self._steps[... if worlds is None else worlds] = 0
+        steps = self._steps if worlds is None else np.resize(self._steps, len(worlds))
+        self._steps = np.where(True if worlds is None else worlds, 0, steps)
         restart(self.policy, worlds)
 
 
@@ -151,7 +161,7 @@ def _play(
 ) -> Trial:
     """Play at most ``horizon`` steps in every world, until one succeeds."""
     active, taken = np.ones(WORLDS, np.bool_), []
-    success, ended = np.zeros((2, WORLDS), np.bool_)
+    success, ended = np.zeros((2, WORLDS), np.bool_)  # by success or collision
     noise = np.zeros((WORLDS, engine.n_robots, 2))
     restart(policy)
     seen = engine.reset(0)
@@ -168,8 +178,8 @@ def _play(
             actions = np.where(same[..., None], kept[step], actions)
         taken.append(actions)
         seen, _, terminated, truncated = engine.step(actions, active)
-        success |= active & engine.metrics(("success",))["success"]
-        ended |= terminated | truncated
+        success = active & engine.metrics(("success",))["success"]
+        ended |= terminated
         active &= ~(terminated | truncated)
         if success.any() or not active.any():
             break

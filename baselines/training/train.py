@@ -27,9 +27,9 @@ from mbn_marl.field import Field, FieldSampler, load_fields
 
 NETWORK = ("actor", "network", "hidden", "sharing")
 """The hyperparameters that decide which networks there are."""
-KEPT = {-3: 2**30, -1: 2**31 - 1}
-"""Of glibc's malloc: the bytes from which a block is a mapping of its own (``M_MMAP_THRESHOLD``),
-and how many may lie free at the top (``M_TRIM_THRESHOLD``)."""
+KEPT = {-4: 0, -1: 2**31 - 1}
+"""Of glibc's malloc: how many blocks may be mappings of their own (``M_MMAP_MAX``), and how many
+bytes may lie free at the top (``M_TRIM_THRESHOLD``)."""
 
 
 def train(
@@ -217,7 +217,10 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
 
 
 def keep_freed_memory() -> None:
-    """Let glibc keep freed memory: a learner soon wants as much, which Linux would clear again."""
+    """Let glibc keep freed memory for the rest of the process.
+
+    A learner soon wants as much again, which Linux would have to clear.
+    """
     if sys.platform == "linux" and (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)):
         for option, size in KEPT.items():
             mallopt(option, size)

@@ -56,9 +56,13 @@ def find_policy(
 ) -> LoadedPolicy:
     """Find a policy; see :func:`baselines.load_policy`."""
     if source.startswith(LOOKAHEAD):
-        if field is None:
+        if (base := source.removeprefix(LOOKAHEAD)) in ("", RANDOM):
+            raise ConfigError(
+                "policy", [f"{source!r}; allowed after {LOOKAHEAD} a policy, but random"]
+            )
+        found = find_policy(base, field, seed=seed, **settings)
+        if found.field is None:
             raise ConfigError("policy", [f"field: {source} looks ahead in one; name it"])
-        found = find_policy(source.removeprefix(LOOKAHEAD), field, seed=seed, **settings)
         return LoadedPolicy(source, Lookahead(found), found.settings, found.field)
     place = None if field is None else load_field(field)
     condition = settings.pop("condition", None)

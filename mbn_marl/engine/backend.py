@@ -263,7 +263,7 @@ class Backend(ABC):
         ended = (self.output.terminated | self.output.truncated) & same_step
 
         def last(name: str) -> Array:
-            """The part ``name`` of the episodes that the last step was of, ([n,] W)."""
+            """Return the part ``name`` of the episodes that the last step was of, ([n,] W)."""
             part: Array = self.xp.where(ended, getattr(self.final, name), getattr(self.now, name))
             return part
 
@@ -288,7 +288,7 @@ class Backend(ABC):
         return {name: measures[name]() for name in names}
 
     def _count_bits(self, codes: Array) -> Array:
-        """How many ROIs visit codes (W,) int32 have, a fresh array."""
+        """Count the ROIs in visit codes (W,) int32, as a fresh array."""
         rois = range(self.geometry.rois.shape[1])
         count: Array = sum((codes >> k & 1 for k in rois), self.xp.zeros_like(codes))
         return count

@@ -58,6 +58,24 @@ def test_an_episode_of_one_step_cannot_be_shorter() -> None:
     assert evaluate(Lookahead(Resting(), 2), there, {}, episodes=1).steps == [1]
 
 
+def test_a_search_climbs_to_its_first_success_within_short_episodes() -> None:
+    found = evaluate(Lookahead(Resting(), 20), ROOM, {"max_steps": 60}, episodes=1)
+    assert found.successes == [True]
+
+
+def test_a_loaded_policy_looks_ahead_for_any_number_of_worlds() -> None:
+    policy = load_policy("lookahead:greedy", ROOM)
+    engine = BatchEngine(ROOM, 3, **policy.settings)
+    engine.reset(seed=0)
+    ends = []
+    for _ in range(100):
+        _, _, terminated, _ = engine.step(policy.act(engine.state()))
+        policy.reset(terminated)
+        ends.append(terminated.tolist())
+    first = ends.index([True] * 3) + 1
+    assert ends == [[step % first == 0] * 3 for step in range(1, 101)]
+
+
 def test_missing_is_the_way_left_and_a_diagonal_for_every_wall_hit() -> None:
     engine = BatchEngine(ROOM, 2)
     engine.reset(seed=0)
@@ -78,7 +96,10 @@ def test_where_episodes_differ_it_does_not_look_ahead(refusal: Refusal) -> None:
     words = ["evaluate", "lookahead:greedy", "--field", "field_03", "--condition", "gusty"]
     assert "lookahead: 1 problem\n  - condition: " in refusal(words)
     assert "field: needed" in refusal(["evaluate", "lookahead:greedy"])
-    with pytest.raises(ConfigError, match="field: lookahead:greedy"):
+    with pytest.raises(ConfigError, match="field: greedy"):
         load_policy("lookahead:greedy")
+    assert "allowed after lookahead:" in refusal(["evaluate", "lookahead:", "--field", "field_03"])
+    assert "shield: 1 problem" in refusal([*words[:4], "--shield"])
+    assert "deployment: 1 problem" in refusal(["deploy", "lookahead:greedy", "--field", "field_03"])
     with pytest.raises(ConfigError, match="fitted"):
         Lookahead(Resting()).act(np.zeros((1, 5)), deterministic=True)
