@@ -41,7 +41,7 @@ class Change(NamedTuple):
     hold: int
 
 
-class Trial(NamedTuple):
+class Generation(NamedTuple):
     """The episodes of a generation."""
 
     success: NDArray[np.bool_]  # (W,)
@@ -158,7 +158,7 @@ def _play(
     change: Change,
     horizon: int,
     rng: np.random.Generator,
-) -> Trial:
+) -> Generation:
     """Play at most ``horizon`` steps in every world, until one succeeds."""
     active, taken = np.ones(WORLDS, np.bool_), []
     success, ended = np.zeros((2, WORLDS), np.bool_)  # by success or collision
@@ -184,7 +184,8 @@ def _play(
         if success.any() or not active.any():
             break
     returns = engine.metrics(("episode_return",))["episode_return"]
-    return Trial(success, returns, np.where(ended, math.inf, missing(engine)), np.array(taken))
+    far = np.where(ended, math.inf, missing(engine))
+    return Generation(success, returns, far, np.array(taken))
 
 
 def missing(engine: BatchEngine) -> NDArray[np.float64]:
