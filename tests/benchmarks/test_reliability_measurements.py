@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import mmap
 import re
 import tempfile
 from collections import Counter
@@ -115,10 +116,11 @@ def test_invariants_of_worlds() -> None:
 
 
 def test_growth_of_memory_is_found(capsys: pytest.CaptureFixture[str]) -> None:
-    kept: list[np.ndarray] = []
+    kept: list[mmap.mmap] = []
 
     def leak(*arguments: Any) -> list[str]:
-        kept.append(np.ones(1 << 15))  # in all far more than the process may have free
+        kept.append(mmap.mmap(-1, 1 << 16))  # not from memory that the process has free
+        kept[-1].write(bytes(1 << 16))
         return []
 
     with pytest.MonkeyPatch.context() as patch:
