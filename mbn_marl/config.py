@@ -139,7 +139,7 @@ class NavigationConfig(Checked):
             ``"mixed"``: point mass, unicycle and bicycle in turn.
         observation: ``"relative"``, ``"state"``, ``"local"``, ``"lidar"``, ``"lidar_local"`` or
             ``"entities"``, see ``engine.mdp.observations``.
-        assignment: only with ``"entities"``: who visits which ROI when, and the way.
+        assignment: only with ``"entities"``: who visits which ROI when; ``"fresh"``: as of now.
         one_hot: append the robot's index as a one-hot vector to its observation.
         sensing_radius: how far ``"local"``, ``"lidar"`` and ``"lidar_local"`` see, and the rays of
             ``"entities"``, in units.
@@ -180,7 +180,7 @@ class NavigationConfig(Checked):
     reward_sharing: Literal["individual", "team"] = "individual"
     dynamics: DynamicsOfEach = "point_mass"
     observation: Observation = "relative"
-    assignment: bool = False
+    assignment: Literal[False, True, "fresh"] = False
     one_hot: bool = False
     sensing_radius: Positive = 100.0
     wind: tuple[AnyNonNegative, AnyNumber] = (0.0, 0.0)
@@ -222,7 +222,7 @@ class NavigationConfig(Checked):
 
     @field_validator("assignment")
     @classmethod
-    def _seen(cls, value: bool, info: ValidationInfo) -> bool:
+    def _seen(cls, value: bool | str, info: ValidationInfo) -> bool | str:
         if value and info.data.get("observation", "entities") != "entities":
             raise ValueError("allowed with observation='entities' only")
         return value
@@ -323,7 +323,7 @@ class FixedSettings(TypedDict, total=False):
     reward_sharing: Literal["individual", "team"]
     dynamics: TeamDynamics | tuple[Dynamics, ...]
     observation: Observation
-    assignment: bool
+    assignment: Literal[False, True, "fresh"]
     one_hot: bool
     sensing_radius: float
     wind: tuple[Number, Number]

@@ -238,7 +238,9 @@ def acts_on(field: Field | FieldSampler, config: NavigationConfig) -> dict[str, 
         "headings": _turns(config, robots),
         "failures": config.failures is not None,
         "v_clip": config.top_speed,
-        **{name: getattr(config, name) for name in ("observation", "assignment", "one_hot")},
+        "observation": config.observation,
+        "assignment": bool(config.assignment),
+        "one_hot": config.one_hot,
     }
     if config.observation == "entities":
         for name in ("robots", "ROIs", "arena"):

@@ -12,6 +12,7 @@ from baselines.torchrl.networks import Actor, Critic, Network, Sharing
 from baselines.training.aids import Count, Positive, Share, TrainingAids, between
 from baselines.training.hyperparameters import read_block, read_blocks, validate
 
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 SOURCE = Path(__file__).with_name("hyperparameters.yaml")
 
 
@@ -43,6 +44,10 @@ class MultiAgentPPOConfig(TrainingAids):
         shaping: the reward, as the learner sees it, of getting a unit nearer to the end of the
             team's ways (:meth:`~.entities.Tokens.way_left`); potential-based, so that the best
             policy stays the same. Only with ``network: entities``.
+        teacher: a trained policy to imitate, ``zoo:NAME`` or a run's folder, or none. It may see
+            more than the learner, such as the assignment. The loss gets the squared distance of
+            mean actions from the teacher's in the states that the learner comes to.
+        teacher_weight: of that distance in the loss, from and to.
         final_gain: what mean actions are multiplied by after the last update. Full force is the
             fastest, but while noise adds to them, larger means gain little.
         search_generations: of the search for a faster episode after training, which takes env-steps
@@ -68,7 +73,9 @@ class MultiAgentPPOConfig(TrainingAids):
     log_std_start: float
     log_std_cap: tuple[float, float]
     log_std_cap_from: Annotated[float, Field(ge=0.0, lt=1.0)]
-    shaping: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+    shaping: NonNegative
+    teacher: str | None
+    teacher_weight: tuple[NonNegative, NonNegative]
     final_gain: Positive
     search_generations: Annotated[int, Field(ge=0)]
 

@@ -30,7 +30,7 @@ class Key:
 
     OBSERVATION, NORMALIZED = ("robots", "observation"), ("robots", "normalized")
     LOC, SCALE, ACTION = ("robots", "loc"), ("robots", "scale"), ("robots", "action")
-    LOG_PROB, VALUE = "log_prob", "state_value"
+    LOG_PROB, VALUE, TEACHER = "log_prob", "state_value", ("robots", "teacher")
 
 
 CLIP = 10.0

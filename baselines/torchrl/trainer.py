@@ -24,6 +24,7 @@ from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
 from baselines.torchrl.policy import TeamPolicy
+from baselines.torchrl.teacher import Teacher, check_teacher
 from baselines.training.aids import RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
@@ -31,13 +32,14 @@ from baselines.training.search import LastLayerSearch
 from baselines.zoo.entries import open_run
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import make_config
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import Field, FieldSampler
 
 NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
 WORLDS, COUNTERS = "worlds.npz", "counters.json"
+TEACHER_WORLDS = "teacher_worlds.npz"
 MINIMISED = ("loss_objective", "loss_critic", "loss_entropy")
-LOGGED = (*MINIMISED, "entropy", "kl_approx", "clip_fraction")
+LOGGED = (*MINIMISED, "entropy", "kl_approx", "clip_fraction", "imitation")
 
 
 def train(task: Task, hyperparameters: MultiAgentPPOConfig, recorder: Recorder) -> None:
@@ -81,6 +83,9 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
         problems.append(
             f"observation: {settings.observation!r}; allowed: 'entities', the network's"
         )
+    if hyperparameters.teacher is not None:
+        with collecting(problems):
+            check_teacher(hyperparameters.teacher, task)
     if problems:
         raise ConfigError("training", problems)
 
@@ -136,10 +141,19 @@ class Trainer:
         self.reward = ("next", *reward)
         self.parameters = list(self.loss.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, eps=config.adam_epsilon, fused=True)
+        if config.teacher is not None:  # the loss works them out anyway
+            self.network.mean.register_forward_hook(self._keep_means)
         self._collect_from(env)
 
-    def _make_env(self) -> NavigationEnv:
-        """Return worlds at the start of their episodes, with ROIs of the current size."""
+    def _keep_means(self, _: Any, __: Any, means: torch.Tensor) -> None:
+        """Keep the mean actions that the actor has just worked out."""
+        self.means = means
+
+    def _make_env(self, **changed: Any) -> NavigationEnv:
+        """Return worlds at the start of their episodes, with ROIs of the current size.
+
+        ``changed``: settings in place of the task's.
+        """
         config, worlds = self.task.config, self.config.num_worlds
         return NavigationEnv(
             num_worlds=worlds,
@@ -149,12 +163,13 @@ class Trainer:
             state=False,
             team_reward=self.config.actor == "centralized",
             metrics=("success", "episode_return"),
-            **self.config.in_training(self.task, self.curriculum, worlds),
+            **{**self.config.in_training(self.task, self.curriculum, worlds), **changed},
         )
 
     def _collect_from(self, env: NavigationEnv) -> None:
-        """Collect rollouts from ``env`` from now on."""
-        self.env = env
+        """Collect rollouts from ``env`` from now on, and let the teacher follow there."""
+        self.env, source = env, self.config.teacher
+        self.teacher = None if source is None else Teacher(source, self._make_env)
         self.rollouts = iter(
             Collector(
                 env,
@@ -188,7 +203,8 @@ class Trainer:
             started = time.perf_counter()
             rollout = next(self.rollouts).copy()
             collected = time.perf_counter()
-            losses = self._descend(self._samples(rollout, repeat))
+            weight = between(config.teacher_weight, progress)
+            losses = self._descend(self._samples(rollout, repeat), weight)
             self.network.norm.update(rollout[Key.OBSERVATION])
             diagnostics = {
                 "rollout_seconds": collected - started,
@@ -242,9 +258,10 @@ class Trainer:
             rollout["value_target"] *= there
         else:
             rollout["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        return rollout.select(
-            Key.NORMALIZED, Key.ACTION, Key.LOG_PROB, "advantage", "value_target"
-        ).reshape(-1)
+        if self.teacher is not None:
+            rollout[Key.TEACHER] = self.teacher.actions(rollout, repeat)
+        kept = (Key.NORMALIZED, Key.ACTION, Key.LOG_PROB, "advantage", "value_target")
+        return rollout.select(*kept, Key.TEACHER, strict=False).reshape(-1)
 
     def _shaped(self, rollout: TensorDictBase, tokens: Tokens) -> torch.Tensor:
         """Return by how many units each decision has shortened the ways left, discounted."""
@@ -260,8 +277,10 @@ class Trainer:
         )
         return nearer
 
-    def _descend(self, samples: TensorDictBase) -> dict[str, float]:
+    def _descend(self, samples: TensorDictBase, weight: float) -> dict[str, float]:
         """Take the epochs' steps on minibatches; return the means of the losses.
+
+        ``weight`` is that of the distance from the teacher's actions, if there is a teacher.
 
         The normalisation does not change meanwhile, so that old and new log-probabilities are of
         the same inputs.
@@ -274,19 +293,28 @@ class Trainer:
                 part = samples.apply(pick, batch_size=rows.shape)
                 losses = self.loss(part)
                 total: Any = sum(losses[name] for name in MINIMISED)
+                if self.teacher is not None:
+                    losses["imitation"] = self._apart(part[Key.TEACHER])
+                    total = total + weight * losses["imitation"]
                 self.optimizer.zero_grad()
                 total.backward()  # which has no types
                 torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
                 self.optimizer.step()
-                history.append(losses.select(*LOGGED).detach())
+                history.append(losses.select(*LOGGED, strict=False).detach())
         means: Any = torch.stack(history).mean(0)
-        return {name.removeprefix("loss_"): means[name].item() for name in LOGGED}
+        return {name.removeprefix("loss_"): value.item() for name, value in means.items()}
+
+    def _apart(self, taught: torch.Tensor) -> torch.Tensor:
+        """Return how far the last mean actions are from those of the teacher, squared."""
+        return (self.means.reshape(taught.shape) - taught).square().sum(-1).mean()
 
     def _save(self, env_steps: int, folder: Path) -> None:
         """Write all that :meth:`_restore` needs into ``folder``, without pickle."""
         write_tensors(folder / NETWORKS, self.loss.state_dict())
         write_tensors(folder / OPTIMIZER, moments_of(self.optimizer.state_dict()))
         write_arrays(folder / WORLDS, self.env.save_state(), compress=True)
+        if self.teacher is not None:
+            write_arrays(folder / TEACHER_WORLDS, self.teacher.save_state(), compress=True)
         counters = {
             "env_steps": env_steps,
             "curriculum": asdict(self.curriculum),
@@ -304,6 +332,8 @@ class Trainer:
         env = self._make_env()
         env.load_state(read_arrays(folder / WORLDS))
         self._collect_from(env)
+        if self.teacher is not None:
+            self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS))
         restore_generators(counters["generators"])  # last: a new collector tries the policy
         env_steps: int = counters["env_steps"]
         return env_steps

@@ -68,6 +68,7 @@ class Constants(NamedTuple):
     rules: int
     team_sharing: int
     observation: int
+    keeps_plan: int  # whether an assignment stays as long as it can
     one_hot: int
     random_starts: int
     failure_kind: int
@@ -136,6 +137,7 @@ def make_record(
         "rules": RULES[config.reward.rules],
         "team_sharing": config.reward_sharing == "team",
         "observation": OBSERVATIONS[config.observation],
+        "keeps_plan": config.assignment is True,
         "first_world": first_world,
         "autoreset": AUTORESET_MODES.index(autoreset),
     }

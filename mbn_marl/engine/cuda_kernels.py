@@ -148,7 +148,7 @@ def write_observations(p, g, mem, ep, w, is_world, tile, rows):
     size = rows.shape[2]
     count = min(threads, rows.shape[0] - first)
     if is_world:
-        assign(g, mem.plan, ep.status, ep, w, w + ONE)
+        assign(p, g, mem.plan, ep.status, ep, w, w + ONE)
     for i in range(rows.shape[1]):
         if is_world:
             mine = tile[:, thread : thread + 1]
@@ -212,7 +212,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
                 score_step(p, own, memory, one.status, one, given, to, ZERO, ONE)
                 change = close_step(p, memory, given, ZERO)
             if change == ENDED | RESTARTS:
-                assign(own, memory.plan, one.status, one, ZERO, ONE)
+                assign(p, own, memory.plan, one.status, one, ZERO, ONE)
                 for i in range(n):
                     describe(
                         *(p, own, memory.key, memory.seen, memory.plan, one.status),

@@ -189,7 +189,7 @@ def test_all_forms_agree_with_the_oracle(rules: Any, dtype: str) -> None:
         ("float32", "released", ["relative", "entities"]),
         ("float32", "formal", ["local", "state"]),
         ("float64", "released", ["lidar_local"]),
-        ("float64", "formal", ["lidar", "assigned entities"]),
+        ("float64", "formal", ["lidar", "True entities", "fresh entities"]),
     ],
 )
 def test_all_forms_agree_with_the_oracle_when_robots_fail(
@@ -202,8 +202,9 @@ def test_all_forms_agree_with_the_oracle_when_robots_fail(
     def agree(world: World, failures: Failures, observation: str) -> None:
         n = len(world.behaviours)
         options = {**world.settings, **DRAWN, **dict.fromkeys(OF_ACTIONS, 0)}
-        options |= {"failures": failures, "observation": observation.removeprefix("assigned ")}
-        options["assignment"] = observation.startswith("assigned")
+        *assigned, observation = observation.split()
+        options |= {"failures": failures, "observation": observation}
+        options["assignment"] = {"True": True, "fresh": "fresh"}[assigned[0]] if assigned else False
         options["dynamics"] = tuple((order * n)[:n])
         seen.update(compare(replace(world, settings=options), dtype, 3, 0))
 

@@ -128,7 +128,7 @@ def test_on_the_catalogue_the_assignment_is_the_cheapest_of_all(name: str) -> No
     field = load_field(name)
     n, m = len(field.starts), len(field.rois)
     plan = Plan(Atlas(field.polygon, [*map(tuple, field.rois.tolist())]), n)
-    plan.update([*map(tuple, field.starts.tolist())], [True] * n, [*range(m)])
+    plan.update([*map(tuple, field.starts.tolist())], [True] * n, [*range(m)], [0j] * n)
     orders = (
         [list(order[a:b]) for a, b in pairwise((0, *cuts, m))]
         for order in permutations(range(m))
@@ -173,6 +173,35 @@ def test_worlds_that_are_left_out_keep_their_assignment() -> None:
     assert before["roi_0_order"] == 1.0
     engine.step(actions, np.array([False, True, False]))
     assert entries(engine, 0) == before
+
+
+def test_a_fresh_assignment_is_for_where_robots_are_and_how_they_move() -> None:
+    """Robots wander in the field with a corner, where a kept assignment is soon another one."""
+    field = Field(
+        LETTER_L, [(30.0, 95.0), (90.0, 45.0), (20.0, 20.0)], [(90.0, 20.0), (10.0, 80.0)]
+    )
+    settings: dict[str, Any] = {"roi_radius": 1.0, "threads": 1, **ASSIGNED}
+    engine = BatchEngine(field, 1, **settings | {"assignment": "fresh"})
+    kept = BatchEngine(field, 1, **settings)
+    plan = Plan(Atlas(field.polygon, [*map(tuple, field.rois.tolist())]), 2, fresh=True)
+    engine.reset()
+    kept.reset()
+    parted = 0
+    for _ in range(40):
+        actions = engine.sample_actions()
+        engine.step(actions)
+        kept.step(actions)
+        here = engine.snapshot()
+        speeds = [complex(*velocity) / 5.0 for velocity in here.velocities.tolist()]
+        plan.update([*map(tuple, here.positions.tolist())], [True, True], [0, 1, 2], speeds)
+        for robot in (0, 1):
+            found = entries(engine, robot)
+            expected = [plan.turn(robot, j) for j in range(3)]
+            assert [found[f"roi_{j}_order"] for j in range(3)] == pytest.approx(expected)
+            tour = float(plan.tours[robot])
+            assert found["own_tour"] == pytest.approx(tour / (100 + tour), abs=1e-4)
+            parted += found["roi_0_order"] != entries(kept, robot)["roi_0_order"]
+    assert parted
 
 
 def test_the_way_around_a_corner_by_hand() -> None:

@@ -70,7 +70,7 @@ class Oracle:
         safety_distance: float = 10.0,
         roi_radius: float = 10.0,
         observation: str = "relative",
-        assignment: bool = False,
+        assignment: bool | str = False,
         one_hot: bool = False,
         sensing_radius: float = 100.0,
         failures: Any = None,
@@ -109,7 +109,7 @@ class Oracle:
         self.max_steps = max_steps
         self.observation, self.assignment, self.one_hot = observation, assignment, one_hot
         self.atlas = Atlas(self.polygon, self.rois) if assignment else None
-        self.token = 9 + 2 * assignment
+        self.token = 9 + 2 * bool(assignment)
         self.sensing_radius = sensing_radius
         self.failures, self.failure_rate, self.fails = failures, failure_rate, fails or {}
         self.disturbances = Disturbances(real, *self.place, **disturbances)
@@ -134,7 +134,8 @@ class Oracle:
         self.steps = 0
         self.episode_return = 0.0
         self.success = self.collision = False
-        self.plan = Plan(self.atlas, len(self.robots)) if self.atlas else None
+        fresh = self.assignment == "fresh"
+        self.plan = Plan(self.atlas, len(self.robots), fresh=fresh) if self.atlas else None
         self._assign()
 
     @property
@@ -183,7 +184,10 @@ class Oracle:
         if self.plan:
             works = [not robot.failed for robot in self.robots]
             left = [j for j, visited in enumerate(self.visited) if not visited]
-            self.plan.update([(robot.x, robot.y) for robot in self.robots], works, left)
+            spots = [(robot.x, robot.y) for robot in self.robots]
+            top = float(self.top_speed)
+            speeds = [complex(robot.vx, robot.vy) / top for robot in self.robots]
+            self.plan.update(spots, works, left, speeds)
 
     def observe(
         self, i: int, missing: int = 0, shift: tuple[float, float] = (0.0, 0.0)

@@ -116,24 +116,30 @@ class Atlas:
 
 
 class Plan:
-    """Who visits what, in which order: made at first, and again when a robot with ROIs fails.
+    """Who visits what, in which order: made at first and when a robot with ROIs fails, or always.
 
     Args:
         atlas: the ways.
         n: how many robots there are.
+        fresh: whether it is made at each update.
     """
 
-    def __init__(self, atlas: Atlas, n: int) -> None:
-        self._atlas = atlas
+    def __init__(self, atlas: Atlas, n: int, *, fresh: bool = False) -> None:
+        self._atlas, self._fresh = atlas, fresh
         self.orders: list[list[int]] = [[] for _ in range(n)]
         self._made = False
 
-    def update(self, spots: list[Any], works: list[bool], left: list[int]) -> None:
-        """Assign the ROIs that are left to the robots that work, given where all are."""
-        self._spots = spots
+    def update(
+        self, spots: list[Any], works: list[bool], left: list[int], speeds: list[complex]
+    ) -> None:
+        """Assign the ROIs that are left to the robots that work, given where all are.
+
+        ``speeds``: shares of the speed limit.
+        """
+        self._spots, self._speeds = spots, speeds
         self.orders = [[j for j in order if j in left] for order in self.orders]
         failed = any(order and not works[i] for i, order in enumerate(self.orders))
-        if failed or not self._made:
+        if failed or self._fresh or not self._made:
             made = [self._assigned(works, left, weight) for weight in (1, 1 / 64)]
             self.orders = first_least(made, self.cost)
             self._made = True
@@ -170,6 +176,11 @@ class Plan:
         stops = [self._spots[i], *(self._atlas.rois[j] for j in order)]
         ways = (self._atlas.way(stop, j)[0] for stop, j in zip(stops, order, strict=False))
         total = sum(ways, stops[0][0] * 0)
+        if self._fresh and order:
+            aim = self._atlas.way(stops[0], order[0])[1] or self._atlas.rois[order[0]]
+            go = complex(*map(float, aim)) - complex(*map(float, stops[0]))
+            along = (self._speeds[i].conjugate() * go).real / max(abs(go), 1e-3)
+            total += 40 * (1.0 - along) ** 2
         places = [complex(*map(float, stop)) for stop in stops]
         for before, here, after in zip(places, places[1:], places[2:], strict=False):
             come, go = here - before, after - here

@@ -3,7 +3,8 @@
 ``Memory.plan`` has it, up to date at each observation. For n robots and m ROIs a world's numbers
 are, one after the other: how far each robot goes in all (n), the ROI that each visits first (n),
 the robot that visits each ROI (m), 1 over its place in that robot's order (m), the ROI visited
-after it (m), and each robot's way to each ROI: its length (n m) and its first waypoint (n m).
+after it (m), and each robot's way to each ROI: its length (n m), its first waypoint (n m) and, in
+a fresh assignment, what it costs to get going there (n m), else 0.
 Where nothing is assigned, it has three dimensions and no entries, and all of this is left out when
 it is compiled.
 
@@ -39,11 +40,13 @@ CHANGES = 2
 """How often an assignment is changed, at most, for each ROI of the field."""
 TURN_BACK = np.float32(16)
 """The cost of a U-turn at an ROI, units; less for smaller turns, 0 up to a right angle."""
+GO = np.float32(40)
+"""What it costs to get going from standing, units: nothing at full speed, fourfold against it."""
 
 
 def plan_size(n: int, m: int) -> int:
     """How many numbers ``Memory.plan`` has of a world with n robots and m ROIs."""
-    return 2 * n + 3 * m + 2 * n * m
+    return 2 * n + 3 * m + 3 * n * m
 
 
 @compiled
@@ -108,6 +111,7 @@ def find_ways(g, plan, status, ep, lo, hi):
     """Find each robot's way to each ROI."""
     n, m = ep.x.shape[0], g.rois.shape[1]
     ways, vias = 2 * n + 3 * m, 2 * n + 3 * m + n * m
+    goings = vias + n * m
     for i in range(n):
         for j in range(m):
             for w in range(lo, hi):
@@ -115,8 +119,27 @@ def find_ways(g, plan, status, ep, lo, hi):
                 dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
                 plan[w, ways + m * i + j] = length(dx, dy)
                 plan[w, vias + m * i + j] = STRAIGHT
+                plan[w, goings + m * i + j] = 0
     if g.waypoints.shape[1] > 0:
         look_around(g, plan, status, ep, lo, hi)
+
+
+@compiled
+def get_going(p, g, plan, ep, lo, hi):
+    """Write what it costs each robot to get going to each ROI, as it moves now."""
+    n, m = ep.x.shape[0], g.rois.shape[1]
+    for w in range(lo, hi):
+        f = column(g, w)
+        for i in range(n):
+            for j in range(m):
+                _, first = way_to(plan, n, m, i, j, w)
+                dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
+                if first >= 0:
+                    dx = g.waypoints[0, first, f] - ep.x[i, w]
+                    dy = g.waypoints[1, first, f] - ep.y[i, w]
+                far = max(math.sqrt(dx * dx + dy * dy), CLOSE)
+                slow = 1 - p.per_speed * (ep.vx[i, w] * dx + ep.vy[i, w] * dy) / far
+                plan[w, 2 * n + 3 * m + 2 * n * m + m * i + j] = GO * slow * slow
 
 
 @compiled
@@ -164,7 +187,8 @@ def measure(g, plan, ep, i, w):
     while b != END:
         dx, dy = rois[0, b, f] - x, rois[1, b, f] - y
         if a == END:
-            total += plan[w, 2 * n + 3 * m + m * i + b]
+            row = 2 * n + 3 * m + m * i + b
+            total += plan[w, row] + plan[w, row + 2 * n * m]
         elif bent and legs[a, b, f] < NEVER:
             total += legs[a, b, f]
         else:
@@ -342,15 +366,18 @@ def keep(g, plan, status, ep, w):
 
 
 @compiled
-def assign(g, plan, status, ep, lo, hi):
+def assign(p, g, plan, status, ep, lo, hi):
     """Assign the ROIs that are left to the robots that work, in each world of a block.
 
-    ``plan`` is that of the memory, ``status`` that of ``ep``.
+    ``plan`` is that of the memory, ``status`` that of ``ep``. A fresh one is made each time, and
+    depends on how robots move, or they would turn back and forth between two that cost as much.
     """
     if plan.ndim == 2:
         find_ways(g, plan, status, ep, lo, hi)
+        if p.keeps_plan == 0:
+            get_going(p, g, plan, ep, lo, hi)
         for w in range(lo, hi):
-            if (ep.steps[w] > 0) and keep(g, plan, status, ep, w):
+            if (p.keeps_plan > 0) and (ep.steps[w] > 0) and keep(g, plan, status, ep, w):
                 measure_all(g, plan, ep, w)
             else:
                 # The cheaper one is made again, if it was the first: none is stored.

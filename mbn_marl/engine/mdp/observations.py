@@ -74,7 +74,7 @@ def observation_table(
         rows = _state_rows(n, m, arena, config.top_speed, turns, flag)
     elif config.observation == "entities":
         failed = flag if config.failures else ""  # who is absent, its tokens say
-        rows = entity_rows(n, m, turns, failed, config.assignment)
+        rows = entity_rows(n, m, turns, failed, bool(config.assignment))
     else:
         rows = _scaled_rows(n, m, config.observation, turns, flag)
     if config.one_hot:
@@ -354,7 +354,7 @@ def observe(p, g, mem, ep, lo, hi, tile, rows):
     """
     keys, seen, plan, status = mem.key, mem.seen, mem.plan, ep.status
     rays, scales = g.rays, g.scales
-    assign(g, plan, status, ep, lo, hi)
+    assign(p, g, plan, status, ep, lo, hi)
     for i in range(ep.x.shape[0]):
         describe(p, g, keys, seen, plan, status, rays, scales, ep, lo, hi, i, tile)
         turn_over(tile, lo, hi, np.uint64(i), rows)

@@ -1,0 +1,89 @@
+"""A teacher: a trained policy that says what it would do where the learner is.
+
+Source: Schmitt et al., "Kickstarting Deep Reinforcement Learning", 2018.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+
+from baselines.evaluation.fitting import fitted
+from baselines.evaluation.policy import TrainedPolicy, load_trained
+from baselines.torchrl.networks import Key
+from baselines.training.config import Task
+from baselines.zoo.entries import open_run
+from mbn_marl.adapters.torchrl import NavigationEnv
+from mbn_marl.engine import BatchEngine
+from mbn_marl.errors import ConfigError
+
+SEEN = ("observation", "assignment", "one_hot", "sensing_radius")
+"""The settings that say what a robot sees, and nothing else."""
+
+
+def find_teacher(source: str) -> tuple[TrainedPolicy, dict[str, Any]]:
+    """Return the policy of ``zoo:NAME`` or a run's folder, and the settings of what it sees.
+
+    An assignment is made for where robots are: what it was at first, a learner that does not see
+    it could not know.
+
+    Raises:
+        MbnError: there is none.
+    """
+    policy: Any = load_trained(open_run(source))
+    seen = {name: getattr(policy.origin.config, name) for name in SEEN}
+    return policy, {**seen, "assignment": "fresh" if seen["assignment"] else False}
+
+
+def check_teacher(source: str, task: Task) -> None:
+    """Check that the teacher can act where the learner does.
+
+    Raises:
+        MbnError: there is none, or (ConfigError) it does not fit; all reasons are listed.
+    """
+    policy, seen = find_teacher(source)
+    if policy.observes != "observations":
+        problem = f"teacher: {source} acts on the state; allowed: on robots' own observations"
+        raise ConfigError("training", [problem])
+    fitted(policy, BatchEngine(task.field, 1, threads=1, **{**task.settings, **seen}))
+
+
+class Teacher:
+    """Follow the learner's rollouts in the same worlds, which show what the teacher sees.
+
+    Args:
+        source: ``zoo:NAME`` or a run's folder.
+        make_env: makes the learner's worlds, with these settings in place of their own.
+    """
+
+    def __init__(self, source: str, make_env: Callable[..., NavigationEnv]) -> None:
+        policy, seen = find_teacher(source)
+        self._env = make_env(**seen)
+        self._policy = fitted(policy, self._env.engine)
+        self._now = self._env.reset()
+
+    def actions(self, rollout: TensorDictBase, repeat: int) -> torch.Tensor:
+        """Return the mean actions, clipped to [-1, 1], for a rollout (W, T): (W, T, n, 2).
+
+        ``rollout`` begins where the last one ended; a decision lasts ``repeat`` env-steps.
+        """
+        self._env.action_repeat = repeat
+        answers = []
+        for taken in rollout[Key.ACTION].unbind(1):
+            seen = self._now[Key.OBSERVATION].numpy(force=True)
+            answers.append(torch.from_numpy(self._policy.act(seen, deterministic=True)))
+            _, self._now = self._env.step_and_maybe_reset(self._now.set(Key.ACTION, taken))
+        return torch.stack(answers, 1).clamp_(-1.0, 1.0).to(rollout.device)
+
+    def save_state(self) -> dict[str, NDArray[Any]]:
+        """Return what :meth:`load_state` wants, by name."""
+        return self._env.save_state()
+
+    def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
+        """Continue where ``saved`` was taken."""
+        self._env.load_state(saved)
+        self._now = self._env.reset()
