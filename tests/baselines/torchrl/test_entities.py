@@ -126,7 +126,7 @@ TINY = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8, 8], "minibatches": 2
 CONFIG = TrainConfig(
     "generalist",
     "random_convex",
-    steps=192,
+    steps=320,
     evaluate_every=128,
     episodes=2,
     hyperparameters=TINY,
@@ -178,6 +178,7 @@ def test_an_interrupted_run_goes_on_bit_for_bit(run: RunFolder, tmp_path: Path) 
 
     with pytest.raises(KeyboardInterrupt):
         train(CONFIG, tmp_path / "run", listener=stop)
+    assert not RunFolder.open(tmp_path / "run").finished
     again = train(CONFIG, tmp_path / "run", resume=True)
     assert again.evaluation["stochastic"] == run.evaluation["stochastic"]
     first, second = (load_policy(one.path).policy.network for one in (run, again))

@@ -14,6 +14,7 @@ from tensordict import TensorDict
 
 from baselines import load_policy
 from baselines.algorithms import find_algorithm
+from baselines.runs.folder import RunFolder
 from baselines.torchrl.networks import Key
 from baselines.torchrl.teacher import Teacher
 from baselines.training.config import TrainConfig
@@ -28,8 +29,8 @@ TINY = {"num_worlds": 4, "rollout_steps": 16, "hidden": [16, 16], "minibatches":
 CONFIG = TrainConfig(
     "generalist",
     "random_convex",
-    steps=192,
-    evaluate_every=64,
+    steps=320,
+    evaluate_every=128,
     episodes=2,
     hyperparameters={**TINY, "teacher": SOURCE},
     environment=LEARNER,
@@ -102,6 +103,7 @@ def test_an_interrupted_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         train(CONFIG, tmp_path / "run", listener=stop)
+    assert not RunFolder.open(tmp_path / "run").finished
     again = train(CONFIG, tmp_path / "run", resume=True)
     assert again.evaluation["stochastic"] == whole.evaluation["stochastic"]
     first, second = (load_policy(one.path).policy.network for one in (whole, again))
