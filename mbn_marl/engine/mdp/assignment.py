@@ -1,12 +1,11 @@
 """Which robot visits which of the ROIs that are left, and in which order (mdp.md, "Entities").
 
 ``Memory.plan`` has it, up to date at each observation. For n robots and m ROIs a world's numbers
-are, one after the other: how far each robot goes in all (n), the ROI that each visits first (n),
-the robot that visits each ROI (m), 1 over its place in that robot's order (m), the ROI visited
-after it (m), and each robot's way to each ROI: its length (n m), its first waypoint (n m) and, in
-a fresh assignment, what it costs to get going there (n m), else 0.
-Where nothing is assigned, it has three dimensions and no entries, and all of this is left out when
-it is compiled.
+are: how far each robot goes in all (n), the ROI that each visits first (n), the robot that visits
+each ROI (m), 1 over its place in that robot's order (m), the ROI visited after it (m), and each
+robot's way to each ROI: its length (n m), its first waypoint (n m) and, in a fresh assignment, what
+it costs to get going there (n m), else 0. Where nothing is assigned, it has three dimensions and no
+entries, and all of this is left out when it is compiled.
 
 Source: this package.
 """
@@ -111,7 +110,6 @@ def find_ways(g, plan, status, ep, lo, hi):
     """Find each robot's way to each ROI."""
     n, m = ep.x.shape[0], g.rois.shape[1]
     ways, vias = 2 * n + 3 * m, 2 * n + 3 * m + n * m
-    goings = vias + n * m
     for i in range(n):
         for j in range(m):
             for w in range(lo, hi):
@@ -119,7 +117,7 @@ def find_ways(g, plan, status, ep, lo, hi):
                 dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
                 plan[w, ways + m * i + j] = length(dx, dy)
                 plan[w, vias + m * i + j] = STRAIGHT
-                plan[w, goings + m * i + j] = 0
+                plan[w, vias + m * (n + i) + j] = 0
     if g.waypoints.shape[1] > 0:
         look_around(g, plan, status, ep, lo, hi)
 
@@ -133,10 +131,8 @@ def get_going(p, g, plan, ep, lo, hi):
         for i in range(n):
             for j in range(m):
                 _, first = way_to(plan, n, m, i, j, w)
-                dx, dy = g.rois[0, j, f] - ep.x[i, w], g.rois[1, j, f] - ep.y[i, w]
-                if first >= 0:
-                    dx = g.waypoints[0, first, f] - ep.x[i, w]
-                    dy = g.waypoints[1, first, f] - ep.y[i, w]
+                places, at = (g.waypoints, first) if first >= 0 else (g.rois, j)
+                dx, dy = places[0, at, f] - ep.x[i, w], places[1, at, f] - ep.y[i, w]
                 far = max(math.sqrt(dx * dx + dy * dy), CLOSE)
                 slow = 1 - p.per_speed * (ep.vx[i, w] * dx + ep.vy[i, w] * dy) / far
                 plan[w, 2 * n + 3 * m + 2 * n * m + m * i + j] = GO * slow * slow
@@ -369,8 +365,7 @@ def keep(g, plan, status, ep, w):
 def assign(p, g, plan, status, ep, lo, hi):
     """Assign the ROIs that are left to the robots that work, in each world of a block.
 
-    ``plan`` is that of the memory, ``status`` that of ``ep``. A fresh one is made each time, and
-    depends on how robots move, or they would turn back and forth between two that cost as much.
+    ``plan`` is that of the memory, ``status`` that of ``ep``. A fresh one is made each time.
     """
     if plan.ndim == 2:
         find_ways(g, plan, status, ep, lo, hi)
