@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from baselines.torchrl.networks import Actor, Critic, Network, Sharing
 from baselines.training.aids import Count, Positive, Share, TrainingAids, between
@@ -78,6 +78,11 @@ class MultiAgentPPOConfig(TrainingAids):
     teacher_weight: tuple[NonNegative, NonNegative]
     final_gain: Positive
     search_generations: Annotated[int, Field(ge=0)]
+
+    @field_validator("teacher")
+    @classmethod
+    def _found_from_anywhere(cls, value: str | None) -> str | None:
+        return str(Path(value).resolve()) if value and Path(value).is_dir() else value
 
     @property
     def decisions(self) -> int:

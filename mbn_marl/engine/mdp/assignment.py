@@ -1,10 +1,10 @@
 """Which robot visits which of the ROIs that are left, and in which order (mdp.md, "Entities").
 
 ``Memory.plan`` has it, up to date at each observation. For n robots and m ROIs a world's numbers
-are: how far each robot goes in all (n), the ROI that each visits first (n), the robot that visits
-each ROI (m), 1 over its place in that robot's order (m), the ROI visited after it (m), and each
-robot's way to each ROI: its length (n m), its first waypoint (n m) and, in a fresh assignment, what
-it costs to get going there (n m), else 0. Where nothing is assigned, it has three dimensions and no
+are, in order: how far each robot goes in all (n), the ROI that each visits first (n), the robot
+that visits each ROI (m), 1 over its place in that robot's order (m), the ROI visited after it (m),
+and each robot's way to each ROI: its length (n m), its first waypoint (n m) and, if it is fresh,
+the cost of speeding up (n m), else 0. Where nothing is assigned, it has three dimensions and no
 entries, and all of this is left out when it is compiled.
 
 Source: this package.
@@ -40,7 +40,7 @@ CHANGES = 2
 TURN_BACK = np.float32(16)
 """The cost of a U-turn at an ROI, units; less for smaller turns, 0 up to a right angle."""
 GO = np.float32(40)
-"""What it costs to get going from standing, units: nothing at full speed, fourfold against it."""
+"""The cost of speeding up from standing, units; 0 at full speed, 4 times it from the wrong way."""
 
 
 def plan_size(n: int, m: int) -> int:
@@ -124,7 +124,7 @@ def find_ways(g, plan, status, ep, lo, hi):
 
 @compiled
 def get_going(p, g, plan, ep, lo, hi):
-    """Write what it costs each robot to get going to each ROI, as it moves now."""
+    """Write what it costs each robot, as it moves now, to speed up towards each ROI."""
     n, m = ep.x.shape[0], g.rois.shape[1]
     for w in range(lo, hi):
         f = column(g, w)

@@ -24,6 +24,7 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import FieldSampler, load_field, load_fields
 from tests.baselines.conftest import Refusal
+from tests.support.runs import interrupted, recorded, same_policies
 
 SEEN: dict[str, Any] = {"observation": "entities", "assignment": True}
 TEAMS = FieldSampler(robots=(2, 4), rois=(3, 5), seed=7)
@@ -171,19 +172,10 @@ def test_a_policy_says_which_observation_it_needs(run: RunFolder) -> None:
 
 
 def test_an_interrupted_run_goes_on_bit_for_bit(run: RunFolder, tmp_path: Path) -> None:
-
-    def stop(report: Any) -> None:
-        if report.env_steps > 128:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(CONFIG, tmp_path / "run", listener=stop)
-    assert not RunFolder.open(tmp_path / "run").finished
+    assert not interrupted(CONFIG, tmp_path / "run").finished
     again = train(CONFIG, tmp_path / "run", resume=True)
-    assert again.evaluation["stochastic"] == run.evaluation["stochastic"]
-    first, second = (load_policy(one.path).policy.network for one in (run, again))
-    for one, other in zip(first.parameters(), second.parameters(), strict=True):
-        assert torch.equal(one, other)
+    assert recorded(again) == recorded(run)
+    assert same_policies(again, run)
 
 
 SMALL: dict[str, Any] = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}

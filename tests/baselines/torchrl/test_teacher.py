@@ -14,7 +14,6 @@ from tensordict import TensorDict
 
 from baselines import load_policy
 from baselines.algorithms import find_algorithm
-from baselines.runs.folder import RunFolder
 from baselines.torchrl.networks import Key
 from baselines.torchrl.teacher import Teacher
 from baselines.training.config import TrainConfig
@@ -22,6 +21,7 @@ from baselines.training.train import prepare, train
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler
+from tests.support.runs import interrupted, recorded, same_policies
 
 SOURCE = "zoo:generalist-hint"
 LEARNER: dict[str, Any] = {"observation": "entities", "assignment": False}
@@ -96,19 +96,10 @@ def test_a_learner_comes_to_act_as_its_teacher(tmp_path: Path) -> None:
 
 def test_an_interrupted_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     whole = train(CONFIG, tmp_path / "whole")
-
-    def stop(report: Any) -> None:
-        if report.env_steps > 128:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(CONFIG, tmp_path / "run", listener=stop)
-    assert not RunFolder.open(tmp_path / "run").finished
+    assert not interrupted(CONFIG, tmp_path / "run").finished
     again = train(CONFIG, tmp_path / "run", resume=True)
-    assert again.evaluation["stochastic"] == whole.evaluation["stochastic"]
-    first, second = (load_policy(one.path).policy.network for one in (whole, again))
-    for one, other in zip(first.parameters(), second.parameters(), strict=True):
-        assert torch.equal(one, other)
+    assert recorded(again) == recorded(whole)
+    assert same_policies(again, whole)
 
 
 @pytest.mark.parametrize(
