@@ -182,9 +182,8 @@ def test_equals_the_cpu_with_features(settings: dict[str, Any]) -> None:
         | BLOWN,
         {"field": FieldSampler(robots=(2, 3)), **BLOWN},
         {"field": FieldSampler(FAMILIES, robots=(2, 4)), "dropout": 0.2, **ASSIGNED},
-        {"field": FieldSampler(FAMILIES), **ASSIGNED, "assignment": "fresh"},
     ],
-    ids=["state", "relative", "entities", "fresh entities"],
+    ids=["state", "relative", "entities"],
 )
 def test_equals_the_cpu_on_random_fields(settings: dict[str, Any]) -> None:
     run(*pair(**(SETTINGS | settings)), steps=60)
