@@ -18,6 +18,7 @@ from baselines.torchrl.networks import Key
 from baselines.training.config import Task
 from baselines.zoo.entries import open_run
 from mbn_marl.adapters.torchrl import NavigationEnv
+from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
 
@@ -25,18 +26,19 @@ SEEN = ("observation", "assignment", "one_hot", "sensing_radius")
 """The settings that say what a robot sees, and nothing else."""
 
 
-def find_teacher(source: str) -> tuple[TrainedPolicy, dict[str, Any]]:
+def find_teacher(source: str, learner: Mapping[str, Any]) -> tuple[TrainedPolicy, dict[str, Any]]:
     """Return the policy of ``zoo:NAME`` or a run's folder, and the settings of what it sees.
 
-    An assignment is made for where robots are: what it was at first, a learner that does not see
-    it could not know.
+    If it sees an assignment, that is the learner's. A learner that sees none (``learner``: its
+    settings) could not know what was assigned at first: then it is made for where robots are.
 
     Raises:
         MbnError: there is none.
     """
     policy: Any = load_trained(open_run(source))
     seen = {name: getattr(policy.origin.config, name) for name in SEEN}
-    return policy, {**seen, "assignment": "fresh" if seen["assignment"] else False}
+    shown = make_config(learner).assignment or "fresh"
+    return policy, {**seen, "assignment": shown if seen["assignment"] else False}
 
 
 def check_teacher(source: str, task: Task) -> None:
@@ -45,7 +47,7 @@ def check_teacher(source: str, task: Task) -> None:
     Raises:
         MbnError: there is none, or (ConfigError) it does not fit; all reasons are listed.
     """
-    policy, seen = find_teacher(source)
+    policy, seen = find_teacher(source, task.settings)
     if policy.observes != "observations":
         problem = f"teacher: {source} acts on the state; allowed: on robots' own observations"
         raise ConfigError("training", [problem])
@@ -57,11 +59,14 @@ class Teacher:
 
     Args:
         source: ``zoo:NAME`` or a run's folder.
+        learner: the settings of the learner's environment.
         make_env: makes the learner's worlds, with these settings in place of their own.
     """
 
-    def __init__(self, source: str, make_env: Callable[..., NavigationEnv]) -> None:
-        policy, seen = find_teacher(source)
+    def __init__(
+        self, source: str, learner: Mapping[str, Any], make_env: Callable[..., NavigationEnv]
+    ) -> None:
+        policy, seen = find_teacher(source, learner)
         self._env = make_env(**seen)
         self._policy = fitted(policy, self._env.engine)
         self._now = self._env.reset()

@@ -168,8 +168,9 @@ class Trainer:
 
     def _collect_from(self, env: NavigationEnv) -> None:
         """Collect rollouts from ``env`` from now on, and let the teacher follow there."""
-        self.env, source = env, self.config.teacher
-        self.teacher = None if source is None else Teacher(source, self._make_env)
+        self.env, self.teacher = env, None
+        if self.config.teacher is not None:
+            self.teacher = Teacher(self.config.teacher, self.task.settings, self._make_env)
         self.rollouts = iter(
             Collector(
                 env,

@@ -56,7 +56,7 @@ def rollout_of(env: NavigationEnv, steps: int) -> TensorDict:
 
 @pytest.mark.parametrize("repeat", [1, 3])
 def test_a_teacher_acts_where_the_learner_is_and_sees_the_assignment(repeat: int) -> None:
-    learner, teacher = make_env(), Teacher(SOURCE, make_env)
+    learner, teacher = make_env(), Teacher(SOURCE, LEARNER, make_env)
     hinted = make_env(assignment="fresh")
     policy = load_policy(SOURCE)
     names = [entry.name for entry in learner.engine.observation_table]
