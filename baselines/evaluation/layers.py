@@ -19,6 +19,8 @@ Arrays = dict[str, NDArray[Any]]
 LIMITS = {"relu": (0.0, None), "clip": (-1.0, 1.0)}
 LEAST = 1e-30
 """Added to a sum of weights, which is 0 where no ROI is left."""
+SHORT = 1e-6
+"""Added to the square of a length, units, so that none is 0."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +63,9 @@ class Sets:
         named: ``sizes``, entries of the own token, of another robot's and of an ROI's; for each of
             ``own``, ``robot`` and ``roi`` the columns ``_pairs`` (2, k) that turn and ``_rest``
             that do not; ``next``, the columns by which the next ROI is found; ``rays`` (8, 8), and
-            the ``first_ray``; ``turns``, whether observations are turned; and of each layer the
-            weight (inputs, outputs) and the ``_bias`` (1, outputs), float32.
+            the ``first_ray``; ``turns``, whether observations are turned; ``rivals`` (4, 2), what
+            is read of them, and their ``scales`` (2,), only where no assignment is seen; and of
+            each layer the weight (inputs, outputs) and the ``_bias`` (1, outputs), float32.
         clip: infinite, since tokens are not normalised.
     """
 
@@ -130,31 +133,63 @@ def _run_sets(file: Arrays, seen: Any, xp: Any) -> Any:
         first, second = xp.where(swap[:, None], y, x), xp.where(swap[:, None], x, y)
         return xp.concatenate([tokens[..., rest], first, second], -1)
 
-    def layer(name: str, flow: Any) -> Any:
-        flow = flow @ file[name] + file[f"{name}_bias"]
-        return flow * (flow > 0.0)
-
-    def found(kind: str, tokens: Any) -> tuple[Any, Any]:
-        """Return the features of tokens, 0 where nothing is there, and whether it is."""
-        there = tokens[..., :1] != 0.0
-        flow = turned(kind, tokens).reshape(count * tokens.shape[1], tokens.shape[2])
-        flow = layer(f"{kind}.2", layer(f"{kind}.0", flow))
-        return flow.reshape(count, tokens.shape[1], flow.shape[1]) * there, there
+    def found(kind: str, tokens: Any, *more: Any) -> Any:
+        """Return the features of tokens, 0 where nothing is there."""
+        flow = xp.concatenate([turned(kind, tokens), *more], -1).reshape(
+            count * tokens.shape[1], -1
+        )
+        flow = _layer(file, f"{kind}.2", _layer(file, f"{kind}.0", flow))
+        return flow.reshape(count, tokens.shape[1], flow.shape[1]) * (tokens[..., :1] != 0.0)
 
     element = (sign[:, 0] < 0) + 2 * (sign[:, 1] < 0) + 4 * swap[:, 0]
     rays = own[each[:, None], 0, int(file["first_ray"]) + file["rays"][element]]
-    flow = xp.concatenate([turned("own", own)[:, 0], rays], -1)
-    features, there = found("roi", rois)
-    query = flow @ file["query"] + file["query_bias"]
-    score = (features * query[:, None]).sum(-1)[..., None] / math.sqrt(query.shape[-1])
-    weight = xp.exp(score - xp.amax(score, 1)[:, None]) * there
-    weight = weight / (weight.sum(1)[:, None] + LEAST)
-    own_features = layer("own.0", flow)
-    others = xp.concatenate([0.0 * own_features[:, None], found("robot", robots)[0]], 1)
-    parts = [own_features, xp.amax(features, 1), (weight * features).sum(1), xp.amax(others, 1)]
-    flow = layer("mix.0", xp.concatenate(parts, -1))
-    flow = flow + layer("deep.0", flow)
-    action = flow @ file["head"] + file["head_bias"]
+    mine = xp.concatenate([turned("own", own)[:, 0], rays], -1)
+    alone, left = "rivals" in file, rois[..., :1] != 0.0  # alone: without an assignment
+    features = found("roi", rois, *([_rivals(file, own, robots, rois, xp)] if alone else []))
+    flow = _layer(file, "own.0", mine)
+    others = xp.concatenate([0.0 * flow[:, None], found("robot", robots)], 1)
+    pooled = _pooled(features, left, _linear(file, "query", mine), xp)
+    flow = _layer(file, "mix.0", xp.concatenate([flow, *pooled, xp.amax(others, 1)], -1))
+    flow = flow + _layer(file, "deep.0", flow)
+    if alone:
+        features = _linear(file, "again", features) + _linear(file, "tell", flow)[:, None]
+        features = features * (features > 0.0) * left
+        pooled = _pooled(features, left, _linear(file, "ask", flow), xp)
+        flow = flow + _layer(file, "whole.0", xp.concatenate([flow, *pooled], -1))
+    action = _linear(file, "head", flow)
     action = xp.where(swap, action[:, [1, 0]], action) * sign
     action = xp.clip(action, -1.0, 1.0) * (rows != 0.0).any(-1)[:, None]
     return action.reshape(-1, n, 2)
+
+
+def _linear(file: Arrays, name: str, flow: Any) -> Any:
+    return flow @ file[name] + file[f"{name}_bias"]
+
+
+def _layer(file: Arrays, name: str, flow: Any) -> Any:
+    flow = _linear(file, name, flow)
+    return flow * (flow > 0.0)
+
+
+def _pooled(features: Any, left: Any, query: Any, xp: Any) -> list[Any]:
+    """Return the greatest of the ROIs' features (B, m, width), and their mean by attention."""
+    score = (features * query[:, None]).sum(-1)[..., None] / math.sqrt(query.shape[-1])
+    weight = xp.exp(score - xp.amax(score, 1)[:, None]) * left
+    weight = weight / (weight.sum(1)[:, None] + LEAST)
+    return [xp.amax(features, 1), (weight * features).sum(1)]
+
+
+def _rivals(file: Arrays, own: Any, robots: Any, rois: Any, xp: Any) -> Any:
+    """Return the greatest features of the other robots for each ROI (B, m, width)."""
+    at_roi, at_robot, faster, speed = file["rivals"]
+    near, far = file["scales"].tolist()
+    scaled = rois[..., at_roi], robots[..., at_robot]
+    to_roi, to_robot = (far * x / (1.0 - abs(x)) for x in scaled)
+    ways = to_roi[:, :, None] - to_robot[:, None]
+    length, mine = (((x * x).sum(-1)[..., None] + SHORT) ** 0.5 for x in (ways, to_roi))
+    moves = (2.0 * robots[..., faster] + own[..., speed])[:, None]
+    more = length - mine[:, :, None]
+    seen = [length / (length + far), length / (length + near), more / (abs(more) + near)]
+    seen += [(ways * moves).sum(-1)[..., None] / length]
+    features = _layer(file, "rivals.seen.0", xp.concatenate(seen, -1))
+    return xp.amax(features * robots[:, None, :, :1], 2)

@@ -17,11 +17,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from baselines.evaluation.layers import Sets
+from baselines.evaluation.layers import SHORT, Sets
 from mbn_marl.engine.mdp.entities import SCALES
 from mbn_marl.engine.mdp.observations import Entry
 
-FAR = float(SCALES[1])
+NEAR, FAR = SCALES.tolist()
 RAYS = tuple(f"ray_{k}" for k in range(8))
 
 
@@ -69,8 +69,9 @@ class Tokens:
 
 
 def in_units(scaled: torch.Tensor) -> torch.Tensor:
-    """Return the lengths of which ``scaled`` is ``length / (length + FAR)``."""
-    return FAR * scaled / (1.0 - scaled)
+    """Return the lengths of which ``scaled`` is ``length / (|length| + FAR)``."""
+    units: torch.Tensor = FAR * scaled / (1.0 - scaled.abs())
+    return units
 
 
 class Turned(nn.Module):
@@ -174,8 +175,53 @@ def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
     return layer
 
 
+class Rivals(nn.Module):
+    """What each ROI's token gets of the other robots, which may be nearer or on their way to it.
+
+    A robot needs it to find out who goes where, unless it sees the assignment.
+    """
+
+    WIDTH = 16
+
+    def __init__(self, tokens: Tokens) -> None:
+        super().__init__()
+        self._at = {
+            "roi": [tokens.roi.index(f"far_{a}") for a in "xy"],
+            "robot": [tokens.robot.index(f"far_{a}") for a in "xy"],
+            "faster": [tokens.robot.index(f"dv{a}") for a in "xy"],
+            "own": [tokens.own.index(f"own_v{a}") for a in "xy"],
+        }
+        self.seen = _layers(4, self.WIDTH)
+
+    def forward(self, own: torch.Tensor, robots: torch.Tensor, rois: torch.Tensor) -> torch.Tensor:
+        """Return the greatest features of the other robots, (K, WIDTH), for each of K ROIs.
+
+        Tokens of the robot that sees the ROI, (K, .), of the others, (K, n - 1, .), and the ROI's.
+        """
+        to_roi = in_units(rois[:, None, self._at["roi"]])
+        ways = to_roi - in_units(robots[..., self._at["robot"]])
+        far, mine = _length(ways), _length(to_roi)
+        speed = 2.0 * robots[..., self._at["faster"]] + own[:, None, self._at["own"]]
+        nearing = (ways * speed).sum(-1, keepdim=True) / far
+        farther = far - mine
+        seen = [far / (far + FAR), far / (far + NEAR), farther / (farther.abs() + NEAR), nearing]
+        features: torch.Tensor = self.seen(torch.cat(seen, -1)) * robots[..., :1]
+        return features.amax(1)
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return which entries of tokens it reads, as :class:`Sets` has them."""
+        return {"rivals": np.array(list(self._at.values())), "scales": SCALES}
+
+
+def _length(vectors: torch.Tensor) -> torch.Tensor:
+    return (vectors.square().sum(-1, keepdim=True) + SHORT).sqrt()
+
+
 class SetEncoder(nn.Module):
     """Make one vector of what a robot sees: pooled tokens of ROIs and robots beside its own.
+
+    Where robots do not see the assignment, ROIs' tokens also have :class:`Rivals`, and are pooled
+    once more, knowing what was found the first time.
 
     ``widths`` are those of the tokens' layers and of the last ones.
     """
@@ -184,12 +230,19 @@ class SetEncoder(nn.Module):
         super().__init__()
         width, last = widths[0], widths[-1]
         self._tokens, self.turned = tokens, Turned(tokens)
+        self._assigned = "order" in tokens.roi
         self.own = _layers(len(tokens.own), width)
         self.robot = _layers(len(tokens.robot), width, width)
-        self.roi = _layers(len(tokens.roi), width, width)
+        self.roi = _layers(len(tokens.roi) + (0 if self._assigned else Rivals.WIDTH), width, width)
         self.query = _linear(len(tokens.own), width, 1.0)
         self.mix = _layers(4 * width, last)
         self.deep = _layers(last, last)
+        if not self._assigned:
+            self.rivals = Rivals(tokens)
+            self.again = _linear(width, width, 1.0)
+            self.tell = _linear(last, width, 1.0)
+            self.ask = _linear(last, width, 1.0)
+            self.whole = _layers(2 * width + last, last)
 
     def forward(
         self, rows: torch.Tensor, n: int
@@ -197,34 +250,44 @@ class SetEncoder(nn.Module):
         """Return vectors (B, last) for rows (B, size), and what :meth:`Turned.back` wants."""
         own, robots, rois = self._tokens.split(rows, n)
         signs, swap = self.turned.signs(rois)
+        # Only tokens of what is there are computed: a third of them.
+        row, place = rois[..., 0].nonzero(as_tuple=True)
+        tokens = self.turned("roi", rois[row, place], signs[row], swap[row])
+        if not self._assigned:
+            rivals = self.rivals(own[row], robots[row], rois[row, place])
+            tokens = torch.cat([tokens, rivals], -1)
+        found = self.roi(tokens)
+        beside, place = robots[..., 0].nonzero(as_tuple=True)
+        team = self.robot(self.turned("robot", robots[beside, place], signs[beside], swap[beside]))
         turned = self.turned("own", own, signs, swap)
         own = torch.cat([turned, self.turned.rays(own, signs, swap)], -1)
-        # Only tokens of what is there are computed: a third of them.
-        row, found = self._found("roi", rois, signs, swap)
-        score = (found * self.query(own)[row]).sum(-1) / math.sqrt(found.shape[-1])
-        most = score.new_full((len(own),), -torch.inf).scatter_reduce(
-            0, row, score.detach(), "amax"
-        )
-        weight = (score - most[row]).exp()
-        total = weight.new_zeros(len(own)).index_add(0, row, weight)
-        weight = (weight / total[row]).unsqueeze(-1)
         blank = found.new_zeros(len(own), found.shape[-1])
-        seen = [self.own(own), _most(blank, row, found), blank.index_add(0, row, weight * found)]
-        seen.append(_most(blank, *self._found("robot", robots, signs, swap)))
-        flow = self.mix(torch.cat(seen, -1))
-        return flow + self.deep(flow), signs, swap
+        pooled = _pooled(blank, row, found, self.query(own))
+        flow = self.mix(torch.cat([self.own(own), *pooled, _most(blank, beside, team)], -1))
+        flow = flow + self.deep(flow)
+        if not self._assigned:
+            found = torch.relu(self.again(found) + self.tell(flow)[row])
+            pooled = _pooled(blank, row, found, self.ask(flow))
+            flow = flow + self.whole(torch.cat([flow, *pooled], -1))
+        return flow, signs, swap
 
-    def _found(
-        self, kind: str, tokens: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the rows (K,) and the features (K, width) of the tokens that stand for a thing.
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return which entries it reads, as :class:`Sets` has them."""
+        named = self.turned.columns()
+        return named if self._assigned else {**named, **self.rivals.columns()}
 
-        The first entry of a token says whether it does.
-        """
-        row, place = tokens[..., 0].nonzero(as_tuple=True)
-        turned = self.turned(kind, tokens[row, place], signs[row], swap[row])
-        features: torch.Tensor = getattr(self, kind)(turned)
-        return row, features
+
+def _pooled(
+    blank: torch.Tensor, row: torch.Tensor, features: torch.Tensor, query: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the greatest of the features (K, width) of each row, and their mean by attention."""
+    score = (features * query[row]).sum(-1) / math.sqrt(features.shape[-1])
+    most = score.new_full((len(query),), -torch.inf)
+    most = most.scatter_reduce(0, row, score.detach(), "amax")
+    weight = (score - most[row]).exp()
+    total = weight.new_zeros(len(query)).index_add(0, row, weight)
+    weight = (weight / total[row]).unsqueeze(-1)
+    return _most(blank, row, features), blank.index_add(0, row, weight * features)
 
 
 def _most(blank: torch.Tensor, row: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
@@ -262,7 +325,7 @@ class SetActor(nn.Module):
 
     def layers(self) -> Sets:
         """Return the network as plain arrays."""
-        named = self.encoder.turned.columns()
+        named = self.encoder.columns()
         for name, module in self.named_modules():
             if isinstance(module, nn.Linear):
                 place = name.removeprefix("encoder.")
