@@ -48,6 +48,8 @@ class MultiAgentPPOConfig(TrainingAids):
             more than the learner, such as the assignment. The loss gets the squared distance of
             mean actions from the teacher's in the states that the learner comes to.
         teacher_weight: of that distance in the loss, from and to.
+        imitation_until: the share of training, at its beginning, in which the actor does nothing
+            but imitate and the critic waits (DAgger: the learner acts, the teacher says how).
         final_gain: what mean actions are multiplied by after the last update. Full force is the
             fastest, but while noise adds to them, larger means gain little.
         search_generations: of the search for a faster episode after training, which takes env-steps
@@ -76,6 +78,7 @@ class MultiAgentPPOConfig(TrainingAids):
     shaping: NonNegative
     teacher: str | None
     teacher_weight: tuple[NonNegative, NonNegative]
+    imitation_until: Annotated[float, Field(ge=0.0, le=1.0)]
     final_gain: Positive
     search_generations: Annotated[int, Field(ge=0)]
 

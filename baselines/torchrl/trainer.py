@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import asdict
 from functools import partial
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.modules import ProbabilisticActor
@@ -62,6 +63,7 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
             "where starts, fields or disturbances are by chance, or with network entities",
         ),
         "scattered": (drawn, 0.0, "on random fields"),
+        "imitation_until": (hyperparameters.teacher is None, 0.0, "without a teacher"),
         "shaping": (not sets, 0.0, "with network mlp"),
         "sharing": (sets, "full", "with network entities"),
         "actor": (sets, "decentralized", "with network entities"),
@@ -204,7 +206,9 @@ class Trainer:
             started = time.perf_counter()
             rollout = next(self.rollouts).copy()
             collected = time.perf_counter()
-            weight = between(config.teacher_weight, progress)
+            if not (imitating := progress < config.imitation_until):
+                self._estimate(rollout, repeat)
+            weight = 1.0 if imitating else between(config.teacher_weight, progress)
             losses = self._descend(self._samples(rollout, repeat), weight)
             self.network.norm.update(rollout[Key.OBSERVATION])
             diagnostics = {
@@ -238,8 +242,8 @@ class Trainer:
             self._collect_from(self._make_env())
 
     @torch.no_grad()
-    def _samples(self, rollout: TensorDictBase, repeat: int) -> TensorDictBase:
-        """Return the decisions of a rollout (W, T) with advantages and value targets, (W T,).
+    def _estimate(self, rollout: TensorDictBase, repeat: int) -> None:
+        """Write advantages and value targets into a rollout (W, T).
 
         An episode cut off by the time limit bootstraps from the value of its last observation,
         never from that of the next episode's first.
@@ -259,10 +263,27 @@ class Trainer:
             rollout["value_target"] *= there
         else:
             rollout["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+
+    def _samples(self, rollout: TensorDictBase, repeat: int) -> TensorDictBase:
+        """Return the decisions of a rollout (W, T), those of the teacher beside, as (W T,)."""
         if self.teacher is not None:
             rollout[Key.TEACHER] = self.teacher.actions(rollout, repeat)
         kept = (Key.NORMALIZED, Key.ACTION, Key.LOG_PROB, "advantage", "value_target")
         return rollout.select(*kept, Key.TEACHER, strict=False).reshape(-1)
+
+    def _losses(self, part: TensorDictBase, weight: float) -> TensorDictBase:
+        """Return PPO's losses, or none where advantages are missing, and the teacher's, weighed."""
+        if "advantage" in part:
+            losses = self.loss(part)
+            total: Any = sum(losses[name] for name in MINIMISED)
+        else:
+            self.network.mean(part[Key.NORMALIZED])
+            losses, total = TensorDict(dict.fromkeys(LOGGED, torch.tensor(math.nan))), 0.0
+        if self.teacher is not None:
+            apart = self.means.reshape(part[Key.TEACHER].shape) - part[Key.TEACHER]
+            losses["imitation"] = apart.square().sum(-1).mean()
+            total = total + weight * losses["imitation"]
+        return losses.set("total", total)
 
     def _shaped(self, rollout: TensorDictBase, tokens: Tokens) -> torch.Tensor:
         """Return by how many units each decision has shortened the ways left, discounted."""
@@ -292,22 +313,14 @@ class Trainer:
             for rows in order.chunk(self.config.minibatches):
                 pick = partial(torch.index_select, dim=0, index=rows)  # faster than samples[rows]
                 part = samples.apply(pick, batch_size=rows.shape)
-                losses = self.loss(part)
-                total: Any = sum(losses[name] for name in MINIMISED)
-                if self.teacher is not None:
-                    losses["imitation"] = self._apart(part[Key.TEACHER])
-                    total = total + weight * losses["imitation"]
+                losses = self._losses(part, weight)
                 self.optimizer.zero_grad()
-                total.backward()  # which has no types
+                losses["total"].backward()
                 torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
                 self.optimizer.step()
                 history.append(losses.select(*LOGGED, strict=False).detach())
         means: Any = torch.stack(history).mean(0)
         return {name.removeprefix("loss_"): value.item() for name, value in means.items()}
-
-    def _apart(self, taught: torch.Tensor) -> torch.Tensor:
-        """Return how far the last mean actions are from those of the teacher, squared."""
-        return (self.means.reshape(taught.shape) - taught).square().sum(-1).mean()
 
     def _save(self, env_steps: int, folder: Path) -> None:
         """Write all that :meth:`_restore` needs into ``folder``, without pickle."""

@@ -14,8 +14,9 @@ from tensordict import TensorDict
 
 from baselines import load_policy
 from baselines.algorithms import find_algorithm
+from baselines.runs.folder import RunFolder
 from baselines.torchrl.networks import Key
-from baselines.torchrl.teacher import Teacher
+from baselines.torchrl.teacher import Teacher, find_teacher
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
 from mbn_marl.adapters.torchrl import NavigationEnv
@@ -54,6 +55,12 @@ def rollout_of(env: NavigationEnv, steps: int) -> TensorDict:
     return torch.stack(rows, 1)
 
 
+def progress_of(run: RunFolder) -> list[dict[str, str]]:
+    """The rows of a run's progress.csv."""
+    with (run.path / "progress.csv").open(encoding="utf-8") as lines:
+        return [*csv.DictReader(lines)]
+
+
 @pytest.mark.parametrize("repeat", [1, 3])
 def test_a_teacher_acts_where_the_learner_is_and_sees_the_assignment(repeat: int) -> None:
     learner, teacher = make_env(), Teacher(SOURCE, LEARNER, make_env)
@@ -81,23 +88,39 @@ def test_a_teacher_acts_where_the_learner_is_and_sees_the_assignment(repeat: int
     assert ended
 
 
+@pytest.mark.parametrize("assignment", [True, "fresh"])
+def test_a_teacher_sees_the_assignment_that_its_learner_sees(assignment: bool | str) -> None:
+    learner = {**LEARNER, "assignment": assignment}
+    assert find_teacher(SOURCE, learner)[1]["assignment"] == assignment
+
+
 def test_a_learner_comes_to_act_as_its_teacher(tmp_path: Path) -> None:
     apart = []
-    for weight in (0.0, 10.0):
+    for until, weight in ((0.0, 0.0), (0.0, 10.0), (1.0, 0.0)):
         learned = {"learning_rate": (3e-3, 3e-3), "teacher_weight": (weight, weight)}
-        hyperparameters = {**CONFIG.hyperparameters, **learned}
+        hyperparameters = {**CONFIG.hyperparameters, **learned, "imitation_until": until}
         config = replace(CONFIG, steps=4096, evaluate_every=4096, hyperparameters=hyperparameters)
-        run = train(config, tmp_path / str(weight))
-        with (run.path / "progress.csv").open(encoding="utf-8") as lines:
-            apart.append(float([*csv.DictReader(lines)][-1]["imitation"]))
-    assert apart[1] < 0.7 * apart[0]
+        run = train(config, tmp_path / f"{until}-{weight}")
+        apart.append(float(progress_of(run)[-1]["imitation"]))
+    assert max(apart[1:]) < 0.7 * apart[0]
     assert load_policy(run.path).settings["assignment"] is False
 
 
-def test_an_interrupted_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
-    whole = train(CONFIG, tmp_path / "whole")
-    assert not interrupted(CONFIG, tmp_path / "run").finished
-    again = train(CONFIG, tmp_path / "run", resume=True)
+def test_at_first_a_learner_only_imitates(tmp_path: Path) -> None:
+    hyperparameters = {**CONFIG.hyperparameters, "imitation_until": 0.5}
+    rows = progress_of(train(replace(CONFIG, hyperparameters=hyperparameters), tmp_path / "run"))
+    learned = [float(row["critic"]) > 0.0 for row in rows]
+    assert learned == [int(row["env_steps"]) > 192 for row in rows]
+    assert not all(learned) and any(learned)
+
+
+@pytest.mark.parametrize("until", [0.0, 0.5])
+def test_an_interrupted_run_goes_on_bit_for_bit(tmp_path: Path, until: float) -> None:
+    hyperparameters = {**CONFIG.hyperparameters, "imitation_until": until}
+    config = replace(CONFIG, hyperparameters=hyperparameters)
+    whole = train(config, tmp_path / "whole")
+    assert not interrupted(config, tmp_path / "run").finished
+    again = train(config, tmp_path / "run", resume=True)
     assert recorded(again) == recorded(whole)
     assert same_policies(again, whole)
 
