@@ -135,9 +135,8 @@ def _run_sets(file: Arrays, seen: Any, xp: Any) -> Any:
 
     def found(kind: str, tokens: Any, *more: Any) -> Any:
         """Return the features of tokens, 0 where nothing is there."""
-        flow = xp.concatenate([turned(kind, tokens), *more], -1).reshape(
-            count * tokens.shape[1], -1
-        )
+        flow = xp.concatenate([turned(kind, tokens), *more], -1)
+        flow = flow.reshape(count * tokens.shape[1], flow.shape[2])
         flow = _layer(file, f"{kind}.2", _layer(file, f"{kind}.0", flow))
         return flow.reshape(count, tokens.shape[1], flow.shape[1]) * (tokens[..., :1] != 0.0)
 
@@ -191,5 +190,5 @@ def _rivals(file: Arrays, own: Any, robots: Any, rois: Any, xp: Any) -> Any:
     more = length - mine[:, :, None]
     seen = [length / (length + far), length / (length + near), more / (abs(more) + near)]
     seen += [(ways * moves).sum(-1)[..., None] / length]
-    features = _layer(file, "rivals.seen.0", xp.concatenate(seen, -1))
-    return xp.amax(features * robots[:, None, :, :1], 2)
+    features = _layer(file, "rivals.seen.0", xp.concatenate(seen, -1)) * robots[:, None, :, :1]
+    return xp.amax(features, 2) if robots.shape[1] else features.sum(2)

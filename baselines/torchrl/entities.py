@@ -206,7 +206,7 @@ class Rivals(nn.Module):
         farther = far - mine
         seen = [far / (far + FAR), far / (far + NEAR), farther / (farther.abs() + NEAR), nearing]
         features: torch.Tensor = self.seen(torch.cat(seen, -1)) * robots[..., :1]
-        return features.amax(1)
+        return features.amax(1) if robots.shape[1] else features.sum(1)
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return which entries of tokens it reads, as :class:`Sets` has them."""

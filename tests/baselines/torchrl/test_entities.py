@@ -35,8 +35,8 @@ OF_RAYS = {"x": lambda k: (4 - k) % 8, "y": lambda k: -k % 8, "swap": lambda k: 
 class Scene:
     """The observations of teams of 2 to 4 robots after random steps, and networks for them."""
 
-    def __init__(self) -> None:
-        engine = BatchEngine(TEAMS, WORLDS, seed=1, **SEEN)
+    def __init__(self, *, assignment: bool) -> None:
+        engine = BatchEngine(TEAMS, WORLDS, seed=1, **{**SEEN, "assignment": assignment})
         engine.reset()
         rng = np.random.default_rng(0)
         for _ in range(30):
@@ -65,10 +65,10 @@ class Scene:
         return rows
 
 
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    """Some teams in the middle of their episodes."""
-    return Scene()
+@pytest.fixture(scope="module", params=[True, False])
+def scene(request: pytest.FixtureRequest) -> Scene:
+    """Some teams in the middle of their episodes, with and without the assignment."""
+    return Scene(assignment=request.param)
 
 
 @pytest.mark.parametrize("how", ["x", "y", "swap"])
