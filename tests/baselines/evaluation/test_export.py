@@ -134,15 +134,16 @@ def test_the_arrays_of_a_network_over_sets_act_as_it_does(
 
 
 @pytest.mark.parametrize("read", [read_onnx, read_pt2, read_npz])
+@pytest.mark.parametrize("name", ["zoo:generalist", "zoo:generalist-hint"])
 def test_a_policy_for_any_field_is_exported_for_the_sizes_of_one(
-    read: Read, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    name: str, read: Read, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / f"policy.{read.__name__.removeprefix('read_')}"
-    export = ["export", "zoo:generalist-hint", "-o", str(path)]
+    export = ["export", name, "-o", str(path)]
     assert main([*export, "--field", "field_03"]) == 0
     assert "observation='entities'" in capfd.readouterr().out
     act, _ = read(path)
-    policy = load_policy("zoo:generalist-hint", "field_03")
+    policy = load_policy(name, "field_03")
     engine = BatchEngine("field_03", 5, **{**policy.settings, "random_starts": True})
     seen = engine.reset(seed=1)
     np.testing.assert_allclose(act(seen), policy.act(seen), rtol=0, atol=1e-5)
