@@ -176,9 +176,9 @@ def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
 
 
 class Rivals(nn.Module):
-    """What each ROI's token gets of the other robots, which may be nearer or on their way to it.
+    """Features of the other robots for each ROI: how far from it they are, how fast they near it.
 
-    A robot needs it to find out who goes where, unless it sees the assignment.
+    A robot that does not see the assignment needs them to find out who goes where.
     """
 
     WIDTH = 16

@@ -16,7 +16,7 @@ from baselines import load_policy
 from baselines.algorithms import find_algorithm
 from baselines.evaluation.evaluate import evaluate, unseen
 from baselines.runs.folder import RunFolder
-from baselines.torchrl.entities import SetActor, SetCritic, Tokens
+from baselines.torchrl.entities import Rivals, SetActor, SetCritic, Tokens
 from baselines.torchrl.trainer import Trainer
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
@@ -93,6 +93,34 @@ def test_the_order_of_tokens_does_not_matter(scene: Scene, kinds: tuple[str, str
     )
     assert not torch.equal(rows, scene.rows)
     torch.testing.assert_close(scene.actor(rows), scene.actor(scene.rows))
+
+
+def test_rivals_are_as_far_from_an_roi_and_near_it_as_fast_as_they_are() -> None:
+    settings = {**SEEN, "assignment": False, "n_robots": 4, "random_starts": True}
+    engine = BatchEngine("field_03", WORLDS, **settings)
+    engine.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1, 1, (WORLDS, 4, 2)).astype(np.float32)
+    rows = torch.from_numpy(engine.step(actions)[0].copy()).flatten(0, 1)
+    tokens = Tokens.of(engine.observation_table)
+    rivals, seen = Rivals(tokens), []
+    rivals.seen.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    own, robots, rois = tokens.split(rows, 4)
+    rivals(own, robots, rois[:, 1])
+    far, near, farther, nearing = seen[0].sort(1).values.unbind(-1)
+    for k, (w, i) in enumerate(np.ndindex(WORLDS, 4)):
+        team = engine.snapshot(w)
+        ways = np.asarray(team.field.rois[1]) - team.positions
+        lengths = np.linalg.norm(ways, axis=-1)
+        speeds = (ways * team.velocities).sum(-1) / lengths / engine.config.v_clip
+        others = np.delete(lengths, i)
+        more = others - lengths[i]
+        for found, wanted in (
+            (far, others / (others + 100.0)),
+            (near, others / (others + 15.0)),
+            (farther, more / (abs(more) + 15.0)),
+            (nearing, np.delete(speeds, i)),
+        ):
+            np.testing.assert_allclose(found[k].detach(), np.sort(wanted), atol=1e-3)
 
 
 @torch.no_grad()
