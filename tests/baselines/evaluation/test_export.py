@@ -264,6 +264,6 @@ def test_a_file_that_acts_otherwise_is_not_written(
     refusal: Refusal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     true = LoadedPolicy.act
-    monkeypatch.setattr(LoadedPolicy, "act", lambda self, seen: true(self, seen) + 2e-5)
+    monkeypatch.setattr(LoadedPolicy, "act", lambda self, seen: true(self, seen) + 2e-4)
     assert "not written" in refusal(["export", "zoo:field_07", "-o", "policy.npz"])
     assert not Path("policy.npz").exists()
