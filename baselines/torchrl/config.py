@@ -78,7 +78,7 @@ class MultiAgentPPOConfig(TrainingAids):
     shaping: NonNegative
     teacher: str | None
     teacher_weight: tuple[NonNegative, NonNegative]
-    imitation_until: Annotated[float, Field(ge=0.0, le=1.0)]
+    imitation_until: Share
     final_gain: Positive
     search_generations: Annotated[int, Field(ge=0)]
 
