@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from tensordict import TensorDict
 
 from baselines import load_policy
 from baselines.algorithms import find_algorithm
-from baselines.runs.folder import RunFolder
 from baselines.torchrl.networks import Key
 from baselines.torchrl.teacher import Teacher, find_teacher
 from baselines.training.config import TrainConfig
@@ -53,12 +51,6 @@ def rollout_of(env: NavigationEnv, steps: int) -> TensorDict:
         rows.append(seen.select(Key.OBSERVATION, Key.ACTION).clone())
         env.now = env.step_and_maybe_reset(seen)[1]  # type: ignore[attr-defined]
     return torch.stack(rows, 1)
-
-
-def progress_of(run: RunFolder) -> list[dict[str, str]]:
-    """The rows of a run's progress.csv."""
-    with (run.path / "progress.csv").open(encoding="utf-8") as lines:
-        return [*csv.DictReader(lines)]
 
 
 @pytest.mark.parametrize("repeat", [1, 3])
@@ -101,14 +93,15 @@ def test_a_learner_comes_to_act_as_its_teacher(tmp_path: Path) -> None:
         hyperparameters = {**CONFIG.hyperparameters, **learned, "imitation_until": until}
         config = replace(CONFIG, steps=4096, evaluate_every=4096, hyperparameters=hyperparameters)
         run = train(config, tmp_path / f"{until}-{weight}")
-        apart.append(float(progress_of(run)[-1]["imitation"]))
+        apart.append(float(recorded(run)["rows"][-1]["imitation"]))
     assert max(apart[1:]) < 0.7 * apart[0]
     assert load_policy(run.path).settings["assignment"] is False
 
 
 def test_at_first_a_learner_only_imitates(tmp_path: Path) -> None:
     hyperparameters = {**CONFIG.hyperparameters, "imitation_until": 0.5}
-    rows = progress_of(train(replace(CONFIG, hyperparameters=hyperparameters), tmp_path / "run"))
+    run = train(replace(CONFIG, hyperparameters=hyperparameters), tmp_path / "run")
+    rows = recorded(run)["rows"]
     learned = [float(row["critic"]) > 0.0 for row in rows]
     assert learned == [int(row["env_steps"]) > 192 for row in rows]
     assert not all(learned) and any(learned)
