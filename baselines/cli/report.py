@@ -17,7 +17,7 @@ class Report:
 
     runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUNS")]]
     """Run folders, or folders that hold some; studies and what --force moved aside are left out
-    there, with --paper comparisons too."""
+    there, with --paper comparisons too. With --paper also folders of earlier reports."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """The folder to write, with the page paper.md or comparison.md in it; NAME.md for the page,
     beside its folder NAME; or NAME.html for a comparison on one self-contained page."""

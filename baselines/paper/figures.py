@@ -14,7 +14,6 @@ from baselines.paper import published
 from baselines.paper.trainings import Trainings
 from baselines.runs.files import RunError, read_json
 from mbn_marl.field import load_field
-from mbn_marl.optimum import optimal_return
 from mbn_marl.render import curves, figures
 from mbn_marl.render.curves import Pair, Panel, StudyTrial
 
@@ -40,7 +39,7 @@ def learning_curves(trainings: Trainings, setting: str) -> Figure | None:
             if (field, name) in groups.groups
         }
         if found:
-            panels[field] = Panel(found, optimal_return(trainings.fields[field]))
+            panels[field] = Panel(found, trainings.optimum(field))
     looks = ordered({name: name for name in trainings.algorithms})
     shown = {published.display_name(name): look for name, look in looks.items()}
     return curves.learning_curve_panels(panels, shown, RETURN_THRESHOLD)

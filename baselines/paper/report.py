@@ -14,13 +14,13 @@ from baselines.algorithms import SETTINGS, Setting
 from baselines.compare.text_table import DASH
 from baselines.paper import figures, glance, published
 from baselines.paper.tables import ALGORITHMS, FIELDS, MISSING, PaperTable, paper_tables, write_csv
-from baselines.paper.trainings import Trainings, find_trainings
+from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
 from baselines.runs.files import read_text, write_text
 from baselines.runs.provenance import write_provenance
 from baselines.runs.report_path import Place
 from mbn_marl.render.figures import save
 
-FILES = ("algorithms.csv", "algorithms.tex", "fields.csv", "fields.tex")
+TABLES = ("algorithms.csv", "algorithms.tex", "fields.csv", "fields.tex")
 OTHERS = [setting for setting in SETTINGS if setting != "A"]
 """Settings that are compared with A."""
 
@@ -35,7 +35,7 @@ def write_report(
     force: bool = False,
     note: Callable[[str], None] = lambda text: None,
 ) -> Place:
-    """Write the report on the runs at ``paths``: run folders, or folders that hold some.
+    """Write the report on the runs at ``paths``: run folders, folders that hold some, or reports.
 
     Args as for :func:`baselines.compare.report.report_comparison`; besides, ``study`` is the folder
     of a study of hyperparameters to draw, ``notes`` a Markdown file for the top of the page.
@@ -54,6 +54,7 @@ def write_report(
     }
     place = Place.of(out, "paper.md")
     place.claim(force=force)
+    trainings.save(place.folder)
     for name, figure in drawn.items():
         if figure is not None:
             save(figure, place.folder / f"{name}.png")
@@ -82,6 +83,9 @@ def _page(
             return f"{title}: missing."
         return f"{title}:\n\n![{title}]({place.link(f'{name}.png')})"
 
+    def links(names: Sequence[str]) -> str:
+        return ", ".join(f"[{name}]({place.link(name)})" for name in names)
+
     join = "\n\n".join
     shown = [(table.kind, table.text().markdown()) for table in tables]
     page = Template((files(__package__) / "page.md").read_text(encoding="utf-8")).substitute(
@@ -91,7 +95,8 @@ def _page(
         settings="\n".join(f"- **{name}**: {_meaning(name)}." for name in SETTINGS),
         missing=MISSING,
         dash=DASH,
-        files=", ".join(f"[{name}]({place.link(name)})" for name in FILES),
+        tables=links(TABLES),
+        runs=links([RUNS_FILE, ROWS_FILE]),
         coverage=glance.coverage(trainings).markdown(),
         algorithms=join(text for kind, text in shown if kind is ALGORITHMS),
         ranking=glance.ranking(tables).markdown(),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from lzma import LZMAError
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas
@@ -16,16 +17,28 @@ from pandas import DataFrame
 from baselines.compare.records import RunRecord, find_records
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
-from baselines.runs.files import RunError, read_text
-from mbn_marl.field import Field, catalogue_names
+from baselines.runs.files import RunError, read_text, write_text
+from mbn_marl.field import catalogue_names
+from mbn_marl.files import replacing
+from mbn_marl.optimum import optimal_return
 
 CELL = ["algorithm", "setting", "field"]
 """Columns that name a cell of the experiment; its runs differ in their seeds."""
+RUN = [*CELL, "seed"]
+"""Columns that name a run."""
 SMOOTHING = 100
 """Episodes of the moving mean: what Stable-Baselines3 logs as ``rollout/ep_rew_mean``."""
 RETURNS = ["return_mean", "return_std", "return_min", "return_max"]
 COLUMNS = ["env_steps", "episodes", *RETURNS]
 """The columns of ``progress.csv`` that are read."""
+TYPES: dict[str, type] = {
+    **{**dict.fromkeys(CELL, str), "seed": int, "env_steps": int},
+    **dict.fromkeys(("optimum", "reach", "success_rate", "return_mean"), float),
+    **{"finished": bool, "command": str},
+}
+"""The columns of ``Trainings.runs``."""
+RUNS_FILE, ROWS_FILE = "runs.csv", "progress.csv.xz"
+"""Files of a report that hold its ``Trainings``."""
 
 
 @dataclass(frozen=True)
@@ -34,17 +47,15 @@ class Trainings:
 
     Attributes:
         runs: a row for each: ``algorithm``, ``setting``, ``field`` (one from a file is called by
-            the file's name), ``seed``, ``env_steps`` recorded, ``reach`` (env-steps at which the
-            moving mean reached the threshold, NaN for never), ``success_rate`` and ``return_mean``
-            of the final evaluation with sampled actions (NaN while it is not finished),
-            ``finished`` and the exact ``command``.
+            the file's name), ``seed``, ``env_steps`` recorded, the field's proved ``optimum`` (NaN
+            for none), ``reach`` (env-steps at which the moving mean reached the threshold, NaN for
+            never), ``success_rate`` and ``return_mean`` of the final evaluation with sampled
+            actions (NaN while it is not finished), ``finished`` and the exact ``command``.
         rows: those of :func:`read_progress` since the first episode, with cell and seed of the run.
-        fields: the field of each name in ``runs``.
     """
 
     runs: DataFrame
     rows: DataFrame
-    fields: dict[str, Field]
 
     @property
     def algorithms(self) -> list[str]:
@@ -56,11 +67,31 @@ class Trainings:
         """The paper's fields, then the others."""
         return _known_first(published.FIELDS, self.runs.field)
 
+    def optimum(self, field: str) -> float | None:
+        """Return the proved best return on a field, or ``None`` if nothing is proved."""
+        value = self.runs.optimum[self.runs.field == field].iloc[0]
+        return None if np.isnan(value) else float(value)
+
+    def save(self, folder: Path) -> None:
+        """Write both tables, for :func:`find_trainings`; returns keep six digits."""
+        write_text(folder / RUNS_FILE, self.runs.to_csv(index=False))
+        rows = self.rows[[*RUN, *COLUMNS]].astype({"env_steps": int, "episodes": int})
+        with replacing(folder / ROWS_FILE) as temporary:
+            rows.to_csv(temporary, index=False, float_format="%.6g", compression="xz")
+
+
+class _Training(NamedTuple):
+    """A run: its place, its row of ``Trainings.runs``, and its progress."""
+
+    place: Path
+    run: dict[str, Any]
+    progress: DataFrame
+
 
 def find_trainings(
     paths: Sequence[Path], note: Callable[[str], None] = lambda text: None
 ) -> Trainings:
-    """Read the runs at ``paths``: run folders, or folders with run folders anywhere inside.
+    """Read the runs at ``paths``: run folders, folders with run folders anywhere inside, reports.
 
     Studies, comparisons and what ``--force`` moved aside are left out inside, which ``note``
     receives; a comparison or a folder moved aside that is a path itself is read. Of two runs of one
@@ -69,49 +100,75 @@ def find_trainings(
     Raises:
         RunError: a path holds no run, a run cannot be read, or two are of one cell and seed.
     """
-    records = _one_of_each(find_records(paths, note, comparisons=False, finished=False), note)
-    runs, rows = [], []
-    for record in records:
-        progress = read_progress(record.run.progress)
-        cell = _cell(record)
-        final = record.evaluation["stochastic"] if record.run.finished else {}
-        runs.append(
-            {
-                **cell,
-                "env_steps": int(progress.env_steps.max()) if len(progress) else 0,
-                "reach": first_reach(progress, RETURN_THRESHOLD),
-                **{name: final.get(name) for name in ("success_rate", "return_mean")},
-                "finished": record.run.finished,
-                "command": record.run.command,
-            }
-        )
-        rows.append(progress[progress.moving_mean.notna()].assign(**cell))
-    return Trainings(
-        DataFrame(runs).astype({"success_rate": float, "return_mean": float}),
-        pandas.concat(rows, ignore_index=True),
-        {_cell(record)["field"]: record.field for record in records},
-    )
+    reports = [path for path in paths if (path / RUNS_FILE).is_file()]
+    found = [run for path in reports for run in _of_report(path)]
+    if folders := [path for path in paths if path not in reports]:
+        records = find_records(folders, note, comparisons=False, finished=False)
+        found += map(_of_record, records)
+    found = _one_of_each(found, note)
+    begun = [
+        progress[progress.moving_mean.notna()].assign(**{name: run[name] for name in RUN})
+        for _, run, progress in found
+    ]
+    runs = DataFrame([run for _, run, _ in found]).astype(TYPES)
+    return Trainings(runs, pandas.concat(begun, ignore_index=True))
 
 
-def _one_of_each(records: Sequence[RunRecord], note: Callable[[str], None]) -> list[RunRecord]:
+def _one_of_each(found: Sequence[_Training], note: Callable[[str], None]) -> list[_Training]:
     """One run for each cell and seed."""
-    chosen: dict[tuple[Any, ...], RunRecord] = {}
-    for one in sorted(records, key=lambda record: not record.run.finished):
-        other = chosen.setdefault(tuple(_cell(one).values()), one)
+    chosen: dict[tuple[Any, ...], _Training] = {}
+    for one in sorted(found, key=lambda training: not training.run["finished"]):
+        other = chosen.setdefault(tuple(one.run[name] for name in RUN), one)
         if other is one:
             continue
-        if one.run.finished or not other.run.finished:
+        if one.run["finished"] or not other.run["finished"]:
             raise RunError(
-                f"{other.run.path} and {one.run.path} are of the same algorithm, setting, field "
+                f"{other.place} and {one.place} are of the same algorithm, setting, field "
                 "and seed; give one of them"
             )
-        note(f"left out: {one.run.path}, unfinished; {other.run.path} is the same, finished")
-    return [record for record in records if record in chosen.values()]
+        note(f"left out: {one.place}, unfinished; {other.place} is the same, finished")
+    return [one for one in found if any(one is other for other in chosen.values())]
+
+
+def _of_record(record: RunRecord) -> _Training:
+    progress, run = read_progress(record.run.progress), record.run
+    final = record.evaluation["stochastic"] if run.finished else {}
+    row = {
+        **_cell(record),
+        "env_steps": int(progress.env_steps.max()) if len(progress) else 0,
+        "optimum": optimal_return(record.field),
+        "reach": first_reach(progress, RETURN_THRESHOLD),
+        **{name: final.get(name) for name in ("success_rate", "return_mean")},
+        "finished": run.finished,
+        "command": run.command,
+    }
+    return _Training(run.path, row, progress)
+
+
+def _of_report(folder: Path) -> list[_Training]:
+    """The runs of an earlier report, with their moving means worked out again."""
+    runs = _read_table(folder / RUNS_FILE, TYPES)
+    types = {name: TYPES[name] for name in RUN} | dict.fromkeys(COLUMNS, float)
+    rows = _read_table(folder / ROWS_FILE, types)
+    places = rows.groupby(RUN).indices
+    found = []
+    for run in runs.to_dict("records"):
+        progress = rows[COLUMNS].iloc[places.get(tuple(run[name] for name in RUN), [])]
+        progress = progress.assign(moving_mean=moving_mean(progress))
+        found.append(_Training(folder, run, progress))
+    return found
+
+
+def _read_table(path: Path, types: dict[str, type]) -> DataFrame:
+    try:
+        return pandas.read_csv(path, usecols=list(types), dtype=types)
+    except (OSError, ValueError, EOFError, LZMAError) as error:
+        raise RunError(f"{path} cannot be read: {error}") from None
 
 
 def _cell(record: RunRecord) -> dict[str, Any]:
     """The cell and the seed; a file's field has its name, marked if the catalogue has it too."""
-    cell = {name: record.config[name] for name in (*CELL, "seed")}
+    cell = {name: record.config[name] for name in RUN}
     if cell["field"] not in catalogue_names():
         name = Path(cell["field"]).stem
         cell["field"] = f"{name} (file)" if name in catalogue_names() else name

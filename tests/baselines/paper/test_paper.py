@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from pandas.testing import assert_frame_equal
 
 from baselines.cli import main
 from baselines.compare.text_table import TextTable
@@ -251,11 +252,46 @@ def test_a_page_can_stand_beside_its_folder_with_notes_on_top(tmp_path: Path) ->
     assert "](paper/curves_A.png)" in text and "](paper/algorithms.csv)" in text
     assert {file.name for file in (tmp_path / "docs" / "paper").iterdir()} == {
         *("algorithms.csv", "algorithms.tex", "fields.csv", "fields.tex"),
+        *("runs.csv", "progress.csv.xz"),
         *("curves_A.png", "fields.png", "command.txt", "versions.json"),
     }
     assert main(words) == 2, "nothing is overwritten"
     assert main([*words, "--force"]) == 0
     assert (tmp_path / "docs" / "paper.md.1").read_text() == text
+
+
+def test_a_report_holds_its_runs_for_the_next_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "orchard.yaml"
+    save_field(load_field("field_03"), file)
+    good = (100, 123_456, 7, 123_456, 123_456)
+    old, new = tmp_path / "old", tmp_path / "new"
+    make_run(old, [NOTHING, (2, 1e6 / 3, 1, 1, 2), NOTHING, good], every=300_000)
+    make_run(old, [(1, 2, 0, 2, 2)], field=str(file), seed=7)
+    make_run(old, [NOTHING], algorithm="tqc", finished=False)
+    make_run(new, [(1, 5, 0, 5, 5)], algorithm="tqc")
+    both = tmp_path / "both"
+    assert main(["report", "--paper", str(old), str(new), "-o", str(both)]) == 0
+    first = tmp_path / "first"
+    assert main(["report", "--paper", str(old), "-o", str(first)]) == 0
+    assert main(["report", "--paper", str(first), str(new), "-o", str(tmp_path / "again")]) == 0
+    assert "tqc-A-field_01-seed33 is the same, finished" in capsys.readouterr().out
+    for table in ("runs", "rows"):
+        recorded, read = (getattr(find_trainings([path]), table) for path in (old, first))
+        assert_frame_equal(recorded, read)
+    for name in ("algorithms.csv", "fields.tex", "runs.csv"):
+        lines = [(folder / name).read_text().splitlines() for folder in (both, tmp_path / "again")]
+        assert sorted(lines[0]) == sorted(lines[1])
+    text = (first / "runs.csv").read_text()
+    (first / "runs.csv").write_text(text.replace("env_steps", "steps"))
+    with pytest.raises(RunError, match=r"runs.csv cannot be read.*env_steps"):
+        find_trainings([first])
+    (first / "runs.csv").write_text(text)
+    packed = (first / "progress.csv.xz").read_bytes()
+    (first / "progress.csv.xz").write_bytes(packed[:-40])
+    with pytest.raises(RunError, match=r"progress.csv.xz cannot be read"):
+        find_trainings([first])
 
 
 def test_comparisons_and_what_was_moved_aside_are_left_out(
