@@ -24,7 +24,8 @@ INTRODUCTION = """# Leaderboard
 Policies on the split `test` by protocol {version} of [the benchmark](../benchmark.md), which says
 what the columns are and how to enter one. `python -m benchmarks leaderboard` makes this page of
 `docs/results/leaderboard/*.json`. Tables are in the order of the gap in which failures count as
-T_max, the smallest first; `5-weather`, which has no bounds, in that of the steps so counted.
+T_max, the smallest first; `5-weather`, which has no bounds, in that of the steps so counted. Times
+were measured on different machines, some of them busy: rows differ by that too.
 """
 NOBODY = "No policy has been entered yet."
 

@@ -23,7 +23,7 @@ class Evaluate:
     """Evaluate a policy on fresh episodes, with sampled and with mean actions."""
 
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
-    """The folder of a run; zoo:NAME, a policy of `mbn zoo`; greedy, nearest ROIs first; planner,
+    """The folder of a run; zoo:NAME, a policy of `mbn zoo`; greedy, earliest visit first; planner,
     the best plan, followed in closed loop; replan, which plans again if the world leaves it;
     random; module:callable, your own; or lookahead: before one of them, see docs/benchmark.md."""
     field: str | None = None

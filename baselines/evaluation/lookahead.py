@@ -1,4 +1,4 @@
-"""Any policy with a look ahead: it tries changes of its episode in the engine, and acts the best.
+"""Any policy with a lookahead: it tries changes of its episode in the engine, and acts the best.
 
 Source: this package; random shooting around a policy, as sampling-based control does it, over
 whole episodes and with the environment itself as the model.

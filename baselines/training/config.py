@@ -34,7 +34,7 @@ class TrainConfig:
 
     Attributes:
         algorithm: a2c, ppo, trpo, ars, crossq, tqc, ppo-joint (centralised); mappo, ippo,
-            ppo-shared and ppo-supersuit (decentralised).
+            generalist, ppo-shared and ppo-supersuit (decentralised).
         field: a name of `mbn fields`, or the path of a field file; generalist, and mappo and
             ippo with network=entities, take random_convex, random_shapes and sampler files too.
         setting: A: the paper's library defaults, raw observation and reward. B: its Optuna values.
