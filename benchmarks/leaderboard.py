@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -33,8 +34,6 @@ NOBODY = "No policy has been entered yet."
 @dataclass(frozen=True)
 class Leaderboard:
     """Make the page of the leaderboard of the results in a folder."""
-
-    name: ClassVar[str] = "leaderboard"
 
     folder: Path = Path("docs/results/leaderboard")
     """With results of `mbn benchmark`, each under a name of its own, behind the shield NAME-shield;
@@ -76,7 +75,7 @@ def leaderboard(folder: Path) -> str:
         raise ConfigError(str(folder), problems)
     results = {_row_name(name, record): record for name, record in results.items()}
     parts += [CAPTION, ""]
-    whole = {name: record["all"] for name, record in results.items() if record["all"]}
+    whole = {name: record["all"] for name, record in results.items() if record.get("all")}
     parts += [_table(whole).markdown("All tiers"), ""] if whole else []
     for tier in protocol.tiers:
         found = {name: record["tiers"][tier] for name, record in results.items()}
@@ -162,9 +161,11 @@ def _is_whole(found: Any, tiers: Sequence[Mapping[str, Any]]) -> bool:
     if any(one["misfit"] for one in tiers):
         return found is None
     rows = [row for one in tiers for row in one["instances"]]
-    return (
-        isinstance(found, dict) and found.get("instances") == len(rows) and is_summary(found, rows)
-    )
+    with suppress(KeyError):
+        return (
+            isinstance(found, dict) and found["instances"] == len(rows) and is_summary(found, rows)
+        )
+    return False
 
 
 def _table(found: Mapping[str, Mapping[str, Any]]) -> TextTable:

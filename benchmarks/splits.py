@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +41,6 @@ class Splits:
 
     A run that was interrupted goes on where it was.
     """
-
-    name: ClassVar[str] = "splits"
 
     tier: tuple[str, ...] = NAMES
     """Which tiers."""

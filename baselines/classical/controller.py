@@ -89,10 +89,8 @@ class ControllerPolicy:
         return actions
 
 
-def make_classical(
-    name: str, field: Field, settings: Mapping[str, Any], *, time_limit: float = 60.0
-) -> Policy:
-    """Return one of :data:`CLASSICAL` for a field; the planner may take ``time_limit`` seconds.
+def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Policy:
+    """Return one of :data:`CLASSICAL` for a field.
 
     Raises:
         MbnError: there is no such policy, or the planner found no plan.
@@ -103,11 +101,11 @@ def make_classical(
     if name == "greedy":
         return ControllerPolicy(problem, lambda: Greedy(problem))
     if name == "planner":
-        found = plan(field, time_limit=time_limit, **settings)
+        found = plan(field, **settings)
         return ControllerPolicy(problem, lambda: make_tracker(found, settings))
     config = problem.config
     seen = {name: getattr(config, name) for name in NavigationConfig.model_fields}
-    first = plan(field, time_limit=time_limit, **{k: v for k, v in seen.items() if k not in UNSEEN})
+    first = plan(field, **{k: v for k, v in seen.items() if k not in UNSEEN})
     return ControllerPolicy(problem, lambda: Replanner(problem, first))
 
 

@@ -34,8 +34,9 @@ class Deploy:
     condition: Condition | None = None
     """A named condition, whose weather and failures replace the run's; by default as it was
     trained."""
-    wind: tuple[float, float] = (0.0, 0.0)
-    """Speed (units/step per step) and angle (degrees from +x) of the wind."""
+    wind: tuple[float, float] | None = None
+    """Speed (units/step per step) and angle (degrees from +x) of the wind; by default as it was
+    trained."""
     wind_speeds: str | None = None
     """Wind speeds to deploy at, such as 0.1,0.2,..,0.5, weakest first; without --figure only up to
     the first failure."""
@@ -109,7 +110,7 @@ class Deploy:
     def _check(self) -> tuple[list[float], float]:
         """Check the options and the outputs before anything is touched; return the winds.
 
-        There is none where the condition has a wind.
+        There is none where the policy's own, or the condition's, is to stay.
         """
         from baselines.evaluation.wind import parse_speeds
         from mbn_marl.files import check_free
@@ -125,18 +126,18 @@ class Deploy:
             ending: self.video and self.video.suffix.lower() != ".mp4",
             "figure: allowed with --compare or --wind-speeds": self.figure
             and not (self.compare or self.wind_speeds),
-            "wind: allowed without --wind-speeds": self.wind_speeds and any(self.wind),
+            "wind: allowed without --wind-speeds": self.wind_speeds and self.wind,
             f"wind: allowed without --condition {self.condition}, which has one": blown
-            and (self.wind_speeds or any(self.wind)),
+            and (self.wind_speeds or self.wind),
         }
         check_options("deployment", checks)
         if self.figure is not None:
             check_name(self.figure)
         for output in filter(None, (self.video, self.figure, self.json)):
             check_free(output, force=self.force)
-        if self.wind_speeds is None:
-            return [] if blown else [self.wind[0]], self.wind[1]
-        return parse_speeds(self.wind_speeds), self.wind_angle
+        if self.wind_speeds is not None:
+            return parse_speeds(self.wind_speeds), self.wind_angle
+        return ([], 0.0) if self.wind is None else ([self.wind[0]], self.wind[1])
 
     def _simulators(self, scale: Scale) -> dict[str, Simulator]:
         """Return the simulator by name, and the plane before it to compare with."""

@@ -53,7 +53,6 @@ class Evaluate:
 
     def run(self, command_line: str) -> None:
         """Evaluate, print the summaries, and write the files that are asked for."""
-        from baselines.evaluation.evaluate import EVALUATION_SEED
         from baselines.zoo.entries import PREFIX
         from baselines.zoo.sources import takes_field
 
@@ -74,22 +73,25 @@ class Evaluate:
         }
         check_options("evaluation", wrong)
         how, home = self._subject()
-        how["episodes"] = self.episodes
-        how["seed"] = EVALUATION_SEED if self.seed is None else self.seed
         if self.wind_speeds is None:
             self._evaluate(how, command_line)
         else:
             self._evaluate_in_wind(how, command_line, home, self.wind_speeds)
 
     def _subject(self) -> tuple[dict[str, Any], Path]:
-        """Return policy, field and settings, and the folder that files go to by default."""
+        """Return the arguments of `evaluate`, and the folder that files go to by default."""
+        from baselines.evaluation.evaluate import EVALUATION_SEED
         from baselines.evaluation.shielded import Shielded
         from baselines.zoo.entries import open_run
         from baselines.zoo.sources import find_policy
 
-        loaded = find_policy(self.source, self.field, condition=self.condition)
+        seed = EVALUATION_SEED if self.seed is None else self.seed
+        loaded = find_policy(self.source, self.field, seed=seed, condition=self.condition)
         policy = Shielded(loaded) if self.shield else loaded.policy
-        subject = {"policy": policy, "field": loaded.field, "settings": loaded.settings}
+        subject = {
+            **{"policy": policy, "field": loaded.field, "settings": loaded.settings},
+            **{"episodes": self.episodes, "seed": seed},
+        }
         if self.field is not None:
             return subject, Path()
         run = open_run(self.source)

@@ -58,7 +58,6 @@ class Plan:
         folder = claim_folder(self.out or Path(f"runs/plan-{field.name}"), force=self.force)
         found = plan(field, time_limit=self.time_limit, **settings)
         print_plan(found)
-        self._keep_optimum(found)
         write_json(folder / "plan.json", {"command": command_line, **found.to_json()})
         names = ["plan.json"]
         if found.makespan is not None:
@@ -66,6 +65,7 @@ class Plan:
         print(f"written to {folder}: {', '.join(names)}")
         if self.export is not None:
             self._export(found, settings, self.export)
+        self._keep_optimum(found)
 
     def _check(self) -> None:
         """Check that the options fit together."""
@@ -91,7 +91,7 @@ class Plan:
         path, usual = Path(self.field), self.n_robots is None and not any(self.wind)
         line = f"optimal_makespan: {found.makespan}"
         if self.write and not found.optimal:
-            raise MbnError(f"{path}: nothing is written, since this plan is not proved optimal")
+            raise MbnError(f"{path} is left as it is, since this plan is not proved optimal")
         if self.write:
             write_optimum(path, found)
             print(f"written to {path}: {line}")

@@ -35,9 +35,10 @@ class Comparison:
 
     Rows and aggregates have a label, its ``algorithm`` and ``form``, how many ``seeds`` a field
     has, the ``env_steps`` of a run, the ``success_rate`` of final episodes with sampled actions and
-    with mean ones (``deterministic_...``), the runs that ``reached`` a fresh evaluation at 100 000,
-    and of those the mean env-steps and training seconds of the first such evaluation
-    (``..._to_threshold``), and the mean training ``seconds`` of a run; evaluations are excluded.
+    with mean ones (``deterministic_...``), how many runs ``passed``, those that ``reached`` a fresh
+    evaluation at 100 000, and of those the mean env-steps and training seconds of the first such
+    evaluation (``..._to_threshold``), and the mean training ``seconds`` of a run; evaluations are
+    excluded.
 
     Attributes:
         looks: the labels in order, with the numbers of their looks in figures.
@@ -46,7 +47,8 @@ class Comparison:
             ``optimum``, the return's share of it, and the returns with mean actions.
         aggregates: every label over the ``fields`` with a proved optimum; empty if there is none.
             Besides: interquartile mean ``iqm`` and optimality ``gap`` of the scores, the returns
-            as shares of the optimum, and their performance ``profile`` at ``THRESHOLDS``.
+            as shares of the optimum, also with mean actions (``deterministic_...``), and their
+            performance ``profile`` at ``THRESHOLDS``.
         improvement: for each two labels how likely a run of the first has a higher return with
             sampled actions than one of the second on the same field, over all fields.
         unproved: the fields that the aggregates leave out.

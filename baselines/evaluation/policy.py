@@ -65,12 +65,18 @@ class Origin(NamedTuple):
 
 
 class RandomPolicy:
-    """Uniform actions in [-1, 1], reproducible from the seed."""
+    """Uniform actions in [-1, 1], the same ones from the seed after each reset of all worlds."""
 
     observes: Literal["observations", "state"] = "observations"
 
     def __init__(self, seed: int = 0) -> None:
-        self._random = np.random.default_rng(seed)
+        self._seed = seed
+        self.reset()
+
+    def reset(self, worlds: np.ndarray | None = None) -> None:
+        """Begin again, unless only some ``worlds``, (worlds,) bool, do."""
+        if worlds is None:
+            self._random = np.random.default_rng(self._seed)
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         """Sample actions; ``deterministic`` makes no difference."""

@@ -20,7 +20,8 @@ class PopulationSearch(ARS):
     - With several worlds each evaluates a candidate of its own, not all of them the same one.
     - A rollout starts before the random directions are drawn, so that a learner saved at that
       moment draws the same ones.
-    - The search continues from the parameters that were loaded, not from zero.
+    - The search continues from the parameters that were loaded, not from zero, and schedules from
+      where they were.
 
     Its environment is a ``LearnersView``, perhaps inside a ``VecNormalize``.
     """
@@ -37,6 +38,7 @@ class PopulationSearch(ARS):
 
     def _do_one_update(self, callback: BaseCallback, async_eval: Any) -> None:
         callback.on_rollout_start()
+        self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
         super()._do_one_update(callback, async_eval)
 
     def set_parameters(self, *arguments: Any, **options: Any) -> None:

@@ -35,8 +35,11 @@ FILES = {"ppo-supersuit": "ppo-shared"}
 RESERVED = (
     *("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model"),
     *("action_noise", "rollout_buffer_class", "replay_buffer_class"),
+    *("use_sde", "sde_sample_freq"),
 )
-"""Arguments that the learner sets, and objects and classes, which no file can hold."""
+"""Arguments that the learner sets; objects and classes, which no file can hold; and noise that
+depends on the state, which the library draws in ways that evaluations and resuming cannot repeat.
+"""
 _COUNT, _SHARE, _AMOUNT = (1, math.inf), (0, 1), (0, math.inf)
 RANGES: Mapping[str, tuple[float, float]] = {
     **dict.fromkeys(("n_steps", "batch_size", "n_epochs", "buffer_size", "train_freq"), _COUNT),

@@ -13,6 +13,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import unwrap_vec_wrapper
 
+from baselines.algorithms import find_algorithm
 from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.rng_state import restore_generators, save_generators
@@ -87,7 +88,10 @@ class Learner:
     @property
     def policy(self) -> SB3Policy:
         """The policy as it is now."""
-        return SB3Policy.of(self.model, self._algorithm)
+        by_robot = find_algorithm(self._algorithm).form == "decentralized"
+        observations = by_robot or self._aids.joint_observation
+        observes = "observations" if observations else "state"
+        return SB3Policy.of(self.model, self._algorithm, observes)
 
     def begin_with(self, source: RunFolder) -> None:
         """Take over networks and optimisers of another run; all else is as in a fresh learner.

@@ -78,9 +78,9 @@ class Normalization:
 class SB3Policy:
     """One policy for every robot's observation, or for the team's, or for the paper's state.
 
-    Its ``shape`` (JSON values) has the algorithm's name, the library's name of the policy and its
-    arguments, and the sizes of observation and action. A ``model`` is the learner whose policy this
-    is, and is saved too.
+    Its ``shape`` (JSON values) has the algorithm's name, which of these it ``observes``, the
+    library's name of the policy and its arguments, and the sizes of observation and action. A
+    ``model`` is the learner whose policy this is, and is saved too.
     """
 
     def __init__(
@@ -92,23 +92,21 @@ class SB3Policy:
     ) -> None:
         self.network, self.shape, self._model = network, shape, model
         self.normalization = normalization
-        *robots, _ = shape["action_shape"]
-        is_state = shape["obs_size"] in [size * n + 1 for n in robots for size in (4, 5)]
-        self.observes: Literal["observations", "state"] = "state" if is_state else "observations"
+        self.observes: Literal["observations", "state"] = shape["observes"]
 
     @classmethod
-    def of(cls, model: BaseAlgorithm, algorithm: str) -> Self:
+    def of(cls, model: BaseAlgorithm, algorithm: str, observes: str) -> Self:
         """The policy of a learner as it is now."""
         names = {kind: name for name, kind in model.policy_aliases.items()}
-        arguments = {"use_sde": model.use_sde or None, **model.policy_kwargs}
         shape = {
             "algorithm": algorithm,
+            "observes": observes,
             "policy": names[type(model.policy)],
             "obs_size": spaces.flatdim(model.observation_space),
             "action_shape": list(model.action_space.shape or ()),
             "arguments": {
                 name: value
-                for name, value in arguments.items()
+                for name, value in model.policy_kwargs.items()
                 if value is not None and not name.startswith("optimizer_")
             },
         }
@@ -182,6 +180,7 @@ def load_policy(folder: Path) -> SB3Policy:
     """
     _check_version(folder, SHAPE)
     shape = {**FIRST_SHAPE, **read_json(folder / SHAPE)}
+    shape.setdefault("observes", _observed(shape))
     normalization = Normalization.from_json(shape.pop("normalization"))
     weights = read_tensors(folder / WEIGHTS)
     try:
@@ -197,6 +196,13 @@ def load_policy(folder: Path) -> SB3Policy:
     except (RuntimeError, TypeError, ValueError, LookupError) as error:
         raise RunError(f"{folder / WEIGHTS} does not fit {SHAPE}: {error}") from None
     return SB3Policy(network, shape, normalization)
+
+
+def _observed(shape: Mapping[str, Any]) -> str:
+    """What a policy observes whose ``policy.json`` does not say so yet, by the sizes."""
+    *robots, _ = shape["action_shape"]
+    is_state = shape["obs_size"] in [size * n + 1 for n in robots for size in (4, 5)]
+    return "state" if is_state else "observations"
 
 
 def _check_version(folder: Path, name: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+from contextlib import suppress
 from numbers import Real
 from typing import Any
 
@@ -27,6 +28,10 @@ REFUSALS = (
 """The errors of the library and torch for arguments that make no learner."""
 
 
+class Passed(Exception):  # noqa: N818
+    """A fresh evaluation met the run's criterion: not every learner can be stopped otherwise."""
+
+
 class Reporter(BaseCallback):
     """Reports every rollout to a recorder, and saves between updates when that is due."""
 
@@ -45,11 +50,13 @@ class Reporter(BaseCallback):
 
     def _on_step(self) -> bool:
         self._learner.count_repeats()
-        return not self._recorder.passed
+        return True
 
     def _on_rollout_end(self) -> None:
         learner = self._learner
         self._recorder.update(learner.env_steps, learner.policy, learner.diagnostics)
+        if self._recorder.passed:
+            raise Passed
 
 
 class ToRecorder(KVWriter):
@@ -89,12 +96,13 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
     log_interval = 4  # episodes, the library's own; or rollouts of an on-policy algorithm
     if isinstance(model, OnPolicyAlgorithm):
         log_interval = math.ceil(ROW_STEPS * stride / (model.n_steps * model.n_envs))
-    model.learn(
-        task.config.steps * stride - model.num_timesteps,
-        callback=Reporter(recorder, learner),
-        log_interval=log_interval,
-        reset_num_timesteps=recorder.checkpoint is None,
-    )
+    with suppress(Passed):
+        model.learn(
+            task.config.steps * stride - model.num_timesteps,
+            callback=Reporter(recorder, learner),
+            log_interval=log_interval,
+            reset_num_timesteps=recorder.checkpoint is None,
+        )
     recorder.finish(learner.env_steps, learner.policy)
 
 

@@ -96,15 +96,20 @@ def train_runs(
     return outcomes
 
 
-def check_outcomes(outcomes: Collection[Outcome], place: str | Path) -> None:
-    """Check that all runs are done; raise a RunError that says which are not, and why."""
+def check_outcomes(
+    outcomes: Collection[Outcome], place: str | Path, again: str = "the same command and --resume"
+) -> None:
+    """Check that all runs are done; raise a RunError that says which are not, and why.
+
+    It says that ``again`` resumes them.
+    """
     lines = [f"{one.name}: {first_line(one.error)}" for one in outcomes if one.state != "done"]
     if lines:
         more = [f"and {len(lines) - SHOWN} more"] if len(lines) > SHOWN else []
         shown = "\n  - ".join([*lines[:SHOWN], *more])
         raise RunError(
-            f"{place}: {len(outcomes) - len(lines)} of {len(outcomes)} runs are done; the same "
-            f"command resumes the others\n  - {shown}"
+            f"{place}: {len(outcomes) - len(lines)} of {len(outcomes)} runs are done; resume the "
+            f"others with {again}\n  - {shown}"
         )
 
 
@@ -166,4 +171,4 @@ class Sweep:
             if outcomes[name].state == "done":
                 missing = "it is not in the store; do all machines see that place?"
                 outcomes[name] = Outcome(name, "failed", missing)
-        check_outcomes(outcomes.values(), self.place)
+        check_outcomes(outcomes.values(), self.place, "the same command")

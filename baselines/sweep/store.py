@@ -161,7 +161,7 @@ class RemoteStore(Store):
     def __init__(self, place: str) -> None:
         super().__init__(place)
         own = hashlib.sha256(place.encode()).hexdigest()[:12]
-        self._scratch = Path(tempfile.gettempdir()) / f"mbn-grid-{own}"
+        self._scratch = Path(tempfile.gettempdir()).resolve() / f"mbn-grid-{own}"
 
     def finished(self, names: Collection[str]) -> set[str]:
         """Return those of ``names`` whose run is finished; refuse folders of older versions."""

@@ -159,10 +159,10 @@ def _running(run: RunFolder) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        unfinished = run.unfinished if (run.path / "config.json").is_file() else None
-        if unfinished is None:
+        if run.finished or not (run.path / "config.json").is_file():
             raise
-        raise KeyboardInterrupt(f"{run.path} is {unfinished}; continue with --resume") from None
+        state = run.unfinished or "trained, but not evaluated"
+        raise KeyboardInterrupt(f"{run.path} is {state}; continue with --resume") from None
     except (ConnectionError, InterruptedError):  # not about files
         raise
     except OSError as error:

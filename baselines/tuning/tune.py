@@ -61,18 +61,22 @@ def tune(
     continues its study and runs an interrupted trial again. ``listener`` receives where they stand.
 
     Raises:
-        ConfigError: ``trials`` is below 1, or the study in ``out`` tunes something else.
+        ConfigError: ``trials`` is below 1, or the study in ``out`` tunes something else; or
+            ``force`` with a ``database``, where the study would keep its name.
         RunError: ``out`` holds something already, no study to resume, or one that is running; or
             no trial was finished; or the database refuses the study.
         MbnError: there is no Ray cluster.
     """
-    if trials < 1:
-        raise ConfigError("tuning", [f"trials: must be at least 1 (got {trials})"])
+    problems = [f"trials: must be at least 1 (got {trials})"] if trials < 1 else []
+    if force and database is not None:
+        problems.append("force: allowed without --database; choose another --out")
+    if problems:
+        raise ConfigError("tuning", problems)
     asked = {**asdict(config), DATABASE: database}
     if resume:
         open_study(out)
-        if problems := differences(read_json(out / CONFIG), asked):
-            raise ConfigError(str(out), problems)
+        if changed := differences(read_json(out / CONFIG), asked):
+            raise ConfigError(str(out), changed)
     else:
         claim_folder(out, force=force)
         begin_study(out, database)

@@ -37,7 +37,7 @@ from baselines.training.overrides import parse
 from baselines.training.train import prepare
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.episode import check_episode, load_episode, play, save_episode
-from mbn_marl.errors import ConfigError, EpisodeError, FieldError, MbnError
+from mbn_marl.errors import ConfigError, EpisodeError, FieldError, MbnError, unknown
 from mbn_marl.field import catalogue_names, load_field
 from mbn_marl.field.catalogue import catalogue_file
 
@@ -294,6 +294,12 @@ class Fuzz:
 
     def run(self, command: str) -> bool:
         """Return whether every input was read or refused as promised."""
+        known = targets()
+        strange = [name for name in self.only if name not in known]
+        if strange:
+            problems = [f"only: {name}: {unknown('target', name, known)}" for name in strange]
+            raise ConfigError("fuzz", problems)
+        chosen = {name: known[name] for name in self.only or known}
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
         lines, broken = [], False
         with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
@@ -303,14 +309,13 @@ class Fuzz:
             for algorithm in ALGORITHMS:
                 prepare(TrainConfig(algorithm, "field_03"))  # loads the libraries
             guard = Guard(Path(folder), Path(os.environ.get("NUMBA_CACHE_DIR", folder)))
-            for name, target in targets().items():
-                if not self.only or name in self.only:
-                    count = fuzz(target, round(self.inputs * target.share), guard, self.seed)
-                    print(*(f"{name}: {text}\n" for text in count.broken), file=sys.stderr, end="")
-                    broken |= bool(count.broken)
-                    numbers = count.inputs, count.taken, count.refused
-                    seconds, found = f"{count.longest:.2f} s", str(len(count.broken))
-                    lines.append((name, *(f"{n:,}" for n in numbers), seconds, found))
+            for name, target in chosen.items():
+                count = fuzz(target, round(self.inputs * target.share), guard, self.seed)
+                print(*(f"{name}: {text}\n" for text in count.broken), file=sys.stderr, end="")
+                broken |= bool(count.broken)
+                numbers = count.inputs, count.taken, count.refused
+                seconds, found = f"{count.longest:.2f} s", str(len(count.broken))
+                lines.append((name, *(f"{n:,}" for n in numbers), seconds, found))
         headings = ("target", "inputs", "taken", "refused", "longest", "broken")
         TextTable("", headings, tuple(lines)).print("inputs that nobody meant")
         return not broken

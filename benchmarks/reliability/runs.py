@@ -31,7 +31,7 @@ from baselines.training.config import TrainConfig
 from baselines.training.progress_bar import Report
 from baselines.training.train import train
 from baselines.zoo.entries import CARD, FOLDER
-from mbn_marl.errors import MbnError
+from mbn_marl.errors import ConfigError, MbnError, unknown
 
 SMALL = {"policy_kwargs": {"net_arch": [8]}}
 ON_POLICY = {**SMALL, "n_steps": 32, "batch_size": 32}
@@ -150,6 +150,10 @@ class Kills:
 
     def run(self, command: str) -> bool:
         """Return whether nothing was lost, and everything is equal."""
+        strange = [name for name in self.families if name not in FAMILIES]
+        if strange:
+            problems = [f"families: {one}: {unknown('family', one, FAMILIES)}" for one in strange]
+            raise ConfigError("kills", problems)
         counts = {}
         with tempfile.TemporaryDirectory() as folder:
             for family in self.families:

@@ -130,12 +130,13 @@ def test_results_that_are_not_to_be_compared_are_refused(
 
 
 def test_every_damage_of_results_is_listed(results: Results, tmp_path: Path) -> None:
-    names = ("bare", "both", "better", "whole", "nameless")
+    names = ("bare", "both", "better", "whole", "half", "nameless")
     changed = {name: copy.deepcopy(results["greedy"]) for name in names}
     del changed["bare"]["tiers"]["2-sizes"]["mean"]
     changed["both"]["tiers"]["2-sizes"]["misfit"] = "robots: 4"
     changed["better"]["tiers"]["2-sizes"]["mean"]["gap"]["mean"] -= 0.1
     changed["whole"]["all"]["mean"]["gap"]["mean"] -= 0.1
+    del changed["half"]["all"]["mean"]
     del changed["nameless"]["command"]
     write(changed, tmp_path)
     (tmp_path / "cut.json").write_text("{")
@@ -148,6 +149,7 @@ def test_every_damage_of_results_is_listed(results: Results, tmp_path: Path) -> 
         "bare.json: 2-sizes: is not as mbn benchmark writes it: KeyError: 'mean'",
         "better.json: 2-sizes: statistics are not those of its instances",
         "both.json: 2-sizes: misfit: has instances, or gives no reason",
+        "half.json: all: is not that of the tiers",
         "list.json: is no result of mbn benchmark",
         "nameless.json: command: missing",
         "whole.json: all: is not that of the tiers",

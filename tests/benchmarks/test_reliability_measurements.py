@@ -24,7 +24,7 @@ from benchmarks.reliability import endurance, runs
 from benchmarks.reliability import fuzz as fuzzing
 from benchmarks.speed.timing import cpu_backend
 from mbn_marl import BatchEngine
-from mbn_marl.errors import MbnError
+from mbn_marl.errors import ConfigError, MbnError
 from tests.support.runs import small_config
 
 
@@ -43,6 +43,12 @@ def test_damaged_copies_are_counted(tmp_path: Path) -> None:
     assert runs.try_copies(unchecked, 5, scratch, Random(0))["read wrongly"] == 5
     careless = replace(subject, read=lambda copy: [_careless(copy / file) for file in files])
     assert runs.try_copies(careless, 20, scratch, Random(0))["crashed"] > 0
+
+
+def test_names_of_targets_and_families_are_checked() -> None:
+    for measure in (fuzzing.Fuzz(only=("settings", "typo")), runs.Kills(families=("typo",))):
+        with pytest.raises(ConfigError, match="typo"):
+            measure.run("")
 
 
 def _read_all(files: tuple[Path, ...], folder: Path) -> list[object]:

@@ -53,6 +53,21 @@ def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
     assert figure.stat().st_size > 10_000
 
 
+def test_a_policy_of_yours_is_deployed_in_its_own_wind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = "class Still:\n    settings = {'wind': (0.2, 90.0), 'max_steps': 3}\n"
+    module += "    def __init__(self, field):\n        pass\n"
+    module += "    def act(self, seen, *, deterministic):\n        return 0.0 * seen[..., :2]\n"
+    (tmp_path / "still.py").write_text(module)
+    monkeypatch.chdir(tmp_path)
+    command = ["deploy", "still:Still", "--field", "field_03", "--sim", "plane", "--force"]
+    for asked, wind in (([], (0.2, 90.0)), (["--wind", "0", "0"], (0.0, 0.0))):
+        assert main([*command, *asked, "--json", "numbers.json"]) == 0
+        (row,) = json.loads(Path("numbers.json").read_text())["deployments"]
+        assert (row["wind_speed"], row["wind_angle"]) == wind
+
+
 @pytest.mark.parametrize(
     ("options", "problem"),
     [

@@ -97,9 +97,10 @@ def test_render_shows_a_recorded_episode(
     assert not (tmp_path / "b.gif").exists()
 
 
-def test_evaluate_records_its_best_median_and_worst(tmp_path: Path) -> None:
+@pytest.mark.parametrize("source", [["zoo:field_07"], ["random", "--field", "field_07"]])
+def test_evaluate_records_its_best_median_and_worst(source: list[str], tmp_path: Path) -> None:
     out, results = tmp_path / "episodes", tmp_path / "results.json"
-    command = ["evaluate", "zoo:field_07", "--episodes", "5", "--record", str(out)]
+    command = ["evaluate", *source, "--episodes", "5", "--seed", "3", "--record", str(out)]
     assert main([*command, "--json", str(results)]) == 0
     returns = sorted(json.loads(results.read_text())["stochastic"]["per_episode"]["returns"])
     found = [load_episode(out / f"{name}.json") for name in ("worst", "median", "best")]

@@ -12,6 +12,7 @@ from baselines.cli.main import main
 from baselines.cli.plan import write_optimum
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field
+from mbn_marl.planning import Plan
 
 CATALOGUE = Path(__file__).parents[3] / "envs_catalog" / "field_03.yaml"
 
@@ -38,6 +39,17 @@ def test_a_file_without_lines_of_yaml_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"own\.yaml"):
         write_optimum(path, found)
     assert path.read_text() == before
+
+
+def test_a_plan_that_is_not_proved_is_kept_but_not_in_the_field(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "own.yaml", tmp_path / "out"
+    path.write_text(CATALOGUE.read_text())
+    monkeypatch.setattr(Plan, "optimal", property(lambda found: False))
+    assert main(["plan", str(path), "--write", "--out", str(out)]) == 2
+    assert f"{path} is left as it is" in capsys.readouterr().err
+    assert (out / "plan.json").exists() and path.read_text() == CATALOGUE.read_text()
 
 
 @pytest.mark.parametrize("words", [["field_03"], [str(CATALOGUE), "--wind", "0.1", "0"]])

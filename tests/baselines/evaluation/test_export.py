@@ -173,7 +173,7 @@ def test_the_arrays_of_stable_baselines_act_as_it_does(
     random = np.random.default_rng(0)
     mean, variance = random.normal(size=13) * 300.0, random.uniform(1e-9, 9.0, 13)
     normalization = Normalization(mean, variance, 5.0, 1e-8, 2.0) if normalized else None
-    shape = {"algorithm": algorithm, "obs_size": 13, "action_shape": [3, 2]}
+    shape = {"algorithm": algorithm, "obs_size": 13, "action_shape": [3, 2], **STATE}
     policy = SB3Policy(network, shape, normalization)
     seen = (mean + 3.0 * random.normal(size=(6, 13))).astype(np.float32)
     seen = seen if normalized else seen / 300.0
@@ -182,6 +182,9 @@ def test_the_arrays_of_stable_baselines_act_as_it_does(
     assert actions.shape == (6, 3, 2) and actions.dtype == np.float32
     np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-5)
     assert len(np.unique(actions)) > 10
+
+
+STATE = {"observes": "state"}
 
 
 def make_network(algorithm: str, kind: str, **arguments: Any) -> Any:
@@ -196,7 +199,7 @@ def test_onnx_takes_the_state(tmp_path: Path) -> None:
     field = load_field("field_03")
     network = make_network("ppo", "MlpPolicy", net_arch=[8])
     normalization = Normalization(np.full(13, 60.0), np.full(13, 900.0), 5.0, 1e-8, 10.0)
-    shape = {"algorithm": "ppo", "obs_size": 13, "action_shape": [3, 2]}
+    shape = {"algorithm": "ppo", "obs_size": 13, "action_shape": [3, 2], **STATE}
     policy = LoadedPolicy("mine", SB3Policy(network, shape, normalization), {}, field)
     metadata, _ = export_policy(policy, tmp_path / "policy.onnx")
     assert (metadata["takes"], metadata["shape"]) == ("state", ["W", 13])

@@ -1,4 +1,4 @@
-"""Training aids under Stable-Baselines3: large ROIs at first, long decisions, short episodes."""
+"""Training aids of the learners of Stable-Baselines3, what they observe, and where they stop."""
 
 from __future__ import annotations
 
@@ -164,6 +164,7 @@ def test_only_a_central_learner_sees_what_all_robots_see() -> None:
         ("ppo", True, {}, "observations"),
         ("ppo", False, {"dynamics": "unicycle"}, "state"),  # with headings: 5n + 1
         ("ppo", False, {"dynamics": "bicycle", "n_robots": 1}, "state"),
+        ("ppo", False, {"dynamics": "unicycle", "failures": {"rate": 0.1}}, "state"),  # with flags
         ("ppo", True, {"n_robots": 1}, "observations"),
         ("ppo-shared", False, {"dynamics": "unicycle"}, "observations"),
     ],
@@ -181,3 +182,17 @@ def test_a_policy_knows_what_it_observes(
     robots = settings.get("n_robots", 3)
     rows = (2, robots, size // robots if joint else size) if seen == "observations" else (2, size)
     assert policy.act(np.zeros(rows, np.float32), deterministic=True).shape == (2, robots, 2)
+
+
+@pytest.mark.parametrize("name", ["a2c", "ars", "tqc"])
+def test_a_run_stops_with_the_policy_that_passed(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("baselines.training.run_logger.passes", lambda *_: True)
+    how: dict[str, Any] = {"steps": 2000, "evaluate_every": 200, "episodes": 1, "stop_at": 0.0}
+    config = TrainConfig(name, "field_03", "A", environment={"max_steps": 50}, **how)
+    run = train(config, tmp_path / "run")
+    passed, final = run.evaluations
+    assert 200 <= passed["env_steps"] == final["env_steps"] < 1000
+    assert passed["deterministic_return_mean"] == final["deterministic_return_mean"]
+    assert run.finished and not (run.path / "checkpoints").exists()

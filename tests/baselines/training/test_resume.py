@@ -46,7 +46,7 @@ MODELS: dict[str, dict[str, Any]] = {
     "a2c": SMALL,
     "ppo": {**SMALL, "n_steps": 32, "batch_size": 32, "learning_rate": {"from": 0.01, "to": 0.001}},
     "trpo": {**SMALL, "n_steps": 32, "batch_size": 32},
-    "ars": {"n_delta": 1, "n_top": 1},
+    "ars": {"n_delta": 1, "n_top": 1, "learning_rate": {"from": 0.1, "to": 0.01}},
     "crossq": {**REPLAY, "gradient_steps": 2},
     "tqc": REPLAY,
     "ppo-shared": {**SMALL, "n_steps": 32, "batch_size": 32},

@@ -184,6 +184,14 @@ def test_a_study_at_work_is_left_alone(study: Path, capsys: pytest.CaptureFixtur
     assert len(open_study(study).get_trials()) == 1
 
 
+def test_a_study_in_a_database_is_not_moved_aside(tmp_path: Path) -> None:
+    how = {"trials": 0, "engine": LocalEngine(1), "command": "", "force": True}
+    with pytest.raises(ConfigError, match="force: allowed without --database") as caught:
+        tune(CONFIG, _begin(tmp_path / "study"), database="sqlite:///a.db", **how)
+    assert len(caught.value.problems) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["study"]
+
+
 # ---------------------------------------------------------------- pruned, diverged
 
 
