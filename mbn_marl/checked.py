@@ -25,7 +25,7 @@ _SHORT = reprlib.Repr()
 """Shows values in messages: long ones without their middle."""
 _SHORT.maxstring = _SHORT.maxother = 80
 
-_ONE, _EACH, _DRAWN = "for all", "for each", "drawn"
+_ONE, _EACH, _DRAWN = "for all", "for each", "(drawn)"
 """Marks of a setting's forms: one value, one for each robot, a range; not in messages."""
 
 
@@ -124,6 +124,11 @@ def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
         if isinstance(cause, ConfigError):  # of a part that is a model
             lines += [f"{place}.{line}" for line in cause.problems]
             continue
+        if (
+            problem["type"] == "too_short"
+            and len(problem["input"]) > problem["ctx"]["actual_length"]
+        ):
+            continue  # an entry has a line of its own
         if problem["type"] == "extra_forbidden":
             *path, name = problem["loc"]
             message = unknown("name", str(name), _level(model, path).model_fields)

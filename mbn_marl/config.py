@@ -165,7 +165,7 @@ class NavigationConfig(Checked):
         steer_max: the most that a bicycle steers, rad, > 0 and at most 1.5; may be drawn.
         safety_distance: C; robots strictly closer than this have collided, units; may be drawn.
         roi_radius: rho; an ROI within this distance of a robot is visited, units; may be drawn.
-        random_starts: start at random points of the field, at least C apart, not at its starts.
+        random_starts: start at random points, at least C apart; at the starts if none are found.
         failures: how robots fail during an episode, :class:`Failures`; ``None``: they do not.
 
     Raises:

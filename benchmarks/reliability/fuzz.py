@@ -294,22 +294,22 @@ class Fuzz:
 
     def run(self, command: str) -> bool:
         """Return whether every input was read or refused as promised."""
-        known = targets()
-        strange = [name for name in self.only if name not in known]
-        if strange:
-            problems = [f"only: {name}: {unknown('target', name, known)}" for name in strange]
-            raise ConfigError("fuzz", problems)
-        chosen = {name: known[name] for name in self.only or known}
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
         lines, broken = [], False
         with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
             stack.enter_context(contextlib.chdir(folder))
+            known = targets()
+            strange = [name for name in self.only if name not in known]
+            if strange:
+                problems = [f"only: {name}: {unknown('target', name, known)}" for name in strange]
+                raise ConfigError("fuzz", problems)
             for name in WORK:
                 stack.enter_context(patch(name, side_effect=MbnError("here the work would begin")))
             for algorithm in ALGORITHMS:
                 prepare(TrainConfig(algorithm, "field_03"))  # loads the libraries
             guard = Guard(Path(folder), Path(os.environ.get("NUMBA_CACHE_DIR", folder)))
-            for name, target in chosen.items():
+            for name in self.only or known:
+                target = known[name]
                 count = fuzz(target, round(self.inputs * target.share), guard, self.seed)
                 print(*(f"{name}: {text}\n" for text in count.broken), file=sys.stderr, end="")
                 broken |= bool(count.broken)

@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.adapters.infos import Infos
-from mbn_marl.adapters.one_world import OneWorld, rename_max_steps
+from mbn_marl.adapters.one_world import OneWorld, check_names, rename_max_steps
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike, Fields
@@ -109,7 +109,7 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
             FieldError: the field of the options is invalid or unknown; nothing has changed.
         """
         self._start(seed, options)
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else int(seed))
         return self.engine.state()[0], self._infos.of_reset()
 
     def step(self, action: ArrayLike) -> tuple[State, float, bool, bool, dict[str, Any]]:
@@ -174,6 +174,7 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         **settings: Unpack[FixedSettings],
     ) -> None:
         rename_max_steps("max_episode_steps", max_episode_steps, settings)
+        check_names(settings)
         self._viewer = LazyViewer(render_mode, ("rgb_array",), render_size)
         self.render_mode = render_mode
         self.autoreset_mode = mode = _autoreset_mode(autoreset_mode)
@@ -214,7 +215,7 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         """
         options = options or {}
         self._check(options, seed)
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else int(seed))
         mask = options.get("reset_mask")
         if mask is None:
             self.engine.reset(seed)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.adapters.infos import Infos
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
-from mbn_marl.config import FixedSettings, Settings
+from mbn_marl.config import FixedSettings, NavigationConfig, Settings, make_config
 from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.engine.validation import reset_problems
 from mbn_marl.errors import ConfigError, StepError
@@ -39,6 +39,7 @@ class OneWorld:
         render_size: tuple[int, int],
         **settings: Unpack[Settings],
     ) -> None:
+        check_names(settings)
         self.render_mode = render_mode
         self._viewer = LazyViewer(render_mode, self.metadata["render_modes"], render_size)
         self.engine = engine = BatchEngine(field, 1, autoreset=False, threads=1, **settings)
@@ -118,13 +119,23 @@ class OneWorld:
             self._viewer.draw(self.engine)
 
 
+def check_names(settings: Mapping[str, Any]) -> None:
+    """Check that no setting is an argument of the engine that an environment sets itself.
+
+    Raises:
+        ConfigError: naming all problems of the settings, if there is one.
+    """
+    if not settings.keys() <= {*NavigationConfig.model_fields, "condition"}:
+        make_config(settings)
+
+
 def rename_max_steps(name: str, value: int | None, settings: FixedSettings) -> None:
     """Put ``value`` into ``settings`` as ``max_steps``, which another library calls ``name``.
 
     Raises:
-        ConfigError: both are given.
+        ConfigError: both are given, and differ.
     """
     if value is not None:
-        if "max_steps" in settings:
+        if settings.get("max_steps", value) != value:
             raise ConfigError("environment", [f"{name}: is max_steps, give only one"])
         settings["max_steps"] = value

@@ -148,7 +148,7 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         """
         observations = self._start(seed, options)
         if seed is not None:
-            self.np_random, _ = np_random(seed)
+            self.np_random, _ = np_random(int(seed))
         self.agents = list(self.possible_agents)
         if self.engine.teams_vary:
             self.agents = self.agents[: int(self.engine.present[0].sum())]
@@ -210,7 +210,7 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
                 stacked = np.zeros((len(self.possible_agents), 2), self.engine.dtype)
                 stacked[[self._index[agent] for agent in agents]] = given
                 return stacked
-        except (LookupError, TypeError, ValueError):
+        except (LookupError, OverflowError, TypeError, ValueError):
             pass
         raise ActionError(self._problem(actions))
 
@@ -230,7 +230,7 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
 def _is_action(action: object) -> bool:
     try:
         return np.array(action, np.float64).shape == (2,)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         return False
 
 
@@ -255,9 +255,9 @@ class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
         if self.terminations[agent] or self.truncations[agent]:
             if action is not None:
                 raise ActionError(f"{agent}: the episode has ended; allowed: None")
-        elif not _is_action(action) or not np.isfinite(np.asarray(action)).all():
+        elif not _is_action(action) or not np.isfinite(np.asarray(action, np.float64)).all():
             raise ActionError(f"{agent}: {action!r:.80}; allowed: two finite numbers")
-        super().step(action)
+        super().step(None if action is None else np.array(action, np.float64))
 
 
 class EnvSettings(FixedSettings, total=False):

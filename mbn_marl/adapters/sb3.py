@@ -28,6 +28,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
+from mbn_marl.adapters.repeat import ActionRepeat
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
@@ -66,6 +67,7 @@ class NavigationVecEnv(VecEnv):
         ConfigError: a setting or ``action_repeat`` is not valid.
     """
 
+    action_repeat = ActionRepeat()
     _return: str  # the metric that is a row's return
 
     def __init__(
@@ -79,9 +81,6 @@ class NavigationVecEnv(VecEnv):
         action_repeat: int = 1,
         **settings: Unpack[Settings],
     ) -> None:
-        if action_repeat < 1:
-            problem = f"action_repeat: must be at least 1 (got {action_repeat})"
-            raise ConfigError(type(self).__name__, [problem])
         self.action_repeat = action_repeat
         self._viewer = LazyViewer(render_mode, ("rgb_array",))
         self.render_mode = render_mode
@@ -116,7 +115,12 @@ class NavigationVecEnv(VecEnv):
 
         Returns:
             Fresh observations ``(num_envs, *observation_space.shape)``, in the class's units.
+
+        Raises:
+            ConfigError: ``set_options`` was given some; there are none.
         """
+        if any(self._options):
+            raise ConfigError("reset", [f"options: {self._options!r:.80}; allowed: none"])
         observations = self.engine.reset(seed=self._seeds[0])
         self._reset_seeds()
         self._reset_options()
@@ -319,7 +323,7 @@ class SharedPolicyVecEnv(NavigationVecEnv):
     Row ``w * n + i`` is robot ``i`` of world ``w``, in ``num_envs = num_worlds * n`` rows, with
     observation ``(obs_size,)`` float32, action ``(2,)`` in [-1, 1] and the robot's own reward
     (the team's with ``reward_sharing="team"``). The rows of a world end together. In the infos,
-    ``wall_hits``, ``path_length`` and ``impulse`` are the robot's own, the other metrics the
+    ``wall_hits``, ``path_length``, ``impulse`` and ``failed`` are the robot's own, the others the
     team's. ``one_hot=True`` lets the policy distinguish the robots.
 
     All arguments and errors as :class:`NavigationVecEnv`.

@@ -12,6 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from mbn_marl.adapters.repeat import ActionRepeat
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.errors import ConfigError
@@ -78,8 +79,8 @@ class NavigationEnv(EnvBase):
             ``w`` modulo their count); or a ``FieldSampler``, which draws one for each episode.
         num_worlds: ``W``.
         seed: of all worlds, until ``set_seed()`` gives another; each has a stream of its own.
-        device: where the tensors live. On torch's current CUDA device the engine computes too (see
-            ``BatchEngine``); for any other device it computes on the CPU.
+        device: where the tensors live. On CUDA, which has to be torch's current device, the engine
+            computes too (see ``BatchEngine``); for any other device it computes on the CPU.
         threads: of the engine on the CPU; ``None`` takes as many as there are cores.
         state: give the entry ``"state"``.
         team_reward: give the entry ``"team_reward"``.
@@ -102,6 +103,8 @@ class NavigationEnv(EnvBase):
         Choton, Woods, Hsu, section 3: ``"state"`` and ``"team_reward"``.
     """
 
+    action_repeat = ActionRepeat()
+
     def __init__(
         self,
         field: Fields,
@@ -118,8 +121,10 @@ class NavigationEnv(EnvBase):
     ) -> None:
         unknown = sorted(set(metrics) - set(METRICS))
         problems = [f"metrics: {unknown}; allowed: {', '.join(METRICS)}"] if unknown else []
-        if action_repeat < 1:
-            problems.append(f"action_repeat: must be at least 1 (got {action_repeat})")
+        if len(set(metrics)) < len(metrics):
+            problems.append(f"metrics: {list(metrics)}; allowed: each of them once")
+        if not isinstance(num_worlds, int) or num_worlds < 1:
+            problems.append(f"num_worlds: must be a whole number, at least 1 (got {num_worlds!r})")
         if problems:
             raise ConfigError("NavigationEnv", problems)
         super().__init__(device=device, batch_size=[num_worlds])
@@ -204,11 +209,13 @@ class NavigationEnv(EnvBase):
         mask = None if tensordict is None else tensordict.get("_reset", None)
         if mask is not None and not mask.all():
             observations = self.engine.reset_worlds(self._give(mask.reshape(-1)))
-        elif self._loaded:
-            observations = self.engine.reset_worlds(np.zeros(self.engine.num_worlds, bool))
         else:
-            observations = self.engine.reset(seed=self._next_seed)
-        self._next_seed, self._loaded = None, False
+            if self._loaded:
+                ended = torch.from_numpy(~self.engine.running).to(self.device)
+                observations = self.engine.reset_worlds(self._give(ended))
+            else:
+                observations = self.engine.reset(seed=self._next_seed)
+            self._next_seed, self._loaded = None, False
         flags = torch.zeros(self.engine.num_worlds, dtype=torch.bool, device=self.device)
         team = self._tensor(self.engine.team_rewards)
         nothing = _Outcome(observations, flags, flags, team, self._rows(), self._no_rows)
@@ -224,7 +231,8 @@ class NavigationEnv(EnvBase):
     def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
         """Continue with the next full reset exactly where ``saved`` was taken.
 
-        That reset, such as the one of a new collector, then begins no new episodes.
+        That reset, such as the one of a new collector, then begins new episodes only in the worlds
+        that had ended.
 
         Args:
             saved: what :meth:`save_state` returned: arrays of its shapes, such as (n, W), and

@@ -21,14 +21,16 @@ COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapp
 """Compiled code runs without the GIL, divides as NumPy does, and is not for C to call."""
 
 ANNOUNCEMENT = "mbn_marl: compiling the engine for this configuration, once per machine"
-FOLDERS = ("compiled", "engine", "field")
-"""The folders of the package that have compiled functions."""
+SOURCES_OF = ("config.py", "compiled", "engine", "field")
+"""The files, and the folders, that compiled functions and the numbers in them come from."""
 
 
 def digest_of_sources(package: Path) -> str:
-    """A hash of all source files in ``FOLDERS`` and the folders in them, and of where they are."""
+    """A hash of all source files of ``SOURCES_OF`` and the folders in them, and their places."""
     digest = hashlib.sha256()
-    for path in sorted(path for name in FOLDERS for path in (package / name).rglob("*.py")):
+    inside = (path for name in SOURCES_OF for path in (package / name).rglob("*.py"))
+    files = (path for path in map(package.joinpath, SOURCES_OF) if path.is_file())
+    for path in sorted([*files, *inside]):
         digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 
@@ -43,7 +45,8 @@ class _Announcer(event.Listener):
 
     def on_start(self, event: Any) -> None:
         """Hear that Numba begins to compile a function."""
-        if not self.said and event.data["dispatcher"].py_func.__module__.startswith("mbn_marl."):
+        module = event.data["dispatcher"].py_func.__module__ or ""  # code of ``exec`` has none
+        if not self.said and module.startswith("mbn_marl."):
             self.said = True
             logging.getLogger("mbn_marl").warning(ANNOUNCEMENT)
 
@@ -120,6 +123,14 @@ def generated(name: str, source: str, as_rule: Callable[..., Any] = compiled, **
 def entry_point(function: Callable[..., Any]) -> Any:
     """Compile what Python calls."""
     return _cached(function)
+
+
+def entry_point_of_one_file(function: Callable[..., Any]) -> Any:
+    """Compile what Python calls and what calls nothing of another file: Numba renews it then."""
+    try:
+        return numba.njit(cache=True)(function)
+    except RuntimeError:  # no folder for the cache
+        return numba.njit(function)
 
 
 def parallel_entry_point(function: Callable[..., Any]) -> Any:

@@ -18,7 +18,7 @@ from mbn_marl.engine.geometry import column_of, read_field, sampler_numbers, wit
 from mbn_marl.engine.kernels import INFO_COLUMNS, MEASURES
 from mbn_marl.engine.mdp.drawn import WIND_X, WIND_Y, rows_of_drawn
 from mbn_marl.engine.mdp.failures import ABSENT, FAILED
-from mbn_marl.engine.mdp.rewards import COLLISION, SUCCESS
+from mbn_marl.engine.mdp.rewards import COLLISION, RESTED, SUCCESS
 from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.engine.state import Array, Episode, Geometry, Memory, Output
 from mbn_marl.errors import ActionError, StepError
@@ -137,10 +137,11 @@ class Backend(ABC):
         now, config, host = self.now, self.config_in(world), self.host
         n, steps, visited = now.x.shape[0], int(now.steps[world]), int(now.visited[world])
         outcome = int(self.output.outcomes[world]) if steps else 0
+        left_out = outcome & RESTED and bool(self.memory.pending[world])
         bits = host(self.geometry.roi_bits[: len(field.rois), self._column(world)])
         team = int(self.geometry.robots_in[self._column(world)])
         trail = host(self.memory.trail[world, : (steps + 1) * n]).reshape(-1, n, 2)
-        return Snapshot(
+        made = Snapshot(
             field=field,
             positions=np.stack([host(now.x[:team, world]), host(now.y[:team, world])], axis=-1),
             velocities=np.stack([host(now.vx[:team, world]), host(now.vy[:team, world])], axis=-1),
@@ -156,6 +157,8 @@ class Backend(ABC):
             success=outcome & (SUCCESS | COLLISION) == SUCCESS,
             collision=bool(outcome & COLLISION),
         )
+        vanish = config.failures is not None and config.failures.kind == "vanish"
+        return made.judged(vanish=vanish) if left_out else made
 
     def _column(self, world: int) -> int:
         """The column of a world in the tables of its field."""

@@ -58,7 +58,8 @@ class BatchEngine(Readings):
         threads: how many threads share the worlds on the CPU; ``None`` takes one per core, but one
             for small batches. The result does not depend on it.
         starts: where the robots start in every world, (n, 2) units, instead of the field's own
-            starts: in the field, and no two closer than the safety distance.
+            starts: in the field, and no two closer than the safety distance, or the least one
+            that episodes draw.
         first_world: number of the world with index 0, from 0 on. A world's random numbers depend
             on its number, the seed and the number of its episode alone, not on the batch.
         **settings: see :class:`mbn_marl.config.NavigationConfig`.
@@ -102,7 +103,7 @@ class BatchEngine(Readings):
         n = config.n_robots or sizes.robots
         self._sizes = sizes._replace(robots=n)
         self.autoreset = validation.autoreset_mode(autoreset)
-        given = None if starts is None else np.asarray(starts)
+        given = validation.as_starts(starts)
         validation.check_setup(
             source, config, n, num_worlds, threads, seed, device, given, first_world
         )
@@ -226,7 +227,7 @@ class BatchEngine(Readings):
             IndexError: no such world.
         """
         self._check_world(world)
-        given = None if starts is None else np.asarray(starts)
+        given = validation.as_starts(starts)
         problems = validation.set_field_problems(
             field, self._sizes, self.config, self.teams_vary, given
         )
@@ -273,18 +274,22 @@ class BatchEngine(Readings):
     def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
         """Go on exactly where the engine that ``saved`` came from would.
 
+        Settings and fields have to be the same; only sizes, types and samplers are compared.
+
         Args:
             saved: what :meth:`save_state` gave: arrays of its shapes, such as (n, W), and units.
 
         Raises:
-            MbnError: it was an engine of other settings, sizes or another sampler; this one is left
-                as it was.
+            MbnError: it was an engine of other sizes or another sampler; this one is left as it
+                was.
         """
         theirs = saved.get("geometry.sampler")
         own = None if self.sampler is None else sampler_numbers(self.sampler)
         if not (own is None or theirs is None or np.array_equal(own, theirs)):
             raise MbnError("worlds: of another sampler; allowed: those of this one")
         restore_worlds(self._backend, saved)
+        if self.sampler is not None:
+            self._set_fields.clear()
         self._tell_reset(None)
 
     def _tell_reset(self, mask: ArrayLike | None) -> None:

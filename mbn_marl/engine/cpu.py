@@ -105,7 +105,7 @@ class CpuBackend(Backend):
         return np.clip(given, -1, 1, out=self._actions, casting="unsafe")  # type: ignore[no-any-return]
 
     def _all_finite(self, actions: Array) -> bool:
-        if actions.dtype.itemsize < 4 or not actions.flags.c_contiguous:
+        if actions.dtype not in (np.float32, np.float64) or not actions.flags.c_contiguous:
             return bool(np.isfinite(actions).all())
         return bool(kernels.all_finite(actions))
 

@@ -83,9 +83,12 @@ class Readings:
         number, given = self._set_fields.get(world, (-1, None))
         if self.sampler is None:
             return given or self.fields[world % len(self.fields)]
-        if (episode := int(self._backend.memory.episode[world])) < 0:
+        episode = int(self._backend.memory.episode[world])
+        if given and number == max(episode, 0):
+            return given
+        if episode < 0:
             return self.sampler.field(self.first_world + world)
-        return given if given and number == episode else self._backend.field_in(world)
+        return self._backend.field_in(world)
 
     def _check_world(self, world: int) -> None:
         if not 0 <= world < self.num_worlds:
@@ -173,8 +176,8 @@ class Readings:
         Returns:
             ``success``, ``collision`` (W,) bool; ``steps`` (W,) int32; ``episode_return`` (W,)
             float64: the team's; ``rois_visited`` (W,) int32; ``wall_hits`` (W, n) int32;
-            ``path_length`` (W, n) real, units; ``impulse`` (W, n) real: ``|sum over steps of u
-            tau|``, mass x units/step; ``failed`` (W, n) bool; ``return_`` (W, n) float64: what
+            ``path_length`` (W, n) float64, units; ``impulse`` (W, n) float64: ``|sum over steps of
+            u tau|``, mass x units/step; ``failed`` (W, n) bool; ``return_`` (W, n) float64: what
             each agent was given.
         """
         return self._backend.metrics(names, self.autoreset == "same_step")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,18 @@ class Snapshot:
     safety_distance: float
     success: bool
     collision: bool
+
+    def judged(self, *, vanish: bool) -> Self:
+        """Return it with success and collision by the positions and the ROIs.
+
+        Robots that have failed touch nothing if they ``vanish``.
+        """
+        at = self.positions[~self.failed] if vanish else self.positions
+        first, second = np.triu_indices(len(at), 1)
+        squared = ((at[first] - at[second]) ** 2).sum(axis=1)
+        collision = bool((squared < self.safety_distance**2).any())
+        success = bool(self.visited.all()) and not collision
+        return replace(self, success=success, collision=collision)
 
     @property
     def wind(self) -> tuple[float, float]:

@@ -197,7 +197,7 @@ def mark_revisits(mem, now, out, to, i, lo, hi):
         bits = mask[i, k]
         maybe[k] = revisits.add_bits(mem.filter, w, place[i, k], bits) & (bits != ZERO)
     for w in range(lo, hi):
-        if maybe[w - lo]:
+        if maybe[w - lo] & ~mem.pending[w]:
             entry = np.uint64(now.steps[w]) * n + np.uint64(i)
             if revisits.stood_on(mem.trail, mem.trail_key, w, n, entry):
                 out.events[i, w] |= rewards.REVISIT
@@ -205,11 +205,15 @@ def mark_revisits(mem, now, out, to, i, lo, hi):
 
 @compiled
 def grow_filter(mem, now, lo, hi):
-    """Give worlds whose filter has become too small for the next step a larger one."""
+    """Give worlds whose filter has become too small for the next step a larger one.
+
+    One that has ended, and waits, has no next step: its trail and its filter are as long as can be.
+    """
     n = now.x.shape[0]
     for w in range(lo, hi):
         keys = (now.steps[w] + 1) * n
-        if mem.words[w] * revisits.KEYS_PER_WORD < np.uint64(keys):
+        small = mem.words[w] * revisits.KEYS_PER_WORD < np.uint64(keys)
+        if small & ~mem.pending[w]:
             mem.words[w] *= np.uint64(2)
             end = (now.steps[w] + 1) * n
             revisits.refill_filter(mem.filter, mem.trail_bits, w, n, end, mem.words[w])

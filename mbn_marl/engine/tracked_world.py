@@ -113,9 +113,12 @@ class TrackedWorld:
         """
         shape, measured = (1, self.engine.n_robots, 2), []
         for name, given in (("positions", positions), ("velocities", velocities)):
-            array = np.asarray(given, self.engine.dtype)[None]
+            allowed = f"allowed: finite numbers of shape {shape[1:]}"
+            try:
+                array = np.asarray(given, self.engine.dtype)[None]
+            except (TypeError, ValueError) as error:
+                raise ActionError(f"{name}: {error}; {allowed}") from None
             if array.shape != shape or not np.isfinite(array).all():
-                allowed = f"allowed: finite numbers of shape {shape[1:]}"
                 raise ActionError(f"{name}: shape {array.shape[1:]}, or not finite; {allowed}")
             measured.append(np.ascontiguousarray(array))
         take_positions(self._backend.store, *measured, self._allowed)

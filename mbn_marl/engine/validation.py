@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from shapely import Point
 
 from mbn_marl.config import LIMITS, NavigationConfig
@@ -191,6 +191,14 @@ def _sampler_problems(
         allowed = f"at most {SPACING:g}, the least distance of starts that are drawn"
         problems.append(f"safety_distance: {distance}; allowed: {allowed}")
     return problems
+
+
+def as_starts(starts: ArrayLike | None) -> NDArray[Any] | None:
+    """Return given starts as an array of any shape; raise a ConfigError if they make none."""
+    try:
+        return None if starts is None else np.asarray(starts)
+    except ValueError as error:
+        raise ConfigError("starts", [f"starts: {error}; allowed: (n, 2) numbers"]) from None
 
 
 def field_problems(

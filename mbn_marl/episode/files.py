@@ -290,7 +290,7 @@ def _step_problems(
     problems = []
     if len(given) != count:
         problems.append(f"{part}: {len(given)}; allowed: {count}, one for each {what}")
-    if not set(given) <= {None, *range(1, steps + 1)}:
+    if not all(step is None or 1 <= step <= steps for step in given):
         problems.append(f"{part}: allowed: null, or a step from 1 to {steps}")
     return problems
 

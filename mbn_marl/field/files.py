@@ -6,6 +6,7 @@ import inspect
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -62,14 +63,15 @@ def load_fields(source: str | os.PathLike[str]) -> Field | FieldSampler:
     Raises:
         FieldError: as :func:`load_field`; or the sampler's arguments are not valid.
     """
-    text = os.fspath(source)
-    if text in sampler_names():
-        return _sampler_of_document(parse_yaml(sampler_file(text), text), text)
-    if Path(text).is_file():
-        document = parse_yaml(_read(Path(text)), text)
-        if isinstance(document, Mapping) and document.get("format") == SAMPLER_FORMAT:
-            return _sampler_of_document(document, text)
-    return load_field(text)
+    if source in sampler_names():
+        return _sampler_of_document(parse_yaml(sampler_file(str(source)), str(source)), str(source))
+    document = None
+    with suppress(OSError, TypeError, ValueError):  # load_field says what is wrong
+        if Path(source).is_file():
+            document = parse_yaml(_read(Path(source)), str(source))
+    if isinstance(document, Mapping) and document.get("format") == SAMPLER_FORMAT:
+        return _sampler_of_document(document, str(source))
+    return load_field(source)
 
 
 def save_field(field: Field | FieldSampler, path: str | os.PathLike[str]) -> None:

@@ -20,7 +20,6 @@ MILLI = 1000
 """Milli-units per unit."""
 ARENA, SIZE, ROBOTS, ROIS, WEIGHTS = 0, 2, 4, 6, 8
 """Of a sampler's numbers: the arena's sides, three ranges, and the families' weights, summed up."""
-NUMBERS = WEIGHTS + len(FAMILIES)
 WEIGHT_SUM = 1 << 30
 
 PASSAGE = 12 * MILLI

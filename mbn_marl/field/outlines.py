@@ -14,7 +14,7 @@ ONE = 1 << 20
 PERCENT = ONE // 100
 HULL_X, HULL_Y = NEXT, LENGTH
 """Rows that are free while an outline is made."""
-RING, ELL, COMB = 0, 1, 3
+RING, COMB = 0, 3
 """Corridors: a ring, an L, a U (2) and combs of three to five teeth."""
 BANDS = 3
 """How many of four concave outlines are bands."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bisect
 
-import numba
 import numpy as np
 
+from mbn_marl.compiled.jit import entry_point_of_one_file
 from mbn_marl.planning.legs import NEVER, Ints
 from mbn_marl.planning.orders import UndecidedError
 
@@ -69,7 +69,7 @@ def _table(masks: Ints, values: Ints, whole: int) -> Ints:
     return table
 
 
-@numba.njit(cache=True)
+@entry_point_of_one_file
 def _best(costs: Ints, sums: bool) -> tuple[Ints, Ints]:
     """Return the least sum or largest of the costs of robots 0 to i for a set, and robot i's part.
 
@@ -118,7 +118,7 @@ def _covered(masks: Ints, allowed: np.ndarray, whole: int) -> list[int] | None:
     return chosen.tolist() if found else None
 
 
-@numba.njit(cache=True)
+@entry_point_of_one_file
 def _cover(owners: Ints, sets: Ints, rest: int, chosen: Ints, budget: Ints) -> bool:
     """Search depth first a part for each robot such that all of ``rest`` is covered.
 
@@ -146,7 +146,7 @@ def _cover(owners: Ints, sets: Ints, rest: int, chosen: Ints, budget: Ints) -> b
     return False
 
 
-@numba.njit(cache=True)
+@entry_point_of_one_file
 def _size(mask: int) -> int:
     """Return how many ROIs a set has."""
     size = 0
@@ -156,7 +156,7 @@ def _size(mask: int) -> int:
     return size
 
 
-@numba.njit(cache=True)
+@entry_point_of_one_file
 def _rarest(parts: Ints, rest: int) -> int:
     """Return the ROI of ``rest`` that is in the fewest parts, as a set."""
     least, rarest = len(parts) + 1, 0
@@ -169,7 +169,7 @@ def _rarest(parts: Ints, rest: int) -> int:
     return rarest
 
 
-@numba.njit(cache=True)
+@entry_point_of_one_file
 def _contained(k: int, owners: Ints, parts: Ints) -> bool:
     """Return whether a larger part of the same robot, or an equal one before, contains part k."""
     for other in range(len(parts)):

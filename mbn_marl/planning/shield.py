@@ -68,13 +68,17 @@ class Cautious:
         return np.clip(force, -1.0, 1.0)
 
     def _coast(self, i: int, position: Floats, velocity: Floats) -> Floats:
-        """Return (k, 2): robot i's positions while it brakes; the last one is where it rests."""
+        """Return (k, 2): robot i's positions while it brakes.
+
+        The last one is where it rests, unless the wind is stronger than the force.
+        """
         top, tau = self.problem.drives[i].top, self.problem.config.tau
         force, wind = self.problem.forces[i], self.problem.wind
         place, speed = position.tolist(), velocity.tolist()
         limits = list(zip((wind - force).tolist(), (wind + force).tolist(), strict=True))
-        path = []
-        for _ in range(FORESEEN):
+        path, slowest = [], float(np.min(force - np.abs(wind)))
+        needed = math.ceil(top / slowest) + 1 if slowest > 0.0 else 0
+        for _ in range(max(needed, FORESEEN)):
             for axis, (least, most) in enumerate(limits):
                 change = min(max(-speed[axis], least), most)
                 speed[axis] = min(max(speed[axis] + change, -top), top)

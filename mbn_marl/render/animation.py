@@ -123,8 +123,11 @@ def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.
         for data in packed
     )
     delay = 10 * round(100.0 / fps)
-    with replacing(path) as temporary:
-        next(drawn).save(temporary, save_all=True, append_images=drawn, duration=delay, loop=0)
+    try:
+        with replacing(path) as temporary:
+            next(drawn).save(temporary, save_all=True, append_images=drawn, duration=delay, loop=0)
+    except OverflowError:
+        raise MbnError(f"{path}: equal frames last longer than a GIF allows; raise fps") from None
     return path
 
 

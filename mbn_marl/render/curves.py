@@ -348,6 +348,7 @@ def _scale_returns(
     if nowhere.
     """
     axis = axes.xaxis if which == "x" else axes.yaxis
+    top = top or 1.0  # the axis needs a size
     if bottom >= (-2.0 * top if top >= 0.0 else 5.0 * top):
         axis.set_major_locator(MaxNLocator(ticks + 2, steps=[1, 2, 5, 10]))
         axis.set_major_formatter(EngFormatter(sep=" "))

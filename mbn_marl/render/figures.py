@@ -44,15 +44,15 @@ def field_figure(field: Field, *, roi_radius: float = maps.ROI_RADIUS) -> Figure
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)
-def fields_figure(fields: Sequence[Field], *, roi_radius: float = maps.ROI_RADIUS) -> Figure:
-    """Draw fields side by side with ROIs, ``roi_radius`` in units, starts and a scale bar each.
+def fields_figure(fields: Sequence[Field]) -> Figure:
+    """Draw fields side by side with ROIs, starts and a scale bar each.
 
     Raises:
         MbnError: there is no field.
     """
     figure, grid = _panels("fields", len(fields), 5, _FIELD_WIDTH, 2.15)
     for axes, field in zip(grid, fields, strict=True):
-        maps.draw_field(axes, field, roi_radius=roi_radius, numbered=False)
+        maps.draw_field(axes, field, roi_radius=maps.ROI_RADIUS, numbered=False)
         maps.draw_robots(axes, field.starts, size=7.5)
         axes.set_title(field.name, loc="left")
         maps.replace_ticks(axes, field)

@@ -96,7 +96,7 @@ def deploy(
         field: where.
         settings: of the environment.
         simulator: what moves the robots; it is reset, and left open.
-        seed: of random starts.
+        seed: key of all random numbers.
         source: what the policy is, in words.
 
     Raises:

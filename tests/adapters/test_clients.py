@@ -63,7 +63,7 @@ def test_max_episode_steps_is_understood() -> None:
         assert envs.step(np.zeros((2, 3, 2)))[3].tolist() == [step == 10] * 2
         assert env.step(np.zeros((3, 2)))[3] is (step == 10)
     with pytest.raises(ConfigError, match="max_episode_steps: is max_steps, give only one"):
-        CentralizedVectorEnv(2, max_episode_steps=10, max_steps=10)
+        CentralizedVectorEnv(2, max_episode_steps=10, max_steps=11)
 
 
 @pytest.mark.parametrize("kind", [CentralizedVecEnv, SharedPolicyVecEnv])

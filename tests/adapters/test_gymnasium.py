@@ -363,3 +363,27 @@ def assert_same_infos(ours, theirs):
         else:
             np.testing.assert_allclose(ours[key], value, rtol=1e-12, err_msg=key)
     assert ours.keys() == theirs.keys()
+
+
+def test_a_vector_is_made_from_its_own_spec():
+    made = gymnasium.make_vec("mbn/field_03-v0", num_envs=2, max_steps=50)
+    again = gymnasium.make_vec(made.spec)
+    assert again.unwrapped.engine.config.max_steps == 50
+    with pytest.raises(ConfigError, match="max_episode_steps: is max_steps"):
+        CentralizedVectorEnv(2, max_episode_steps=50, max_steps=60)
+
+
+@pytest.mark.parametrize("make", [centralized_env, parallel_env])
+def test_a_seed_of_numpy_is_a_seed(make):
+    env, same = make("field_03"), make("field_03")
+    env.reset(seed=np.int64(3))
+    same.reset(seed=3)
+    assert env.np_random.random() == same.np_random.random()
+    assert env.engine.seed == 3
+
+
+@pytest.mark.parametrize("make", [centralized_env, parallel_env, CentralizedVectorEnv])
+@pytest.mark.parametrize("name", ["starts", "seed", "autoreset", "first_world"])
+def test_arguments_of_the_engine_are_no_settings(make, name):
+    with pytest.raises(ConfigError, match=f"{name}: unknown name"):
+        make(**{name: 1})

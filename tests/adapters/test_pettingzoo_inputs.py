@@ -9,7 +9,7 @@ import numpy as np
 import pettingzoo
 import pytest
 
-from mbn_marl import parallel_env
+from mbn_marl import navigation_v0, parallel_env
 from mbn_marl.config import RewardProfile
 from mbn_marl.errors import ActionError, ConfigError, FieldError, MbnError, StepError
 
@@ -94,7 +94,7 @@ def test_order():
         ({"observation": "pixels"}, "observation: "),
         ({"colour": "red"}, "colour: "),
         ({"n_robots": 9}, "n_robots: "),
-        ({"max_cycles": 4, "max_steps": 4}, "max_cycles: "),
+        ({"max_cycles": 4, "max_steps": 5}, "max_cycles: "),
         ({"reward": RewardProfile(name="mine"), "max_cycles": 0}, "max_steps: "),
     ],
 )
@@ -112,3 +112,25 @@ def test_names():
             space("robot_3")
     with pytest.raises(Exception, match="field_03"):
         pettingzoo.make("parallel", "mbn/field_99-v0")
+
+
+@pytest.mark.parametrize("action", [[None, None], [10**400, 0], [np.inf, 0.0]])
+def test_one_action_at_a_time_that_is_no_action_is_refused(action):
+    aec = navigation_v0.raw_env("field_03")
+    aec.reset()
+    with pytest.raises(ActionError, match=r"robot_0: .*two finite numbers"):
+        aec.step(action)
+    assert aec.agent_selection == "robot_0"
+
+
+def test_an_array_may_be_used_again_for_the_next_robot():
+    aec, together = navigation_v0.raw_env("field_03"), parallel_env("field_03")
+    aec.reset()
+    together.reset()
+    buffer = np.zeros(2, np.float32)
+    actions = {agent: np.array([0.3 * k, -0.2]) for k, agent in enumerate(aec.agents)}
+    for agent in list(aec.agents):
+        buffer[:] = actions[agent]
+        aec.step(buffer)
+    together.step(actions)
+    np.testing.assert_array_equal(aec.state(), together.state())

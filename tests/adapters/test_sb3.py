@@ -324,7 +324,9 @@ def test_standing_still_for_three_repeats_costs_three_steps() -> None:
     assert (first.tolist(), second.tolist()) == ([-630.0] * 2, [-600.0] * 2)
     assert not early.any() and late.all()
     assert [info["episode"]["l"] for info in infos] == [5, 5]
-    with pytest.raises(ConfigError, match=r"action_repeat: must be at least 1 \(got 0\)"):
+    with pytest.raises(
+        ConfigError, match="action_repeat: must be a whole number"
+    ):
         CentralizedVecEnv("field_03", 2, action_repeat=0)
 
 
@@ -346,3 +348,14 @@ def test_a_central_learner_can_see_what_all_robots_see() -> None:
             np.testing.assert_array_equal(infos[row]["terminal_observation"], np.concatenate(last))
             ended += 1
     assert ended > 0
+
+
+def test_options_and_repeats_that_are_none_are_refused() -> None:
+    env = CentralizedVecEnv("field_03", 2)
+    env.set_options({"field": "field_07"})
+    with pytest.raises(ConfigError, match=r"options: .*allowed: none"):
+        env.reset()
+    env.set_options()
+    env.reset()
+    with pytest.raises(ConfigError, match="action_repeat: must be a whole number"):
+        env.set_attr("action_repeat", 0)

@@ -348,3 +348,43 @@ def test_pettingzoo_wrapper_trains() -> None:
     after = list(loss.parameters())
     assert all(weights.isfinite().all() for weights in after)
     assert all((old != new).any() for old, new in zip(before, after, strict=True))
+
+
+def test_only_a_full_reset_uses_a_seed_or_a_saved_state() -> None:
+    env = NavigationEnv("field_03", 2, **LIVELY)
+    first = env.reset()
+    saved = env.save_state()
+    for before, seed in ((lambda: env.set_seed(9), 9), (lambda: env.load_state(saved), 0)):
+        before()
+        env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+        again = env.reset()
+        assert env.engine.seed == seed
+    assert_close(again[1].exclude("_reset"), first[1])  # world 0 has begun another episode since
+
+
+def test_a_saved_world_that_had_ended_begins_again() -> None:
+    env = NavigationEnv("field_03", 2, max_steps=3)
+    data = env.reset()
+    for _ in range(3):
+        data = env.step(push()(data))["next"]
+    env.load_state(env.save_state())
+    assert not env.reset()["done"].any() and env.engine.running.all()
+    env.step(push()(env.reset()))
+
+
+@pytest.mark.parametrize("value", [0, 1.5, "2", None])
+def test_a_repeat_that_is_no_number_of_steps_is_refused(value: Any) -> None:
+    env = NavigationEnv("field_03", 2)
+    for make in (
+        lambda: NavigationEnv("field_03", 2, action_repeat=value),
+        lambda: setattr(env, "action_repeat", value),
+    ):
+        with pytest.raises(ConfigError, match="action_repeat: must be a whole number"):
+            make()
+    assert env.action_repeat == 1
+
+
+def test_sizes_and_metrics_are_checked_at_once() -> None:
+    with pytest.raises(ConfigError) as caught:
+        NavigationEnv("field_03", 2.5, metrics=["success", "success"])  # type: ignore[arg-type]
+    assert [one.partition(":")[0] for one in caught.value.problems] == ["metrics", "num_worlds"]

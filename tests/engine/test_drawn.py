@@ -117,6 +117,10 @@ def test_wrong_ranges_are_named() -> None:
         *("tau.high", "mass.1", "failures.between"),
     ]
     assert "gust: low: Input should be greater than or equal to 0" in str(caught.value)
+    with pytest.raises(ConfigError) as caught:
+        make_config({"mass": [-1.0], "dynamics": ("mixed",)})
+    places = [problem.split(": ")[0] for problem in caught.value.problems]
+    assert places == ["dynamics.0", "mass.0"], "nothing is said of the tuples around them"
 
 
 def numbers_in(value: Any) -> Iterator[float]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbn_marl import BatchEngine, Field, load_field
+from mbn_marl import BatchEngine, Field, load_field, parallel_env
 from mbn_marl.config import NavigationConfig, RewardProfile, make_config
 from mbn_marl.engine.mdp.revisits import ODD_LINES
 from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
@@ -293,6 +293,69 @@ def test_the_filter_of_visited_ground_stays_in_its_memory(robots: int, limit: in
     assert truncated.all()
     memory = engine._backend.memory
     assert memory.words.max() <= memory.filter.shape[1] - ODD_LINES
+
+
+@pytest.mark.parametrize("autoreset", ["disabled", "next_step"])
+@pytest.mark.parametrize(("robots", "limit"), [(1, 127), (3, 84)])
+def test_a_world_that_waits_leaves_the_memory_of_others_alone(
+    robots: int, limit: int, autoreset: Any
+) -> None:
+    """A step more than the time limit would need a larger filter than there is room for."""
+    how = {"n_robots": robots, "max_steps": limit, "safety_distance": 0.0, "autoreset": autoreset}
+    engine = BatchEngine(FIELD, 2, **how)
+    engine.reset()
+    rng = np.random.default_rng(0)
+    for step in range(limit):
+        if step == limit - 20:
+            engine.reset_worlds(np.array([False, True]))
+        *_, truncated = engine.step(rng.uniform(-0.1, 0.1, (2, robots, 2)))
+    assert truncated.tolist() == [True, False]
+    filters = engine._backend.memory.filter
+    before = filters[1].copy()
+    active = np.array([False, True]) if autoreset == "disabled" else None
+    engine.step(rng.uniform(-0.1, 0.1, (2, robots, 2)), active)
+    assert 0 < np.count_nonzero(filters[1] != before) <= robots
+
+
+def test_a_world_that_is_left_out_keeps_its_outcome() -> None:
+    field = Field([(0, 0), (90, 0), (90, 90), (0, 90)], [(22, 20)], [(20, 20), (20, 50)])
+    engine = BatchEngine(field, 2, autoreset=False, roi_radius=5.0)
+    engine.reset()
+    engine.reset_worlds(np.array([False, True]))
+    still = np.zeros((2, 2, 2))
+    _, _, terminated, _ = engine.step(still)
+    assert terminated.all()
+    engine.reset_worlds(np.array([False, True]))
+    before = engine.snapshot(0)
+    engine.step(still, np.array([False, True]))
+    after = engine.snapshot(0)
+    assert (before.success, before.collision) == (after.success, after.collision) == (True, False)
+    assert not before.judged(vanish=True).collision
+    near = Field(field.vertices, [(80, 80)], [(20, 20), (20, 40)])
+    engine = BatchEngine(near, 2, autoreset=False, safety_distance=19.0)
+    engine.reset()
+    toward = np.array([[[0.0, 1.0], [0.0, -1.0]]] * 2)
+    while engine.running[0]:
+        engine.step(toward)
+    engine.reset_worlds(np.array([False, True]))
+    engine.step(still, np.array([False, True]))
+    assert engine.snapshot(0).collision and not engine.snapshot(0).success
+
+
+@pytest.mark.parametrize("dtype", ["longdouble", ">f4", "<f2"])
+def test_finite_actions_of_any_real_type_are_taken(dtype: str) -> None:
+    engine = make_engine()
+    engine.step(np.zeros((W, N, 2), dtype))
+    with pytest.raises(ActionError, match="finite"):
+        engine.step(np.full((W, N, 2), np.nan, dtype))
+
+
+def test_ragged_starts_are_named() -> None:
+    with pytest.raises(ConfigError, match=r"starts: .*allowed"):
+        BatchEngine(FIELD, 1, starts=[[1, 2], [3]])  # type: ignore[list-item]
+    env = parallel_env(FIELD)
+    with pytest.raises(ConfigError, match=r"starts: .*allowed"):
+        env.reset(options={"starts": [[1, 2], [3]]})
 
 
 @pytest.mark.parametrize("model", [RewardProfile, NavigationConfig])

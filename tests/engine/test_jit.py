@@ -123,9 +123,16 @@ def test_every_source_counts_wherever_it_is(tmp_path: Path) -> None:
     shutil.copytree(Path(mbn_marl.__file__).parent, package)
     digests, engine = [digest_of_sources(package)], package / "engine"
     assert digests == [SOURCES]
-    for path in (engine / "step.py", engine / "mdp" / "visits.py", package / "compiled" / "rng.py"):
+    changed = engine / "step.py", engine / "mdp" / "visits.py", package / "compiled" / "rng.py"
+    for path in (*changed, package / "config.py"):
         path.write_text(path.read_text(encoding="utf-8") + "\n", encoding="utf-8")
         digests.append(digest_of_sources(package))
     (engine / "mdp" / "visits.py").rename(engine / "visits.py")
     digests.append(digest_of_sources(package))
-    assert len(set(digests)) == 5
+    assert len(set(digests)) == 6
+
+
+def test_code_without_a_module_is_compiled_beside_the_engine() -> None:
+    names: dict[str, Any] = {}
+    exec("def double(x):\n    return 2 * x\n", names)
+    assert numba.njit(names["double"])(2) == 4

@@ -287,6 +287,8 @@ BAD: dict[str, tuple[Callable[[str], str], str]] = {
         _edited(lambda content: content.update(steps=11)),
         "positions: shape (13, 3, 2)",
     ),
+    "endless": (_edited(lambda content: content.update(steps=10**15)), "positions: shape"),
+    "drawn": (_edited(lambda content: content.update(drawn=5)), "drawn: "),
     "bytes": (
         _edited(lambda content: content["actions"].update(data="AAAA")),
         "actions: data: 3 bytes",

@@ -97,6 +97,14 @@ class TestSamplers:
     def test_a_field_is_loaded_too(self) -> None:
         assert load_fields("field_03") == load_field("field_03")
 
+    @pytest.mark.parametrize("source", ["x" * 300, None, b"field_03"])
+    def test_what_is_neither_is_refused_as_a_field_is(self, source: Any) -> None:
+        with pytest.raises(FieldError) as caught:
+            load_fields(source)
+        with pytest.raises(FieldError) as expected:
+            load_field(source)
+        assert str(caught.value) == str(expected.value)
+
     def test_wrong_arguments_are_named_together(self, tmp_path: Path) -> None:
         path = tmp_path / "wrong.yaml"
         path.write_text("format: mbn-sampler/1\nrobots: 0\nfamilies: [round]\nsides: 3\n")

@@ -82,3 +82,13 @@ def test_robots_that_have_failed_are_kept_away_from_and_left_alone() -> None:
     assert taken[0].any(), "to rest would be to be run over"
     gone = shield(2, failures=Failures(at={1: 5}, kind="vanish"))
     assert np.array_equal(gone.act(actions, places, REST, failed), actions)
+
+
+def test_robots_are_foreseen_until_they_rest_however_long_that_takes() -> None:
+    guard = shield(1)
+    guard.problem = guard.problem.in_wind(np.array([0.45, 0.0]))  # leaves 0.05 of 0.5 to brake with
+    for start, room in ((140.0, np.inf), (145.0, -1.0)):  # it needs 158 of 160 or 155 units
+        path = guard._coast(0, np.array([start, 150.0]), np.array([4.0, 0.0]))
+        assert len(path) >= 80 and path[-1, 0] == pytest.approx(start + 0.05 * 79 * 80 / 2)
+        assert guard._room(path, []) == room
+        assert guard._room(path[:60], []) == np.inf, "it leaves the field later"

@@ -33,6 +33,7 @@ pytest.importorskip("imageio_ffmpeg", reason="needs the extra [render]")
             r"frame 1 has shape \(4, 5, 3\), the first has \(4, 4, 3\)",
         ),
         ([np.zeros((4, 4, 3), np.uint8)], "a.gif", 60.0, r"a\.gif: fps has to be 0\.01 to 50"),
+        ([np.zeros((4, 4, 3), np.uint8)] * 70, "a.gif", 0.1, r"a\.gif: equal frames .*raise fps"),
         ([np.zeros((4, 4, 3), np.uint8)], "a.png", 20.0, r"a\.png: .* \.gif"),
     ],
 )

@@ -102,6 +102,11 @@ def test_returns_that_are_all_far_below_zero_are_told_apart() -> None:
     assert ticks == pytest.approx([-3e5, -1e6, -3e6, -1e7, -3e7])
 
 
+def test_returns_up_to_zero_are_drawn() -> None:
+    axes = curves.learning_curves({"a": [run([0, 1], [-5e6, 0.0])]}).axes[0]
+    assert axes.get_yscale() == "symlog" and axes.get_ylim()[1] > 0.0
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [

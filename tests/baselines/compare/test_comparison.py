@@ -202,6 +202,14 @@ def test_learners_may_see_different_things(tmp_path: Path) -> None:
     Results.of([make_run(tmp_path), make_run(tmp_path, label="team", environment=TEAM)])
 
 
+def test_gusts_of_different_lengths_are_different_tasks(tmp_path: Path) -> None:
+    worlds = [{**WIND, "wind": [0.0, 0.0], "gust": 0.2, "gust_time": time} for time in (5.0, 9.0)]
+    runs = [make_run(tmp_path, environment=worlds[0])]
+    Results.of([*runs, make_run(tmp_path, algorithm="ippo", environment=worlds[0])])
+    with pytest.raises(ConfigError, match=r"environment\.gust_time: "):
+        Results.of([*runs, make_run(tmp_path, algorithm="ppo", environment=worlds[1])])
+
+
 def test_labels_may_name_different_tasks(tmp_path: Path) -> None:
     runs = [make_run(tmp_path), make_run(tmp_path, label="in wind", environment=WIND)]
     assert [*Results.of(runs[:1]).optima] == ["field_03"]
