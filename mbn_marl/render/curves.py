@@ -360,7 +360,7 @@ def _scale_returns(
     axes.minorticks_off()
     axis.set_major_formatter(EngFormatter(sep=" "))
     axes.set(**{f"{which}lim": (1.3 * bottom, 1.15 * top if top > 0.0 else 0.8 * top)})
-    return f"\n(symlog: logarithmic below {EngFormatter(places=0, sep=' ')(-turn)})"
+    return f"\n(logarithmic below {EngFormatter(places=0, sep=' ')(-turn)})"
 
 
 def _ticks(bottom: float, top: float, count: int, *, every: int) -> list[float]:
