@@ -29,8 +29,8 @@ WORKERS = 2
 Job = tuple[str, str | None, float]  # a name, that of the job to wait for, and seconds
 SPEEDS = {"a2c": 835.0, "ppo": 1039.0, "trpo": 1084.0, "ars": 4229.0, "crossq": 10.0, "tqc": 50.0}
 """Env-steps per second of training on one core of a machine of two (Intel Xeon): harmonic means
-over the runs of 1 M env-steps behind docs/results/paper.md; CrossQ and TQC, which were not run to
-their end, as that page has them."""
+over runs of 1 M env-steps by an earlier revision; CrossQ and TQC, which were not run to their end,
+as docs/results/paper.md has them."""
 CORES, MACHINES = 2, (1, 16, 256)  # cores of a machine, and how many machines
 CAPTION = (
     f"Machines have {CORES} cores and train as many runs at a time; runs begin in the order of the "

@@ -199,7 +199,7 @@ def load_policy(folder: Path) -> SB3Policy:
 
 
 def _observed(shape: Mapping[str, Any]) -> str:
-    """What a policy observes whose ``policy.json`` does not say so yet, by the sizes."""
+    """The kind of observation of a policy whose ``policy.json`` does not name it, by the sizes."""
     *robots, _ = shape["action_shape"]
     is_state = shape["obs_size"] in [size * n + 1 for n in robots for size in (4, 5)]
     return "state" if is_state else "observations"
