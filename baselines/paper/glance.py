@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 from pandas import DataFrame, MultiIndex
 from scipy.stats import kendalltau
@@ -12,7 +12,7 @@ from baselines.algorithms import SETTINGS
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
-from baselines.paper.tables import ALGORITHMS, MISSING, PaperTable, marked
+from baselines.paper.tables import ALGORITHMS, MISSING, PaperTable, marked, paper_tables
 from baselines.paper.trainings import CELL, Trainings
 
 
@@ -63,15 +63,21 @@ def reached(trainings: Trainings) -> TextTable:
     return TextTable(caption, ("algorithm", *headings), lines)
 
 
-def ranking(tables: Iterable[PaperTable]) -> TextTable:
+def ranking(trainings: Trainings) -> TextTable:
     """The algorithms of each setting from the best mean to the worst, in the paper and here."""
-    tables = [table for table in tables if table.kind is ALGORITHMS]
-    lines = [_ranking_line(*pair) for pair in itertools.product(published.SETTINGS, tables)]
+    alike = trainings.alike()
+    fields = {setting: sorted(set(runs.field)) for setting, runs in alike.runs.groupby("setting")}
+    tables = [table for table in paper_tables(alike) if table.kind is ALGORITHMS]
+    lines = [
+        (*_ranking_line(setting, table), ", ".join(fields.get(setting, [])) or MISSING)
+        for setting, table in itertools.product(published.SETTINGS, tables)
+    ]
     caption = (
-        "Algorithms by the mean of Table 1, best first; those without a run here are left out "
-        "here. Kendall's tau is 1 for the same order and -1 for the reverse."
+        "Algorithms by their mean, best first: in the paper over its ten fields, here over the "
+        "fields that all algorithms with a run of the setting have. Those without a run are left "
+        "out here. Kendall's tau is 1 for the same order and -1 for the reverse."
     )
-    headings = ("setting", "here: over", "paper", "here", "Kendall's tau")
+    headings = ("setting", "here: over", "paper", "here", "Kendall's tau", "fields here")
     return TextTable(caption, headings, tuple(lines), words=4)
 
 

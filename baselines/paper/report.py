@@ -99,7 +99,7 @@ def _page(
         runs=links([RUNS_FILE, ROWS_FILE]),
         coverage=glance.coverage(trainings).markdown(),
         algorithms=join(text for kind, text in shown if kind is ALGORITHMS),
-        ranking=glance.ranking(tables).markdown(),
+        ranking=glance.ranking(trainings).markdown(),
         reached=glance.reached(trainings).markdown(),
         success=glance.success(trainings).markdown(),
         curves=join(

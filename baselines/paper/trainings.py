@@ -67,17 +67,26 @@ class Trainings:
         """The paper's fields, then the others."""
         return _known_first(published.FIELDS, self.runs.field)
 
+    def alike(self) -> Trainings:
+        """Return the runs on the fields that all algorithms of a setting have runs on."""
+        parts = []
+        for _, runs in self.runs.groupby("setting", sort=False):
+            fields = [set(own) for _, own in runs.groupby("algorithm").field]
+            parts.append(runs[runs.field.isin(set.intersection(*fields))])
+        runs = pandas.concat(parts)
+        return Trainings(runs, self.rows.merge(runs[RUN]))
+
     def optimum(self, field: str) -> float | None:
         """Return the proved best return on a field, or ``None`` if nothing is proved."""
         value = self.runs.optimum[self.runs.field == field].iloc[0]
         return None if np.isnan(value) else float(value)
 
     def save(self, folder: Path) -> None:
-        """Write both tables, for :func:`find_trainings`; returns keep six digits."""
+        """Write both tables, for :func:`find_trainings`."""
         write_text(folder / RUNS_FILE, self.runs.to_csv(index=False))
         rows = self.rows[[*RUN, *COLUMNS]].astype({"env_steps": int, "episodes": int})
         with replacing(folder / ROWS_FILE) as temporary:
-            rows.to_csv(temporary, index=False, float_format="%.6g", compression="xz")
+            rows.to_csv(temporary, index=False, compression="xz")
 
 
 class _Training(NamedTuple):

@@ -324,9 +324,7 @@ def test_standing_still_for_three_repeats_costs_three_steps() -> None:
     assert (first.tolist(), second.tolist()) == ([-630.0] * 2, [-600.0] * 2)
     assert not early.any() and late.all()
     assert [info["episode"]["l"] for info in infos] == [5, 5]
-    with pytest.raises(
-        ConfigError, match="action_repeat: must be a whole number"
-    ):
+    with pytest.raises(ConfigError, match="action_repeat: must be a whole number"):
         CentralizedVecEnv("field_03", 2, action_repeat=0)
 
 

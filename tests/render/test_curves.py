@@ -79,9 +79,7 @@ def test_very_bad_returns_do_not_flatten_the_good_ones(worst: float, scale: str)
     seeds = [run([0, 1, 2], [worst, 0.0, 150_000.0])]
     axes = curves.learning_curves({"a": seeds}, None, 159_490.0).axes[0]
     assert axes.get_yscale() == scale
-    assert ("logarithmic below \N{MINUS SIGN}159 k" in axes.get_ylabel()) == (
-        scale == "symlog"
-    )
+    assert ("logarithmic below \N{MINUS SIGN}159 k" in axes.get_ylabel()) == (scale == "symlog")
     bottom, top = axes.get_ylim()
     assert bottom < worst and top > 159_490.0
     low, zero, high = axes.transAxes.inverted().transform(

@@ -188,10 +188,14 @@ def test_rankings_are_compared_by_kendalls_tau(tmp_path: Path) -> None:
     # The paper under A: CrossQ, TRPO, PPO. Here PPO, CrossQ, TRPO: one pair of three agrees.
     for algorithm, mean in {"ppo": 3e6, "crossq": 2e6, "trpo": 1e6}.items():
         make_run(tmp_path, [(1, mean, 0, mean, mean)], algorithm=algorithm)
-    lines = glance.ranking(paper_tables(find_trainings([tmp_path]))).lines
+    make_run(tmp_path, [(1, -9e6, 0, -9e6, -9e6)], algorithm="ppo", field="field_03")
+    make_run(tmp_path, [(1, 1e6, 0, 1e6, 1e6)], algorithm="ars", setting="B", field="field_03")
+    lines = glance.ranking(find_trainings([tmp_path])).lines
     paper = "CrossQ > TRPO > TQC > PPO > ARS > A2C"
-    assert lines[0] == ("A", "single episodes", paper, "PPO > CrossQ > TRPO", "-0.33")
-    assert lines[2][3:] == ("missing", "missing")
+    order = "PPO > CrossQ > TRPO"
+    assert lines[0] == ("A", "single episodes", paper, order, "-0.33", "field_01")
+    assert lines[2][3:] == ("ARS", "missing", "field_03")
+    assert lines[4][3:] == ("missing", "missing", "missing")
 
 
 # ---------------------------------------------------------------- figures
@@ -265,7 +269,7 @@ def test_a_report_holds_its_runs_for_the_next_one(
 ) -> None:
     file = tmp_path / "orchard.yaml"
     save_field(load_field("field_03"), file)
-    good = (100, 123_456, 7, 123_456, 123_456)
+    good = (100, 123_456, 7, -28_524_165, 123_456)
     old, new = tmp_path / "old", tmp_path / "new"
     make_run(old, [NOTHING, (2, 1e6 / 3, 1, 1, 2), NOTHING, good], every=300_000)
     make_run(old, [(1, 2, 0, 2, 2)], field=str(file), seed=7)
