@@ -275,17 +275,15 @@ def test_a_report_holds_its_runs_for_the_next_one(
     make_run(old, [(1, 2, 0, 2, 2)], field=str(file), seed=7)
     make_run(old, [NOTHING], algorithm="tqc", finished=False)
     make_run(new, [(1, 5, 0, 5, 5)], algorithm="tqc")
-    both = tmp_path / "both"
-    assert main(["report", "--paper", str(old), str(new), "-o", str(both)]) == 0
-    first = tmp_path / "first"
-    assert main(["report", "--paper", str(old), "-o", str(first)]) == 0
-    assert main(["report", "--paper", str(first), str(new), "-o", str(tmp_path / "again")]) == 0
+    both, first, again = (tmp_path / name for name in ("both", "first", "again"))
+    for sources, out in (((old, new), both), ((old,), first), ((first, new), again)):
+        assert main(["report", "--paper", *map(str, sources), "-o", str(out)]) == 0
     assert "tqc-A-field_01-seed33 is the same, finished" in capsys.readouterr().out
     for table in ("runs", "rows"):
         recorded, read = (getattr(find_trainings([path]), table) for path in (old, first))
         assert_frame_equal(recorded, read)
     for name in ("algorithms.csv", "fields.tex", "runs.csv"):
-        lines = [(folder / name).read_text().splitlines() for folder in (both, tmp_path / "again")]
+        lines = [(folder / name).read_text().splitlines() for folder in (both, again)]
         assert sorted(lines[0]) == sorted(lines[1])
     text = (first / "runs.csv").read_text()
     (first / "runs.csv").write_text(text.replace("env_steps", "steps"))
