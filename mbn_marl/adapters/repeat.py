@@ -15,9 +15,9 @@ class ActionRepeat:
         ConfigError: another value is set.
     """
 
-    def __get__(self, env: Any, kind: type) -> int:
-        """Return the number."""
-        return int(vars(env)["_action_repeat"])
+    def __get__(self, env: Any, kind: type) -> Any:
+        """Return the number, or of the class this object."""
+        return self if env is None else vars(env)["_action_repeat"]
 
     def __set__(self, env: Any, value: int) -> None:
         """Check and set the number."""

@@ -123,7 +123,7 @@ class NavigationEnv(EnvBase):
         problems = [f"metrics: {unknown}; allowed: {', '.join(METRICS)}"] if unknown else []
         if len(set(metrics)) < len(metrics):
             problems.append(f"metrics: {list(metrics)}; allowed: each of them once")
-        if not isinstance(num_worlds, int) or num_worlds < 1:
+        if not isinstance(num_worlds, int | np.integer) or num_worlds < 1:
             problems.append(f"num_worlds: must be a whole number, at least 1 (got {num_worlds!r})")
         if problems:
             raise ConfigError("NavigationEnv", problems)

@@ -381,7 +381,7 @@ def test_a_repeat_that_is_no_number_of_steps_is_refused(value: Any) -> None:
     ):
         with pytest.raises(ConfigError, match="action_repeat: must be a whole number"):
             make()
-    assert env.action_repeat == 1
+    assert env.action_repeat == 1 and NavigationEnv("field_03", np.int64(2)).batch_size == (2,)
 
 
 def test_sizes_and_metrics_are_checked_at_once() -> None:
