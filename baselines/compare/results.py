@@ -151,8 +151,8 @@ def _budget(record: RunRecord) -> dict[str, Any]:
 def _task(record: RunRecord) -> dict[str, Any]:
     """Return what runs whose label does not name a difference have in common too."""
     world = record.config["environment"]
-    gusty = {"gust_time"} if world.get("gust") else set()
-    return {f"environment.{name}": world[name] for name in world.keys() - VIEW | gusty}
+    alike = [name for name in VIEW if name != "gust_time" or not world.get("gust")]
+    return {f"environment.{name}": world[name] for name in world if name not in alike}
 
 
 def _different_fields(records: Sequence[RunRecord]) -> list[str]:

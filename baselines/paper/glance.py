@@ -66,7 +66,10 @@ def reached(trainings: Trainings) -> TextTable:
 def ranking(trainings: Trainings) -> TextTable:
     """The algorithms of each setting from the best mean to the worst, in the paper and here."""
     alike = trainings.alike()
-    fields = {setting: sorted(set(runs.field)) for setting, runs in alike.runs.groupby("setting")}
+    fields = {
+        setting: sorted(set(runs.field) & set(published.FIELDS))
+        for setting, runs in alike.runs.groupby("setting")
+    }
     tables = [table for table in paper_tables(alike) if table.kind is ALGORITHMS]
     lines = [
         (*_ranking_line(setting, table), ", ".join(fields.get(setting, [])) or MISSING)

@@ -111,7 +111,8 @@ def find_trainings(
     """
     reports = [path for path in paths if (path / RUNS_FILE).is_file()]
     found = [run for path in reports for run in _of_report(path)]
-    if folders := [path for path in paths if path not in reports]:
+    folders = [path for path in paths if path not in reports]
+    if folders or not reports:
         records = find_records(folders, note, comparisons=False, finished=False)
         found += map(_of_record, records)
     found = _one_of_each(found, note)

@@ -189,13 +189,15 @@ def test_rankings_are_compared_by_kendalls_tau(tmp_path: Path) -> None:
     for algorithm, mean in {"ppo": 3e6, "crossq": 2e6, "trpo": 1e6}.items():
         make_run(tmp_path, [(1, mean, 0, mean, mean)], algorithm=algorithm)
     make_run(tmp_path, [(1, -9e6, 0, -9e6, -9e6)], algorithm="ppo", field="field_03")
-    make_run(tmp_path, [(1, 1e6, 0, 1e6, 1e6)], algorithm="ars", setting="B", field="field_03")
+    make_run(tmp_path, [(1, 0, 0, 0, 0)], algorithm="ars", setting="B", field="field_03")
     lines = glance.ranking(find_trainings([tmp_path])).lines
     paper = "CrossQ > TRPO > TQC > PPO > ARS > A2C"
-    order = "PPO > CrossQ > TRPO"
-    assert lines[0] == ("A", "single episodes", paper, order, "-0.33", "field_01")
+    here = ("PPO > CrossQ > TRPO", "-0.33", "field_01")
+    assert lines[0] == ("A", "single episodes", paper, *here)
     assert lines[2][3:] == ("ARS", "missing", "field_03")
     assert lines[4][3:] == ("missing", "missing", "missing")
+    make_run(tmp_path, [(1, 0, 0, 0, 0)], algorithm="a2c", setting="B")  # on another field
+    assert glance.ranking(find_trainings([tmp_path])).lines[2][3:] == ("missing",) * 3
 
 
 # ---------------------------------------------------------------- figures
@@ -279,20 +281,18 @@ def test_a_report_holds_its_runs_for_the_next_one(
     for sources, out in (((old, new), both), ((old,), first), ((first, new), again)):
         assert main(["report", "--paper", *map(str, sources), "-o", str(out)]) == 0
     assert "tqc-A-field_01-seed33 is the same, finished" in capsys.readouterr().out
-    for table in ("runs", "rows"):
-        recorded, read = (getattr(find_trainings([path]), table) for path in (old, first))
+    for part in ("runs", "rows"):
+        recorded, read = (getattr(find_trainings([path]), part) for path in (old, first))
         assert_frame_equal(recorded, read)
     for name in ("algorithms.csv", "fields.tex", "runs.csv"):
         lines = [(folder / name).read_text().splitlines() for folder in (both, again)]
         assert sorted(lines[0]) == sorted(lines[1])
-    text = (first / "runs.csv").read_text()
-    (first / "runs.csv").write_text(text.replace("env_steps", "steps"))
-    with pytest.raises(RunError, match=r"runs.csv cannot be read.*env_steps"):
-        find_trainings([first])
-    (first / "runs.csv").write_text(text)
-    packed = (first / "progress.csv.xz").read_bytes()
-    (first / "progress.csv.xz").write_bytes(packed[:-40])
+    packed, table = first / "progress.csv.xz", first / "runs.csv"
+    packed.write_bytes(packed.read_bytes()[:-40])
     with pytest.raises(RunError, match=r"progress.csv.xz cannot be read"):
+        find_trainings([first])
+    table.write_text(table.read_text().replace("env_steps", "steps"))
+    with pytest.raises(RunError, match=r"runs.csv cannot be read.*env_steps"):
         find_trainings([first])
 
 
