@@ -7,9 +7,9 @@ import math
 from collections.abc import Set as AbstractSet
 
 import numpy as np
-import torch
 
 from baselines.demo.resolve import Actor
+from baselines.evaluation.evaluate import sampling
 from baselines.evaluation.fitting import fitted
 from baselines.evaluation.policy import restart
 from mbn_marl.engine import BatchEngine
@@ -84,8 +84,7 @@ def _run(actor: Actor, how: Show, driven: int | None, keys: str) -> list[Episode
     actor = dataclasses.replace(actor, policy=fitted(actor.policy, engine))
     name = actor.name if driven is None else f"a person as robot {driven}, with {actor.name}"
     finished = 0
-    with torch.random.fork_rng(devices=[]), EpisodeRecorder(engine, source=name) as recorder:
-        torch.manual_seed(how.seed)
+    with sampling(how.seed), EpisodeRecorder(engine, source=name) as recorder:
         while not viewer.closed and (how.episodes is None or finished < how.episodes):
             finished += _one_episode(engine, viewer, actor, how, driven)
     viewer.close()

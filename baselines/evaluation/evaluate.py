@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,7 @@ from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.field import Field, FieldSampler
 
 EVALUATION_SEED = 1_000_003
-"""Seed of the evaluation episodes: the same for every run, and none that training uses."""
+"""Seed of the evaluation episodes, the same for every run; those of training are others."""
 LISTS = {
     "returns": "episode_return",
     "successes": "success",
@@ -138,8 +138,7 @@ def roll_out(
     policy = fitted(policy, engine)
     restart(policy)
     observations = engine.reset()
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+    with sampling(seed):
         while True:
             seen = engine.state() if policy.observes == "state" else observations
             actions = policy.act(seen, deterministic=deterministic)
@@ -148,6 +147,16 @@ def roll_out(
             if ended.any():
                 restart(policy, ended)
             yield ended
+
+
+@contextmanager
+def sampling(seed: int) -> Iterator[None]:
+    """Seed torch for sampled actions; put its generators back afterwards, a GPU's too."""
+    in_use = torch.cuda.is_initialized()  # type: ignore[no-untyped-call]
+    gpus = range(torch.cuda.device_count()) if in_use else ()
+    with torch.random.fork_rng(gpus):
+        torch.manual_seed(seed)
+        yield
 
 
 def unseen(fields: Field | FieldSampler, seed: int) -> Field | FieldSampler:

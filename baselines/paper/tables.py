@@ -129,7 +129,7 @@ class PaperTable:
 
     def text(self) -> TextTable:
         """The table as it is shown: four lines a row, one for each number."""
-        wide = (self.cells / self.kind.unit).stack().unstack(["setting", "source"])
+        wide = (self.cells / self.kind.unit).stack(future_stack=True).unstack(["setting", "source"])
         order = MultiIndex.from_product([self.cells.index.unique("row"), STATISTICS])
         lines = [
             (

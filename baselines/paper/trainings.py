@@ -70,7 +70,8 @@ class Trainings:
     def alike(self) -> Trainings:
         """Return the runs on the fields that all algorithms of a setting have runs on."""
         parts = []
-        for _, runs in self.runs.groupby("setting", sort=False):
+        begun = self.runs.merge(self.rows[RUN].drop_duplicates())  # others have no numbers yet
+        for _, runs in begun.groupby("setting", sort=False):
             fields = [set(own) for _, own in runs.groupby("algorithm").field]
             parts.append(runs[runs.field.isin(set.intersection(*fields))])
         runs = pandas.concat(parts)
@@ -109,6 +110,7 @@ def find_trainings(
     Raises:
         RunError: a path holds no run, a run cannot be read, or two are of one cell and seed.
     """
+    paths = list(dict.fromkeys(path.resolve() for path in paths))
     reports = [path for path in paths if (path / RUNS_FILE).is_file()]
     found = [run for path in reports for run in _of_report(path)]
     folders = [path for path in paths if path not in reports]

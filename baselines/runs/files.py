@@ -103,7 +103,7 @@ def moved_aside(path: Path) -> bool:
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` atomically: a reader sees the old file or the new one, never a part."""
     with replacing(path) as temporary:
-        temporary.write_text(text)
+        temporary.write_text(text, "utf-8")
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import math
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
@@ -148,8 +149,8 @@ def load(
     ]
     problems += [
         f"model.{name}: {problem} (got {value!r:.80})"
-        for name, value in kept.items()
-        for problem in _problems(name, value, accepted[name])
+        for name, value in config.model.items()
+        for problem in _problems(name, value, accepted.get(name, Any))
     ]
     if problems:
         raise ConfigError(place, problems)
@@ -178,10 +179,15 @@ def _problems(name: str, value: Any, its_type: Any) -> Iterator[str]:
     """Yield the problems of an argument of the library's class that has the type ``its_type``."""
     strict = ConfigDict(strict=True, arbitrary_types_allowed=True)
     try:
+        if isinstance(value, dict | list):
+            json.dumps(value, allow_nan=False, default=str)
         scheduled = TypeAdapter(its_type, config=strict).validate_python(_scheduled(value))
     except ValidationError as error:
         allowed = " or ".join(dict.fromkeys(problem["msg"] for problem in error.errors()))
         yield allowed.replace("Input should be callable", "{from: number, to: number}")
+        return
+    except ValueError:
+        yield "must hold finite numbers only"
         return
     ends = value.values() if isinstance(scheduled, LinearSchedule) else (value,)
     least, most = RANGES.get(name, (-math.inf, math.inf))

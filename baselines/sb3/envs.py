@@ -47,7 +47,7 @@ class LearnersView(VecEnvWrapper):
         if dones.any():
             ended = [infos[row] for row in np.flatnonzero(dones & self.watched)]
             self._episodes.add(
-                [info["episode_return"] for info in ended], [info["success"] for info in ended]
+                [info["episode_return"] for info in ended], [info["is_success"] for info in ended]
             )
         return observations, rewards * self._scale, dones, infos
 
@@ -76,7 +76,7 @@ class ShrinkingRois(VecEnvWrapper):
         """Finish the step; change the size of the ROIs when it is time."""
         observations: Any
         observations, rewards, dones, infos = self.venv.step_wait()
-        self.curriculum.add([infos[row]["success"] for row in np.flatnonzero(dones)])
+        self.curriculum.add([infos[row]["is_success"] for row in np.flatnonzero(dones)])
         self._steps += 1
         if self._steps % self.every == 0 and self.curriculum.move():
             for row in np.flatnonzero(~dones):
@@ -91,22 +91,23 @@ class ShrinkingRois(VecEnvWrapper):
         return self.venv.reset()
 
 
-class TeamReturn(BaseParallelWrapper):  # type: ignore[misc]  # the library ships no types
-    """Adds the team's return to an episode's last infos: SuperSuit resets in the same call."""
+class EpisodeEnd(BaseParallelWrapper):  # type: ignore[misc]  # the library ships no types
+    """Adds return and success to an episode's last infos, in which SuperSuit puts the next's."""
 
     def step(self, actions: Mapping[str, Any]) -> StepResult:
         """Move all robots."""
         result: StepResult = self.env.step(actions)
         if not self.env.agents:
-            team_return = float(self.unwrapped.engine.metrics()["episode_return"][0])
+            metrics = self.unwrapped.engine.metrics(("episode_return", "success"))
+            team_return, success = (float(values[0]) for values in metrics.values())
             for info in result[-1].values():
-                info["episode_return"] = team_return
+                info |= {"episode_return": team_return, "is_success": success}
         return result
 
 
 def engine_rows(task: Task, hyperparameters: SB3Config, curriculum: RoiCurriculum) -> VecEnv:
     """All worlds in one batch: a row for each, or row ``w * n + i`` for robot i of world w."""
-    how: dict[str, Any] = {"seed": task.config.seed, "threads": 1}
+    how: dict[str, Any] = {"seed": curriculum.seed(task.config.seed), "threads": 1}
     how |= hyperparameters.in_training(task, curriculum, hyperparameters.num_envs)
     if task.config.algorithm == "ppo-shared":
         return SharedPolicyVecEnv(num_worlds=hyperparameters.num_envs, **how)
@@ -124,7 +125,7 @@ def supersuit_rows(task: Task, hyperparameters: SB3Config, _: RoiCurriculum) -> 
 
     env = NavigationParallelEnv(task.field, **task.settings)
     env.reset(seed=task.config.seed)
-    rows = pettingzoo_env_to_vec_env_v1(TeamReturn(env))
+    rows = pettingzoo_env_to_vec_env_v1(EpisodeEnd(env))
     worlds: VecEnv = concat_vec_envs_v1(
         rows, hyperparameters.num_envs, base_class="stable_baselines3"
     )

@@ -94,12 +94,19 @@ class Learner:
         return SB3Policy.of(self.model, self._algorithm, observes)
 
     def begin_with(self, source: RunFolder) -> None:
-        """Take over networks and optimisers of another run; all else is as in a fresh learner.
+        """Begin with networks, optimisers and normalisation of another run.
 
         Raises:
             RunError: the run has saved no policy, or a damaged one.
         """
-        put_into(self.model, source.policy)
+        self._put(source.policy)
+
+    def _put(self, policy: Path) -> None:
+        """Load a saved policy and the normalisation of what it observes."""
+        put_into(self.model, policy)
+        normalization = Normalization.from_json(read_json(policy / SHAPE)["normalization"])
+        if normalization is not None:
+            normalization.put_into(self.model.get_vec_normalize_env())
 
     def save(self, folder: Path) -> None:
         """Write, beside the policy, all else that :meth:`restore` needs into ``folder``."""
@@ -137,11 +144,7 @@ class Learner:
         """
         model = self.model
         model._setup_learn(0)  # makes what is filled here
-        policy = checkpoint / "policy"
-        put_into(model, policy)
-        normalization = Normalization.from_json(read_json(policy / SHAPE)["normalization"])
-        if normalization is not None:
-            normalization.put_into(model.get_vec_normalize_env())
+        self._put(checkpoint / "policy")
         arrays, counters = read_arrays(checkpoint / WORLDS), read_json(checkpoint / COUNTERS)
         for name in SEEN:
             setattr(model, name, arrays.get(name))

@@ -33,16 +33,20 @@ class Passed(Exception):  # noqa: N818
 
 
 class Reporter(BaseCallback):
-    """Reports every rollout to a recorder, and saves between updates when that is due."""
+    """Reports every update to a recorder, and saves between updates when that is due."""
 
     def __init__(self, recorder: Recorder, learner: Learner) -> None:
         super().__init__()
-        self._recorder, self._learner = recorder, learner
+        self._recorder, self._learner, self._reported = recorder, learner, 0
 
     def _on_training_start(self) -> None:
         self._recorder.start()
+        self._reported = self._learner.env_steps
 
     def _on_rollout_start(self) -> None:
+        self._report()
+        if self._recorder.passed:
+            raise Passed
         if self._recorder.checkpoint_due:
             learner = self._learner
             self._recorder.save_checkpoint(learner.env_steps, learner.policy, learner.save)
@@ -52,11 +56,15 @@ class Reporter(BaseCallback):
         self._learner.count_repeats()
         return True
 
-    def _on_rollout_end(self) -> None:
+    def _on_training_end(self) -> None:
+        self._report()
+
+    def _report(self) -> None:
+        """Report the policy after its last update, with the episodes before it."""
         learner = self._learner
-        self._recorder.update(learner.env_steps, learner.policy, learner.diagnostics)
-        if self._recorder.passed:
-            raise Passed
+        if (env_steps := learner.env_steps) > self._reported:
+            self._recorder.update(env_steps, learner.policy, learner.diagnostics)
+            self._reported = env_steps
 
 
 class ToRecorder(KVWriter):
@@ -93,7 +101,7 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
     elif task.config.transferred_from is not None:
         learner.begin_with(RunFolder.open(task.config.transferred_from))
     model.set_logger(Logger(None, [ToRecorder(recorder, stride)]))
-    log_interval = 4  # episodes, the library's own; or rollouts of an on-policy algorithm
+    log_interval = 4  # episodes, or updates of ARS; below rollouts
     if isinstance(model, OnPolicyAlgorithm):
         log_interval = math.ceil(ROW_STEPS * stride / (model.n_steps * model.n_envs))
     with suppress(Passed):

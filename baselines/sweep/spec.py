@@ -15,10 +15,12 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from baselines.algorithms import Setting, find_algorithm
 from baselines.sweep.store import open_store
+from baselines.training.aids import Count
 from baselines.training.config import MOST_SEED, TrainConfig, default_label
 from baselines.training.overrides import ENVIRONMENT, parse
 from baselines.training.train import found_anywhere, prepare, sizes
 from mbn_marl.checked import describe
+from mbn_marl.config import NonNegative, Positive
 from mbn_marl.errors import ConfigError, MbnError, ProblemsError
 from mbn_marl.field import catalogue_names, load_field
 
@@ -44,8 +46,6 @@ def _each_once(values: Sequence[Any]) -> Sequence[Any]:
 
 
 _Axis = (Field(min_length=1), AfterValidator(_each_once))
-Count = Annotated[int, Field(ge=1)]
-Amount = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Seed = Annotated[int, Field(ge=0, le=MOST_SEED)]
 Algorithm = Annotated[str, _that_loads(find_algorithm)]
 FieldName = Annotated[str, _that_loads(load_field)]
@@ -75,10 +75,10 @@ class Resources(BaseModel):
 
     model_config = _STRICT
 
-    cpus: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] = 1.0
-    gpus: Amount = 0.0
+    cpus: Positive = 1.0
+    gpus: NonNegative = 0.0
     retries: Annotated[int, Field(ge=0)] = 3
-    upload_seconds: Amount = 300.0
+    upload_seconds: NonNegative = 300.0
 
 
 class GridSpec(BaseModel):

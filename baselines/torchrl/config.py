@@ -9,10 +9,10 @@ from typing import Annotated, Any
 from pydantic import Field, field_validator
 
 from baselines.torchrl.networks import Actor, Critic, Network, Sharing
-from baselines.training.aids import Count, Positive, Share, TrainingAids, between
+from baselines.training.aids import Count, Share, TrainingAids, between
 from baselines.training.hyperparameters import read_block, read_blocks, validate
+from mbn_marl.config import NonNegative, Positive
 
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 SOURCE = Path(__file__).with_name("hyperparameters.yaml")
 
 

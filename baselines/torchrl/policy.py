@@ -33,8 +33,7 @@ class TeamPolicy:
         network, device = self.network, self.network.log_std.device
         mean = network.means(network.norm.normalize(torch.from_numpy(seen).to(device))).cpu()
         std = network.log_std.exp().cpu()  # the noise is the same, whatever the device
-        actions = mean if deterministic else torch.normal(mean, std.expand_as(mean))
-        return actions.numpy()
+        return (mean if deterministic else mean + std * torch.randn(mean.shape)).numpy()
 
     def layers(self) -> Plain:
         """See :class:`~baselines.evaluation.layers.HasLayers`."""

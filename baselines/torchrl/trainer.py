@@ -40,7 +40,7 @@ NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
 WORLDS, COUNTERS = "worlds.npz", "counters.json"
 TEACHER_WORLDS = "teacher_worlds.npz"
 MINIMISED = ("loss_objective", "loss_critic", "loss_entropy")
-LOGGED = (*MINIMISED, "entropy", "kl_approx", "clip_fraction", "imitation")
+LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction", "imitation")
 
 
 def train(task: Task, hyperparameters: MultiAgentPPOConfig, recorder: Recorder) -> None:
@@ -159,7 +159,7 @@ class Trainer:
         config, worlds = self.task.config, self.config.num_worlds
         return NavigationEnv(
             num_worlds=worlds,
-            seed=config.seed,
+            seed=self.curriculum.seed(config.seed),
             device=config.device,
             threads=1,
             state=False,
@@ -223,7 +223,8 @@ class Trainer:
             if self.recorder.checkpoint_due:
                 save = partial(self._save, env_steps)
                 self.recorder.save_checkpoint(env_steps, policy, save)
-        self.network.amplify(config.final_gain)
+        if not self.recorder.passed:  # a policy that passed stays as it is
+            self.network.amplify(config.final_gain)
         if config.search_generations and isinstance(self.task.field, Field):
             settings, seed = self.task.settings, self.task.config.seed
             self.network.cpu()  # where the search and its worlds are
@@ -277,7 +278,7 @@ class Trainer:
             losses = self.loss(part)
             total: Any = sum(losses[name] for name in MINIMISED)
         else:
-            self.network.mean(part[Key.NORMALIZED])
+            self.network.means(part[Key.NORMALIZED])
             losses, total = TensorDict(dict.fromkeys(LOGGED, torch.tensor(math.nan))), 0.0
         if self.teacher is not None:
             apart = self.means.reshape(part[Key.TEACHER].shape) - part[Key.TEACHER]

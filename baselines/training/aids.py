@@ -14,12 +14,11 @@ from shapely import Point
 from baselines.training.config import Task
 from baselines.training.hyperparameters import Hyperparameters
 from mbn_marl.checked import Uniform
-from mbn_marl.config import make_config
+from mbn_marl.config import Positive, make_config
 from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.limits import SAFETY_DISTANCE
 
 Count = Annotated[int, pydantic.Field(ge=1)]
-Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
 Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
 
 
@@ -124,6 +123,7 @@ class RoiCurriculum:
     bounds: tuple[float, float]
     window: int
     stage: int = 0
+    moves: int = 0
     ended: int = 0
     succeeded: int = 0
 
@@ -148,7 +148,15 @@ class RoiCurriculum:
             self.stage = min(self.stage + 1, self.stages)
         elif rate < low:
             self.stage = max(self.stage - 1, 0)
-        return self.radius != before
+        moved = self.radius != before
+        self.moves += moved
+        return moved
+
+    def seed(self, first: int) -> int:
+        """The seed of the worlds: ``first``, and another after every change of the size."""
+        if self.moves == 0:
+            return first
+        return int(np.random.SeedSequence((first, self.moves)).generate_state(1, np.uint64)[0] >> 1)
 
 
 def _times(number: float | Uniform, factor: float) -> float | Uniform:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 import shlex
 from collections.abc import Mapping
@@ -55,8 +56,8 @@ class TrainConfig:
         transferred_from: the folder of the run whose policy it begins with. Under C networks and
             optimisers, `mbn transfer` does it all; mappo, ippo, ppo-joint and generalist take the
             actor's network, also of the zoo (zoo:NAME), whose field may be another one.
-        device: where the networks run, and under mappo and ippo the worlds too; of the centralised
-            algorithms, worth it for crossq and tqc.
+        device: where the networks run, and under mappo, ippo, ppo-joint and generalist the worlds
+            too; of the others, worth it for crossq and tqc.
         label: the name in tables and figures, and of the folder; by default the algorithm.
         environment: settings of the environment that differ from the algorithm's own.
         hyperparameters: hyperparameters that differ from the algorithm's own.
@@ -94,6 +95,8 @@ class TrainConfig:
             for name, bound in least.items()
             if (value := getattr(self, name)) is not None and value < bound
         ]
+        if self.stop_at is not None and not math.isfinite(self.stop_at):
+            problems.append(f"stop_at: must be finite (got {self.stop_at})")
         if self.seed > MOST_SEED:
             problems.append(f"seed: must be at most 2^32 - 1 (got {self.seed})")
         if self.label is not None and not LABEL.fullmatch(self.label):

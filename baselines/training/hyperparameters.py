@@ -22,7 +22,7 @@ class Hyperparameters(BaseModel):
         skipped: values of the source that the algorithm has no argument for; without effect.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     source: str = ""
     environment: dict[str, Any] = Field(default_factory=dict)

@@ -19,6 +19,7 @@ from mbn_marl.adapters.one_world import OneWorld, check_names, rename_max_steps
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike, Fields
+from mbn_marl.engine.validation import reset_problems
 from mbn_marl.errors import ActionError, ConfigError
 from mbn_marl.field import FieldSampler
 from mbn_marl.render.viewer import RENDER_SIZE
@@ -210,8 +211,8 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
             The states ``(W, 4n+1)``, fresh, and the infos.
 
         Raises:
-            ConfigError: a mask of the wrong shape or type, or together with a seed; or a ``field``
-                or ``starts``, which are for one environment.
+            ConfigError: a seed out of range; a mask of the wrong shape or type, or together with a
+                seed; or a ``field`` or ``starts``, which are for one environment.
         """
         options = options or {}
         self._check(options, seed)
@@ -269,8 +270,9 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
                 problems.append(f"reset_mask: shape {mask.shape}, allowed: ({self.num_envs},)")
             if seed is not None:
                 problems.append("reset_mask: a seed restarts all worlds; give only one of the two")
+        problems += [] if seed is None else reset_problems(seed, 0)
         if problems:
-            raise ConfigError("options", problems)
+            raise ConfigError("reset", problems)
 
     def _step_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         """Return a step's infos in the layout of Gymnasium's own vector environments."""

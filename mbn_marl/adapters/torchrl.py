@@ -202,7 +202,7 @@ class NavigationEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         """Seed all worlds from the next full reset on."""
-        self._next_seed = seed
+        self._next_seed, self._loaded = seed, False
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         """Reset the worlds that ``"_reset"`` marks, or all of them."""

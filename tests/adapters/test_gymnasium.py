@@ -316,6 +316,7 @@ class TestVector:
         ("options", "seed", "named"),
         [
             ({"reset_mask": np.array([True])}, None, "reset_mask: shape"),
+            ({}, [0, 1], r"seed: \[0, 1\]; allowed: an integer"),
             ({"reset_mask": [True, False]}, None, "reset_mask: list"),
             ({"reset_mask": np.array([1, 0])}, None, "reset_mask: ndarray"),
             ({"reset_mask": np.array([True, False])}, 3, "reset_mask: a seed"),

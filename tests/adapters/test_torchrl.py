@@ -360,6 +360,10 @@ def test_only_a_full_reset_uses_a_seed_or_a_saved_state() -> None:
         again = env.reset()
         assert env.engine.seed == seed
     assert_close(again[1].exclude("_reset"), first[1])  # world 0 has begun another episode since
+    env.load_state(saved)
+    env.set_seed(5)  # later than the state: it counts
+    env.reset()
+    assert env.engine.seed == 5
 
 
 def test_a_saved_world_that_had_ended_begins_again() -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_wrapper
 
 from baselines.evaluation.evaluate import evaluate
 from baselines.evaluation.policy import load_trained
@@ -182,6 +183,49 @@ def test_a_policy_knows_what_it_observes(
     robots = settings.get("n_robots", 3)
     rows = (2, robots, size // robots if joint else size) if seen == "observations" else (2, size)
     assert policy.act(np.zeros(rows, np.float32), deterministic=True).shape == (2, robots, 2)
+
+
+@pytest.mark.parametrize("name", ["a2c", "ars"])
+def test_an_evaluation_is_of_the_policy_after_the_update(name: str, tmp_path: Path) -> None:
+    fast = {"model": {"learning_rate": 1.0}}
+    how: dict[str, Any] = {"evaluate_every": 100, "episodes": 1, "hyperparameters": fast}
+    runs = [
+        train(
+            TrainConfig(name, "field_03", "A", steps=steps, environment={"max_steps": 50}, **how),
+            tmp_path / str(steps),
+        )
+        for steps in (1000, 100)
+    ]
+    during, (last,) = runs[0].evaluations[0], runs[1].evaluations
+    assert during["env_steps"] == last["env_steps"]
+    assert during["deterministic_return_mean"] == last["deterministic_return_mean"]
+
+
+def test_a_transferred_policy_keeps_its_normalisation(tmp_path: Path) -> None:
+    how: dict[str, Any] = {"episodes": 1, "hyperparameters": {"normalize_observation": True}}
+    run = train(TrainConfig("a2c", "field_01", "A", steps=60, **how), tmp_path / "run")
+    moved = TrainConfig("a2c", "field_02", "C", transferred_from=run.path, **how)
+    learner = Learner(*prepare(moved), EpisodeWindow())
+    learner.begin_with(run)
+    env, theirs = learner.model.get_vec_normalize_env(), load_trained(run).normalization
+    assert env.obs_rms.count > 60
+    np.testing.assert_array_equal(env.obs_rms.mean, theirs.mean)
+
+
+def test_every_stage_of_the_curriculum_draws_other_starts() -> None:
+    task, hyperparameters = prepare(config_of("ppo"))
+    settings = {**task.settings, "random_starts": True}
+    env = make_env(replace(task, settings=settings), hyperparameters, EpisodeWindow())
+    starts = [env.reset()]
+    for _ in range(2):
+        rois = unwrap_vec_wrapper(env, ShrinkingRois)
+        assert rois is not None
+        rois.curriculum.add([1.0] * rois.curriculum.window)
+        assert rois.curriculum.move()
+        starts.append(rois.begin(rois.curriculum))
+    places = [states[:, :6] for states in starts]
+    assert not any(np.array_equal(places[0], others) for others in places[1:])
+    assert not np.array_equal(places[1], places[2])
 
 
 @pytest.mark.parametrize("name", ["a2c", "ars", "tqc"])

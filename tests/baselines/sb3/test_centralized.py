@@ -129,6 +129,10 @@ def test_what_the_paper_tuned_is_taken_or_skipped(name: str) -> None:
         ),
         ("N: {model: {gae_lambda: .nan}}\n", "model.gae_lambda: must be a finite number"),
         (
+            "N: {model: {policy_kwargs: {log_std_init: .inf}}}\n",
+            "model.policy_kwargs: must hold finite numbers only",
+        ),
+        (
             "N: {model: {n_steps: 0}}\n",
             "model.n_steps: must be a finite number, at least 1 (got 0)",
         ),
@@ -295,6 +299,8 @@ def test_targets_are_looked_at_before_the_source_is_trained(
         (["train", "ppo", "field_02", "--from", "x"], "from: "),
         (["train", "mappo", "field_02", "--setting", "B"], "setting: mappo has N, not B"),
         (["train", "ppo", "field_02", "--num-envs", "0"], "num_envs: must be at least 1"),
+        (["train", "ppo", "field_02", "--stop-at", "inf"], "stop_at: must be finite (got inf)"),
+        (["train", "mappo", "field_02", "--set", "entropy=NaN"], "entropy: Input should be a fini"),
         (["train", "ppo", "field_02", "--hyperparams", "x.yaml"], "x.yaml: "),
         (["train", "ppo", "field_02", "--resume", "--force"], "force and resume"),
         (["train", "ppo", "field_02", "--resume", "--out", "x"], "x is not a run folder"),

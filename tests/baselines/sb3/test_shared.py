@@ -119,6 +119,16 @@ def test_both_bridges_bring_the_same_rows() -> None:
     assert windows[0].pop() == windows[1].pop()
 
 
+@BOTH
+def test_a_success_is_counted(name: str) -> None:
+    window = EpisodeWindow()
+    env = make_rows(name, window, roi_radius=1000.0)  # all ROIs are visited in the first step
+    env.reset()
+    env.step(np.zeros((2 * ROBOTS, 2), np.float32))
+    row = window.pop()
+    assert (row["episodes"], row["success_rate"]) == (2, 1.0)
+
+
 def test_only_supersuit_hides_time_limits() -> None:
     seen = []
     for name in NAMES:

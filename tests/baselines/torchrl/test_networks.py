@@ -185,3 +185,9 @@ def test_a_damaged_policy_is_named(tmp_path: Path) -> None:
     (tmp_path / "policy.safetensors").write_bytes(b"nonsense")
     with pytest.raises(RunError, match=r"policy\.safetensors"):
         load_policy(tmp_path)
+
+
+def test_actions_of_a_learner_that_diverged_are_no_numbers() -> None:
+    network = GaussianPolicy(TeamShape(4, 3, (8,), "full"), math.nan)
+    actions = TeamPolicy(network).act(np.zeros((2, 3, 4), np.float32), deterministic=False)
+    assert np.isnan(actions).all()  # which the engine refuses: the run says that it diverged

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -105,6 +106,17 @@ def test_at_first_a_learner_only_imitates(tmp_path: Path) -> None:
     learned = [float(row["critic"]) > 0.0 for row in rows]
     assert learned == [int(row["env_steps"]) > 192 for row in rows]
     assert not all(learned) and any(learned)
+
+
+def test_a_joint_actor_imitates_too(tmp_path: Path) -> None:
+    learned = {"teacher": "zoo:field_03", "imitation_until": 1.0, "learning_rate": (3e-3, 3e-3)}
+    same = {"action_repeat": (1, 1), "roi_radius": 1.0, "scattered": 0.0, "episode_steps": 8}
+    hyperparameters = {**learned, **same, "num_worlds": 4, "rollout_steps": 16}
+    config = TrainConfig("ppo-joint", "field_03", hyperparameters=hyperparameters)
+    run = train(replace(config, steps=4096, evaluate_every=512, episodes=1), tmp_path / "run")
+    rows = recorded(run)["rows"]
+    assert all(math.isnan(float(row["critic"])) for row in rows)
+    assert float(rows[-1]["imitation"]) < 0.5 * float(rows[0]["imitation"])
 
 
 @pytest.mark.parametrize("until", [0.0, 0.5])

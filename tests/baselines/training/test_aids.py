@@ -107,6 +107,17 @@ def test_rois_shrink_when_the_team_succeeds_and_grow_when_it_fails() -> None:
     assert moves == [True, False, True, False, True, True, True, False]
 
 
+def test_worlds_have_another_seed_after_every_change_of_size() -> None:
+    rois = RoiCurriculum(4.0, stages=2, bounds=(0.4, 0.8), window=1)
+    seeds = [rois.seed(7)]
+    for success in (0.0, 1.0, 0.0, 1.0):  # at first ROIs cannot grow
+        rois.add([success])
+        rois.move()
+        seeds.append(rois.seed(7))
+    assert seeds[:2] == [7, 7] and len(set(seeds[1:])) == 4
+    assert all(0 <= seed < 2**63 for seed in seeds)
+
+
 def test_rois_never_grow_beyond_their_first_size() -> None:
     curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
     curriculum.add([0, 0, 0, 0])
