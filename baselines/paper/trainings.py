@@ -69,12 +69,12 @@ class Trainings:
 
     def alike(self) -> Trainings:
         """Return the runs on the fields that all algorithms of a setting have runs on."""
-        parts = []
         begun = self.runs.merge(self.rows[RUN].drop_duplicates())  # others have no numbers yet
-        for _, runs in begun.groupby("setting", sort=False):
-            fields = [set(own) for _, own in runs.groupby("algorithm").field]
-            parts.append(runs[runs.field.isin(set.intersection(*fields))])
-        runs = pandas.concat(parts)
+        here, there = (
+            begun.groupby(names).algorithm.transform("nunique")
+            for names in (["setting", "field"], ["setting"])
+        )
+        runs = begun[here == there]
         return Trainings(runs, self.rows.merge(runs[RUN]))
 
     def optimum(self, field: str) -> float | None:

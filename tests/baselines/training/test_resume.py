@@ -96,7 +96,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(name: str, tmp_path: Path) ->
     assert 0 < history[0]["env_steps"] < config.steps
     if name in AIDED:
         sizes = [row["roi_radius"] for row in recorded(resumed)["rows"]]
-        assert len(set(sizes)) == len(sizes) == 3 and sizes[-1] == "1"
+        assert len(sizes) == 3 and 1.0 < float(sizes[0]) < 4.0 and sizes[-1] == "1"
     _assert_equal(resumed, whole)
     assert not (resumed.path / "checkpoints").exists()
 
