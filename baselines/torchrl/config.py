@@ -9,9 +9,8 @@ from typing import Annotated, Any
 from pydantic import Field, field_validator
 
 from baselines.torchrl.networks import Actor, Critic, Network, Sharing
-from baselines.training.aids import Count, Share, TrainingAids, between
+from baselines.training.aids import Count, NonNegative, Positive, Share, TrainingAids, between
 from baselines.training.hyperparameters import read_block, read_blocks, validate
-from mbn_marl.config import NonNegative, Positive
 
 SOURCE = Path(__file__).with_name("hyperparameters.yaml")
 

@@ -14,12 +14,14 @@ from shapely import Point
 from baselines.training.config import Task
 from baselines.training.hyperparameters import Hyperparameters
 from mbn_marl.checked import Uniform
-from mbn_marl.config import Positive, make_config
+from mbn_marl.config import make_config
 from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.limits import SAFETY_DISTANCE
 
 Count = Annotated[int, pydantic.Field(ge=1)]
 Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
+Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
 
 
 class TrainingAids(Hyperparameters):
