@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +14,9 @@ from mbn_marl.planning.problem import CALM, Floats, Problem
 Flags = NDArray[np.bool_]
 
 FORESEEN = 60
-"""Steps; a robot at the speed limit comes to rest in ten."""
+"""Steps in which a robot that never rests is foreseen."""
+TINY = 1e-200
+"""Below any change of velocity; units/step per step."""
 DISTURBED = 0.1
 """Pushes on robots that differ by more than this, units/step per step, are not the wind's."""
 GUST_MEMORY = 10
@@ -77,17 +80,36 @@ def ways_of_failed(
         push: (2,), of the wind, units/step per step.
 
     Returns:
-        By robot (FORESEEN, 2), units: the positions after the next steps.
+        By robot (k, 2), units: the positions after the next k steps, until all of them rest, or
+        FORESEEN of robots that coast.
     """
     kind = problem.config.failures.kind if problem.config.failures else "brake"
-    failed = np.flatnonzero(~works & (kind != "vanish")).tolist()
-    return {i: _way(problem, i, kind, places[i], speeds[i], push) for i in failed}
+    failed = ~works & (kind != "vanish")
+    steps = FORESEEN
+    if kind == "brake":
+        steps = steps_to_rest(speeds[failed], problem.forces[failed], problem.config.max_steps)
+    numbers = np.flatnonzero(failed).tolist()
+    return {i: _way(problem, i, kind, places[i], speeds[i], push, steps) for i in numbers}
 
 
-def _way(problem: Problem, i: int, kind: str, place: Floats, speed: Floats, push: Floats) -> Floats:
+def steps_to_rest(velocities: Floats, slower: Floats, most: int) -> int:
+    """Return a number of steps after which all velocities are 0, or the episode has ended.
+
+    Args:
+        velocities: (..., 2), units/step.
+        slower: (..., 2), >= 0: by as much the velocities fall in each step.
+        most: the steps of an episode.
+    """
+    needed = np.abs(velocities) / np.maximum(slower, TINY)
+    return math.floor(min(needed.max(initial=0.0), most)) + 2
+
+
+def _way(
+    problem: Problem, i: int, kind: str, place: Floats, speed: Floats, push: Floats, steps: int
+) -> Floats:
     force, top = problem.forces[i], problem.drives[i].top
-    way = np.empty((FORESEEN, 2))
-    for k in range(FORESEEN):
+    way = np.empty((steps, 2))
+    for k in range(steps):
         braked = speed - np.clip(speed, -force, force)
         speed = np.clip(speed + push, -top, top) if kind == "coast" else braked
         ahead = place + speed * problem.config.tau

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.planning.coordination import coordinate
-from mbn_marl.planning.foresight import FORESEEN, GUST_SHARE, Flags, Weather, ways_of_failed
+from mbn_marl.planning.foresight import GUST_SHARE, Flags, Weather, ways_of_failed
 from mbn_marl.planning.greedy import Greedy
 from mbn_marl.planning.guide import make_guide
 from mbn_marl.planning.legs import proved_legs
@@ -139,7 +139,7 @@ class Replanner:
                 velocities=speeds[works],
                 forces=whole.forces[works],
                 drives=tuple(whole.drives[i] for i in np.flatnonzero(works)),
-                others=np.array(list(ways.values())).reshape(-1, FORESEEN, 2),
+                others=np.array([*ways.values()]) if ways else whole.others,
             )
             paths = search(rest, margin * rest.config.roi_radius)
             if paths is not None:

@@ -15,7 +15,13 @@ import numpy as np
 import shapely
 
 from mbn_marl.engine.snapshot import FloatArray
-from mbn_marl.planning.foresight import FORESEEN, Flags, Weather, ways_of_failed
+from mbn_marl.planning.foresight import (
+    FORESEEN,
+    Flags,
+    Weather,
+    steps_to_rest,
+    ways_of_failed,
+)
 from mbn_marl.planning.problem import Floats, Problem
 
 TURNS = (60.0, -60.0, 120.0, -120.0)
@@ -70,23 +76,21 @@ class Cautious:
     def _coast(self, i: int, position: Floats, velocity: Floats) -> Floats:
         """Return (k, 2): robot i's positions while it brakes.
 
-        The last one is where it rests, unless the wind is stronger than the force.
+        The last one is where it rests, unless the episode has ended by then. A robot that the wind
+        pushes on with more than its force never rests: that has ``FORESEEN`` positions.
         """
-        top, tau = self.problem.drives[i].top, self.problem.config.tau
+        top, config = self.problem.drives[i].top, self.problem.config
         force, wind = self.problem.forces[i], self.problem.wind
-        place, speed = position.tolist(), velocity.tolist()
-        limits = list(zip((wind - force).tolist(), (wind + force).tolist(), strict=True))
-        path, slowest = [], float(np.min(force - np.abs(wind)))
-        needed = math.ceil(top / slowest) + 1 if slowest > 0.0 else 0
-        for _ in range(max(needed, FORESEEN)):
-            for axis, (least, most) in enumerate(limits):
-                change = min(max(-speed[axis], least), most)
-                speed[axis] = min(max(speed[axis] + change, -top), top)
-                place[axis] += speed[axis] * tau
-            path.append(tuple(place))
-            if not any(speed):
-                break
-        return np.array(path)
+        onward = velocity > 0.0
+        slower = np.where(onward, force - wind, force + wind)  # by as much in each step
+        drift = wind - np.clip(wind, -force, force)
+        steps = FORESEEN if drift.any() else steps_to_rest(velocity, slower, config.max_steps)
+        changes = np.tile(np.where(onward, -slower, slower), (steps, 1))
+        speeds = np.cumsum(np.vstack([velocity, changes]), axis=0)[1:]
+        speeds = np.where(onward, np.maximum(speeds, 0.0), np.minimum(speeds, 0.0))
+        speeds = np.clip(speeds + drift * np.cumsum(speeds == 0.0, axis=0), -top, top)
+        path: Floats = np.cumsum(np.vstack([position, speeds * config.tau]), axis=0)[1:]
+        return path
 
     def _choose(
         self,
