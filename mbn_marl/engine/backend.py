@@ -140,6 +140,7 @@ class Backend(ABC):
         left_out = outcome & RESTED and bool(self.memory.pending[world])
         bits = host(self.geometry.roi_bits[: len(field.rois), self._column(world)])
         team = int(self.geometry.robots_in[self._column(world)])
+        failed = self.failed(world)[:team]
         trail = host(self.memory.trail[world, : (steps + 1) * n]).reshape(-1, n, 2)
         made = Snapshot(
             field=field,
@@ -147,7 +148,8 @@ class Backend(ABC):
             velocities=np.stack([host(now.vx[:team, world]), host(now.vy[:team, world])], axis=-1),
             visited=(visited & bits) != 0,
             headings=self.headings(world)[:team],
-            failed=self.failed(world)[:team],
+            failed=failed,
+            gone=failed & (config.failures is not None and config.failures.kind == "vanish"),
             trail=trail[:, :team],
             step=steps,
             team_return=float(now.team_return[world]),
@@ -157,8 +159,7 @@ class Backend(ABC):
             success=outcome & (SUCCESS | COLLISION) == SUCCESS,
             collision=bool(outcome & COLLISION),
         )
-        vanish = config.failures is not None and config.failures.kind == "vanish"
-        return made.judged(vanish=vanish) if left_out else made
+        return made.judged() if left_out else made
 
     def _column(self, world: int) -> int:
         """The column of a world in the tables of its field."""

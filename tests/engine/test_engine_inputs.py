@@ -330,7 +330,7 @@ def test_a_world_that_is_left_out_keeps_its_outcome() -> None:
     engine.step(still, np.array([False, True]))
     after = engine.snapshot(0)
     assert (before.success, before.collision) == (after.success, after.collision) == (True, False)
-    assert not before.judged(vanish=True).collision
+    assert not before.judged().collision
     near = Field(field.vertices, [(80, 80)], [(20, 20), (20, 40)])
     engine = BatchEngine(near, 2, autoreset=False, safety_distance=19.0)
     engine.reset()
