@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
@@ -177,7 +177,7 @@ class Backend(ABC):
         """See ``BatchEngine.set_field``; all is allowed."""
         f = self._column(world)
         parts = column_of(field, self.geometry, self.spec.config, self.spec.teams_vary, starts)
-        self._fit(parts["edges"].shape[1], parts["waypoints"].shape[1])
+        self.make_room(parts["edges"].shape[1], parts["waypoints"].shape[1])
         for name, part in parts.items():
             table = getattr(self.geometry, name)[..., f]
             table[tuple(map(slice, part.shape[:-1]))] = self.xp.asarray(part[..., 0])
@@ -188,13 +188,7 @@ class Backend(ABC):
         """See ``BatchEngine.set_sampler``; all is allowed."""
         self.geometry.sampler[:] = self.xp.asarray(sampler_numbers(sampler))
 
-    def fit_fields(self, saved: Mapping[str, NDArray[Any]]) -> None:
-        """Make room for the fields of saved worlds, some of which were given a larger one."""
-        if self.geometry.sampler.ndim == 1:
-            tables = (saved.get(f"geometry.{name}") for name in ("edges", "waypoints"))
-            self._fit(*(0 if table is None else table.shape[1] for table in tables))
-
-    def _fit(self, edges: int, waypoints: int) -> None:
+    def make_room(self, edges: int, waypoints: int) -> None:
         """Make room for so many edges and waypoints, where there is less."""
         larger = with_room(self.geometry, edges, waypoints, self.xp)
         if larger is not self.geometry:

@@ -296,6 +296,31 @@ def test_a_field_that_a_samplers_world_was_given_is_read_as_it_was_given() -> No
         BatchEngine(FieldSampler(robots=3, rois=6, seed=2), 2).load_state(engine.save_state())
 
 
+@pytest.mark.parametrize("assigned", [{}, ASSIGNED])
+def test_a_state_is_loaded_whichever_engine_was_given_a_larger_field(assigned: Any) -> None:
+    sampler = FieldSampler(robots=3, rois=6, seed=1)
+    small, large = (BatchEngine(sampler, 2, seed=1, **assigned) for _ in range(2))
+    jagged = [(100 + 3 * k, 100 + 5 * (k % 2)) for k in range(100)]
+    field = Field(
+        [*jagged, (400, 400), (100, 400)], [(200, 300)], [(150, 200), (200, 200), (250, 200)]
+    )
+    for ours, theirs in ((small, large), (large, small)):
+        large.set_field(field)
+        ours.reset()
+        theirs.reset()
+        saved, before = ours.save_state(), theirs.save_state()
+        with pytest.raises(MbnError, match=r"now\.steps is"):
+            theirs.load_state({**saved, "now.steps": np.zeros(3, np.int32)})
+        for name, array in theirs.save_state().items():
+            np.testing.assert_array_equal(array, before[name], name)
+        theirs.load_state(saved)
+        for _ in range(20):
+            actions = ours.sample_actions()
+            np.testing.assert_array_equal(theirs.step(actions)[0], ours.step(actions)[0])
+        assert ours.field_of(0).edges.shape == theirs.field_of(0).edges.shape
+    assert len(small.field_of(0).edges) == 102
+
+
 def test_a_curriculum_may_use_all_robots_that_the_engine_has() -> None:
     engine = BatchEngine(FieldSampler(robots=(2, 3), size=(150, 420)), 3, n_robots=5, seed=1)
     engine.set_sampler(FieldSampler(robots=5, size=(150, 420)))
