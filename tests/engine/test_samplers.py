@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shapely import Point
 
 from mbn_marl import BatchEngine, Failures, Uniform
 from mbn_marl.engine.constants import constants_of
@@ -255,6 +256,29 @@ def test_teams_that_start_at_random_may_be_larger_than_the_starts() -> None:
         BatchEngine(field, 1, n_robots=7)
     with pytest.raises(ConfigError, match="n_robots"):
         BatchEngine(field, 1, n_robots=room + 1, random_starts=True)
+
+
+def test_robots_that_find_no_place_start_apart_where_the_field_has_too_few_starts() -> None:
+    """A strip 0.2 wide along the diagonal: of 1000 points in its box, a fifth of one is inside."""
+    strip = Field([(0, 0), (0.2, 0), (1000, 999.8), (1000, 1000)], [(500, 499.9)], [(100, 99.9)])
+    how: dict[str, Any] = {
+        **{"n_robots": 5, "random_starts": True, "safety_distance": 0.5, "dtype": "float64"}
+    }
+    engine = BatchEngine(strip, 20, seed=2, autoreset=False, **how)
+    engine.reset()
+    starts = [engine.snapshot(world).positions for world in range(20)]
+    (positions,) = (at for at in starts[:1] if at[0].tolist() == [100.0, 99.9])
+    first, second = np.triu_indices(5, 1)
+    assert np.linalg.norm(positions[first] - positions[second], axis=1).min() >= 1.0
+    assert all(strip.polygon.covers(Point(place)) for place in positions)
+    engine.step(np.zeros((20, 5, 2)))
+    assert not engine.metrics()["collision"].any()
+    wide = load_field("field_03")
+    alone = Field(wide.vertices, wide.rois[:1], wide.starts[:1])
+    engine = BatchEngine(strip, 1, seed=2, **how)
+    engine.set_field(alone)
+    engine.reset()
+    assert engine.present.all()
 
 
 def test_an_absent_robot_leaves_nothing_in_the_revisit_memory() -> None:
