@@ -317,10 +317,11 @@ class Backend(ABC):
         Raises:
             ActionError: wrong shape, not numeric, or found not to be finite.
         """
-        given, allowed = self._given("actions", actions), self.spec.actions_shape
-        if tuple(given.shape) != allowed:
-            shape = f"shape {tuple(given.shape)}; allowed: {allowed} (worlds, robots, axes)"
-            raise ActionError(f"actions: {shape}")
+        shape = self.spec.actions_shape
+        allowed = f"{shape} (worlds, robots, axes)"
+        given = self._given("actions", actions, allowed)
+        if tuple(given.shape) != shape:
+            raise ActionError(f"actions: shape {tuple(given.shape)}; allowed: {allowed}")
         if not self._is_real(given):
             raise ActionError(f"actions: dtype {given.dtype}; allowed: a real number type")
         return self._in_precision(given)
@@ -329,10 +330,12 @@ class Backend(ABC):
         """Return a mask of the worlds; ``None`` is that of all."""
         if mask is None:
             return self._everyone
-        given, worlds = self._given(name, mask), self.spec.num_worlds
+        worlds = self.spec.num_worlds
+        allowed = f"({worlds},) of bool"
+        given = self._given(name, mask, allowed)
         if tuple(given.shape) != (worlds,) or given.dtype != self.xp.bool:
             wrong = f"shape {tuple(given.shape)} of {given.dtype}"
-            raise ActionError(f"{name}: {wrong}; allowed: ({worlds},) of bool")
+            raise ActionError(f"{name}: {wrong}; allowed: {allowed}")
         return given
 
     def _waiting(self, world: int, place: str = "") -> StepError:
@@ -350,8 +353,8 @@ class Backend(ABC):
     # -- what differs between devices --------------------------------------------------------------
 
     @abstractmethod
-    def _given(self, name: str, value: Any) -> Any:
-        """An argument as an array of this backend, or an error that says what it is."""
+    def _given(self, name: str, value: Any, allowed: str) -> Any:
+        """An argument as an array of this backend, or an error that says what is allowed."""
 
     @abstractmethod
     def _is_real(self, given: Any) -> bool:
