@@ -83,7 +83,7 @@ class Episode:
 
     @property
     def gone(self) -> NDArray[np.bool_]:
-        """Which robots have vanished, and touch nothing, (T + 1, n), from the reset on."""
+        """Which robots have vanished, and touch nothing, (T + 1, n) bool, from the reset on."""
         failures, steps = self.config.failures, np.arange(self.steps + 1)[:, None]
         vanish = failures is not None and failures.kind == "vanish"
         return vanish & (self.failed > 0) & (self.failed <= steps)

@@ -101,7 +101,7 @@ def steps_to_rest(velocities: Floats, slower: Floats, most: int) -> int:
         most: the steps of an episode.
     """
     needed = np.abs(velocities) / np.maximum(slower, TINY)
-    return math.floor(min(needed.max(initial=0.0), most)) + 2
+    return math.floor(min(float(needed.max(initial=0.0)), most)) + 2
 
 
 def _way(
