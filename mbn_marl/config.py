@@ -15,15 +15,17 @@ from mbn_marl.errors import ConfigError, unknown
 MAX_ROBOTS = 64
 MAX_ROIS = 24
 """More ROIs than this would make the visit code inexact in float32."""
+LEAST, MOST = 1e-12, 1e12
+"""The range of numbers above 0: in float32 their squares and quotients are finite and above 0."""
 
 RobotIndex = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
 StepNumber = Annotated[int, Field(ge=1, le=1_000_000)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Turn = Annotated[float, Field(gt=0.0, le=math.pi)]
-Steering = Annotated[float, Field(gt=0.0, le=1.5)]
+Positive = Annotated[float, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, le=MOST, allow_inf_nan=False)]
+Turn = Annotated[float, Field(ge=LEAST, le=math.pi)]
+Steering = Annotated[float, Field(ge=LEAST, le=1.5)]
 Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
 TeamDynamics = Literal[Dynamics, "mixed"]
 Observation = Literal["relative", "state", "local", "lidar", "lidar_local", "entities"]
@@ -272,8 +274,7 @@ class NavigationConfig(Checked):
             each = tuple(known[f"{name}_{i}"] for i in range(len(value))) if own else known[name]
             update[name] = each
         if self.failures is not None:
-            rate = {"rate": known["failure_rate"]}
-            update["failures"] = self.failures.model_copy(update=rate)
+            update["failures"] = self.failures.model_copy(update={"rate": known["failure_rate"]})
         return self.model_copy(update=update)
 
     def at_most(self) -> NavigationConfig:
@@ -367,8 +368,7 @@ def expand(settings: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(name, str) or name not in CONDITIONS:
         problems = [f"condition: {unknown('condition', str(name), CONDITIONS)}"]
         raise ConfigError("configuration", problems)
-    both = sorted(CONDITIONS[name].keys() & values.keys())
-    if both:
+    if both := sorted(CONDITIONS[name].keys() & values.keys()):
         why = f"is set by condition {name!r}; allowed: one of the two"
         raise ConfigError("configuration", [f"{one}: {why}" for one in both])
     return {**values, **CONDITIONS[name]}

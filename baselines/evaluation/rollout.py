@@ -108,6 +108,7 @@ def draw_trajectories(episode: Episode, title: str | None = None) -> Figure:
         wind=last.winds,
         headings=last.headings,
         failed=last.failed,
+        gone=last.gone,
         roi_radius=last.roi_radius,
         title=title,
     )

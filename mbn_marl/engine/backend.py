@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
@@ -140,6 +140,7 @@ class Backend(ABC):
         left_out = outcome & RESTED and bool(self.memory.pending[world])
         bits = host(self.geometry.roi_bits[: len(field.rois), self._column(world)])
         team = int(self.geometry.robots_in[self._column(world)])
+        failed = self.failed(world)[:team]
         trail = host(self.memory.trail[world, : (steps + 1) * n]).reshape(-1, n, 2)
         made = Snapshot(
             field=field,
@@ -147,7 +148,8 @@ class Backend(ABC):
             velocities=np.stack([host(now.vx[:team, world]), host(now.vy[:team, world])], axis=-1),
             visited=(visited & bits) != 0,
             headings=self.headings(world)[:team],
-            failed=self.failed(world)[:team],
+            failed=failed,
+            gone=failed & (config.failures is not None and config.failures.kind == "vanish"),
             trail=trail[:, :team],
             step=steps,
             team_return=float(now.team_return[world]),
@@ -157,8 +159,7 @@ class Backend(ABC):
             success=outcome & (SUCCESS | COLLISION) == SUCCESS,
             collision=bool(outcome & COLLISION),
         )
-        vanish = config.failures is not None and config.failures.kind == "vanish"
-        return made.judged(vanish=vanish) if left_out else made
+        return made.judged() if left_out else made
 
     def _column(self, world: int) -> int:
         """The column of a world in the tables of its field."""
@@ -176,7 +177,7 @@ class Backend(ABC):
         """See ``BatchEngine.set_field``; all is allowed."""
         f = self._column(world)
         parts = column_of(field, self.geometry, self.spec.config, self.spec.teams_vary, starts)
-        self._fit(parts["edges"].shape[1], parts["waypoints"].shape[1])
+        self.make_room(parts["edges"].shape[1], parts["waypoints"].shape[1])
         for name, part in parts.items():
             table = getattr(self.geometry, name)[..., f]
             table[tuple(map(slice, part.shape[:-1]))] = self.xp.asarray(part[..., 0])
@@ -187,13 +188,7 @@ class Backend(ABC):
         """See ``BatchEngine.set_sampler``; all is allowed."""
         self.geometry.sampler[:] = self.xp.asarray(sampler_numbers(sampler))
 
-    def fit_fields(self, saved: Mapping[str, NDArray[Any]]) -> None:
-        """Make room for the fields of saved worlds, some of which were given a larger one."""
-        if self.geometry.sampler.ndim == 1:
-            tables = (saved.get(f"geometry.{name}") for name in ("edges", "waypoints"))
-            self._fit(*(0 if table is None else table.shape[1] for table in tables))
-
-    def _fit(self, edges: int, waypoints: int) -> None:
+    def make_room(self, edges: int, waypoints: int) -> None:
         """Make room for so many edges and waypoints, where there is less."""
         larger = with_room(self.geometry, edges, waypoints, self.xp)
         if larger is not self.geometry:
@@ -322,10 +317,11 @@ class Backend(ABC):
         Raises:
             ActionError: wrong shape, not numeric, or found not to be finite.
         """
-        given, allowed = self._given("actions", actions), self.spec.actions_shape
-        if tuple(given.shape) != allowed:
-            shape = f"shape {tuple(given.shape)}; allowed: {allowed} (worlds, robots, axes)"
-            raise ActionError(f"actions: {shape}")
+        shape = self.spec.actions_shape
+        allowed = f"{shape} (worlds, robots, axes)"
+        given = self._given("actions", actions, allowed)
+        if tuple(given.shape) != shape:
+            raise ActionError(f"actions: shape {tuple(given.shape)}; allowed: {allowed}")
         if not self._is_real(given):
             raise ActionError(f"actions: dtype {given.dtype}; allowed: a real number type")
         return self._in_precision(given)
@@ -334,10 +330,12 @@ class Backend(ABC):
         """Return a mask of the worlds; ``None`` is that of all."""
         if mask is None:
             return self._everyone
-        given, worlds = self._given(name, mask), self.spec.num_worlds
+        worlds = self.spec.num_worlds
+        allowed = f"({worlds},) of bool"
+        given = self._given(name, mask, allowed)
         if tuple(given.shape) != (worlds,) or given.dtype != self.xp.bool:
             wrong = f"shape {tuple(given.shape)} of {given.dtype}"
-            raise ActionError(f"{name}: {wrong}; allowed: ({worlds},) of bool")
+            raise ActionError(f"{name}: {wrong}; allowed: {allowed}")
         return given
 
     def _waiting(self, world: int, place: str = "") -> StepError:
@@ -355,8 +353,8 @@ class Backend(ABC):
     # -- what differs between devices --------------------------------------------------------------
 
     @abstractmethod
-    def _given(self, name: str, value: Any) -> Any:
-        """An argument as an array of this backend, or an error that says what it is."""
+    def _given(self, name: str, value: Any, allowed: str) -> Any:
+        """An argument as an array of this backend, or an error that says what is allowed."""
 
     @abstractmethod
     def _is_real(self, given: Any) -> bool:

@@ -21,7 +21,7 @@ from mbn_marl.engine.readings import Flags, Floats, Readings
 from mbn_marl.engine.state import Array
 from mbn_marl.engine.state_io import restore_worlds, save_worlds
 from mbn_marl.engine.validation import Autoreset, Device
-from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.errors import ActionError, ConfigError, MbnError
 from mbn_marl.field import Field, FieldSampler, load_field
 
 FieldLike = Field | str | os.PathLike[str]
@@ -198,10 +198,14 @@ class BatchEngine(Readings):
             (W, n) real, and two (W,) bool. A time limit is a truncation, never a termination.
 
         Raises:
-            ActionError: wrong shape, not numeric, or not finite. No world has moved.
+            ActionError: wrong shape, not numeric, or not finite, or ``active`` with another
+                autoreset. No world has moved.
             StepError: before the first reset, or, with autoreset disabled, after the end of a
                 world.
         """
+        if active is not None and self.autoreset != "disabled":
+            allowed = "allowed: None, or worlds that wait with autoreset disabled"
+            raise ActionError(f"active: given with autoreset {self.autoreset!r}; {allowed}")
         self._backend.step(actions, active)
         out = self._backend.output
         for listener in self.listeners:

@@ -83,11 +83,10 @@ class CpuBackend(Backend):
         """A copy."""
         return np.array(array)
 
-    def _given(self, name: str, value: Any) -> Array:
+    def _given(self, name: str, value: Any, allowed: str) -> Array:
         try:
             return np.asarray(value)
         except ValueError as error:
-            allowed = f"an array for {self.spec.actions_shape} (worlds, robots, axes)"
             raise ActionError(f"{name}: {error}; allowed: {allowed}") from None
 
     def _is_real(self, given: Array) -> bool:

@@ -124,17 +124,21 @@ class CudaBackend(Backend):
         error = self._waiting if kind == kernels.WAITING else self._left_out
         raise error(world, "an earlier step: ")
 
+    def recount(self) -> None:
+        """Forget the faults of worlds that were replaced."""
+        self._fault.fill_(int(kernels.NO_FAULT))
+
     def host(self, array: Any) -> NDArray[Any]:
         """A NumPy copy; waits for the device."""
         copy: NDArray[Any] = array.cpu().numpy().copy()
         return copy
 
-    def _given(self, name: str, value: Any) -> torch.Tensor:
+    def _given(self, name: str, value: Any, allowed: str) -> torch.Tensor:
         place = self._device.torch
         if isinstance(value, torch.Tensor) and value.device == place:
             return value.detach().contiguous()
         what = value.device if isinstance(value, torch.Tensor) else type(value).__name__
-        raise ActionError(f"{name}: {what}; allowed: a torch tensor on {place}")
+        raise ActionError(f"{name}: {what}; allowed: a torch tensor on {place}, {allowed}")
 
     def _is_real(self, given: torch.Tensor) -> bool:
         return given.dtype != torch.bool and not given.is_complex()

@@ -252,9 +252,9 @@ def infos(p, g, mem, now, final, out, rows):
     w = cuda.grid(1)
     if w < now.steps.shape[0]:
         if is_final(p, out, w):
-            put_infos(p, g, final, out, w, rows[0])
+            put_infos(p, final, out, w, rows[0])
         else:
-            put_infos(p, g, now, out, w, rows[0])
+            put_infos(p, now, out, w, rows[0])
 
 
 def states(episode, rows):

@@ -6,6 +6,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
+from shapely import MultiPoint
 
 from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine.mdp.drawn import make_ranges
@@ -19,6 +20,8 @@ from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.layout import Tables, make_tables, scratch_rows
 from mbn_marl.field.sampler import field_of
 
+MARGIN = 1.02
+"""Safety distances between starts: discs about them are polygons, and they are rounded."""
 FieldSource = tuple[Field, ...] | FieldSampler
 """The fields of the worlds in turn, or what draws one for each episode."""
 
@@ -67,7 +70,7 @@ def make_geometry(
     sizes = sizes_of(source)
     tables = make_tables(sizes.edges, sizes.rois, n, len(fields) or worlds)
     for f, field in enumerate(fields):
-        write_field(tables, f, field, teams_vary, given_starts)
+        write_field(tables, f, field, starts_of(field, n, config, teams_vary, given_starts))
     tables = rounded(tables, real)
     ways = ways_of(tables, sampler, config)
     if len(fields) > 1:
@@ -119,15 +122,30 @@ def sampler_numbers(sampler: FieldSampler) -> Array:
     return np.append(sampler.numbers(), np.int64(sampler.seed))
 
 
-def write_field(
-    t: Tables, f: int, field: Field, teams_vary: bool, given_starts: Array | None = None
-) -> None:
-    """Write a field to column f of the tables, padded, with starts of its own or those given.
+def starts_of(
+    field: Field, n: int, config: NavigationConfig, teams_vary: bool, given: Array | None
+) -> Array:
+    """The starts of the team in a field: those given, or its own, at most n.
 
-    If teams vary, its starts are the team; otherwise that is of the tables' size.
+    Teams that do not vary may be larger than that if they start at random. Where that fails, the
+    others start at points of the field that are at least the safety distance from those before. As
+    many as ``field_problems`` allows have discs of that radius that leave some of the field.
     """
-    m, n, own = t.rois.shape[1], t.starts.shape[1], len(field.rois)
-    starts = field.starts[:n] if given_starts is None else given_starts
+    starts = field.starts[:n] if given is None else given
+    if teams_vary or len(starts) == n:
+        return starts
+    distance = MARGIN * max(config.at_most().safety_distance, 1.0)
+    free = field.polygon.difference(MultiPoint(starts).buffer(distance))
+    while len(starts) < n:
+        point = free.representative_point()
+        starts = np.vstack([starts, (point.x, point.y)])
+        free = free.difference(point.buffer(distance))
+    return starts
+
+
+def write_field(t: Tables, f: int, field: Field, starts: Array) -> None:
+    """Write a field to column f of the tables, padded, with these starts of its team, (n, 2)."""
+    m, own = t.rois.shape[1], len(field.rois)
     t.edges[:, :, f] = np.tile(field.vertices[0], 2)[:, None]
     t.edges[:, : len(field.edges), f] = directed_edges(field)
     t.rois[:, :, f] = field.rois[0][:, None]
@@ -138,7 +156,7 @@ def write_field(
     t.codes[f] = (1 << own) - 1
     t.boxes[:2, f] = field.vertices.min(axis=0)
     t.boxes[2:, f] = np.ptp(field.vertices, axis=0)
-    t.robots_in[f] = len(starts) if teams_vary else n
+    t.robots_in[f] = len(starts)
 
 
 def column_of(
@@ -147,7 +165,7 @@ def column_of(
     """The tables of a field by name, with one column; as large as those of ``g``, or larger."""
     edges = max(len(field.edges), g.edges.shape[1])
     tables = make_tables(edges, g.rois.shape[1], g.starts.shape[1], 1)
-    write_field(tables, 0, field, teams_vary, starts)
+    write_field(tables, 0, field, starts_of(field, g.starts.shape[1], config, teams_vary, starts))
     tables = rounded(tables, np.dtype(config.dtype))
     return {**tables._asdict(), **ways_of(tables, None, config)._asdict()}
 

@@ -92,7 +92,7 @@ def rest_worlds(store, mask):
 
 
 @compiled
-def put_infos(p, g, ep, out, w, rows):
+def put_infos(p, ep, out, w, rows):
     """Write the measures of each robot of world w, in the order of ``INFO_COLUMNS``."""
     outcome, status = out.outcomes[w], ep.status
     rois_visited = count_bits(visit_code(ep.visited[w], ep.codes[w]))
@@ -124,7 +124,7 @@ def write_infos(store, rows):
     p = unpack(store.constants)
     for w in range(FIRST, np.uint64(rows.shape[0])):
         episode = store.final if is_final(p, store.output, w) else store.now
-        put_infos(p, store.geometry, episode, store.output, w, rows)
+        put_infos(p, episode, store.output, w, rows)
 
 
 @entry_point

@@ -15,6 +15,7 @@ from mbn_marl.engine.mdp.observations import Entry
 from mbn_marl.engine.mdp.rewards import REWARD_TERMS
 from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.engine.state import Array
+from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import Field, FieldSampler
 
 Floats = NDArray[np.float32]
@@ -179,7 +180,16 @@ class Readings:
             ``path_length`` (W, n) float64, units; ``impulse`` (W, n) float64: ``|sum over steps of
             u tau|``, mass x units/step; ``failed`` (W, n) bool; ``return_`` (W, n) float64: what
             each agent was given.
+
+        Raises:
+            ConfigError: a name is none of ``METRICS``, or one stands for several; all are listed.
         """
+        wrong = [name for name in names if name not in METRICS]
+        problems = [f"{name!r}: {unknown('measure', str(name), METRICS)}" for name in wrong]
+        if isinstance(names, str):
+            problems = [f"names: {names!r}; allowed: several of {', '.join(METRICS)}"]
+        if problems:
+            raise ConfigError("metrics", problems)
         return self._backend.metrics(names, self.autoreset == "same_step")
 
     def drawn(self) -> dict[str, Array]:

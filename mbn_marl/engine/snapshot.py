@@ -23,6 +23,7 @@ class Snapshot:
         velocities: (n, 2), units/step.
         headings: (n,), radians in [-pi, pi); NaN for a robot that has none.
         failed: (n,) bool, whether each robot has failed in this episode.
+        gone: (n,) bool, whether each robot has vanished in this episode: it touches nothing.
         visited: (m,) bool, whether each ROI has been visited in this episode.
         trail: (step + 1, n, 2), units: the positions of every robot since the reset, the reset
             first, the current ones last.
@@ -44,6 +45,7 @@ class Snapshot:
     velocities: FloatArray
     headings: FloatArray
     failed: NDArray[np.bool_]
+    gone: NDArray[np.bool_]
     visited: NDArray[np.bool_]
     trail: FloatArray
     step: int
@@ -54,12 +56,9 @@ class Snapshot:
     success: bool
     collision: bool
 
-    def judged(self, *, vanish: bool) -> Self:
-        """Return it with success and collision by the positions and the ROIs.
-
-        Robots that have failed touch nothing if they ``vanish``.
-        """
-        at = self.positions[~self.failed] if vanish else self.positions
+    def judged(self) -> Self:
+        """Return it with success and collision by the positions and the ROIs."""
+        at = self.positions[~self.gone]
         first, second = np.triu_indices(len(at), 1)
         squared = ((at[first] - at[second]) ** 2).sum(axis=1)
         collision = bool((squared < self.safety_distance**2).any())

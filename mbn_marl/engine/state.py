@@ -37,7 +37,7 @@ class Geometry(NamedTuple):
     waypoints: Array  # (2, C, F) real: see ways.Ways; C is 0 if nothing is assigned
     legs: Array  # (m + C, m + C, F) real: likewise; (0, 0, F) without waypoints
     ways_in: Array  # (2, F) int32: likewise; (0, F) if nothing is assigned
-    robots: Array  # (3, n) real: see dynamics.LIMITS
+    robots: Array  # (3, n) real: see config.LIMITS
     kinds: Array  # (n,) int32: dynamics; (0, 0) if all are point masses, the others left out
     fail_at: Array  # (n,) int32: the step in which each robot fails, 0 for none; (0,) without
     ranges: Array  # (3, numbers) float64: what episodes draw, see drawn.make_ranges; (0,) if none

@@ -16,6 +16,9 @@ PASSING = ("acted", "seen")
 """Arrays of ``Memory`` that nothing is read from after a step."""
 FIXED = ("robots", "kinds", "fail_at", "ranges", "rays", "scales", "scratch")
 """Arrays of ``Geometry`` that do not depend on the field, or that nothing is read from."""
+EDGES, WAYS_IN = "geometry.edges", "geometry.ways_in"
+WAYS = ("geometry.waypoints", "geometry.legs")
+"""Tables that are left out where no field has a corner to go round."""
 COUNTERS = ("seed", "draw")
 """Arrays of ``Memory`` that do not belong to a world."""
 
@@ -39,24 +42,36 @@ def save_worlds(backend: Backend) -> dict[str, NDArray[Any]]:
 
 
 def restore_worlds(backend: Backend, saved: Mapping[str, NDArray[Any]]) -> None:
-    """Put ``saved`` in their place.
+    """Put ``saved`` in their place; either may have room for a larger field.
 
     Raises:
         MbnError: a name, a shape or a type is not that of these worlds. Nothing has changed.
     """
-    backend.fit_fields(saved)
-    arrays = changing_arrays(backend)
-    given = {name for name in saved if 0 not in saved[name].shape}
-    if given != set(arrays):
-        differing = ", ".join(sorted(given ^ set(arrays)))
-        raise MbnError(f"worlds: these arrays are missing or unknown: {differing}")
-    for name, array in arrays.items():
-        host = backend.host(array)
-        if (saved[name].shape, saved[name].dtype) != (host.shape, host.dtype):
+    given = {name: array for name, array in saved.items() if 0 not in array.shape}
+    arrays, rois = changing_arrays(backend), backend.geometry.rois
+    if differing := (given.keys() ^ arrays.keys()) - (set(WAYS) if WAYS_IN in arrays else set()):
+        names = ", ".join(sorted(differing))
+        raise MbnError(f"worlds: these arrays are missing or unknown: {names}")
+    edges, waypoints = (
+        given[name].shape[1] if name in given and given[name].ndim == 3 else 0
+        for name in (EDGES, WAYS[0])
+    )
+    nodes, fields = rois.shape[1] + waypoints, rois.shape[2]
+    tables = [(4, edges, fields), (2, waypoints, fields), (nodes, nodes, fields)]
+    room = dict(zip((EDGES, *WAYS), tables, strict=True))
+    for name, array in given.items():
+        host = backend.host(arrays.get(name, rois))
+        allowed = room.get(name, host.shape)
+        if (array.shape, array.dtype) != (allowed, host.dtype):
             raise MbnError(
-                f"worlds: {name} is {saved[name].shape} of {saved[name].dtype}; "
-                f"allowed: {host.shape} of {host.dtype}, as these worlds have it"
+                f"worlds: {name} is {array.shape} of {array.dtype}; "
+                f"allowed: {allowed} of {host.dtype}, as these worlds have it"
             )
-    for name, array in arrays.items():
-        array[...] = backend.xp.asarray(saved[name])
+    if EDGES in given:
+        backend.make_room(edges, waypoints)
+        padding = backend.geometry.edges[:, edges:]
+        padding[:2] = padding[2:] = backend.xp.asarray(given[EDGES][:2, :1])
+    for name, array in changing_arrays(backend).items():
+        if name in given:
+            array[tuple(map(slice, given[name].shape))] = backend.xp.asarray(given[name])
     backend.recount()

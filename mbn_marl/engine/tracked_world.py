@@ -26,7 +26,7 @@ from mbn_marl.engine.mdp.failures import has_failed, is_absent, move_or_fail
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
 from mbn_marl.engine.store import parts_of
-from mbn_marl.errors import ActionError, MbnError, StepError
+from mbn_marl.errors import ActionError, ConfigError, StepError
 
 LO, HI = np.uint64(0), np.uint64(1)
 INSIDE = 1
@@ -59,10 +59,11 @@ class TrackedWorld:
     Args:
         engine: of one world, on the CPU, without automatic reset; look at it and reset it, but
             leave its steps to this world.
-        speed_limit: of what moves the robots, per axis, units/step; ``None`` for v_clip alone.
+        speed_limit: of what moves the robots, per axis, units/step, above 0; ``None`` for v_clip
+            alone.
 
     Raises:
-        MbnError: another engine.
+        ConfigError: another engine, or the limit is not above 0; all problems are listed.
 
     Source:
         The rules are those of ``docs/mdp.md``, "One step, in this order".
@@ -71,12 +72,17 @@ class TrackedWorld:
     def __init__(self, engine: BatchEngine, speed_limit: float | None = None) -> None:
         backend = engine._backend
         single = engine.num_worlds == 1 and engine.autoreset == "disabled"
+        limit = np.inf if speed_limit is None else speed_limit
+        problems = [] if limit > 0.0 else [f"speed_limit: {limit}; allowed: None, or above 0"]
         if not (single and isinstance(backend, CpuBackend)):
             allowed = "allowed: one world on the CPU, autoreset disabled"
-            raise MbnError(f"engine: {engine.num_worlds} worlds on {engine.device}; {allowed}")
+            wrong = f"engine: {engine.num_worlds} worlds on {engine.device}; {allowed}"
+            raise ConfigError("tracked world", [*problems, wrong])
+        if problems:
+            raise ConfigError("tracked world", problems)
         self.engine, self._backend = engine, backend
         self._robots = backend.geometry.robots.copy()
-        self._robots[V_CLIP] = np.minimum(self._robots[V_CLIP], speed_limit or np.inf)
+        self._robots[V_CLIP] = np.minimum(self._robots[V_CLIP], limit)
         self._allowed = np.ones(engine.n_robots, np.bool_)
 
     def command(self, actions: ArrayLike) -> Command:
@@ -91,7 +97,9 @@ class TrackedWorld:
         """
         if not self.engine.running[0]:
             raise StepError("the episode has not begun, or has ended; allowed: reset() first")
-        forces = self._backend.checked_actions(np.asarray(actions)[None])
+        allowed = f"{(self.engine.n_robots, 2)} (robots, axes)"
+        given = self._backend._given("actions", actions, allowed)
+        forces = self._backend.checked_actions(given[None])
         velocities = np.empty((1, self.engine.n_robots, 2), self.engine.dtype)
         chooser = self._backend.store_with(self._robots)
         choose_velocities(chooser, forces, velocities, self._allowed)

@@ -81,6 +81,13 @@ class Episode:
         """The number of ROIs visited."""
         return int(np.count_nonzero(self.visits))
 
+    @property
+    def gone(self) -> NDArray[np.bool_]:
+        """Which robots have vanished, and touch nothing, (T + 1, n) bool, from the reset on."""
+        failures, steps = self.config.failures, np.arange(self.steps + 1)[:, None]
+        vanish = failures is not None and failures.kind == "vanish"
+        return vanish & (self.failed > 0) & (self.failed <= steps)
+
     def snapshot(self, step: int) -> Snapshot:
         """Return the snapshot after ``step`` steps, 0 to T.
 
@@ -95,6 +102,7 @@ class Episode:
             velocities=(trail[-1] - trail[-2]) / config.tau if step else np.zeros_like(trail[0]),
             headings=self.headings[step],
             failed=(self.failed > 0) & (self.failed <= step),
+            gone=self.gone[step],
             visited=(self.visits > 0) & (self.visits <= step),
             trail=trail,
             step=step,

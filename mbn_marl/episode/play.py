@@ -121,12 +121,15 @@ def play(
     settings = {**config.model_dump(), "random_starts": False}
     alone: dict[str, Any] = {"autoreset": False, "threads": 1, "first_world": world}
     engine = BatchEngine(field, 1, starts=starts, **alone, **settings)
-    given = np.asarray(actions)
     robots = engine.n_robots
-    if given.ndim != 3 or given.shape[1:] != (robots, 2) or given.dtype.kind not in "fiu":
-        shape = f"shape {given.shape} of {given.dtype}"
-        raise EpisodeError("episode", [f"actions: {shape}; allowed: numbers (steps, {robots}, 2)"])
-    moves = np.clip(given, -1, 1).astype(engine.dtype)
+    allowed = f"allowed: numbers (steps, {robots}, 2)"
+    try:
+        moves = np.asarray(actions)
+    except ValueError as error:
+        raise EpisodeError("episode", [f"actions: {error}; {allowed}"]) from None
+    if moves.ndim != 3 or moves.shape[1:] != (robots, 2) or moves.dtype.kind not in "fiu":
+        shape = f"shape {moves.shape} of {moves.dtype}"
+        raise EpisodeError("episode", [f"actions: {shape}; {allowed}"])
     engine.reset(seed or 0, number)
     log = EpisodeLog(engine)
     for step, move in enumerate(moves):

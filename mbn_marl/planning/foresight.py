@@ -15,6 +15,8 @@ Flags = NDArray[np.bool_]
 
 FORESEEN = 60
 """Steps in which a robot that never rests is foreseen."""
+TINY = 1e-200
+"""Below any change of velocity; units/step per step."""
 DISTURBED = 0.1
 """Pushes on robots that differ by more than this, units/step per step, are not the wind's."""
 GUST_MEMORY = 10
@@ -91,16 +93,15 @@ def ways_of_failed(
 
 
 def steps_to_rest(velocities: Floats, slower: Floats, most: int) -> int:
-    """Return after how many steps nothing moves any more, 2 at least and ``most`` at most.
+    """Return a number of steps after which all velocities are 0, or the episode has ended.
 
     Args:
         velocities: (..., 2), units/step.
         slower: (..., 2), >= 0: by as much the velocities fall in each step.
-        most: the steps after which an episode ends: what would come later does not count.
+        most: the steps of an episode.
     """
-    speeds = np.abs(velocities)
-    needed = speeds / np.maximum(slower, np.maximum(speeds, 1.0) / most)
-    return math.floor(needed.max(initial=0.0)) + 2
+    needed = np.abs(velocities) / np.maximum(slower, TINY)
+    return math.floor(min(float(needed.max(initial=0.0)), most)) + 2
 
 
 def _way(

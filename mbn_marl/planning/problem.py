@@ -115,9 +115,13 @@ class Problem:
         """Return the same instance with these velocities (n, 2) at the starts, units/step.
 
         Raises:
-            ConfigError: there are too few or too many, or one is above its robot's limit.
+            ConfigError: they are no numbers, too few or too many, or above their robot's limit.
         """
-        given = np.asarray(velocities, float)
+        try:
+            given = np.asarray(velocities, float)
+        except (TypeError, ValueError) as error:
+            wrong = f"velocities: {error}; allowed: numbers ({self.n}, 2)"
+            raise ConfigError("plan", [wrong]) from None
         if given.shape != (self.n, 2):
             wrong = f"velocities: expected shape ({self.n}, 2), got {given.shape}"
             raise ConfigError("plan", [wrong])

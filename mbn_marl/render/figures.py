@@ -34,10 +34,10 @@ _TITLES = 0.6  # height of a panel's title and axis label, inches
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)
-def field_figure(field: Field, *, roi_radius: float = maps.ROI_RADIUS) -> Figure:
-    """Draw a field with its holes, its numbered ROIs, ``roi_radius`` in units, and the starts."""
+def field_figure(field: Field) -> Figure:
+    """Draw a field with its holes, its numbered ROIs, and the starts."""
     figure, axes = _canvas(field, field.name)
-    maps.draw_field(axes, field, roi_radius=roi_radius)
+    maps.draw_field(axes, field)
     maps.draw_robots(axes, field.starts)
     _explain(figure, [maps.roi_handle(), maps.robot_handle("start of robot i")])
     return figure
@@ -70,6 +70,7 @@ def trajectory_figure(
     wind: ArrayLike = (0.0, 0.0),
     headings: NDArray[Any] | None = None,
     failed: NDArray[np.bool_] | None = None,
+    gone: NDArray[np.bool_] | None = None,
     roi_radius: float = maps.ROI_RADIUS,
     title: str | None = None,
 ) -> Figure:
@@ -88,6 +89,7 @@ def trajectory_figure(
         headings: (n,), radians: where the robots face at the end, NaN for a robot without a
             heading; ``None`` if none has one.
         failed: (n,) bool, the robots that failed, which get a cross; ``None`` for none.
+        gone: (n,) bool, those that vanished, which collide with nobody; ``None`` for none.
         roi_radius: rho, units.
         title: above the figure; ``None`` for the name of the field.
 
@@ -104,7 +106,7 @@ def trajectory_figure(
     handles.append(maps.robot_handle("start", ms=5, mfc=style.WHITE))
     handles.append(maps.robot_handle("end of robot i"))
     if collision:
-        handles.append(maps.mark_collision(axes, trails[-1]))
+        handles.append(maps.mark_collision(axes, trails[-1], gone))
     if failed is not None and failed.any():
         handles.append(maps.failed_handle())
     maps.draw_wind(axes, wind)
@@ -131,7 +133,7 @@ def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = 3) -> Fig
         _draw_place(axes, last, f"{title}\n{_long_outcome(last)}", numbered=True)
         maps.draw_trails(axes, last.trail, last.headings, last.failed)
         if last.collision:
-            maps.mark_collision(axes, last.trail[-1])
+            maps.mark_collision(axes, last.trail[-1], last.gone)
     return figure
 
 

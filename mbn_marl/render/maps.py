@@ -176,8 +176,14 @@ def failed_handle() -> Line2D:
     return Line2D([], [], ms=7, mew=1.4, label="failed", **_CROSS)
 
 
-def mark_collision(axes: Axes, positions: NDArray[np.floating]) -> Line2D:
-    """Draw a square round the two robots that are closest; return its legend entry."""
+def mark_collision(
+    axes: Axes, positions: NDArray[np.floating], gone: NDArray[np.bool_] | None
+) -> Line2D:
+    """Draw a square round the two robots that are closest; return its legend entry.
+
+    ``positions`` are (n, 2), units. Robots that are ``gone``, (n,), do not count.
+    """
+    positions = positions if gone is None else positions[~gone]
     gaps = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     np.fill_diagonal(gaps, np.inf)
     first, second = np.unravel_index(int(gaps.argmin()), gaps.shape)

@@ -37,7 +37,6 @@ class Balancer(Vehicle):
 
     height: ClassVar[float] = WHEEL_RADIUS
     mass: ClassVar[float] = BODY_MASS + 2.0 * WHEEL_MASS
-    motors: ClassVar[int] = 2
     resting: ClassVar[tuple[float, ...]] = (0.0, 0.0)
     speed_limit: ClassVar[float | None] = SPEED_LIMIT
 

@@ -60,13 +60,17 @@ class Deployment:
 
     @property
     def separation(self) -> float | None:
-        """Return the smallest distance of two robots after any step, units; ``None`` for one."""
-        positions = self.episode.positions.astype(np.float64)
+        """Return the smallest distance of two robots after any step, units; ``None`` for one.
+
+        Robots that have vanished do not count.
+        """
+        gone, positions = self.episode.gone, self.episode.positions.astype(np.float64)
         if positions.shape[1] == 1:
             return None
         gaps = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
         robots = np.arange(positions.shape[1])
         gaps[:, robots, robots] = np.inf
+        gaps[gone[:, :, None] | gone[:, None]] = np.inf
         return float(gaps.min())
 
     @property

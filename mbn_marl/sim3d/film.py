@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from collections.abc import Sequence
 from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
@@ -53,8 +54,8 @@ class Film:
         problems = []
         if camera not in CAMERAS:
             problems.append(f"camera: {camera!r}; allowed: {', '.join(CAMERAS)}")
-        if not all(16 <= side <= most for side, most in zip(size, LARGEST_PICTURE, strict=True)):
-            problems.append(f"size: {size}; allowed: 16 to {LARGEST_PICTURE} pixels")
+        if not _can_be(size):
+            problems.append(f"size: {size}; allowed: two numbers, 16 to {LARGEST_PICTURE} pixels")
         if not 0.0 < speed < np.inf:
             problems.append(f"speed: {speed}; allowed: a finite number above 0")
         if problems:
@@ -119,6 +120,16 @@ class Film:
             self._renderer.close()
             self._renderer = None
             self._writer.close()
+
+
+def _can_be(size: object) -> bool:
+    """Return whether a picture can have this size."""
+    return (
+        isinstance(size, Sequence)
+        and len(size) == len(LARGEST_PICTURE)
+        and all(isinstance(side, int | np.integer) for side in size)
+        and all(16 <= side <= most for side, most in zip(size, LARGEST_PICTURE, strict=True))
+    )
 
 
 def load_mujoco() -> Any:

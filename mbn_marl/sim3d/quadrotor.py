@@ -48,12 +48,9 @@ class Quadrotor(Vehicle):
 
     height: ClassVar[float] = HEIGHT
     mass: ClassVar[float] = MASS
-    motors: ClassVar[int] = len(ROTORS)
     resting: ClassVar[tuple[float, ...]] = (HOVER,) * len(ROTORS)
 
-    def __init__(self, velocity_gain: float = VELOCITY_GAIN) -> None:
-        """Without a velocity gain it holds its height and drifts."""
-        self._velocity_gain = velocity_gain
+    def __init__(self) -> None:
         x, y, turn = np.array(ROTORS, float).T
         mixing = np.array([np.ones(len(ROTORS)), y * ARM, -x * ARM, turn * REACTION])
         self._unmix = np.linalg.inv(mixing)
@@ -100,7 +97,7 @@ class Quadrotor(Vehicle):
 
     def _acceleration(self, senses: Senses, commands: Array, parked: Flags) -> Array:
         """Return the acceleration (n, 3), m/s^2, that the velocity and the height ask for."""
-        level = self._velocity_gain * (commands - senses.velocities[:, :2])
+        level = VELOCITY_GAIN * (commands - senses.velocities[:, :2])
         size = np.linalg.norm(level, axis=1, keepdims=True)
         level *= STEEPEST / np.maximum(size, STEEPEST)
         climb = HEIGHT_GAIN * (HEIGHT - senses.positions[:, 2])

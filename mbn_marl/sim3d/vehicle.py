@@ -30,14 +30,12 @@ class Vehicle(ABC):
     Attributes:
         height: of its origin above the ground when it works, metres.
         mass: of all its parts, kg.
-        motors: how many it has.
-        resting: (motors,), the controls with which it stays at rest.
+        resting: of each motor, the controls with which it stays at rest.
         speed_limit: per axis, units/step; ``None`` for none but the MDP's.
     """
 
     height: ClassVar[float]
     mass: ClassVar[float]
-    motors: ClassVar[int]
     resting: ClassVar[tuple[float, ...]]
     speed_limit: ClassVar[float | None] = None
 

@@ -190,6 +190,14 @@ def test_bad_active_mask(active: Any, error: type[Exception], words: str) -> Non
     assert observable(engine) == before
 
 
+@pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
+def test_no_world_is_left_out_where_worlds_restart(autoreset: Any) -> None:
+    engine, active = make_engine(autoreset=autoreset), np.ones(W, np.bool_)
+    words = "active", autoreset, "allowed: None", "disabled"
+    zeros = np.zeros((W, N, 2))
+    check_refused(engine, lambda engine: engine.step(zeros, active), ActionError, *words)
+
+
 @pytest.mark.parametrize(
     ("mask", "words"),
     [
@@ -197,6 +205,7 @@ def test_bad_active_mask(active: Any, error: type[Exception], words: str) -> Non
         (np.ones((W, 1), np.bool_), ["(4, 1)", "(4,)"]),
         (np.ones(W, np.int32), ["int32", "bool"]),
         (True, ["()", "(4,)"]),
+        ([[True], [True, False]], ["allowed: (4,) of bool"]),
     ],
 )
 def test_bad_reset_mask(mask: Any, words: list[str]) -> None:
@@ -244,6 +253,14 @@ BAD_SETTINGS: dict[str, tuple[dict[str, Any], list[str]]] = {
     "no mass": ({"mass": 0.0}, ["mass", "0"]),
     "masses of others": ({"mass": (1.0, 2.0)}, ["mass", "2", "3"]),
     "no time": ({"tau": 0.0}, ["tau", "0"]),
+    "no time in float32": ({"tau": 1e-46}, ["tau", "0.000000000001"]),
+    "no limit in float32": ({"v_clip": 1e-46, "mass": 1e-46}, ["v_clip", "mass", "0.000000000001"]),
+    "no number in float32": ({"f_max": 1e39, "gust": 1e39}, ["f_max", "gust", "1000000000000"]),
+    "angle of no wind": ({"wind": (0.1, -1e39)}, ["wind.1", "-1000000000000"]),
+    "reward of no number": (
+        {"reward": {"name": "mine", "large": 1e39}},
+        ["reward.large", "1000000000000"],
+    ),
     "safety beyond the starts": ({"safety_distance": 500.0}, ["safety_distance", "500"]),
     "no worlds": ({"num_worlds": 0}, ["num_worlds", "0", "at least 1"]),
     "half a world": ({"num_worlds": 1.5}, ["num_worlds", "1.5"]),
@@ -330,7 +347,7 @@ def test_a_world_that_is_left_out_keeps_its_outcome() -> None:
     engine.step(still, np.array([False, True]))
     after = engine.snapshot(0)
     assert (before.success, before.collision) == (after.success, after.collision) == (True, False)
-    assert not before.judged(vanish=True).collision
+    assert not before.judged().collision
     near = Field(field.vertices, [(80, 80)], [(20, 20), (20, 40)])
     engine = BatchEngine(near, 2, autoreset=False, safety_distance=19.0)
     engine.reset()

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shapely import Point
 
 from mbn_marl import BatchEngine, Failures, Uniform
 from mbn_marl.engine.constants import constants_of
@@ -257,6 +258,29 @@ def test_teams_that_start_at_random_may_be_larger_than_the_starts() -> None:
         BatchEngine(field, 1, n_robots=room + 1, random_starts=True)
 
 
+def test_robots_that_find_no_place_start_apart_where_the_field_has_too_few_starts() -> None:
+    """A strip 0.2 wide along the diagonal: of 1000 points in its box, a fifth of one is inside."""
+    strip = Field([(0, 0), (0.2, 0), (1000, 999.8), (1000, 1000)], [(500, 499.9)], [(100, 99.9)])
+    how: dict[str, Any] = {
+        **{"n_robots": 5, "random_starts": True, "safety_distance": 0.5, "dtype": "float64"}
+    }
+    engine = BatchEngine(strip, 20, seed=2, autoreset=False, **how)
+    engine.reset()
+    starts = [engine.snapshot(world).positions for world in range(20)]
+    (positions,) = (at for at in starts[:1] if at[0].tolist() == [100.0, 99.9])
+    first, second = np.triu_indices(5, 1)
+    assert np.linalg.norm(positions[first] - positions[second], axis=1).min() >= 1.0
+    assert all(strip.polygon.covers(Point(place)) for place in positions)
+    engine.step(np.zeros((20, 5, 2)))
+    assert not engine.metrics()["collision"].any()
+    wide = load_field("field_03")
+    alone = Field(wide.vertices, wide.rois[:1], wide.starts[:1])
+    engine = BatchEngine(strip, 1, seed=2, **how)
+    engine.set_field(alone)
+    engine.reset()
+    assert engine.present.all()
+
+
 def test_an_absent_robot_leaves_nothing_in_the_revisit_memory() -> None:
     """Robot 0 comes back to its start, which nobody has stood on after a step."""
     sampler = FieldSampler(robots=(1, 3), rois=2, size=200, seed=2)
@@ -294,6 +318,31 @@ def test_a_field_that_a_samplers_world_was_given_is_read_as_it_was_given() -> No
     assert engine.field_of(1).name != "turned"
     with pytest.raises(MbnError, match="another sampler"):
         BatchEngine(FieldSampler(robots=3, rois=6, seed=2), 2).load_state(engine.save_state())
+
+
+@pytest.mark.parametrize("assigned", [{}, ASSIGNED])
+def test_a_state_is_loaded_whichever_engine_was_given_a_larger_field(assigned: Any) -> None:
+    sampler = FieldSampler(robots=3, rois=6, seed=1)
+    small, large = (BatchEngine(sampler, 2, seed=1, **assigned) for _ in range(2))
+    jagged = [(100 + 3 * k, 100 + 5 * (k % 2)) for k in range(100)]
+    field = Field(
+        [*jagged, (400, 400), (100, 400)], [(200, 300)], [(150, 200), (200, 200), (250, 200)]
+    )
+    for ours, theirs in ((small, large), (large, small)):
+        large.set_field(field)
+        ours.reset()
+        theirs.reset()
+        saved, before = ours.save_state(), theirs.save_state()
+        with pytest.raises(MbnError, match=r"now\.steps is"):
+            theirs.load_state({**saved, "now.steps": np.zeros(3, np.int32)})
+        for name, array in theirs.save_state().items():
+            np.testing.assert_array_equal(array, before[name], name)
+        theirs.load_state(saved)
+        for _ in range(20):
+            actions = ours.sample_actions()
+            np.testing.assert_array_equal(theirs.step(actions)[0], ours.step(actions)[0])
+        assert ours.field_of(0).edges.shape == theirs.field_of(0).edges.shape
+    assert len(small.field_of(0).edges) == 102
 
 
 def test_a_curriculum_may_use_all_robots_that_the_engine_has() -> None:

@@ -214,6 +214,9 @@ def test_bad_input_is_named() -> None:
         plan("field_03", velocities=[(1.0, 0.0)])
     with pytest.raises(ConfigError, match=r"velocities\[2\]: allowed: -5 to 5"):
         plan("field_03", velocities=[(0.0, 0.0), (0.0, 0.0), (0.0, np.nan)])
+    for velocities in ([(1.0, 0.0), (1.0,), (0.0, 0.0)], "fast", object()):
+        with pytest.raises(ConfigError, match=r"velocities: .*allowed: numbers \(3, 2\)"):
+            plan("field_03", velocities=velocities)
     for visited in ([6], [-1], range(6)):
         with pytest.raises(ConfigError, match="visited: allowed: some of 0 to 5, not all"):
             plan("field_03", visited=visited)

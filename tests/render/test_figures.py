@@ -74,10 +74,10 @@ def test_a_hole_looks_like_the_outside(outline: Any, hole: Any) -> None:
 
 
 def test_a_field_shows_its_rois_to_scale_and_its_starts() -> None:
-    figure = figures.field_figure(FIELD, roi_radius=12.5)
+    figure = figures.field_figure(FIELD)
     circles = [patch for patch in figure.axes[0].patches if hasattr(patch, "radius")]
     assert [circle.center for circle in circles] == ROIS
-    assert {circle.radius for circle in circles} == {12.5}
+    assert {circle.radius for circle in circles} == {10.0}
     starts = [lines_of(figure, style.robot_colour(index)) for index in (0, 1)]
     assert np.array_equal(starts, [[[STARTS[0]]], [[STARTS[1]]]])
     assert labels_of(figure) == ["ROI", "start of robot i"]
@@ -144,6 +144,16 @@ def test_a_collision_is_marked_between_the_closest_robots() -> None:
     squares = [line for line in figure.axes[0].lines if line.get_marker() == "s"]
     assert [line.get_xydata().tolist() for line in squares] == [[[284.0, 203.0]]]
     assert "collision" in labels_of(figure)
+
+
+def test_a_collision_is_not_one_of_a_robot_that_has_vanished() -> None:
+    trail = np.array([[[120.0, 200.0], [288.0, 206.0], [280.0, 200.0], [289.0, 206.0]]])
+    gone = np.array([False, False, False, True])
+    moment = snapshot(trail, failed=gone, gone=gone, collision=True)
+    drawn = figures.trajectory_figure(FIELD, trail, collision=True, gone=gone)
+    for figure in (drawn, figures.trajectory_panels({"one": moment})):
+        squares = [line for line in figure.axes[0].lines if line.get_marker() == "s"]
+        assert [line.get_xydata().tolist() for line in squares] == [[[284.0, 203.0]]]
 
 
 @pytest.mark.parametrize("wind", [(0.3, 0.0), (-0.1, 0.2), (0.0, -0.5)])

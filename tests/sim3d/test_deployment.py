@@ -185,8 +185,13 @@ def test_what_cannot_be_measured_is_an_error() -> None:
         world.measure([(1.0, 2.0)], [(0.0, 0.0)])
     with pytest.raises(ActionError, match="finite"):
         world.measure(np.full((2, 2), np.nan), np.zeros((2, 2)))
-    with pytest.raises(MbnError, match="one world"):
-        TrackedWorld(BatchEngine(SMALL, 2, autoreset=False))
+    with pytest.raises(ActionError, match=r"actions: .*allowed: \(2, 2\)"):
+        world.command([[1.0, 0.0], [1.0]])
+    for limit in (0.0, -1.0, np.nan):
+        with pytest.raises(ConfigError, match=f"speed_limit: {limit}; allowed: None, or above 0"):
+            TrackedWorld(engine, limit)
+    with pytest.raises(MbnError, match=r"2 problems(.|\n)*speed_limit(.|\n)*one world"):
+        TrackedWorld(BatchEngine(SMALL, 2, autoreset=False), 0.0)
 
 
 def test_a_scale_is_above_zero() -> None:
@@ -196,13 +201,23 @@ def test_a_scale_is_above_zero() -> None:
     assert Scale(0.2, 0.5).acceleration(tau=2.0) == 0.4
 
 
+def test_the_separation_is_that_of_robots_that_have_not_vanished() -> None:
+    """Robot 1 fails in the first step, 260 units away; robot 0 comes 0.5, then 1.5 units nearer."""
+    for kind, least in (("vanish", 260.0), ("brake", 258.5)):
+        failing = {"failures": {"at": {1: 1}, "kind": kind}, "max_steps": 2}
+        assert deploy(Push(1.0), SMALL, failing, PlaneSimulator()).separation == least
+
+
 class Push:
-    """Full force to the left, always."""
+    """Full force to the left, or to the right, always."""
 
     observes = "observations"
 
+    def __init__(self, force: float = -1.0) -> None:
+        self.force = force
+
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        return np.tile(np.float32((-1.0, 0.0)), (*seen.shape[:2], 1))
+        return np.tile(np.float32((self.force, 0.0)), (*seen.shape[:2], 1))
 
 
 def test_wall_hits_are_counted_where_they_cost_nothing() -> None:

@@ -21,15 +21,16 @@ from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from mbn_marl.sim3d import Deployment, PlaneSimulator, Scale, deploy
 from mbn_marl.sim3d.deployment import Policy
-from mbn_marl.sim3d.film import load_mujoco
+from mbn_marl.sim3d.film import Film, load_mujoco
 from mbn_marl.sim3d.vehicle import Vehicle
 from tests.support.missions import BEND, SMALL, Wander, drive, start
 
 if find_spec("mujoco") is None:
     pytest.skip("MuJoCo is not installed", allow_module_level=True)
 
+from mbn_marl.sim3d import quadrotor
 from mbn_marl.sim3d.mujoco_simulator import BROKEN, MujocoSimulator
-from mbn_marl.sim3d.quadrotor import Quadrotor, attitude_error, wanted_attitude
+from mbn_marl.sim3d.quadrotor import attitude_error, wanted_attitude
 from mbn_marl.sim3d.scene import SPRAYED_WEED
 
 # -- the quadrotor ---------------------------------------------------------------------------------
@@ -59,8 +60,11 @@ def test_a_velocity_settles_within_a_step() -> None:
 
 
 @pytest.mark.parametrize("scale", [Scale(), Scale(0.2, 0.5)])
-def test_wind_moves_a_free_body_as_it_moves_a_point_mass(scale: Scale) -> None:
-    simulator = MujocoSimulator(Quadrotor(velocity_gain=0.0), scale=scale)
+def test_wind_moves_a_free_body_as_it_moves_a_point_mass(
+    scale: Scale, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(quadrotor, "VELOCITY_GAIN", 0.0)  # it holds its height and drifts
+    simulator = MujocoSimulator(scale=scale)
     wind = 0.2 * np.array([math.cos(math.radians(30)), math.sin(math.radians(30))])
     start(simulator, wind=tuple(wind))
     simulator.step()
@@ -279,6 +283,12 @@ def can_draw() -> bool:
     except Exception:  # whatever the platform's OpenGL raises
         return False
     return True
+
+
+@pytest.mark.parametrize("size", [(960,), 960, (960, "tall"), (960.5, 720), (8, 720)])
+def test_a_size_that_no_film_has_is_refused(size: Any) -> None:
+    with pytest.raises(ConfigError, match=r"size: .*allowed: two numbers, 16 to \(1920, 1080\)"):
+        Film("film.mp4", size=size)
 
 
 needs_opengl = pytest.mark.skipif(

@@ -31,6 +31,7 @@ def snapshot(trail: Any = ((120.0, 200.0),), **changes: Any) -> Snapshot:
         "velocities": np.zeros_like(path[-1]),
         "headings": np.full(path.shape[1], np.nan),
         "failed": np.zeros(path.shape[1], bool),
+        "gone": np.zeros(path.shape[1], bool),
         "visited": np.zeros(2, bool),
         "trail": path,
         "step": len(path) - 1,

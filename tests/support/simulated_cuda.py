@@ -228,7 +228,7 @@ def test_worlds_that_have_ended_wait_for_their_reset() -> None:
 
 
 def test_a_fault_rests_its_world_and_is_raised_at_the_next_reset() -> None:
-    _, gpu = pair(**SETTINGS)
+    _, gpu = pair(autoreset="disabled", **SETTINGS)
     with pytest.raises(StepError, match="world 0 was never reset"):
         gpu.step(torch.zeros(WORLDS, 3, 2))
         gpu.reset()
@@ -289,7 +289,9 @@ def test_saved_worlds_go_on_alike() -> None:
     saved = gpu.save_state()
     _, other = pair(**SETTINGS)
     other.reset(99)
+    other.step(torch.full((WORLDS, 3, 2), torch.nan))  # of worlds that are replaced
     other.load_state(saved)
+    other.snapshot()
     for _ in range(30):
         actions = gpu.sample_actions()
         assert (other.sample_actions() == actions).all()

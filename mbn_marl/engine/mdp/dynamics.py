@@ -136,7 +136,7 @@ def face(to, lo, hi):
 
 
 @compiled
-def drive(p, g, now, actions, i, w, limits, cos, sin):
+def drive(p, now, actions, i, w, limits, cos, sin):
     """``s' = clip(s + u / M + wind . e, -v_clip, v_clip)`` with the force along e = (cos, sin)."""
     drawn = now.drawn
     q, (mass, f_max, v_clip) = numbers_of(p, drawn, w), limits_in(limits, drawn, i, w)
@@ -173,7 +173,7 @@ def move_unicycle(p, g, now, to, actions, i, lo, hi):
     face(to, lo, hi)
     for w in range(lo, hi):
         k = w - lo
-        to.vx[k] = drive(p, g, now, actions, i, w, limits, to.cos[k], to.sin[k])
+        to.vx[k] = drive(p, now, actions, i, w, limits, to.cos[k], to.sin[k])
     go_ahead(p, now, to, i, lo, hi)
 
 
@@ -186,7 +186,7 @@ def move_bicycle(p, g, now, to, actions, i, lo, hi):
         to.sin[w - lo] = tangent(steering)
     for w in range(lo, hi):
         k, q = w - lo, numbers_of(p, drawn, w)
-        speed = drive(p, g, now, actions, i, w, limits, now.cos[i, w], now.sin[i, w])
+        speed = drive(p, now, actions, i, w, limits, now.cos[i, w], now.sin[i, w])
         turn = speed / q.wheelbase * to.sin[k] * q.tau
         to.heading[k] = turned(now.heading[i, w], turn, p.pi)
         to.vx[k] = speed
