@@ -1,4 +1,4 @@
-"""What is read of an engine by name."""
+"""Readings of an engine, by name."""
 
 from __future__ import annotations
 
