@@ -16,7 +16,7 @@ MAX_ROBOTS = 64
 MAX_ROIS = 24
 """More ROIs than this would make the visit code inexact in float32."""
 LEAST, MOST = 1e-12, 1e12
-"""The range of numbers above 0: in float32 their squares and quotients are finite and above 0."""
+"""The range of what must be above 0: in float32 squares and quotients are finite, above 0 too."""
 
 RobotIndex = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
 StepNumber = Annotated[int, Field(ge=1, le=1_000_000)]

@@ -110,7 +110,7 @@ def find_trainings(
     Raises:
         RunError: a path holds no run, a run cannot be read, or two are of one cell and seed.
     """
-    paths = list(dict.fromkeys(path.resolve() for path in paths))
+    paths = list({path.resolve(): path for path in paths}.values())
     reports = [path for path in paths if (path / RUNS_FILE).is_file()]
     found = [run for path in reports for run in _of_report(path)]
     folders = [path for path in paths if path not in reports]

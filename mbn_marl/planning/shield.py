@@ -81,16 +81,20 @@ class Cautious:
         """
         top, config = self.problem.drives[i].top, self.problem.config
         force, wind = self.problem.forces[i], self.problem.wind
-        onward = velocity > 0.0
-        slower = np.where(onward, force - wind, force + wind)  # by as much in each step
-        drift = wind - np.clip(wind, -force, force)
-        steps = FORESEEN if drift.any() else steps_to_rest(velocity, slower, config.max_steps)
-        changes = np.tile(np.where(onward, -slower, slower), (steps, 1))
-        speeds = np.cumsum(np.vstack([velocity, changes]), axis=0)[1:]
-        speeds = np.where(onward, np.maximum(speeds, 0.0), np.minimum(speeds, 0.0))
-        speeds = np.clip(speeds + drift * np.cumsum(speeds == 0.0, axis=0), -top, top)
-        path: Floats = np.cumsum(np.vstack([position, speeds * config.tau]), axis=0)[1:]
-        return path
+        place, speed = position.tolist(), velocity.tolist()
+        limits = list(zip((wind - force).tolist(), (wind + force).tolist(), strict=True))
+        slower = force - np.abs(wind)  # by as much at least in each step
+        pushed = (slower < 0.0).any()
+        path = []
+        for _ in range(FORESEEN if pushed else steps_to_rest(velocity, slower, config.max_steps)):
+            for axis, (least, most) in enumerate(limits):
+                change = min(max(-speed[axis], least), most)
+                speed[axis] = min(max(speed[axis] + change, -top), top)
+                place[axis] += speed[axis] * config.tau
+            path.append(tuple(place))
+            if not (pushed or any(speed)):
+                break
+        return np.array(path)
 
     def _choose(
         self,

@@ -97,6 +97,10 @@ def test_braking_paths_by_hand() -> None:
     expected = [[200.2, 200.0], [200.6, 200.0], [201.2, 200.0]]
     np.testing.assert_allclose(path[:3], expected, rtol=0.0, atol=1e-12)
     assert len(path) == 60
+    # Against it at -0.5: at most 1.2 a step stop the robot, then it drifts.
+    path = blown._coast(0, np.array([200.0, 200.0]), np.array([-0.5, 0.0]))
+    expected = [[200.0, 200.0], [200.2, 200.0], [200.6, 200.0]]
+    np.testing.assert_allclose(path[:3], expected, rtol=0.0, atol=1e-12)
 
 
 def test_nothing_is_foreseen_after_the_end_of_the_episode() -> None:
