@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
+import sys
+import time
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
@@ -12,15 +15,18 @@ from typing import Any
 import numba
 import numpy as np
 from numba.core import event
+from numba.core.compiler import Compiler, CompilerBase
 from numba.core.registry import CPUDispatcher
 from numba.core.targetconfig import ConfigStack
-
-from mbn_marl.compiled.part import AssembledCompiler, PartCompiler
 
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Compiled code runs without the GIL, divides as NumPy does, and is not for C to call."""
 
-ANNOUNCEMENT = "mbn_marl: compiling the engine for this configuration, once per machine"
+ANNOUNCEMENT = "mbn_marl: compiling %s for these settings, once per machine: 5 to 30 seconds of CPU"
+PLAIN = "MBN_PLAIN_JIT"
+"""The environment variable that turns the compiler of ``part`` off, if it is set."""
+PROVEN = ("0.61.", "0.68.")
+"""Versions of Numba that all tests have passed with; others are tried first."""
 SOURCES_OF = ("config.py", "compiled", "engine", "field")
 """The files, and the folders, that compiled functions and the numbers in them come from."""
 
@@ -39,19 +45,42 @@ SOURCES = digest_of_sources(Path(__file__).parents[1])
 
 
 class _Announcer(event.Listener):
-    """Warns, once in a process, when a function of ours is not in the cache: that takes a while."""
+    """Warns, once in a process, that functions of ours are compiled; a terminal sees progress."""
 
-    said = False
+    def __init__(self) -> None:
+        self.functions, self.depth = 0, 0
+        self.outermost, self.began = "", 0.0
 
     def on_start(self, event: Any) -> None:
         """Hear that Numba begins to compile a function."""
-        module = event.data["dispatcher"].py_func.__module__ or ""  # code of ``exec`` has none
-        if not self.said and module.startswith("mbn_marl."):
-            self.said = True
-            logging.getLogger("mbn_marl").warning(ANNOUNCEMENT)
+        if not self._is_ours(event):
+            return
+        name = event.data["dispatcher"].py_func.__name__
+        if self.functions == 0:
+            logging.getLogger("mbn_marl").warning(ANNOUNCEMENT, name)
+        if self.depth == 0:
+            self.outermost, self.began = name, time.perf_counter()
+        self.functions += 1
+        self.depth += 1
+        self._show(f"{self.outermost}: {self.functions} functions, {self._seconds():.0f} s")
 
     def on_end(self, event: Any) -> None:
         """Hear that it has ended."""
+        if self._is_ours(event):
+            self.depth -= 1
+            if self.depth == 0:
+                self._show("")
+
+    def _is_ours(self, event: Any) -> bool:
+        module = event.data["dispatcher"].py_func.__module__ or ""  # code of ``exec`` has none
+        return bool(module.startswith("mbn_marl."))
+
+    def _seconds(self) -> float:
+        return time.perf_counter() - self.began
+
+    def _show(self, progress: str) -> None:
+        if sys.stderr.isatty():
+            print(f"\r{progress:40}\r", end="", file=sys.stderr, flush=True)
 
 
 event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
@@ -92,18 +121,44 @@ class Rule(CPUDispatcher):
         return _cached(self.py_func, _nrt=self.returns_views)
 
 
-def compiled(function: Callable[..., Any], compiler: type[PartCompiler] = PartCompiler) -> Any:
+def compiler_of_rules() -> type[CompilerBase]:
+    """The compiler of ``part``, or Numba's where that does not work: slower, with the same bits."""
+    if PLAIN in os.environ:
+        return Compiler
+    try:
+        from mbn_marl.compiled.part import PartCompiler
+
+        if not numba.__version__.startswith(PROVEN):
+            _prove(PartCompiler)
+    except Exception as error:  # whatever has moved in Numba
+        warning = "Numba %s: %s; rules are compiled by its usual compiler, which takes longer"
+        logging.getLogger("mbn_marl").warning(warning, numba.__version__, repr(error))
+        return Compiler
+    return PartCompiler
+
+
+def _prove(compiler: type[CompilerBase]) -> None:
+    """Compile a rule, and what calls it; raise if that does not work."""
+    rule = _rule(lambda pair, k: pair[0][k] + pair[1], compiler)
+    result = numba.njit(lambda pair: rule(pair, 1))((np.arange(3.0), 2.0))
+    if result != 3.0:
+        raise ArithmeticError(f"1.0 + 2.0 is {result}")
+
+
+def compiled(function: Callable[..., Any]) -> Any:
     """Compile a rule or a pass, to become part of what calls it.
 
     It neither makes arrays nor counts references to those it is given, which takes time.
     """
+    return _rule(function, COMPILER)
+
+
+def _rule(function: Callable[..., Any], compiler: type[CompilerBase]) -> Rule:
     inlined = {"nopython": True, "forceinline": True, "no_cpython_wrapper": True, "_nrt": False}
     return Rule(function, targetoptions={**COMMON, **inlined}, pipeline_class=compiler)
 
 
-def assembled(function: Callable[..., Any]) -> Any:
-    """Compile a rule that mostly calls others: it is optimised only as part of what calls it."""
-    return compiled(function, AssembledCompiler)
+COMPILER = compiler_of_rules()
 
 
 def returning_views(function: Callable[..., Any]) -> Any:
@@ -122,7 +177,7 @@ def generated(name: str, source: str, as_rule: Callable[..., Any] = compiled, **
 
 def entry_point(function: Callable[..., Any]) -> Any:
     """Compile what Python calls."""
-    return _cached(function)
+    return _cached(function, _nrt=False)
 
 
 def entry_point_of_one_file(function: Callable[..., Any]) -> Any:
@@ -157,7 +212,7 @@ def _cached(function: Callable[..., Any], **options: Any) -> Any:
     options = {**COMMON, **options}
     try:
         dispatcher = numba.njit(cache=True, **options)(function)
-        dispatcher._cache._cache_file._source_stamp = SOURCES
+        dispatcher._cache._cache_file._source_stamp = SOURCES, COMPILER.__name__
     except RuntimeError:  # no folder for the cache
         dispatcher = numba.njit(**options)(function)
     return dispatcher

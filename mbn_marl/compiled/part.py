@@ -5,15 +5,31 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import Any
 
-from numba.core import ir
+from numba.core import ir, types
 from numba.core.analysis import compute_cfg_from_blocks, compute_use_defs, must_use_alloca
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
-from numba.core.compiler_machinery import register_pass
+from numba.core.compiler import CompilerBase
+from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
 from numba.core.datamodel.packer import ArgPacker
+from numba.core.ir_utils import build_definitions, get_definition, guard
 from numba.core.lowering import Lower
 from numba.core.registry import cpu_target
-from numba.core.typed_passes import BaseNativeLowering, NativeLowering
+from numba.core.typed_passes import (
+    BaseNativeLowering,
+    IRLegalization,
+    NoPythonBackend,
+    NopythonTypeInference,
+    PreLowerStripPhis,
+)
+from numba.core.untyped_passes import (
+    DeadBranchPrune,
+    FixupArgs,
+    GenericRewrites,
+    IRProcessing,
+    ReconstructSSA,
+    RewriteSemanticConstants,
+    TranslateByteCode,
+)
 
 
 class Whole(tuple[Any, ...]):
@@ -82,6 +98,37 @@ class _PartLowering(Lower):
         } - must_use_alloca(blocks)  # type: ignore[no-untyped-call]
 
 
+@register_pass(mutates_CFG=False, analysis_only=False)  # type: ignore[no-untyped-call]
+class _Settle(FunctionPass):
+    """Writes settled constants into the code: fields of a named tuple whose types are literals.
+
+    Numba then leaves out the branches that they exclude.
+    """
+
+    _name = "settle"
+
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+
+    def run_pass(self, state: Any) -> bool:
+        """Replace ``argument.field`` wherever the field's type tells its value."""
+        code = state.func_ir
+        for block in code.blocks.values():
+            for assignment in block.find_insts(ir.Assign):
+                read = assignment.value
+                if not (isinstance(read, ir.Expr) and read.op == "getattr"):
+                    continue
+                source: Any = guard(get_definition, code, read.value)  # type: ignore[no-untyped-call]
+                kind = state.args[source.index] if isinstance(source, ir.Arg) else None
+                if isinstance(kind, types.NamedTuple) and read.attr in kind.fields:
+                    field = kind.types[kind.fields.index(read.attr)]
+                    if isinstance(field, types.Literal):
+                        value: Any = field.literal_value
+                        assignment.value = ir.Const(value, read.loc)  # type: ignore[no-untyped-call]
+        code._definitions = build_definitions(code.blocks)  # type: ignore[no-untyped-call]
+        return True
+
+
 @register_pass(mutates_CFG=True, analysis_only=False)  # type: ignore[no-untyped-call]
 class _LowerPart(BaseNativeLowering):
     """Takes the place of ``NativeLowering`` for a rule."""
@@ -102,7 +149,7 @@ class _NoEnvironment:
 
 
 class _Part(JITCodeLibrary):
-    """Optimised code that others link; none of it becomes machine code by itself."""
+    """Code that others link and optimise; none of it becomes machine code by itself."""
 
     codegen = _NoEnvironment()
 
@@ -110,36 +157,34 @@ class _Part(JITCodeLibrary):
         """There is no such function in memory, which Numba writes as 0."""
         return 0
 
+    def _optimize_final_module(self) -> None:
+        pass
+
     def _finalize_final_module(self) -> None:
         self._finalized = True
 
 
-class _Assembled(_Part):
-    """A part that is optimised only where it is linked."""
+PASSES = (
+    *(TranslateByteCode, FixupArgs, IRProcessing),
+    *(_Settle, RewriteSemanticConstants, DeadBranchPrune, GenericRewrites, ReconstructSSA),
+    *(NopythonTypeInference, PreLowerStripPhis),
+    *(IRLegalization, _LowerPart, NoPythonBackend),
+)
+"""Numba's passes, without those for closures, contexts, exceptions, loops over tuples and array
+expressions, which rules do not have."""
 
-    def _optimize_final_module(self) -> None:
-        pass
 
-
-class PartCompiler(Compiler):
+class PartCompiler(CompilerBase):
     """Compiles a rule into a part."""
 
-    library: type[_Part] = _Part
-
     def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
-        part = self.library(target.codegen(), "part")
+        part = _Part(target.codegen(), "part")  # type: ignore[no-untyped-call]
         super().__init__(typing, target, part, *rest)  # type: ignore[no-untyped-call]
 
     def define_pipelines(self) -> list[Any]:
-        """Return the usual passes, but for the one that writes the code."""
-        (passes,) = super().define_pipelines()  # type: ignore[no-untyped-call]
-        place = [kind for kind, _ in passes.passes].index(NativeLowering)
-        passes.passes[place] = (_LowerPart, "lower a part")
+        """Return the passes."""
+        passes: Any = PassManager("part")  # type: ignore[no-untyped-call]
+        for one in PASSES:
+            passes.add_pass(one)
         passes.finalize()
         return [passes]
-
-
-class AssembledCompiler(PartCompiler):
-    """Compiles a rule made of others, which need not be optimised twice."""
-
-    library = _Assembled

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.compiled.jit import generated
 from mbn_marl.config import Failures, NavigationConfig, RewardProfile
 from mbn_marl.engine.mdp.disturbances import gust_factors
 from mbn_marl.engine.mdp.dynamics import count_headings
@@ -90,7 +89,7 @@ def make_record(
     first_world: int = 0,
     teams_vary: bool = False,
 ) -> NDArray[Any]:
-    """The constants as one structured array, (1,), that kernels take as a single argument.
+    """The constants as one structured array, (1,), laid out as Numba lays out ``Constants``.
 
     Those that are a setting have its name.
     """
@@ -152,7 +151,7 @@ def make_record(
 
 
 def constants_of(record: NDArray[Any]) -> Constants:
-    """``unpack`` on the host: NumPy's reals and Python's integers."""
+    """The record (1,) as :class:`Constants`: NumPy's reals and Python's integers."""
     values = zip(KINDS.values(), record[0], strict=True)
     make: dict[Any, Any] = {float: lambda real: real, int: int, Weights: lambda row: Weights(*row)}
     return Constants(*(make[kind](value) for kind, value in values))
@@ -164,18 +163,3 @@ def _reciprocal(span: float, real: np.dtype[Any]) -> Any:
     while real.type(span) * value > 1:
         value = np.nextafter(value, real.type(0))
     return value
-
-
-def _source_of(name: str, kind: Any) -> str:
-    """How ``unpack`` reads the constant ``name`` from the record r."""
-    weights = ", ".join(f"r.{name}.{weight}" for weight in WEIGHTS)
-    return f"Weights({weights})" if kind is Weights else f"r.{name}"
-
-
-READS = ", ".join(_source_of(name, kind) for name, kind in KINDS.items())
-UNPACK = f"def unpack(record):\n    r = record[0]\n    return Constants({READS})\n"
-unpack = generated("unpack", UNPACK, Constants=Constants, Weights=Weights)
-"""The record (1,) as :class:`Constants`.
-
-Scalars that live in registers cannot alias the arrays that a pass writes, so they leave its loop.
-"""

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbn_marl.compiled.jit import address_of
 from mbn_marl.engine import kernels
 from mbn_marl.engine.backend import Backend, BackendSpec
 from mbn_marl.engine.state import Array, Episode
+from mbn_marl.engine.step import make_scratch
 from mbn_marl.engine.store import Store
 from mbn_marl.engine.threads import WorldThreads
 from mbn_marl.errors import ActionError
@@ -34,7 +36,7 @@ class CpuBackend(Backend):
 
     def reset(self, mask: Any) -> None:
         """Begin a new episode in the masked worlds, or in all."""
-        kernels.reset_worlds(self.store, self._checked_mask("mask", mask))
+        kernels.reset_worlds(self.store, *self._asked(self._checked_mask("mask", mask)))
         self.recount()
 
     def step(self, actions: Any, active: Any) -> None:
@@ -44,11 +46,18 @@ class CpuBackend(Backend):
         if self._count_waiting or active is not None:
             parked = self._checked_parked(active)
             kept = [array[..., parked] for array in self.now], self.memory.plan[parked]
+        if not self.store.resets and self.spec.autoreset != "disabled":
+            asked = self._asked(self._everyone)
+            self.store.reset_by(address_of(kernels.reset_worlds, self.store, *asked))
         ended = self.threads.step(self.store, forces)
         if self.spec.autoreset == "disabled":
             self._count_waiting = ended
         if parked is not None:
             self._restore(parked, *kept)
+
+    def _asked(self, mask: NDArray[np.bool_]) -> tuple[Any, ...]:
+        """The arguments of ``reset_worlds`` for what a caller asks."""
+        return mask, np.uint64(0), np.uint64(mask.size), True
 
     def _checked_parked(self, active: Any) -> NDArray[np.intp]:
         """The ended worlds that this step leaves out, or an error naming the first offender."""
@@ -127,6 +136,8 @@ class CpuBackend(Backend):
 
     def store_with(self, robots: Array) -> Store:
         """The arrays as the kernels take them, with these numbers of the robots, (3, n)."""
-        geometry = self.geometry._replace(robots=robots)
-        worlds = self.memory, self.now, self.final, self.output
-        return Store(self.spec.constants, geometry, *worlds)
+        spec, geometry = self.spec, self.geometry._replace(robots=robots)
+        sizes = spec.num_worlds, robots.shape[1], spec.obs_size, self._real
+        scratch = [make_scratch(*sizes) for _ in self.threads.cuts[1:]]
+        parts = geometry, self.memory, self.now, self.final, self.output
+        return Store(spec.constants, parts, scratch)

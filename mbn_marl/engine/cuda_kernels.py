@@ -31,7 +31,6 @@ from mbn_marl.engine.reset import (
     ENDED,
     MOTION,
     RESTARTS,
-    begin_world,
     clear_output,
     copy_episode,
     copy_motion,
@@ -189,7 +188,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
         outcomes = cuda.local.array(1, np.int32)
         rewards = cuda.local.array((1, n), real)
         reals = cuda.local.array((10, 1), real)
-        flags = cuda.local.array((4, 1), np.bool_)
+        flags = cuda.local.array((5, 1), np.bool_)
         seen = cuda.local.array(1, np.int32)
         keys = cuda.local.array((2, n, 1), np.uint64)
         end = w + ONE
@@ -197,7 +196,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
         f = column(g, w)
         own = geometry_of(g, f, f + ONE)
         memory = memory_of(mem, w, end, x.view(bits), y.view(bits))
-        given = output_of(out, w, end, rewards, reals[9], flags[2], flags[3], events, outcomes)
+        given = output_of(out, w, end, rewards, reals[9], flags[3], flags[4], events, outcomes)
         to = scratch_of(reals, seen, flags, keys, mine)
         if is_world:
             copy_motion(now, w, one, ZERO, n, 0)
@@ -241,7 +240,9 @@ def make_reset(obs_size: int) -> Callable[..., None]:
         is_world = w < now.steps.shape[0]
         tile = cuda.shared.array((obs_size, columns), np.float32)
         if is_world and call.active[w]:
-            begin_world(p, g, mem, now, out, w)
+            reset_world(p, g, mem, now, w)
+            mem.pending[w] = False
+            clear_output(p, out, w)
         write_observations(p, g, mem, now, w, is_world, tile, out.observations)
 
     return reset

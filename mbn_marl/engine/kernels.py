@@ -5,19 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from mbn_marl.compiled.jit import assembled, compiled, entry_point, parallel_entry_point
+from mbn_marl.compiled.jit import compiled, entry_point, parallel_entry_point
 from mbn_marl.compiled.rng import FOR_ACTIONS, stream_key, uniform, world_number
 from mbn_marl.compiled.scalars import count_bits, is_set
-from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.intrinsics import call_step
 from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
 from mbn_marl.engine.mdp.failures import has_failed
 from mbn_marl.engine.mdp.observations import observe, put_state
 from mbn_marl.engine.mdp.visits import visit_code
-from mbn_marl.engine.reset import begin_world, clear_output
-from mbn_marl.engine.step import SAME_STEP, sizes_of
-from mbn_marl.engine.store import parts_of
+from mbn_marl.engine.reset import clear_output, reset_world
+from mbn_marl.engine.step import SAME_STEP
+from mbn_marl.engine.store import parts_of, with_scratch
 
 FIRST, NEXT = np.uint64(0), np.uint64(1)
 
@@ -46,33 +45,36 @@ def step_ranges(address, store, actions, cuts):
     """
     ended = 0
     for k in prange(cuts.size - 1):
-        ended += call_step(address, store, actions, cuts[k], cuts[k + 1])
+        ended += call_step(address, with_scratch(store, k), actions, cuts[k], cuts[k + 1])
     return ended
 
 
-@assembled
-def reset_masked(store, tile, mask):
-    """See :func:`reset_worlds`; ``tile`` is (observation size, 1)."""
-    constants, g, mem, now, _, out = parts_of(store)
-    p = unpack(constants)
-    for w in range(FIRST, np.uint64(mask.size)):
-        if mask[w]:
-            begin_world(p, g, mem, now, out, w)
-            observe(p, g, mem, now, w, w + NEXT, tile, out.observations)
+@compiled
+def reset_masked(store, mask, lo, hi, asked):
+    """See :func:`reset_worlds`."""
+    p, g, mem, now, _, out, to = parts_of(store)
+    for w in range(lo, hi):
+        if mask[w - lo]:
+            reset_world(p, g, mem, now, w)
+            if asked:
+                mem.pending[w] = False
+                clear_output(p, out, w)
+            observe(p, g, mem, now, w, w + NEXT, to.tile, out.observations)
 
 
 @entry_point
-def reset_worlds(store, mask):
-    """Begin a new episode in the masked worlds."""
-    _, entries = sizes_of(store)
-    reset_masked(store, np.empty((entries, 1), np.float32), mask)
+def reset_worlds(store, mask, lo, hi, asked):
+    """Begin a new episode in the worlds from ``lo`` to ``hi - 1`` that ``mask`` marks.
+
+    Unless this was ``asked`` for, the outputs of the last step stay.
+    """
+    reset_masked(store, mask, lo, hi, asked)
 
 
-@assembled
-def rest_masked(store, tile, mask):
+@compiled
+def rest_masked(store, mask):
     """See :func:`rest_worlds`."""
-    constants, g, mem, now, _, out = parts_of(store)
-    p = unpack(constants)
+    p, g, mem, now, _, out, to = parts_of(store)
     for w in range(FIRST, np.uint64(mask.size)):
         if mask[w]:
             mem.pending[w] = True
@@ -81,14 +83,13 @@ def rest_masked(store, tile, mask):
                 mem.trail[w, last, 0] = now.x[i, w]
                 mem.trail[w, last, 1] = now.y[i, w]
             clear_output(p, out, w)
-            observe(p, g, mem, now, w, w + NEXT, tile, out.observations)
+            observe(p, g, mem, now, w, w + NEXT, to.tile, out.observations)
 
 
 @entry_point
 def rest_worlds(store, mask):
     """Make the outputs of the masked worlds those of a step in which nothing happened."""
-    _, entries = sizes_of(store)
-    rest_masked(store, np.empty((entries, 1), np.float32), mask)
+    rest_masked(store, mask)
 
 
 @compiled
@@ -118,21 +119,32 @@ def is_final(p, out, w):
     return (out.terminated[w] | out.truncated[w]) & (p.autoreset == SAME_STEP)
 
 
+@compiled
+def put_all_infos(store, rows):
+    """See :func:`write_infos`."""
+    p, _, _, now, final, out, _ = parts_of(store)
+    for w in range(FIRST, np.uint64(rows.shape[0])):
+        episode = final if is_final(p, out, w) else now
+        put_infos(p, episode, out, w, rows)
+
+
 @entry_point
 def write_infos(store, rows):
     """Fill ``rows`` (W, n, columns) as of the last step, before any automatic reset."""
-    p = unpack(store.constants)
-    for w in range(FIRST, np.uint64(rows.shape[0])):
-        episode = store.final if is_final(p, store.output, w) else store.now
-        put_infos(p, episode, store.output, w, rows)
+    put_all_infos(store, rows)
+
+
+@compiled
+def put_all_states(store, final, rows):
+    """See :func:`write_states`."""
+    _, _, _, now, ended, _, _ = parts_of(store)
+    put_state(ended if final else now, FIRST, np.uint64(rows.shape[0]), rows.T)
 
 
 @entry_point
-def write_states(store, final, states):
+def write_states(store, final, rows):
     """Write the paper's vector of every world, (W, size)."""
-    episode = store.final if final else store.now
-    hi = np.uint64(states.shape[0])
-    put_state(episode, FIRST, hi, states.T)
+    put_all_states(store, final, rows)
 
 
 @compiled
@@ -145,9 +157,15 @@ def draw_world(p, mem, w, actions):
         actions[w, k // axes, k % axes] = two * uniform(key, k) - one
 
 
+@compiled
+def draw_worlds(store, actions):
+    """See :func:`draw_actions`."""
+    p, _, mem, _, _, _, _ = parts_of(store)
+    for w in range(actions.shape[0]):
+        draw_world(p, mem, w, actions)
+
+
 @entry_point
 def draw_actions(store, actions):
     """Fill ``actions`` (W, n, 2) with the next draw of each world's stream of actions."""
-    p = unpack(store.constants)
-    for w in range(actions.shape[0]):
-        draw_world(p, store.memory, w, actions)
+    draw_worlds(store, actions)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mbn_marl.compiled.jit import assembled, compiled, generated
+from mbn_marl.compiled.jit import compiled, generated
 from mbn_marl.compiled.rng import (
     FOR_FIELDS,
     FOR_STARTS,
@@ -110,7 +110,7 @@ def draw_field(p, g, sampler, plan, episode, w):
         g.kept[f] = False
 
 
-@assembled
+@compiled
 def reset_world(p, g, mem, now, w):
     """Begin the next episode of world w: robots at rest at the starts, nothing visited."""
     f = column(g, w)
@@ -161,11 +161,3 @@ def clear_output(p, out, w):
     out.terminated[w] = False
     out.truncated[w] = False
     out.outcomes[w] = RESTED
-
-
-@assembled
-def begin_world(p, g, mem, now, out, w):
-    """Reset world w at the caller's request."""
-    mem.pending[w] = False
-    reset_world(p, g, mem, now, w)
-    clear_output(p, out, w)

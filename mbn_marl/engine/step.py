@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbn_marl.compiled.jit import assembled, compiled, entry_point
+from mbn_marl.compiled.jit import compiled, entry_point, returning_views
 from mbn_marl.compiled.scalars import clip, column, is_set, select
-from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.intrinsics import prefetch
 from mbn_marl.engine.mdp import revisits, rewards
 from mbn_marl.engine.mdp.collisions import too_close
@@ -25,10 +24,11 @@ from mbn_marl.engine.mdp.drawn import numbers_of
 from mbn_marl.engine.mdp.dynamics import keep_heading
 from mbn_marl.engine.mdp.failures import WORKS, is_absent, is_gone, move_or_fail
 from mbn_marl.engine.mdp.observations import observe
+from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED
 from mbn_marl.engine.mdp.termination import is_terminated, is_truncated
 from mbn_marl.engine.mdp.visits import all_visited, visit_code, within
-from mbn_marl.engine.reset import ENDED, RESTARTS, clear_output, copy_episode, reset_world
-from mbn_marl.engine.store import parts_of
+from mbn_marl.engine.reset import ENDED, RESTARTS, clear_output, copy_episode
+from mbn_marl.engine.store import call_reset, parts_of
 
 BLOCK = 256
 """Worlds per block."""
@@ -52,28 +52,29 @@ class Scratch(NamedTuple):
     share: Any  # real: a robot's reward
     seen: Any  # int32: see containment.cross_edge
     maybe: Any  # bool: the filter may know the position
+    restarts: Any  # bool
     collided: Any  # bool
     place: Any  # (n, block) uint64: the positions' words and bits in the filter
     mask: Any  # (n, block) uint64
     tile: Any  # (observation size, block) float32
 
 
-@entry_point
+@returning_views
 def scratch_of(reals, seen, flags, keys, tile):
     """The scratch in these arrays."""
     move, ahead = (reals[0], reals[1], reals[2], reals[3]), (reals[4], reals[5], reals[6])
-    sums, filters = (reals[7], reals[8]), (flags[0], flags[1], keys[0], keys[1])
+    sums, filters = (reals[7], reals[8]), (flags[0], flags[1], flags[2], keys[0], keys[1])
     return Scratch(*move, *ahead, *sums, seen, *filters, tile)
 
 
-@entry_point
-def make_scratch(size, n, entries, real):
-    """Scratch for a block of at most ``size`` worlds whose observations have ``entries``."""
+def make_scratch(worlds: int, n: int, entries: int, real: Any) -> Scratch:
+    """Scratch for blocks of at most ``worlds`` worlds, whose observations have ``entries``."""
+    size = min(worlds, BLOCK)
     reals = np.empty((9, size), real)
-    flags = np.empty((2, size), np.bool_)
+    flags = np.empty((3, size), np.bool_)
     keys = np.empty((2, n, size), np.uint64)
     tile = np.empty((entries, size), np.float32)
-    return scratch_of(reals, np.empty(size, np.int32), flags, keys, tile)
+    return Scratch._make([*reals, np.empty(size, np.int32), *flags, *keys, tile])
 
 
 @compiled
@@ -246,7 +247,7 @@ def check_termination(p, g, mem, now, out, to, lo, hi):
         out.terminated[w] = ended
         out.truncated[w] = is_truncated(now.steps[w], p.max_steps, ended)
         out.outcomes[w] = outcome
-    if p.rules == rewards.FORMAL:
+    if p.rules == FORMAL:
         for w in range(lo, hi):
             for i in range(now.x.shape[0]):
                 if (out.events[i, w] & rewards.WALL) != 0:
@@ -299,13 +300,15 @@ def close_step(p, mem, out, w):
     return 0
 
 
-@assembled
-def autoreset(p, g, mem, now, final, out, to, lo, hi):
+@compiled
+def autoreset(store, lo, hi):
     """Reset worlds whose episode has ended, if they restart; return how many have ended."""
-    ended = 0
+    p, _, mem, now, final, out, to = parts_of(store)
+    ended, some = 0, False
     pending, terminated, truncated = mem.pending, out.terminated, out.truncated
     seen, last_seen = out.observations, out.final_observations
     for w in range(lo, hi):
+        to.restarts[w - lo] = False
         if not (pending[w] | terminated[w] | truncated[w]):
             continue
         change = close_step(p, mem, out, w)
@@ -315,13 +318,14 @@ def autoreset(p, g, mem, now, final, out, to, lo, hi):
                 for entry in range(seen.shape[2]):  # a slice takes long to compile
                     last_seen[w, i, entry] = seen[w, i, entry]
             copy_episode(now, w, final, w, now.x.shape[0], p.headings)
-        if change & RESTARTS:
-            reset_world(p, g, mem, now, w)
-            observe(p, g, mem, now, w, w + ONE, to.tile, seen)
+        to.restarts[w - lo] = (change & RESTARTS) != 0
+        some |= to.restarts[w - lo]
+    if some:
+        call_reset(store, to.restarts, lo, hi)
     return ended
 
 
-@assembled
+@compiled
 def move_robots(p, g, mem, status, now, out, to, actions, lo, hi):
     """Steps 1 to 3 and 5: where every robot goes, what it visits; its memory is fetched ahead.
 
@@ -337,51 +341,42 @@ def move_robots(p, g, mem, status, now, out, to, actions, lo, hi):
             forgive_walls(status, now, out, i, lo, hi)
         keep_heading(g.kinds, now, to, i, lo, hi)
         mark_visits(p, g, status, now, out, i, lo, hi)
-    if p.rules == rewards.RELEASED:
+    if p.rules == RELEASED:
         record_positions(mem, status, now, lo, hi)
         for i in range(now.x.shape[0]):
             hash_positions(mem, status, now, out, to, i, lo, hi)
     pass_time(p, now.drawn, mem.key, now.gust, now.steps, lo, hi)
 
 
-@assembled
+@compiled
 def score_step(p, g, mem, status, now, out, to, lo, hi):
     """Steps 4 and 6 to 8: revisits, collisions, how the step ended, rewards."""
-    if p.rules == rewards.RELEASED:
+    if p.rules == RELEASED:
         for i in range(now.x.shape[0]):
             mark_revisits(mem, now, out, to, i, lo, hi)
     find_collisions(p, status, now, to, lo, hi)
     check_termination(p, g, mem, now, out, to, lo, hi)
     give_rewards(p, status, now, out, to, lo, hi)
-    if p.rules == rewards.RELEASED:
+    if p.rules == RELEASED:
         grow_filter(mem, now, lo, hi)
 
 
-@assembled
-def step_blocks(store, to, actions, lo, hi):
-    """Step worlds ``lo`` to ``hi - 1``, as many at a time as ``to`` has; return how many ended."""
-    constants, g, mem, now, final, out = parts_of(store)
-    p, block, ended = unpack(constants), np.uint64(to.own.size), 0
+@compiled
+def step_blocks(store, actions, lo, hi):
+    """Step worlds ``lo`` to ``hi - 1``, a block at a time; return how many ended."""
+    p, g, mem, now, _, out, to = parts_of(store)
+    block, ended = np.uint64(BLOCK), 0
     while lo < hi:
         end = min(lo + block, hi)
         move_robots(p, g, mem, now.status, now, out, to, actions, lo, end)
         observe(p, g, mem, now, lo, end, to.tile, out.observations)
         score_step(p, g, mem, now.status, now, out, to, lo, end)
-        ended += autoreset(p, g, mem, now, final, out, to, lo, end)
+        ended += autoreset(store, lo, end)
         lo = end
     return ended
-
-
-@compiled
-def sizes_of(store):
-    """Return the number of robots and the size of an observation."""
-    _, _, _, now, _, out = parts_of(store)
-    return now.x.shape[0], out.observations.shape[2]
 
 
 @entry_point
 def step_worlds(store, actions, lo, hi):
     """Step worlds ``lo`` to ``hi - 1`` with ``actions`` (W, n, 2); return how many ended."""
-    robots, entries = sizes_of(store)
-    to = make_scratch(min(hi - lo, np.uint64(BLOCK)), robots, entries, actions.dtype)
-    return step_blocks(store, to, actions, lo, hi)
+    return step_blocks(store, actions, lo, hi)

@@ -13,11 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.compiled.jit import assembled, entry_point
+from mbn_marl.compiled.jit import compiled, entry_point
 from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.engine import step
 from mbn_marl.engine.batch import BatchEngine
-from mbn_marl.engine.constants import unpack
 from mbn_marl.engine.cpu import CpuBackend
 from mbn_marl.engine.mdp.disturbances import arrived_actions
 from mbn_marl.engine.mdp.drawn import limits_in
@@ -133,11 +132,11 @@ class TrackedWorld:
         self._backend.recount()
 
 
-@assembled
-def put_velocities(store, to, actions, velocities, allowed):
+@compiled
+def put_velocities(store, actions, velocities, allowed):
     """See :func:`choose_velocities`."""
-    constants, g, mem, now, _, _ = parts_of(store)
-    p, keys, drawn = unpack(constants), mem.key, now.drawn
+    p, g, mem, now, _, _, to = parts_of(store)
+    keys, drawn = mem.key, now.drawn
     taken = arrived_actions(p, drawn, keys, now.queue, mem.acted, now.steps, actions, LO, HI)
     for i in range(now.x.shape[0]):
         move_or_fail(p, g, mem, now.status, now, to, taken, i, LO, HI)
@@ -152,15 +151,14 @@ def put_velocities(store, to, actions, velocities, allowed):
 @entry_point
 def choose_velocities(store, actions, velocities, allowed):
     """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
-    to = step.make_scratch(HI, actions.shape[1], 1, actions.dtype)
-    put_velocities(store, to, actions, velocities, allowed)
+    put_velocities(store, actions, velocities, allowed)
 
 
-@assembled
-def put_positions(store, to, positions, velocities, allowed):
+@compiled
+def put_positions(store, positions, velocities, allowed):
     """See :func:`take_positions`."""
-    constants, g, mem, now, final, out = parts_of(store)
-    p, n = unpack(constants), now.x.shape[0]
+    p, g, mem, now, _, out, to = parts_of(store)
+    n = now.x.shape[0]
     for i in range(n):
         to.x[0], to.y[0] = positions[0, i, 0], positions[0, i, 1]
         _, _, v_clip = limits_in(limits_of(g, i), now.drawn, i, LO)
@@ -181,12 +179,10 @@ def put_positions(store, to, positions, velocities, allowed):
     step.pass_time(p, now.drawn, mem.key, now.gust, now.steps, LO, HI)
     observe(p, g, mem, now, LO, HI, to.tile, out.observations)
     step.score_step(p, g, mem, now.status, now, out, to, LO, HI)
-    return step.autoreset(p, g, mem, now, final, out, to, LO, HI)
+    return step.autoreset(store, LO, HI)
 
 
 @entry_point
 def take_positions(store, positions, velocities, allowed):
     """Steps 3 to 8 for robots that came to ``positions`` with ``velocities``, (1, n, 2)."""
-    robots, entries = step.sizes_of(store)
-    to = step.make_scratch(HI, robots, entries, positions.dtype)
-    return put_positions(store, to, positions, velocities, allowed)
+    return put_positions(store, positions, velocities, allowed)

@@ -376,9 +376,12 @@ def assign(p, g, plan, status, ep, lo, hi):
                 measure_all(g, plan, ep, w)
             else:
                 # The cheaper one is made again, if it was the first: none is stored.
-                cost = assign_all(g, plan, status, ep, SUM, w)
-                if assign_all(g, plan, status, ep, SPREAD, w) >= cost - CLOSE:
-                    assign_all(g, plan, status, ep, SUM, w)
+                first = plan[w, 0] * 0
+                for weight in (SUM, SPREAD, SUM):  # one call: all that it calls is part of it
+                    cost = assign_all(g, plan, status, ep, weight, w)
+                    if (weight == SPREAD) & (cost < first - CLOSE):
+                        break
+                    first = cost
 
 
 @compiled

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbn_marl.compiled.jit import assembled, compiled
+from mbn_marl.compiled.jit import compiled
 from mbn_marl.compiled.scalars import FIRST, clip, column
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.intrinsics import SIDE, transpose
@@ -237,13 +237,14 @@ def hide_roi(p, g, ep, lo, hi, i, j, tile, k, end, flag):
 @compiled
 def put_relative(p, g, seen, status, ep, lo, hi, i, tile):
     """The entries of ``relative`` and ``local`` for robot i; how many there are."""
-    flag, n = 1 if p.observation == LOCAL else 0, ep.x.shape[0]
+    local, n = p.observation == LOCAL, ep.x.shape[0]
+    flag = 1 if local else 0
     k = body = put_own(p, ep, lo, hi, i, tile)
     k += put_flag(status, lo, hi, i, tile, k)
     for j in range(n):
         if j != i:
             put_other(p, ep, lo, hi, i, j, tile, k + flag)
-            if flag:
+            if local:
                 hide_other(p, ep, lo, hi, i, j, tile, k + 1, k + 1 + body, True)
             drop(seen, j, lo, hi, tile, k, k + flag + body)
             first, k = k, k + flag + body
@@ -251,7 +252,7 @@ def put_relative(p, g, seen, status, ep, lo, hi, i, tile):
             k += put_flag(status, lo, hi, j, tile, k)
     for j in range(g.roi_bits.shape[0]):
         put_roi(p, g, ep, lo, hi, i, j, tile, k + flag)
-        if flag:
+        if local:
             hide_roi(p, g, ep, lo, hi, i, j, tile, k + 1, k + 3, True)
         drop(seen, n + j, lo, hi, tile, k, k + flag + 2)
         k += flag + 3
@@ -345,7 +346,7 @@ def turn_over(tile, lo, hi, i, rows):
         w += np.uint64(1)
 
 
-@assembled
+@compiled
 def observe(p, g, mem, ep, lo, hi, tile, rows):
     """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size).
 
