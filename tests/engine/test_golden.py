@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from mbn_marl import BatchEngine, Field
 from mbn_marl.field import catalogue_names, load_field
 from tests.golden import FIELDS, Episode, load_episodes
+from tests.support.configurations import PRECISIONS
 from tests.support.forms import CentralizedForm, Form, ParallelForm, TeamSharingForm
 
 WORLDS = 131  # no multiple of any vector width, or of the number of episodes
@@ -99,7 +100,7 @@ FORMS = {
 }
 
 
-@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dtype", PRECISIONS)
 @pytest.mark.parametrize("form", FORMS)
 def test_golden_episodes(form: str, dtype: str) -> None:
     close = {"rtol": ROUNDING[dtype] if form == "parallel" else 0.0, "atol": 0.0}

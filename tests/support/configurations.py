@@ -24,8 +24,8 @@ from mbn_marl import Failures, Uniform
 from mbn_marl.field import FieldSampler
 from mbn_marl.field.layout import FAMILIES
 
-FLOAT64: dict[str, Any] = {"dtype": "float64"}
-"""The default configuration in the other precision."""
+PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
+"""Those of the default configuration, for tests of both."""
 NOUGHT = Uniform(0.0, 0.0)
 """A disturbance that is compiled and changes nothing, not even by rounding."""
 UNTOUCHED: dict[str, Any] = {
