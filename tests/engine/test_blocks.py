@@ -112,5 +112,5 @@ def test_ranges_of_threads_cover_every_world_once(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(threading, "address_of", lambda *_: 0)
     for worlds, threads in ((1, 1), (5, 2), (7, 7), (3, 5), (600, 2)):
         seen = np.zeros(worlds, int)
-        assert WorldThreads(worlds, threads).step(seen, seen) == worlds  # type: ignore[arg-type]
+        assert WorldThreads(worlds, threads).step(seen, seen) == worlds
         assert (seen == 1).all()

@@ -146,7 +146,7 @@ def test_equals_the_cpu_on_a_gpu_also_as_a_graph(dtype: Any) -> None:
     settings: dict[str, Any] = {"random_starts": True, "max_steps": 90, "dtype": dtype, "seed": 2}
     cpu = BatchEngine("field_03", 1000, **settings)
     gpu = BatchEngine("field_03", 1000, device="cuda", **settings)
-    assert (gpu.reset().cpu().numpy() == cpu.reset()).all()  # type: ignore[attr-defined]
+    assert (gpu.reset().cpu().numpy() == cpu.reset()).all()
     graph, actions = None, None
     for t in range(400):
         if t == 200:
@@ -160,7 +160,7 @@ def test_equals_the_cpu_on_a_gpu_also_as_a_graph(dtype: Any) -> None:
         else:
             graph.replay()
         drawn = cpu.sample_actions()
-        assert (actions.cpu().numpy() == drawn).all()  # type: ignore[union-attr]
+        assert (actions.cpu().numpy() == drawn).all()
         for expected, tensor in zip(cpu.step(drawn), results, strict=True):
-            np.testing.assert_array_equal(tensor.cpu().numpy(), expected)  # type: ignore[attr-defined]
-    np.testing.assert_array_equal(gpu.state().cpu().numpy(), cpu.state())  # type: ignore[attr-defined]
+            np.testing.assert_array_equal(tensor.cpu().numpy(), expected)
+    np.testing.assert_array_equal(gpu.state().cpu().numpy(), cpu.state())

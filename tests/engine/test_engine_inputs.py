@@ -240,7 +240,7 @@ def test_bad_fields() -> None:
         ([], ConfigError, "field"),
     ):
         with pytest.raises(error, match=place):
-            BatchEngine(given)  # type: ignore[arg-type]
+            BatchEngine(given)
 
 
 @pytest.mark.parametrize(("robots", "limit"), [(1, 256), (2, 256), (2, 64), (3, 250)])

@@ -73,7 +73,7 @@ def in_batches(dtype: str) -> Iterator[tuple[Episode, Played]]:
     for _, rows in groupby(sorted(load_episodes(), key=team_and_wind), team_and_wind):
         group = list(rows)
         fields, settings = [golden_field(one.field) for one in group], settings_of(group[0])
-        engine = BatchEngine(fields, WORLDS, dtype=dtype, threads=2, **settings)  # type: ignore[arg-type]
+        engine = BatchEngine(fields, WORLDS, dtype=dtype, threads=2, **settings)
         engine.reset()
         states, results = [engine.state().copy()], []
         for t in range(max(len(one.actions) for one in group)):

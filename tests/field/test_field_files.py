@@ -91,9 +91,9 @@ class TestSamplers:
     def test_what_is_neither_is_refused_as_a_field_is(self) -> None:
         for source in ("x" * 300, None, b"field_03"):
             with pytest.raises(FieldError) as caught:
-                load_fields(source)  # type: ignore[arg-type]
+                load_fields(source)
             with pytest.raises(FieldError) as expected:
-                load_field(source)  # type: ignore[arg-type]
+                load_field(source)
             assert str(caught.value) == str(expected.value)
 
     def test_wrong_arguments_are_named_together(self, tmp_path: Path) -> None:

@@ -277,7 +277,7 @@ class TestSampler:
             FieldSampler(
                 ("convex", "round"),
                 robots=(1, 65),
-                rois="six",  # type: ignore[arg-type]
+                rois="six",
                 size=(50, 200),
                 arena=(0, 100),
                 weights=(1, -1),

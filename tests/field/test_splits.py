@@ -99,7 +99,7 @@ def test_a_file_that_is_not_valid_says_why(tmp_path: Path) -> None:
 def test_what_there_is_not_is_an_error(tmp_path: Path) -> None:
     for split, tier in (("tset", "convex"), (["test"], 1)):
         with pytest.raises(FieldError, match=r"split: (.|\n)*tier: "):
-            load_split(split, tier)  # type: ignore[arg-type]
+            load_split(split, tier)
     with pytest.raises(FieldError):
         load_split("test", "1-convex", tmp_path)
     write_split(tmp_path, "1-convex", version=2)
