@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from mbn_marl.errors import FieldError
 from mbn_marl.field import Field, load_field
 from tests.golden import FIELDS
+from tests.support.field_cases import write
 
 TAGGED = """\
 grid_size: 50
@@ -48,12 +49,6 @@ SETS = """\
 """
 
 
-def write(folder: Path, text: str, name: str = "set1.yaml") -> Path:
-    path = folder / name
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 def problems_of(path: Path | str) -> list[str]:
     with pytest.raises(FieldError) as caught:
         load_field(path)
@@ -61,7 +56,7 @@ def problems_of(path: Path | str) -> list[str]:
 
 
 def test_a_set_is_read_in_arena_units(tmp_path: Path) -> None:
-    field = load_field(write(tmp_path, TAGGED))
+    field = load_field(write(tmp_path, TAGGED, "set1.yaml"))
     assert field == Field(
         vertices=[(45, 20), (300, 20), (300, 402.5)],
         rois=[(280, 200), (200, 100)],
