@@ -15,22 +15,25 @@ from mbn_marl import BatchEngine
 from mbn_marl.engine import kernels, step
 from mbn_marl.engine import threads as threading
 from mbn_marl.engine.threads import WorldThreads
+from tests.support.configurations import EVERYTHING, STORM
 
+pytestmark = pytest.mark.slow
 WORLDS, STEPS = 600, 120
 STEP_WORLDS = step.step_worlds
 CASES: dict[str, dict[str, Any]] = {
     "released": {"field": "field_01"},
-    "formal": {"field": "field_07", "reward": "formal", "max_steps": 40},
+    "formal": {"field": "field_07", "reward": "formal"},
     "several fields": {"field": ["field_03", "field_05", "field_10"], "autoreset": "next_step"},
     "lidar": {"field": ["field_06", "field_09"], "observation": "lidar"},
-    "mixed": {"field": "field_04", "dynamics": ("bicycle", "point_mass", "unicycle")},
+    "mixed": {"field": "field_04", **EVERYTHING, "gust": 0.05},
+    "storm": {"field": "field_04", **STORM},
     "float64": {"field": "field_01", "dtype": "float64", "reward_sharing": "team"},
 }
 LIVELY = {"max_steps": 50, "safety_distance": 20.0, "random_starts": True, "wind": (0.05, 40.0)}
 
 
 def make_engine(case: str, threads: int = 1) -> BatchEngine:
-    return BatchEngine(num_worlds=WORLDS, seed=3, threads=threads, **(LIVELY | CASES[case]))
+    return BatchEngine(num_worlds=WORLDS, seed=3, threads=threads, **(CASES[case] | LIVELY))
 
 
 def in_ranges_of(size: int) -> Callable[..., int]:
@@ -65,26 +68,23 @@ def trajectory(engine: BatchEngine) -> list[bytes]:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_any_block_up_to_the_usual(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_and_threads_change_nothing(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = trajectory(make_engine(case))
     for size in (1, 7, 64, step.BLOCK - 1):
         monkeypatch.setattr(step, "step_worlds", in_ranges_of(size))
         assert trajectory(make_engine(case)) == expected, size
+    monkeypatch.undo()
+    for _ in range(3):
+        assert trajectory(make_engine(case, threads=2)) == expected
 
 
+@pytest.mark.all
 @pytest.mark.parametrize("size", [110, 2 * step.BLOCK - 5])
 def test_other_blocks(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     assert size < WORLDS and WORLDS % size != 0
     expected = trajectory(make_engine("released"))
     monkeypatch.setattr(step, "step_worlds", with_block(size))
     assert trajectory(make_engine("released")) == expected
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_two_threads_at_the_same_time(case: str) -> None:
-    expected = trajectory(make_engine(case, threads=1))
-    for _ in range(3):
-        assert trajectory(make_engine(case, threads=2)) == expected
 
 
 def test_threads_take_actions_that_cannot_be_written() -> None:
@@ -99,21 +99,18 @@ def test_threads_take_actions_that_cannot_be_written() -> None:
             np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize(("worlds", "threads"), [(1, 1), (5, 2), (7, 7), (3, 5), (600, 2)])
-def test_ranges_of_threads_cover_every_world_once(
-    worlds: int, threads: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen = np.zeros(worlds, int)
-
-    def mark(store: Any, actions: Any, lo: np.uint64, hi: np.uint64) -> int:
+def test_ranges_of_threads_cover_every_world_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    def mark(seen: Any, actions: Any, lo: np.uint64, hi: np.uint64) -> int:
         seen[int(lo) : int(hi)] += 1
         return int(hi - lo)
 
-    def mark_ranges(address: int, store: Any, actions: Any, cuts: Any) -> int:
-        return sum(mark(store, actions, lo, hi) for lo, hi in pairwise(cuts))
+    def mark_ranges(address: int, seen: Any, actions: Any, cuts: Any) -> int:
+        return sum(mark(seen, actions, lo, hi) for lo, hi in pairwise(cuts))
 
     monkeypatch.setattr(step, "step_worlds", mark)
     monkeypatch.setattr(kernels, "step_ranges", mark_ranges)
     monkeypatch.setattr(threading, "address_of", lambda *_: 0)
-    assert WorldThreads(worlds, threads).step(None, seen) == worlds  # type: ignore[arg-type]
-    assert (seen == 1).all()
+    for worlds, threads in ((1, 1), (5, 2), (7, 7), (3, 5), (600, 2)):
+        seen = np.zeros(worlds, int)
+        assert WorldThreads(worlds, threads).step(seen, seen) == worlds
+        assert (seen == 1).all()

@@ -29,10 +29,12 @@ from mbn_marl.field.layout import FAMILIES
 
 torch = pytest.importorskip("torch")
 ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.slow
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")
 MOST_LOCAL_BYTES = 128
 
 
+@pytest.mark.all
 @pytest.mark.parametrize(
     "part", ["features", "random_fields", "not features and not random_fields"]
 )
@@ -49,18 +51,12 @@ def test_in_the_simulator(part: str) -> None:
     assert run.returncode == 0, run.stdout + run.stderr
 
 
-def test_an_unknown_device_lists_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match="device: 'tpu'; allowed: 'cpu', 'cuda'"):
-        BatchEngine("field_01", 2, device="tpu")  # type: ignore[arg-type]
-
-
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_cuda_that_is_not_to_be_had_is_one_error_that_says_what_is_missing() -> None:
+def test_cuda_that_is_missing_is_one_error() -> None:
     with pytest.raises(ConfigError) as caught:
         BatchEngine("field_01", 2, device="cuda")
-    assert len(caught.value.problems) == 1
-    for part in ("NVIDIA GPU", "numba-cuda", "pip install 'mbn_marl[cuda]'", "torch finds no GPU"):
-        assert part in str(caught.value)
+    (problem,) = caught.value.problems
+    assert problem.startswith("device: ")
 
 
 def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
@@ -101,6 +97,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     return made
 
 
+@pytest.mark.all
 @pytest.mark.parametrize(
     "settings",
     [
@@ -149,7 +146,7 @@ def test_equals_the_cpu_on_a_gpu_also_as_a_graph(dtype: Any) -> None:
     settings: dict[str, Any] = {"random_starts": True, "max_steps": 90, "dtype": dtype, "seed": 2}
     cpu = BatchEngine("field_03", 1000, **settings)
     gpu = BatchEngine("field_03", 1000, device="cuda", **settings)
-    assert (gpu.reset().cpu().numpy() == cpu.reset()).all()  # type: ignore[attr-defined]
+    assert (gpu.reset().cpu().numpy() == cpu.reset()).all()
     graph, actions = None, None
     for t in range(400):
         if t == 200:
@@ -163,7 +160,7 @@ def test_equals_the_cpu_on_a_gpu_also_as_a_graph(dtype: Any) -> None:
         else:
             graph.replay()
         drawn = cpu.sample_actions()
-        assert (actions.cpu().numpy() == drawn).all()  # type: ignore[union-attr]
+        assert (actions.cpu().numpy() == drawn).all()
         for expected, tensor in zip(cpu.step(drawn), results, strict=True):
-            np.testing.assert_array_equal(tensor.cpu().numpy(), expected)  # type: ignore[attr-defined]
-    np.testing.assert_array_equal(gpu.state().cpu().numpy(), cpu.state())  # type: ignore[attr-defined]
+            np.testing.assert_array_equal(tensor.cpu().numpy(), expected)
+    np.testing.assert_array_equal(gpu.state().cpu().numpy(), cpu.state())

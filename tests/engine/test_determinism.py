@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, Failures, Uniform, centralized_env, parallel_env
 from mbn_marl.errors import ConfigError, MbnError, StepError
+from tests.support.configurations import EVERYTHING, STORM
 
-STEPS = 2000
+pytestmark = pytest.mark.slow
+STEPS = 1000
 SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 90, "wind": (0.05, 40.0)}
 N = 3
 DISTURBED: dict[str, Any] = {
+    **EVERYTHING,
     **{"gust": 0.1, "action_noise": 0.2, "action_loss": 0.3, "action_delay": 2},
     **{"position_noise": Uniform(0.5, 1.0), "velocity_noise": 0.1, "dropout": 0.2},
     **{"dynamics": "mixed", "mass": Uniform(0.8, 1.5), "tau": Uniform(0.8, 1.2)},
@@ -30,71 +33,53 @@ DISTURBED: dict[str, Any] = {
 """Every random number of the engine, for robots of every kind."""
 
 
-class ParallelRunner:
-    """Steps a ``parallel_env``; every result as bytes."""
+def as_bytes(value: Any) -> bytes:
+    """Every number in nested results, bit for bit."""
+    if isinstance(value, dict):
+        value = tuple(value.values())
+    if isinstance(value, tuple | list):
+        return b"".join(map(as_bytes, value))
+    return np.asarray(value).tobytes()
 
-    def __init__(self, dtype: str) -> None:
-        self.env = parallel_env("field_03", dtype=dtype, **SETTINGS)
+
+class Runner:
+    """Steps an environment or five worlds, which restart; every result as bytes."""
+
+    def __init__(self, make: Callable[..., Any], dtype: str = "float32") -> None:
+        worlds = (5,) if make is BatchEngine else ()
+        self.env = make("field_03", *worlds, dtype=dtype, **SETTINGS)
         self.resets = 0
 
     def reset(self, seed: int | None = None) -> bytes:
         self.resets += 1
-        observations, infos = self.env.reset(seed=seed)
-        return self._bytes(observations, infos)
+        return as_bytes(self.env.reset(seed=seed)) + self._state()
 
     def step(self, actions: NDArray[np.float32]) -> bytes:
-        agents = self.env.agents
-        result = self._bytes(*self.env.step(dict(zip(agents, actions, strict=True))))
-        return result if self.env.agents else result + self.reset()
+        if isinstance(self.env, BatchEngine):
+            results = self.env.step(self.env.sample_actions() + actions)
+            self.resets += int(np.count_nonzero(results[2] | results[3]))
+            return as_bytes((*results, self.env.metrics())) + self._state()
+        named = dict(zip(self.env.agents, actions, strict=True)) if self._is_parallel() else actions
+        results = self.env.step(named)
+        told = as_bytes(results) + self._state()
+        over = not self.env.agents if self._is_parallel() else results[2] or results[3]
+        return told + self.reset() if over else told
 
-    def _bytes(self, observations: dict[str, NDArray[np.float32]], *others: Any) -> bytes:
-        seen = b"".join(observation.tobytes() for observation in observations.values())
-        return seen + self.env.state().tobytes() + repr(others).encode()
+    def _is_parallel(self) -> bool:
+        return hasattr(self.env, "agents")
 
-
-class CentralizedRunner:
-    """Steps a ``centralized_env``; every result as bytes."""
-
-    def __init__(self, dtype: str) -> None:
-        self.env = centralized_env("field_03", dtype=dtype, **SETTINGS)
-        self.resets = 0
-
-    def reset(self, seed: int | None = None) -> bytes:
-        self.resets += 1
-        state, info = self.env.reset(seed=seed)
-        return state.tobytes() + repr(info).encode()
-
-    def step(self, actions: NDArray[np.float32]) -> bytes:
-        state, *others = self.env.step(actions)
-        result = state.tobytes() + repr(others).encode()
-        return result + self.reset() if others[1] or others[2] else result
+    def _state(self) -> bytes:
+        return as_bytes(self.env.state()) if hasattr(self.env, "state") else b""
 
 
-class BatchRunner:
-    """Steps a ``BatchEngine`` of five worlds that restart by themselves; every result as bytes."""
-
-    def __init__(self, dtype: str) -> None:
-        self.engine = BatchEngine("field_03", 5, dtype=dtype, **SETTINGS)
-        self.resets = 0
-
-    def reset(self, seed: int | None = None) -> bytes:
-        return self.engine.reset(seed).tobytes() + self.engine.state().tobytes()
-
-    def step(self, actions: NDArray[np.float32]) -> bytes:
-        arrays = self.engine.step(self.engine.sample_actions() + actions)
-        self.resets += int(np.count_nonzero(arrays[2] | arrays[3]))
-        metrics = self.engine.metrics().values()
-        return b"".join(array.tobytes() for array in (*arrays, self.engine.state(), *metrics))
-
-
-RUNNERS = [ParallelRunner, CentralizedRunner, BatchRunner]
+MAKERS = [parallel_env, centralized_env, BatchEngine]
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-@pytest.mark.parametrize("make", RUNNERS)
-def test_interleaved_instances_agree_bitwise(make: Callable[[str], Any], dtype: str) -> None:
+@pytest.mark.parametrize("make", MAKERS)
+def test_interleaved_instances_agree_bitwise(make: Callable[..., Any], dtype: str) -> None:
     rng = np.random.default_rng(0)
-    first, second, stranger = make(dtype), make(dtype), make(dtype)
+    first, second, stranger = (Runner(make, dtype) for _ in range(3))
     stranger.reset(seed=8)
     second.reset(seed=5)  # a used instance is as good as a new one
     second.step(np.zeros((N, 2), np.float32))
@@ -107,18 +92,18 @@ def test_interleaved_instances_agree_bitwise(make: Callable[[str], Any], dtype: 
     assert first.resets >= STEPS // 90
 
 
-@pytest.mark.parametrize("make", RUNNERS)
-def test_seeds_and_episodes_differ(make: Callable[[str], Any]) -> None:
-    first, second = make("float32"), make("float32")
+@pytest.mark.parametrize("make", MAKERS)
+def test_seeds_and_episodes_differ(make: Callable[..., Any]) -> None:
+    first, second = Runner(make), Runner(make)
     episodes = {first.reset(seed=1), first.reset(), second.reset(seed=2), second.reset()}
     assert len(episodes) == 4
     assert first.reset(seed=2) in episodes
     assert first.reset() in episodes
 
 
-@pytest.mark.parametrize("make", RUNNERS)
-def test_a_copy_goes_on_as_the_original_would(make: Callable[[str], Any]) -> None:
-    original = make("float32")
+@pytest.mark.parametrize("make", MAKERS)
+def test_a_copy_goes_on_as_the_original_would(make: Callable[..., Any]) -> None:
+    original = Runner(make)
     original.reset(seed=3)
     rng = np.random.default_rng(1)
     actions = rng.uniform(-1.0, 1.0, (200, N, 2)).astype(np.float32)
@@ -173,9 +158,9 @@ def test_worlds_of_another_shape_are_refused() -> None:
     saved = BatchEngine("field_03", 4).save_state()
     other = BatchEngine("field_03", 5)
     before = other.save_state()
-    with pytest.raises(MbnError, match=r"worlds: now\.x is \(3, 4\) of float32; allowed: \(3, 5\)"):
+    with pytest.raises(MbnError, match=r"now\.x"):
         other.load_state(saved)
-    with pytest.raises(MbnError, match=r"missing or unknown: now\.x"):
+    with pytest.raises(MbnError, match=r"now\.x"):
         other.load_state({name: saved[name] for name in saved if name != "now.x"})
     after = other.save_state()
     assert all(np.array_equal(before[name], after[name]) for name in before)
@@ -195,12 +180,12 @@ def rollout(
     return rows
 
 
-@pytest.mark.parametrize("more", [{}, DISTURBED], ids=["calm", "disturbed"])
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_a_world_depends_neither_on_the_batch_nor_on_the_threads(
-    dtype: str, more: dict[str, Any]
-) -> None:
-    more = {"dtype": dtype, **more}
+@pytest.mark.parametrize(
+    "more",
+    [{}, {"dtype": "float64"}, DISTURBED, STORM],
+    ids=["float32", "float64", "disturbed", "storm"],
+)
+def test_a_world_depends_neither_on_the_batch_nor_on_the_threads(more: dict[str, Any]) -> None:
     expected = rollout(3, 1, 300, more, first=4)
     assert sum(int(flags.sum()) for flags in expected if flags.dtype == np.bool_) >= 6
     for num_worlds, threads in [(7, 4), (130, 1), (257, 3), (1100, None)]:
@@ -209,11 +194,9 @@ def test_a_world_depends_neither_on_the_batch_nor_on_the_threads(
             assert got.tobytes() == wanted.tobytes(), (num_worlds, threads, row)
 
 
-@pytest.mark.parametrize("num_worlds", [5, 700])
-def test_all_worlds_are_the_same_for_any_number_of_threads(num_worlds: int) -> None:
+def test_all_worlds_are_the_same_for_any_number_of_threads() -> None:
     engines = [
-        BatchEngine("field_03", num_worlds, seed=4, threads=threads, **SETTINGS)
-        for threads in (1, 2, 5)
+        BatchEngine("field_03", 700, seed=4, threads=threads, **SETTINGS) for threads in (1, 2, 5)
     ]
     first, *others = engines
     for engine in engines:
@@ -231,9 +214,9 @@ def test_an_episode_is_known_by_its_number() -> None:
     starts = [engine.reset(seed=9).copy(), engine.reset().copy(), engine.reset().copy()]
     assert engine.reset(seed=9, episode=2).tobytes() == starts[2].tobytes()
     assert engine.episode_numbers.tolist() == [2, 2, 2]
-    with pytest.raises(ConfigError, match=r"episode: 2 without a seed"):
+    with pytest.raises(ConfigError, match="episode"):
         engine.reset(episode=2)
-    with pytest.raises(ConfigError, match=r"episode: -1; allowed: an integer from 0"):
+    with pytest.raises(ConfigError, match="episode"):
         engine.reset(seed=1, episode=-1)
 
 

@@ -7,13 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, Failures, Field
+from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.field import FieldSampler, catalogue_names, load_field
+from tests.support.configurations import EVERYTHING, SIGHTS, STORM, entries
 from tests.support.tokens import Atlas, Plan
 from tests.support.worlds import ASSIGNED
 
+pytestmark = pytest.mark.slow
+FAILING: dict[str, Any] = {**EVERYTHING, **SIGHTS["entities"], "dynamics": "holonomic"}
 SQUARE = np.array([(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)])
 STILL = (0.0, 0.0)
 SHIFT = np.array((512.0, 256.0))
@@ -27,9 +30,15 @@ ABC = [(30.0, 50.0), (90.0, 50.0), (50.0, 95.0)]
 def engine_of(rois: Any, starts: Any, **settings: Any) -> BatchEngine:
     """Two worlds of a square of 100 units, after their reset."""
     field = Field(vertices=SQUARE, rois=rois, starts=starts)
-    engine = BatchEngine(field, 2, threads=1, **{"observation": "entities", **settings})
+    engine = BatchEngine(field, 2, threads=1, **{**ASSIGNED, **settings})
     engine.reset()
     return engine
+
+
+def table_of(engine: BatchEngine, **changes: Any) -> Any:
+    """Return the table of observations of an engine whose configuration was another."""
+    config = engine.config.model_copy(update=changes)
+    return observation_table(config, engine.n_robots, len(engine.field.rois), engine.field.arena)
 
 
 def after(engine: BatchEngine, *actions: Any) -> BatchEngine:
@@ -39,15 +48,10 @@ def after(engine: BatchEngine, *actions: Any) -> BatchEngine:
     return engine
 
 
-def entries(engine: BatchEngine, robot: int, world: int = 0) -> dict[str, float]:
-    """A robot's observation by name."""
-    row: NDArray[Any] = engine._backend.output.observations[world, robot]
-    assert ((row >= engine.observation_low) & (row <= engine.observation_high)).all()
-    return dict(zip((entry.name for entry in engine.observation_table), row.tolist(), strict=True))
-
-
 def test_at_rest_by_hand() -> None:
-    found = entries(engine_of([(26.0, 58.0)], [(20.0, 50.0), (50.0, 90.0)]), 0)
+    engine = engine_of([(26.0, 58.0)], [(20.0, 50.0), (50.0, 90.0)])
+    plain = {entry.name: entry for entry in table_of(engine, assignment=False)}
+    found = {name: value for name, value in entries(engine, 0).items() if name in plain}
     expected = {
         **{"own_vx": 0.0, "own_vy": 0.0},
         **{"ray_0": 0.8, "ray_1": 0.5 * ROOT, "ray_2": 0.5, "ray_3": 0.2 * ROOT},
@@ -89,7 +93,7 @@ def test_velocities_and_approach_by_hand() -> None:
 
 
 def test_what_is_visited_is_nought() -> None:
-    engine = engine_of([(20.0, 55.0), (90.0, 10.0)], TWO, **{**ASSIGNED, "one_hot": True})
+    engine = engine_of([(20.0, 55.0), (90.0, 10.0)], TWO, one_hot=True)
     before, found = entries(engine, 1), entries(after(engine, STILL), 1)
     assert before["roi_0_left"] == 1.0 and before["is_robot_1"] == found["is_robot_1"] == 1.0
     assert not any(value for name, value in found.items() if name.startswith("roi_0"))
@@ -102,50 +106,49 @@ def test_assignment_by_hand() -> None:
 
     If robot 1 goes to C and B, that is 60.6, and what going back costs, instead of 57.5.
     """
-    engine = engine_of(ABC, TWO, roi_radius=1.0, **ASSIGNED)
+    engine = engine_of(ABC, TWO, roi_radius=1.0)
     tours, orders = (57.5 / 157.5, 43.75 / 143.75), ((1.0, 0.0, 0.5), (0.0, 1.0, 0.0))
     for robot in (0, 1):
         found = entries(engine, robot)
         told = [found[name] for name in ("own_tour", "team_tour", "other_1_tour")]
         assert told == pytest.approx([tours[robot], tours[0], tours[1 - robot]])
         assert [found[f"roi_{j}_order"] for j in range(3)] == list(orders[robot])
-        plain = entries(engine_of(ABC, TWO, roi_radius=1.0), robot)
-        assert {name: found[name] for name in plain} == plain
         assert [found[f"roi_{j}_seen"] for j in range(3)] == [1.0] * 3
-        own = {"own_tour", "team_tour", "other_1_tour"}
-        own |= {f"roi_{j}_{name}" for name in ("order", "seen") for j in range(3)}
-        assert found.keys() - plain.keys() == own
+    plain = {entry.name for entry in table_of(engine, assignment=False)}
+    own = {"own_tour", "team_tour", "other_1_tour"}
+    own |= {f"roi_{j}_{name}" for name in ("order", "seen") for j in range(3)}
+    assert found.keys() - plain == own
 
 
 def test_turning_back_costs_as_much_as_sixteen_units() -> None:
     """At the first ROI, 10 units to the left; the second one is 50 units to its right."""
-    engine = engine_of([(40.0, 50.0), (90.0, 50.0)], [(50.0, 50.0)], roi_radius=1.0, **ASSIGNED)
+    engine = engine_of([(40.0, 50.0), (90.0, 50.0)], [(50.0, 50.0)], roi_radius=1.0)
     assert entries(engine, 0)["own_tour"] == pytest.approx((10 + 16 + 50) / (100 + 76))
 
 
-@pytest.mark.parametrize("name", catalogue_names())
-def test_on_the_catalogue_the_assignment_is_the_cheapest_of_all(name: str) -> None:
-    field = load_field(name)
-    n, m = len(field.starts), len(field.rois)
-    plan = Plan(Atlas(field.polygon, [*map(tuple, field.rois.tolist())]), n)
-    plan.update([*map(tuple, field.starts.tolist())], [True] * n, [*range(m)], [0j] * n)
-    orders = (
-        [list(order[a:b]) for a, b in pairwise((0, *cuts, m))]
-        for order in permutations(range(m))
-        for cuts in combinations_with_replacement(range(m + 1), n - 1)
-    )
-    engine = BatchEngine(field, 1, threads=1, **ASSIGNED)
-    engine.reset()
-    found = []
-    for robot in range(n):
-        turns = {j: entries(engine, robot)[f"roi_{j}_order"] for j in range(m)}
-        found.append(sorted(filter(turns.get, turns), key=lambda j: -turns[j]))
-    assert plan.cost(found) == pytest.approx(min(map(plan.cost, orders)), abs=1e-2)
+def test_on_the_catalogue_the_assignment_is_the_cheapest_of_all() -> None:
+    for name in catalogue_names():
+        field = load_field(name)
+        n, m = len(field.starts), len(field.rois)
+        plan = Plan(Atlas(field.polygon, [*map(tuple, field.rois.tolist())]), n)
+        plan.update([*map(tuple, field.starts.tolist())], [True] * n, [*range(m)], [0j] * n)
+        orders = (
+            [list(order[a:b]) for a, b in pairwise((0, *cuts, m))]
+            for order in permutations(range(m))
+            for cuts in combinations_with_replacement(range(m + 1), n - 1)
+        )
+        engine = BatchEngine(field, 1, threads=1, **ASSIGNED)
+        engine.reset()
+        found = []
+        for robot in range(n):
+            turns = {j: entries(engine, robot)[f"roi_{j}_order"] for j in range(m)}
+            found.append(sorted(filter(turns.get, turns), key=lambda j: -turns[j]))
+        assert plan.cost(found) == pytest.approx(min(map(plan.cost, orders)), abs=1e-2), name
 
 
 def test_robots_that_have_failed_are_assigned_nothing() -> None:
     """Robot 0 to A, 10, then C, 45 + 20 / 8, then B, 45 + 40 / 8, and partly back for that."""
-    settings = {"failures": Failures(at={1: 1}), "roi_radius": 1.0, **ASSIGNED}
+    settings = {**FAILING, "failures": Failures(at={1: 1}), "roi_radius": 1.0}
     engine = after(engine_of(ABC, TWO, **settings), STILL)
     found, other = entries(engine, 0), entries(engine, 1)
     assert [found[f"roi_{j}_order"] for j in range(3)] == [1.0, pytest.approx(1 / 3), 0.5]
@@ -208,7 +211,7 @@ def test_the_way_around_a_corner_by_hand() -> None:
     """The waypoint is 3 units off (60, 50), at (57.88, 47.88); failed robots see ways too."""
     rois, starts = [(30.0, 95.0), (90.0, 45.0)], [(90.0, 20.0), (10.0, 95.0)]
     field = Field(vertices=LETTER_L, rois=rois, starts=starts)
-    engine = BatchEngine(field, 2, threads=1, failures=Failures(at={0: 1}), **ASSIGNED)
+    engine = BatchEngine(field, 2, threads=1, **{**FAILING, "failures": Failures(at={0: 1})})
     tables = engine._backend.geometry
     assert all(table.flags.c_contiguous for table in tables)  # or all is compiled again
     engine.reset()
@@ -261,11 +264,10 @@ def test_where_the_field_lies_and_who_is_who_do_not_matter(seed: int) -> None:
         Field(**{name: value + SHIFT for name, value in values.items()}),
         Field(SQUARE, values["rois"][rois], values["starts"][robots]),
     ]
-    settings = {"dtype": "float64", "dynamics": "unicycle", "roi_radius": 12.0, **ASSIGNED}
-    failures = Failures(at={0: 5})
-    engine = BatchEngine(fields[:2], 2, threads=1, failures=failures, **settings)
-    failures = Failures(at={int(np.flatnonzero(robots == 0)[0]): 5})
-    other = BatchEngine(fields[2], 2, threads=1, failures=failures, **settings)
+    settings = {**FAILING, "roi_radius": 12.0}
+    failures = Failures(at={0: 5}), Failures(at={int(np.flatnonzero(robots == 0)[0]): 5})
+    engine = BatchEngine(fields[:2], 2, threads=1, **{**settings, "failures": failures[0]})
+    other = BatchEngine(fields[2], 2, threads=1, **{**settings, "failures": failures[1]})
     engine.reset(), other.reset()
     names = [entry.name for entry in engine.observation_table]
     for _ in range(12):
@@ -288,8 +290,9 @@ def test_where_the_field_lies_and_who_is_who_do_not_matter(seed: int) -> None:
 
 def test_room_for_more_robots_and_rois_changes_nothing() -> None:
     fields = [FieldSampler(("concave",)).field(world) for world in range(3)]
-    tight = BatchEngine(fields, 3, seed=2, **ASSIGNED)
-    wide = BatchEngine(FieldSampler(robots=(3, 7), rois=(6, 10), size=(200, 420)), 3, **ASSIGNED)
+    many = FieldSampler(robots=(3, 7), rois=(6, 10), size=(200, 420))
+    tight = BatchEngine(fields, 3, seed=2, **STORM)
+    wide, other = BatchEngine(many, 3, seed=2, **STORM), BatchEngine(many, 3, seed=5, **STORM)
     for world, field in enumerate(fields):
         wide.set_field(field, world)
     tight.reset(), wide.reset()
@@ -305,7 +308,6 @@ def test_room_for_more_robots_and_rois_changes_nothing() -> None:
             assert not any(found.values())
             hidden += sum(expected[f"roi_{j}_left"] > expected[f"roi_{j}_seen"] for j in range(6))
     assert hidden > 20
-    other = BatchEngine(FieldSampler(robots=(3, 7), rois=(6, 10), size=(200, 420)), 3, **ASSIGNED)
     other.load_state(wide.save_state())
     actions = wide.sample_actions()
     np.testing.assert_array_equal(other.step(actions)[0], wide.step(actions)[0])

@@ -17,6 +17,7 @@ from numba.core.registry import cpu_target
 import mbn_marl
 from mbn_marl.compiled.jit import SOURCES, compiled, digest_of_sources, returning_views
 
+pytestmark = pytest.mark.slow
 PROBE = """
 from mbn_marl.engine.mdp.dynamics import next_velocity
 
@@ -49,11 +50,11 @@ def test_cache_is_used_and_renewed(tmp_path: Path) -> None:
 
 def test_only_what_python_calls_becomes_machine_code() -> None:
     @compiled
-    def twice(x):  # type: ignore[no-untyped-def]
+    def twice(x):
         return 2 * x
 
     @numba.njit
-    def four_times(x):  # type: ignore[no-untyped-def]
+    def four_times(x):
         return twice(twice(x))
 
     assert four_times(3) == 12
@@ -71,7 +72,7 @@ class Pair(NamedTuple):
 
 
 def test_a_rule_takes_its_arguments_whole() -> None:
-    def worth(pair, weight):  # type: ignore[no-untyped-def]
+    def worth(pair, weight):
         left, best, where = pair.left, -1.0, -1
         twice = 2 * weight
         if left.size > 2:
@@ -100,19 +101,19 @@ def test_a_rule_takes_its_arguments_whole() -> None:
 
 def test_arrays_stay_among_rules_that_do_not_count_references() -> None:
     @returning_views
-    def turned(pair):  # type: ignore[no-untyped-def]
+    def turned(pair):
         return pair[1][1:], pair[0]
 
     @compiled
-    def total(pair):  # type: ignore[no-untyped-def]
+    def total(pair):
         return turned(pair)[0].sum()
 
     pair = (np.ones(3), np.ones(2))
     assert numba.njit(lambda pair: total(pair))(pair) == total(pair) == 1
     assert [len(part) for part in turned(pair)] == [1, 3]
-    with pytest.raises(TypeError, match="returns arrays; allowed: returning_views"):
+    with pytest.raises(TypeError, match="returning_views"):
         compiled(lambda pair: (pair[0], 2))(pair)
-    with pytest.raises(TypeError, match=r"turned returns .* entry point calls it: numbers"):
+    with pytest.raises(TypeError, match="turned"):
         numba.njit(lambda pair: turned(pair)[0][1])(pair)
     with pytest.raises(numba.core.errors.NumbaError, match="NRT"):
         compiled(lambda pair: pair[0].copy().sum())(pair)

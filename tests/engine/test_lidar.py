@@ -13,6 +13,7 @@ SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
 LETTER_L = [(0.0, 0.0), (100.0, 0.0), (100.0, 50.0), (60.0, 50.0), (60.0, 100.0), (0.0, 100.0)]
 ROOT = 2**0.5
+pytestmark = pytest.mark.slow
 PRECISIONS = pytest.mark.parametrize("dtype", ["float32", "float64"])
 
 
@@ -83,21 +84,16 @@ def test_whichever_way_round_the_rings_are_given(step: int) -> None:
 
 
 @PRECISIONS
-@pytest.mark.parametrize(
-    ("start", "free"),
-    [
+def test_on_a_wall_rays_are_how_far_one_can_go(dtype: Any) -> None:
+    for start, free in (
         ((100.0, 30.0), {0: 0.0, 1: 0.0, 2: 0.7, 4: 1.0, 6: 0.3, 7: 0.0}),  # on the right wall
         ((0.0, 0.0), {0: 1.0, 1: 0.4 * ROOT, 2: 1.0, 3: 0.0, 4: 0.0, 5: 0.0, 6: 0.0, 7: 0.0}),
         ((40.0, 50.0), {0: 0.0, 2: 0.5, 4: 0.4, 6: 0.5}),  # on the hole's left side
         ((50.0, 60.0), {0: 0.5, 2: 0.4, 4: 0.5, 6: 0.0}),  # along the hole's side, then on
-    ],
-)
-def test_on_a_wall_rays_are_how_far_one_can_go(
-    start: tuple[float, float], free: dict[int, float], dtype: Any
-) -> None:
-    entries = seen(field_of(start, holes=[HOLE]), dtype=dtype)
-    assert {k: rays(entries)[k] for k in free} == pytest.approx(free, abs=1e-6)
-    assert entries["wall_distance"] == pytest.approx(0.0, abs=1e-6)
+    ):
+        entries = seen(field_of(start, holes=[HOLE]), dtype=dtype)
+        assert {k: rays(entries)[k] for k in free} == pytest.approx(free, abs=1e-6), start
+        assert entries["wall_distance"] == pytest.approx(0.0, abs=1e-6), start
 
 
 def test_the_sensing_radius_is_the_unit() -> None:
@@ -165,28 +161,26 @@ def test_padding_is_not_seen(dtype: Any) -> None:
     assert other == seen(full, *steps, **options)
 
 
+TWO = field_of((20.0, 50.0), rois=[(26.0, 58.0)], starts=[(20.0, 50.0), (50.0, 90.0)])
+
+
 @PRECISIONS
-@pytest.mark.parametrize(
-    ("radius", "other", "roi"), [(50.0, True, True), (49.9, False, True), (9.9, False, False)]
-)
-def test_local_hides_what_is_beyond_the_radius(
-    radius: float, other: bool, roi: bool, dtype: Any
-) -> None:
-    field = field_of((20.0, 50.0), rois=[(26.0, 58.0)], starts=[(20.0, 50.0), (50.0, 90.0)])
-    options = {"sensing_radius": radius, "dtype": dtype}
-    whole = seen(field, **options)
-    local = seen(field, observation="lidar_local", **options)
-    hidden = {name for name in whole if local[name] != whole[name]}
-    of_roi = {"roi_0_dx", "roi_0_dy", "roi_0_ux", "roi_0_uy"}
-    expected = (set() if other else {"other_1_dx", "other_1_dy"}) | (set() if roi else of_roi)
-    assert hidden == expected and all(local[name] == 0.0 for name in hidden)
+def test_local_hides_what_is_beyond_the_radius(dtype: Any) -> None:
+    of_other, of_roi = (
+        {"other_1_dx", "other_1_dy"},
+        {f"roi_0_{x}" for x in ("dx", "dy", "ux", "uy")},
+    )
+    for radius, expected in ((50.0, set()), (49.9, of_other), (9.9, of_other | of_roi)):
+        options = {"sensing_radius": radius, "dtype": dtype}
+        whole, local = seen(TWO, **options), seen(TWO, observation="lidar_local", **options)
+        hidden = {name for name in whole if local[name] != whole[name]}
+        assert hidden == expected and all(local[name] == 0.0 for name in hidden), radius
 
 
 def test_a_radius_beyond_the_arena_sees_everything_on_its_diagonal() -> None:
-    field = field_of((20.0, 50.0), rois=[(26.0, 58.0)], starts=[(20.0, 50.0), (50.0, 90.0)])
-    diagonal = float(np.hypot(*field.arena))
-    far = seen(field, observation="lidar_local", sensing_radius=1e4)
-    assert far == seen(field, sensing_radius=diagonal)
+    diagonal = float(np.hypot(*TWO.arena))
+    far = seen(TWO, observation="lidar_local", sensing_radius=1e4)
+    assert far == seen(TWO, sensing_radius=diagonal)
     assert far["ray_0"] == pytest.approx(80.0 / diagonal)
     assert far["other_1_near"] == pytest.approx(1.0 - 50.0 / diagonal)
 

@@ -10,20 +10,17 @@ import numpy as np
 import pytest
 from shapely import Point
 
-from mbn_marl import BatchEngine, Failures, Uniform
+from mbn_marl import BatchEngine
 from mbn_marl.engine.constants import constants_of
 from mbn_marl.engine.mdp.failures import fail
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, FieldSampler, load_field
 from mbn_marl.field.layout import FAMILIES
-from tests.support.worlds import ASSIGNED
+from tests.support.configurations import SAMPLER as ALL
+from tests.support.configurations import STORM
 
-ALL = FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 6), seed=5)
+pytestmark = pytest.mark.slow
 WORLDS = 3
-HINDERED: dict[str, Any] = {
-    **{"condition": "gusty", "mass": Uniform(0.8, 1.5)},
-    "failures": Failures(at={0: 5, 1: 9}),
-}
 TEAM_NUMBERS = ("wall_hits", "path_length", "impulse", "failed", "return_")
 
 
@@ -61,13 +58,8 @@ def assert_same_observations(ours: BatchEngine, theirs: BatchEngine, world: int,
 
 @pytest.mark.parametrize(
     "settings",
-    [
-        {"random_starts": True, "reward_sharing": "team", **HINDERED},
-        {"condition": "noisy", **ASSIGNED},
-        {"dtype": "float64", "observation": "lidar_local", "failures": Failures(between=(1, 9))},
-        {"reward": "formal", **HINDERED},
-    ],
-    ids=["starts", "entities", "lidar", "formal"],
+    [{"random_starts": True, "reward_sharing": "team"}, {"reward": "formal"}, {**STORM}],
+    ids=["starts", "formal", "storm"],
 )
 def test_a_world_is_that_of_an_engine_with_its_field_alone(settings: dict[str, Any]) -> None:
     settings["max_steps"] = 25
@@ -99,14 +91,14 @@ def test_a_world_is_that_of_an_engine_with_its_field_alone(settings: dict[str, A
                 ended += 1
                 sizes.add((team, len(engine.field.rois)))
                 theirs[w] = reference.begin(w, int(ours.episode_numbers[w]))
-            if "failures" not in settings and not settings.get("reward_sharing"):
+            if settings.get("reward_sharing") != "team":
                 np.testing.assert_allclose(rewards[w].sum(), ours.team_rewards[w], rtol=1e-5)
     assert ended >= 9
     assert len(sizes) >= 5
 
 
 def test_fields_depend_on_seed_world_and_episode_alone() -> None:
-    sampler = FieldSampler(("convex", "farm"), robots=3, rois=(3, 5), seed=8)
+    sampler = FieldSampler(("convex", "farm"), robots=(2, 3), rois=(3, 5), seed=8)
     one = BatchEngine(sampler, 40, seed=1, threads=1, max_steps=9)
     two = BatchEngine(sampler, 25, seed=2, threads=2, max_steps=9, first_world=10)
     one.reset()
@@ -202,17 +194,15 @@ def test_what_a_world_cannot_be_given_is_said_at_once() -> None:
     alone = Field(field.vertices, [*field.rois, *(field.rois + 3)], field.starts[:1])
     with pytest.raises(ConfigError) as caught:
         engine.set_field(alone)
-    problems = str(caught.value)
-    for part in (
-        "custom has 12 ROIs; allowed: at most 6",
-        "n_robots: 2; allowed: 1 to 1",
-        "one for all",
+    places = [problem.split(";")[0] for problem in caught.value.problems]
+    assert any("12 ROIs" in place for place in places)
+    assert any(place.startswith("n_robots: 2") for place in places)
+    for call, error, place in (
+        (lambda: engine.set_field(field, world=7), IndexError, "world 7"),
+        (lambda: engine.set_sampler(ALL), ConfigError, "sampler"),
     ):
-        assert part in problems
-    with pytest.raises(IndexError, match="world 7; allowed: 0 to 2"):
-        engine.set_field(field, world=7)
-    with pytest.raises(ConfigError, match="in place of another one"):
-        engine.set_sampler(ALL)
+        with pytest.raises(error, match=place):
+            call()
 
 
 def test_a_curriculum_changes_the_fields_that_are_drawn() -> None:
@@ -237,9 +227,8 @@ def test_a_curriculum_changes_the_fields_that_are_drawn() -> None:
 def test_settings_that_no_drawn_field_allows_are_named() -> None:
     with pytest.raises(ConfigError) as caught:
         BatchEngine(ALL, n_robots=3, safety_distance=14.0, starts=np.zeros((3, 2)))
-    problems = str(caught.value)
-    for part in ("n_robots: 3; allowed: at least 4", "safety_distance: 14", "starts: allowed with"):
-        assert part in problems
+    places = {problem.split(":")[0] for problem in caught.value.problems}
+    assert places == {"n_robots", "safety_distance", "starts"}
 
 
 def test_teams_that_start_at_random_may_be_larger_than_the_starts() -> None:
@@ -252,10 +241,9 @@ def test_teams_that_start_at_random_may_be_larger_than_the_starts() -> None:
         assert (distances[~np.eye(7, dtype=bool)] >= engine.config.safety_distance).all()
     assert engine.present.all()
     room = int(field.polygon.area / 400)
-    with pytest.raises(ConfigError, match=f"1 to 3, the starts of field_03, or to {room} with"):
-        BatchEngine(field, 1, n_robots=7)
-    with pytest.raises(ConfigError, match="n_robots"):
-        BatchEngine(field, 1, n_robots=room + 1, random_starts=True)
+    for wrong in ({"n_robots": 7}, {"n_robots": room + 1, "random_starts": True}):
+        with pytest.raises(ConfigError, match="n_robots"):
+            BatchEngine(field, 1, **wrong)
 
 
 def test_robots_that_find_no_place_start_apart_where_the_field_has_too_few_starts() -> None:
@@ -301,11 +289,11 @@ def test_an_absent_robot_leaves_nothing_in_the_revisit_memory() -> None:
 def test_a_field_that_a_samplers_world_was_given_is_read_as_it_was_given() -> None:
     field = load_field("field_09")
     turned = Field(field.vertices[::-1] + 1e-5, field.rois, field.starts, name="turned")
-    engine = BatchEngine(FieldSampler(robots=3, rois=6, seed=1), 2, seed=1, autoreset=False)
+    engine = BatchEngine(FieldSampler(robots=(2, 3), rois=6, seed=1), 2, seed=1, autoreset=False)
     engine.set_field(turned, world=1)
     engine.reset(seed=4)
     assert engine.snapshot(1).field == turned
-    other = BatchEngine(FieldSampler(robots=3, rois=6, seed=1), 2, seed=9, autoreset=False)
+    other = BatchEngine(FieldSampler(robots=(2, 3), rois=6, seed=1), 2, seed=9, autoreset=False)
     other.load_state(engine.save_state())
     for name in ("rois", "starts"):
         np.testing.assert_allclose(
@@ -316,13 +304,13 @@ def test_a_field_that_a_samplers_world_was_given_is_read_as_it_was_given() -> No
         np.testing.assert_array_equal(other.step(actions)[0], engine.step(actions)[0])
     engine.reset()
     assert engine.field_of(1).name != "turned"
-    with pytest.raises(MbnError, match="another sampler"):
-        BatchEngine(FieldSampler(robots=3, rois=6, seed=2), 2).load_state(engine.save_state())
+    with pytest.raises(MbnError, match="sampler"):
+        BatchEngine(FieldSampler(robots=(2, 3), rois=6, seed=2), 2).load_state(engine.save_state())
 
 
-@pytest.mark.parametrize("assigned", [{}, ASSIGNED])
+@pytest.mark.parametrize("assigned", [{}, STORM], ids=["plain", "storm"])
 def test_a_state_is_loaded_whichever_engine_was_given_a_larger_field(assigned: Any) -> None:
-    sampler = FieldSampler(robots=3, rois=6, seed=1)
+    sampler = FieldSampler(robots=(2, 3), rois=6, seed=1)
     small, large = (BatchEngine(sampler, 2, seed=1, **assigned) for _ in range(2))
     jagged = [(100 + 3 * k, 100 + 5 * (k % 2)) for k in range(100)]
     field = Field(
@@ -333,7 +321,7 @@ def test_a_state_is_loaded_whichever_engine_was_given_a_larger_field(assigned: A
         ours.reset()
         theirs.reset()
         saved, before = ours.save_state(), theirs.save_state()
-        with pytest.raises(MbnError, match=r"now\.steps is"):
+        with pytest.raises(MbnError, match=r"now\.steps"):
             theirs.load_state({**saved, "now.steps": np.zeros(3, np.int32)})
         for name, array in theirs.save_state().items():
             np.testing.assert_array_equal(array, before[name], name)

@@ -6,6 +6,7 @@ import copy
 import json
 import math
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -67,9 +68,9 @@ class TestValue:
 
     def test_immutable(self) -> None:
         field = square()
-        with pytest.raises(AttributeError, match="'name'"):
+        with pytest.raises(AttributeError, match="name"):
             field.name = "other"
-        with pytest.raises(AttributeError, match="'rois'"):
+        with pytest.raises(AttributeError, match="rois"):
             del field.rois
         for array in (field.vertices, field.rois, field.starts, field.edges, *field.holes):
             with pytest.raises(ValueError, match="read-only"):
@@ -90,108 +91,71 @@ class TestValue:
         )
 
 
-class TestRules:
-    """One invalid field per rule: the exact place, and no other problem."""
+INVALID: dict[tuple[str, str], list[Any]] = {
+    ("vertices", ""): [SQUARE[:2], "triangle", [(0, 0), (50, 50), (100, 100)]],
+    ("rois", ""): [[], None, [(90, 80 + k / 4) for k in range(25)]],
+    ("starts", ""): [()],
+    ("holes", ""): [3],
+    ("rois[1]", ""): [[(90, 90), (90, 90, 0)], [(90, 90), 7]],
+    ("starts[0].x", ""): [[(True, 10)], [(math.nan, 10)]],
+    ("starts[0].y", ""): [[(10, "9")], [(10, 1j)]],
+    ("rois[0]", ""): [[(100.5, 50)]],
+    ("rois[0].y", ""): [[(90, math.inf)], [(90, 10**5000)]],
+    ("vertices[4].x", ""): [[*SQUARE, (-math.inf, 50)]],
+    ("vertices[4]", ""): [[*SQUARE, (-1, 50)]],
+    ("arena", ""): [(0, 100), 100],
+    ("arena.y", ""): [(100, 1e7)],
+    ("vertices[4]", "vertices[0]"): [[*SQUARE, (0, 0)]],
+    ("rois[2]", "rois[0]"): [[(90, 90), (80, 80), (90, 90)]],
+    ("starts[1]", "starts[0]"): [[(10, 10), (10, 10)]],
+    ("starts[1]", "holes[0]"): [[(10, 10), (50, 50)]],
+    ("starts[2]", "starts[0]"): [[(10, 10), (30, 10), (16, 18 - 1e-9)]],  # 6-8-10, but for 1e-9
+    ("vertices", "vertices[0]-vertices[1] meets vertices[2]-vertices[3]"): [
+        [SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]],
+        [(0, 0), (100, 0), (50, 0), (50, 50)],  # a spike
+    ],
+    ("vertices", "vertices[0]-vertices[1] meets vertices[3]-vertices[4]"): [
+        [*SQUARE, (50, 0)],  # the last corner lies on the first edge
+    ],
+    ("holes[0]", "holes[0][0]-holes[0][1] meets holes[0][2]-holes[0][3]"): [
+        [[HOLE[0], HOLE[2], HOLE[1], HOLE[3]]],
+    ],
+    ("holes[0][4]", "holes[0][1]"): [[[*HOLE, HOLE[1]]]],
+    ("holes[0]", ""): [
+        *([HOLE[:2]], [SQUARE[:3]], [[(70, 70), (100, 75), (70, 80)]]),
+        *([[(70, 70), (110, 70), (70, 90)]], [[(210, 70), (310, 70), (210, 90)]]),
+    ],
+    ("holes[1]", "holes[0]"): [
+        [HOLE, [(60, 60), (70, 60), (70, 70)]],
+        [HOLE, [(45, 45), (55, 45), (50, 55)]],  # inside the other
+    ],
+    ("name", ""): ["../up", "line\n", "", "x" * 65, 7],
+    ("optimal_makespan", ""): [0, 2.5, True],
+}
+"""The place of a problem, another place that it names, and arguments that have no other problem."""
 
-    @pytest.mark.parametrize(
-        ("changes", "place", "words"),
-        [
-            ({"vertices": SQUARE[:2]}, "vertices", "at least 3, got 2"),
-            ({"vertices": "triangle"}, "vertices", "expected a list, got str"),
-            ({"rois": []}, "rois", "at least 1, got 0"),
-            ({"rois": None}, "rois", "expected a list, got NoneType"),
-            ({"starts": ()}, "starts", "at least 1, got 0"),
-            ({"holes": [HOLE[:2]]}, "holes[0]", "at least 3, got 2"),
-            ({"holes": 3}, "holes", "expected a list, got int"),
-            ({"rois": [(90, 80 + k / 4) for k in range(25)]}, "rois", "at most 24, got 25"),
-            ({"rois": [(90, 90), (90, 90, 0)]}, "rois[1]", "two numbers (x, y), got 3 entries"),
-            ({"rois": [(90, 90), 7]}, "rois[1]", "two numbers (x, y), got int"),
-            ({"starts": [(10, "9")]}, "starts[0].y", "expected a number, got the text '9'"),
-            ({"starts": [(True, 10)]}, "starts[0].x", "expected a number, got bool"),
-            ({"starts": [(10, 1j)]}, "starts[0].y", "expected a number, got complex"),
-            ({"starts": [(math.nan, 10)]}, "starts[0].x", "finite number"),
-            ({"rois": [(90, math.inf)]}, "rois[0].y", "finite number"),
-            ({"rois": [(90, 10**5000)]}, "rois[0].y", "finite number"),
-            ({"vertices": [*SQUARE, (-math.inf, 50)]}, "vertices[4].x", "finite number"),
-            ({"vertices": [*SQUARE, (-1, 50)]}, "vertices[4]", "outside the arena"),
-            (
-                {"vertices": [*SQUARE[:3], (0, 99)], "arena": (100, 99)},
-                "vertices[2]",
-                "(100.0, 100.0) is outside the arena [0, 100] x [0, 99]",
-            ),
-            ({"arena": (0, 100)}, "arena", "two positive sides"),
-            ({"arena": (100, 1e7)}, "arena.y", "at most 1e+06"),
-            ({"arena": 100}, "arena", "two numbers (x, y), got int"),
-            ({"vertices": [*SQUARE, (0, 0)]}, "vertices[4]", "duplicate of vertices[0]"),
-            ({"rois": [(90, 90), (80, 80), (90, 90)]}, "rois[2]", "duplicate of rois[0]"),
-            ({"starts": [(10, 10), (10, 10)]}, "starts[1]", "duplicate of starts[0]"),
-            ({"holes": [[*HOLE, HOLE[1]]]}, "holes[0][4]", "duplicate of holes[0][1]"),
-            (
-                {"vertices": [SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]]},
-                "vertices",
-                "vertices[0]-vertices[1] meets vertices[2]-vertices[3]",
-            ),
-            (  # the last corner lies on the first edge
-                {"vertices": [*SQUARE, (50, 0)]},
-                "vertices",
-                "vertices[0]-vertices[1] meets vertices[3]-vertices[4]",
-            ),
-            ({"vertices": [(0, 0), (50, 50), (100, 100)]}, "vertices", "has no area"),
-            (  # a spike
-                {"vertices": [(0, 0), (100, 0), (50, 0), (50, 50)]},
-                "vertices",
-                "vertices[0]-vertices[1] meets vertices[2]-vertices[3]",
-            ),
-            (
-                {"holes": [[HOLE[0], HOLE[2], HOLE[1], HOLE[3]]]},
-                "holes[0]",
-                "holes[0][0]-holes[0][1] meets holes[0][2]-holes[0][3]",
-            ),
-            ({"holes": [[(70, 70), (110, 70), (70, 90)]]}, "holes[0]", "inside the field"),
-            ({"holes": [[(210, 70), (310, 70), (210, 90)]]}, "holes[0]", "inside the field"),
-            ({"holes": [[(70, 70), (100, 75), (70, 80)]]}, "holes[0]", "without touching"),
-            ({"holes": [SQUARE[:3]]}, "holes[0]", "without touching"),
-            (
-                {"holes": [HOLE, [(60, 60), (70, 60), (70, 70)]]},
-                "holes[1]",
-                "touches or overlaps holes[0]",
-            ),
-            (  # one hole inside another
-                {"holes": [HOLE, [(45, 45), (55, 45), (50, 55)]]},
-                "holes[1]",
-                "touches or overlaps holes[0]",
-            ),
-            ({"rois": [(100.5, 50)]}, "rois[0]", "outside the field"),
-            ({"starts": [(10, 10), (50, 50)]}, "starts[1]", "inside holes[0]"),
-            (
-                {"starts": [(10, 10), (30, 10), (16, 18 - 1e-9)]},  # 6-8-10 triangle, but for 1e-9
-                "starts[2]",
-                "units from starts[0], less than the safety distance 10",
-            ),
-            ({"name": "../up"}, "name", "letters, digits"),
-            ({"name": "line\n"}, "name", "letters, digits"),
-            ({"name": ""}, "name", "letters, digits"),
-            ({"name": "x" * 65}, "name", "1 to 64"),
-            ({"name": 7}, "name", "letters, digits"),
-            ({"optimal_makespan": 0}, "optimal_makespan", "whole number"),
-            ({"optimal_makespan": 2.5}, "optimal_makespan", "whole number"),
-            ({"optimal_makespan": True}, "optimal_makespan", "whole number"),
-        ],
-    )
-    def test_rule(self, changes: dict[str, Any], place: str, words: str) -> None:
-        changes = {"holes": ()} | changes if "vertices" in changes else changes
-        (problem,) = problems_of(**changes)
-        assert problem.startswith(f"{place}: ")
-        assert words in problem
+
+class TestRules:
+    """The exact place of each problem, and no other problem."""
+
+    def test_rules(self) -> None:
+        for (place, other), values in INVALID.items():
+            name = re.split(r"[.\[]", place)[0]
+            without: dict[str, Any] = {"holes": ()} if name == "vertices" else {}
+            for value in values:
+                (problem,) = problems_of(**without, **{name: value})
+                assert problem.startswith(f"{place}: ") and other in problem, (place, value)
+        (problem,) = problems_of(vertices=[*SQUARE[:3], (0, 99)], arena=(100, 99), holes=())
+        assert problem.startswith("vertices[2]: ")
 
     def test_too_many_robots_and_corners(self) -> None:
         starts = [(5 + 10 * (k % 9), 5 + 10 * (k // 9)) for k in range(65)]
-        assert problems_of(starts=starts, holes=()) == ["starts: expected at most 64, got 65"]
-        ring = circle(501)
-        assert problems_of(vertices=ring, holes=()) == ["vertices: expected at most 500, got 501"]
-        assert problems_of(vertices=circle(497), starts=[(30, 30)], rois=[(20, 50)]) == [
-            "holes: expected at most 500 corners in the outline and all holes, got 501"
-        ]
+        for changes, place in (
+            ({"starts": starts, "holes": ()}, "starts"),
+            ({"vertices": circle(501), "holes": ()}, "vertices"),
+            ({"vertices": circle(497), "starts": [(30, 30)], "rois": [(20, 50)]}, "holes"),
+        ):
+            assert [problem.split(":")[0] for problem in problems_of(**changes)] == [place]
 
     def test_the_limits_themselves_are_valid(self) -> None:
         starts = [(5 + 10 * (k % 8), 5 + 10 * (k // 8)) for k in range(64)]
@@ -217,9 +181,8 @@ class TestRules:
     def test_a_point_one_float_outside_is_outside(self) -> None:
         slanted = [(0.0, 0.0), (90.0, 30.0), (0.0, 60.0)]
         below = (45.0, math.nextafter(15.0, 0.0))
-        assert problems_of(vertices=slanted, rois=[below], starts=[(1.0, 10.0)], holes=()) == [
-            f"rois[0]: {below} is outside the field"
-        ]
+        (problem,) = problems_of(vertices=slanted, rois=[below], starts=[(1.0, 10.0)], holes=())
+        assert problem.startswith("rois[0]: ")
 
     def test_starts_at_the_safety_distance_are_valid(self) -> None:
         assert len(square(starts=[(10, 10), (16, 18)]).starts) == 2
@@ -236,23 +199,9 @@ class TestRules:
         )
         places = sorted(problem.split(": ")[0] for problem in problems)
         assert places == [
-            "arena",
-            "holes[1]",
-            "holes[2]",
-            "name",
-            "optimal_makespan",
-            "rois[1]",
-            "rois[2]",
-            "rois[3].x",
-            "starts[1]",
-            "starts[2]",
-            "vertices[4]",
+            *("arena", "holes[1]", "holes[2]", "name", "optimal_makespan", "rois[1]", "rois[2]"),
+            *("rois[3].x", "starts[1]", "starts[2]", "vertices[4]"),
         ]
-
-    def test_the_message_lists_every_problem(self) -> None:
-        with pytest.raises(FieldError, match=r"rois\[0\]") as caught:
-            square(rois=[(150, 50), (160, 50)])
-        assert "rois[1]" in str(caught.value)
 
 
 numbers = (
@@ -266,7 +215,7 @@ trees = st.recursive(scalars, lambda inner: st.lists(inner, max_size=5), max_lea
 
 
 class TestHostileArguments:
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=100)
     @given(
         vertices=lists | trees,
         rois=lists | trees,
@@ -284,7 +233,7 @@ class TestHostileArguments:
         else:
             assert field.polygon.is_valid
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=100)
     @given(
         ring=st.lists(
             st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=3, max_size=7, unique=True
@@ -302,9 +251,7 @@ class TestHostileArguments:
         try:
             Field(ring, rois=[point], starts=[corner])
         except FieldError as error:
-            assert error.problems == [
-                f"rois[0]: {(float(point[0]), float(point[1]))} is outside the field"
-            ]
+            assert [problem.split(":")[0] for problem in error.problems] == ["rois[0]"]
             assert not _inside_or_on(ring, point)
         else:
             assert _inside_or_on(ring, point)

@@ -38,19 +38,10 @@ class TestCatalogue:
         on_disk = sorted(Path(entry.name).stem for entry in _catalogue_files())
         assert catalogue_names() == on_disk == [f"field_{k:02d}" for k in range(1, 11)]
 
-    @pytest.mark.parametrize("name", catalogue_names())
-    def test_field_is_the_golden_one(self, name: str) -> None:
-        field = load_field(name)
-        golden = FIELDS[name]
-        assert field.to_dict() == {
-            "name": name,
-            "optimal_makespan": OPTIMAL_MAKESPANS[catalogue_names().index(name)],
-            "arena": [1000.0, 1000.0],
-            "vertices": golden["vertices"],
-            "holes": [],
-            "rois": golden["rois"],
-            "starts": golden["starts"],
-        }
+    def test_fields_are_the_golden_ones(self) -> None:
+        for name, makespan in zip(catalogue_names(), OPTIMAL_MAKESPANS, strict=True):
+            other = {"name": name, "optimal_makespan": makespan, "holes": [], "arena": [1000.0] * 2}
+            assert load_field(name).to_dict() == other | FIELDS[name]
 
     def test_files_name_their_schema(self) -> None:
         for entry in _catalogue_files():
@@ -84,10 +75,10 @@ def _catalogue_files() -> list[Any]:
 
 
 class TestSamplers:
-    @pytest.mark.parametrize("name", sampler_names())
-    def test_a_sampler_of_the_catalogue_loads_and_makes_fields(self, name: str) -> None:
-        sampler = load_fields(name)
-        assert isinstance(sampler, FieldSampler) and sampler.field().rois.shape[1] == 2
+    def test_samplers_of_the_catalogue_load_and_make_fields(self) -> None:
+        for name in sampler_names():
+            sampler = load_fields(name)
+            assert isinstance(sampler, FieldSampler) and sampler.field().rois.shape[1] == 2
 
     def test_round_trip(self, tmp_path: Path) -> None:
         sampler = FieldSampler(("farm", "convex"), (2, 5), 4, (200, 300), weights=(1, 3), seed=9)
@@ -97,13 +88,13 @@ class TestSamplers:
     def test_a_field_is_loaded_too(self) -> None:
         assert load_fields("field_03") == load_field("field_03")
 
-    @pytest.mark.parametrize("source", ["x" * 300, None, b"field_03"])
-    def test_what_is_neither_is_refused_as_a_field_is(self, source: Any) -> None:
-        with pytest.raises(FieldError) as caught:
-            load_fields(source)
-        with pytest.raises(FieldError) as expected:
-            load_field(source)
-        assert str(caught.value) == str(expected.value)
+    def test_what_is_neither_is_refused_as_a_field_is(self) -> None:
+        for source in ("x" * 300, None, b"field_03"):
+            with pytest.raises(FieldError) as caught:
+                load_fields(source)
+            with pytest.raises(FieldError) as expected:
+                load_field(source)
+            assert str(caught.value) == str(expected.value)
 
     def test_wrong_arguments_are_named_together(self, tmp_path: Path) -> None:
         path = tmp_path / "wrong.yaml"
@@ -117,17 +108,11 @@ class TestSamplers:
     def test_where_one_field_is_wanted_a_sampler_is_refused(self, tmp_path: Path) -> None:
         save_field(FieldSampler(), tmp_path / "copy.yaml")
         for source in ("random_convex", str(tmp_path / "copy.yaml")):
-            with pytest.raises(FieldError, match="random fields"):
+            with pytest.raises(FieldError):
                 load_field(source)
 
 
 class TestFiles:
-    @pytest.mark.parametrize("name", ["custom_5x8", "custom_7x10"])
-    def test_round_trip_of_golden_fields(self, tmp_path: Path, name: str) -> None:
-        field = Field(**FIELDS[name], name=name)
-        save_field(field, tmp_path / "copy.yaml")
-        assert load_field(tmp_path / "copy.yaml") == field
-
     def test_round_trip_of_everything(self, tmp_path: Path) -> None:
         field = square(
             rois=[(1e-7, 0.1 + 0.2), (100 / 3, math.pi)],
@@ -186,18 +171,11 @@ class TestFiles:
             "format: mbn-field/9\ncolour: red\nvertices: [[0, 0], [100, 0], [100, 100], [0, x]]\n"
             "starts: [[10, 10], [11, 10]]\n",
         )
-        assert [problem.split(": ")[0] for problem in problems] == [
-            "format",
-            "colour",
-            "vertices[3].y",
-            "rois",
-            "starts[1]",
-        ]
-        assert "known: format, name" in problems[1]
+        places = [problem.split(": ")[0] for problem in problems]
+        assert places == ["format", "colour", "vertices[3].y", "rois", "starts[1]"]
 
-    @pytest.mark.parametrize(
-        ("text", "place"),
-        [
+    def test_unreadable_text(self, tmp_path: Path) -> None:
+        for text, place in (
             ("", "format: "),
             ("- 1\n- 2\n", "format: "),
             ("vertices: []\n", "format: "),
@@ -218,26 +196,17 @@ class TestFiles:
             ("\x00", "file: "),
             ("a: " + "9" * 201, "line 1, column 4: "),
             ("[" * (MAX_DEPTH + 1), f"line 1, column {MAX_DEPTH + 1}: "),
-        ],
-    )
-    def test_unreadable_text(self, tmp_path: Path, text: str, place: str) -> None:
-        (problem,) = problems_of_file(tmp_path, text)
-        assert problem.startswith(place)
+        ):
+            (problem,) = problems_of_file(tmp_path, text)
+            assert problem.startswith(place), text
 
-    @pytest.mark.parametrize(
-        "source", ["missing.yaml", "no/such/file", "", ".", "\x00", "a" * 5000, "\ud800", "x#y"]
-    )
-    def test_unreadable_path(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str
-    ) -> None:
+    def test_unreadable_sources(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.chdir(tmp_path)
-        with pytest.raises(FieldError):
-            load_field(source)
-
-    @pytest.mark.parametrize("source", [None, 3, b"field_01", ["field_01"], {"vertices": []}])
-    def test_source_of_the_wrong_type(self, source: Any) -> None:
-        with pytest.raises(FieldError, match="source: "):
-            load_field(source)
+        paths = ["missing.yaml", "no/such/file", "", ".", "\x00", "a" * 5000, "\ud800", "x#y"]
+        others: list[Any] = [None, 3, b"field_01", ["field_01"], {"vertices": []}]
+        for source in (*paths, *others):
+            with pytest.raises(FieldError, match=None if source in paths else "source: "):
+                load_field(source)
 
     def test_folders_devices_and_binary_files(self, tmp_path: Path) -> None:
         (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\xfa")
@@ -250,55 +219,36 @@ class TestFiles:
 
 
 class TestHostileFiles:
-    @pytest.mark.parametrize(
-        "tag",
-        [
-            "!!python/object/apply:os.system",
-            "!!python/object/new:os.system",
-            "!!python/name:os.system",
-            "!!python/module:os",
-            "!!python/object:os.system",
-            "!custom",
-        ],
-    )
-    def test_tags_run_no_code(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tag: str
-    ) -> None:
+    def test_tags_run_no_code(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         def forbidden(command: str) -> int:
             raise AssertionError(f"ran {command}")
 
         monkeypatch.setattr("os.system", forbidden)
-        (problem,) = problems_of_file(tmp_path, f"{VALID_FILE}name: {tag} [touch gone]\n")
-        assert "is not allowed" in problem
+        python = ("object/apply", "object/new", "name", "module", "object")
+        for tag in (*(f"!!python/{kind}:os.system" for kind in python), "!custom"):
+            (problem,) = problems_of_file(tmp_path, f"{VALID_FILE}name: {tag} [touch gone]\n")
+            assert problem.startswith("line 5, column 7: "), tag
 
     def test_alias_bomb(self, tmp_path: Path) -> None:
         lines = ["a0: &a0 [1, 1]"]
         lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 30)]
         assert "anchors" in problems_of_file(tmp_path, "\n".join(lines))[0]
 
-    @pytest.mark.parametrize(
-        "text",
-        [
-            "[" * 60_000,
-            "{a: " * 15_000,
-            "- " * 30_000,
-            "? " * 30_000,
+    def test_no_hang(self, tmp_path: Path) -> None:
+        for text in (
+            *("[" * 60_000, "{a: " * 15_000, "- " * 30_000, "? " * 30_000),
             "a:\n" + "- [1, 2]\n" * 7_000,
             f"{VALID_FILE}holes: [" + "[1, 1]," * 9_000 + "]",
             f"{VALID_FILE}holes: [" + "[[1,1],[2,1],[2,2]]," * 3_200 + "]",
-            " " * MAX_BYTES,
-            "#" * (10 * MAX_BYTES),
-        ],
-        ids=["lists", "maps", "dashes", "keys", "rows", "points", "rings", "blank", "large"],
-    )
-    def test_no_hang(self, tmp_path: Path, text: str) -> None:
-        path = write(tmp_path, text)
-        started = time.process_time()
-        with pytest.raises(FieldError):
-            load_field(path)
-        assert time.process_time() - started < 3.0
+            *(" " * MAX_BYTES, "#" * (10 * MAX_BYTES)),
+        ):
+            path = write(tmp_path, text)
+            started = time.process_time()
+            with pytest.raises(FieldError):
+                load_field(path)
+            assert time.process_time() - started < 3.0, text[-20:]
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=100)
     @given(text=st.text(max_size=400))
     @example(text="!!timestamp x")
     @example(text="!!binary x")
@@ -313,7 +263,7 @@ class TestHostileFiles:
         with pytest.raises(FieldError):
             load_field(path)
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=100)
     @given(data=st.data())
     def test_a_damaged_file_is_a_field_or_a_field_error(
         self, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

@@ -30,6 +30,7 @@ from tests.support.planning_cases import (
     small_field,
 )
 
+pytestmark = pytest.mark.slow
 LATER = 1e12
 """A deadline that never comes."""
 
@@ -40,29 +41,21 @@ def agrees_with_brute_force(bound: int, field: Field, **how: tuple[float, float]
     return bound == least or least < bound <= brute_force(field, 10.0, **how)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_the_bound_agrees_with_brute_force(seed: int) -> None:
-    field = small_field(seed)
-    bound = prove(make_problem(field, NavigationConfig()), LATER).bound
-    assert agrees_with_brute_force(bound, field)
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_the_bound_agrees_with_brute_force_for_one_robot_in_wind(seed: int) -> None:
-    field, config = small_field(10 + seed, n=1), make_config({"wind": (0.2, 200.0)})
-    bound = prove(make_problem(field, config), LATER).bound
-    assert agrees_with_brute_force(bound, field, wind=config.wind_increment())
-
-
-@pytest.mark.parametrize(("seed", "velocity"), [(10, (3.0, -4.0)), (11, (-2.0, 1.5))])
-def test_the_bound_agrees_with_brute_force_for_a_robot_that_moves(
-    seed: int, velocity: tuple[float, float]
-) -> None:
-    field = small_field(seed, n=1)
-    problem = make_problem(field, NavigationConfig())
-    bound = prove(problem.moving([velocity]), LATER).bound
-    assert agrees_with_brute_force(bound, field, velocity=velocity)
-    assert bound != prove(problem, LATER).bound
+def test_the_bound_agrees_with_brute_force() -> None:
+    for seed in range(4):
+        field = small_field(seed)
+        bound = prove(make_problem(field, NavigationConfig()), LATER).bound
+        assert agrees_with_brute_force(bound, field), seed
+    for seed in (10, 11):
+        field, config = small_field(seed, n=1), make_config({"wind": (0.2, 200.0)})
+        bound = prove(make_problem(field, config), LATER).bound
+        assert agrees_with_brute_force(bound, field, wind=config.wind_increment()), seed
+    for seed, velocity in ((10, (3.0, -4.0)), (11, (-2.0, 1.5))):
+        field = small_field(seed, n=1)
+        problem = make_problem(field, NavigationConfig())
+        bound = prove(problem.moving([velocity]), LATER).bound
+        assert agrees_with_brute_force(bound, field, velocity=velocity), seed
+        assert bound != prove(problem, LATER).bound, seed
 
 
 def test_first_legs_by_hand() -> None:
@@ -145,13 +138,14 @@ def straight(first: int, last: int) -> tuple[Relaxation, StepWindows]:
     return relaxation, StepWindows((first,), (last,), (first,), (last,))
 
 
-@pytest.mark.parametrize(("steps", "inflation"), [(4, 2.5), (5, 0.0), (6, -1.0)])
-def test_the_relaxation_is_exact_at_fixed_times(steps: int, inflation: float) -> None:
-    relaxation, _ = straight(steps, steps)
-    solved = relaxation.solve(make_solver(), fixed_windows([steps]), relaxation.tangents(), 100.0)
-    assert solved.inflation == pytest.approx(inflation, abs=1e-4)
-    assert solved.bound == pytest.approx(inflation, abs=1e-4)
-    assert solved.bound <= solved.inflation + 1e-9
+def test_the_relaxation_is_exact_at_fixed_times() -> None:
+    for steps, inflation in ((4, 2.5), (5, 0.0), (6, -1.0)):
+        relaxation, _ = straight(steps, steps)
+        windows, tangents = fixed_windows([steps]), relaxation.tangents()
+        solved = relaxation.solve(make_solver(), windows, tangents, 100.0)
+        assert solved.inflation == pytest.approx(inflation, abs=1e-4), steps
+        assert solved.bound == pytest.approx(inflation, abs=1e-4), steps
+        assert solved.bound <= solved.inflation + 1e-9, steps
 
 
 def test_a_program_that_cannot_be_met_has_an_infinite_bound() -> None:

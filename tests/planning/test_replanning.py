@@ -51,6 +51,7 @@ def test_weather_by_hand() -> None:
     np.testing.assert_allclose(apart.push, [0.3, 0.1], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["brake", "coast"])
 def test_the_ways_of_failed_robots_are_foreseen(kind: Any) -> None:
     settings: dict[str, Any] = {
@@ -116,6 +117,7 @@ def test_plans_lead_round_robots_in_the_way() -> None:
         assert np.hypot(*(straight[0] - others[0][: straight.shape[1]]).T).min() < 10.0
 
 
+@pytest.mark.slow
 def test_greedy_leaves_the_way_of_a_robot_that_coasts() -> None:
     field = Field(SQUARE, [(290, 290)], [(200, 200), (120, 203)])
     settings: dict[str, Any] = {"failures": Failures(at={1: 15}, kind="coast")}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,8 @@ def shield(robots: int, **settings: Any) -> Shield:
     return Shield(make_problem(field, make_config(settings), closed_loop=True))
 
 
-@pytest.mark.parametrize(
-    ("action", "room", "passes"),
-    [
+def test_an_action_passes_if_the_robot_can_still_stop_at_the_wall() -> None:
+    cases = (
         (0.0, 5.1, True),  # at 2 units a step, then 1.5, 1, 0.5, 0: 5 in all
         (0.0, 5.0005, False),  # which float32 might round to the other side
         (0.0, 4.9, False),
@@ -33,20 +33,17 @@ def shield(robots: int, **settings: Any) -> Shield:
         (7.0, 7.6, True),  # which counts as 1
         (1.0, 7.4, False),
         (-0.2, 5.1, True),
-    ],
-)
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_an_action_passes_if_the_robot_can_still_stop_at_the_wall(
-    action: float, room: float, passes: bool, dtype: Any
-) -> None:
-    actions = np.array([[action, 0.3]], dtype)
-    place, speed = np.array([[300.0 - room, 200.0]]), np.array([[2.0, 0.0]])
-    taken = shield(1).act(actions, place, speed)
-    assert taken.dtype == dtype and np.array_equal(taken, actions) == passes
-    velocity, stop = 2.0 + 0.5 * float(np.clip(taken[0, 0], -1, 1)), 0.0
-    while velocity > 0.0:
-        stop, velocity = stop + velocity, velocity - 0.5
-    assert stop < room
+    )
+    for (action, room, passes), dtype in product(cases, (np.float32, np.float64)):
+        actions = np.array([[action, 0.3]], dtype)
+        place, speed = np.array([[300.0 - room, 200.0]]), np.array([[2.0, 0.0]])
+        taken = shield(1).act(actions, place, speed)
+        assert taken.dtype == dtype
+        assert np.array_equal(taken, actions) == passes, (action, room, dtype)
+        velocity, stop = 2.0 + 0.5 * float(np.clip(taken[0, 0], -1, 1)), 0.0
+        while velocity > 0.0:
+            stop, velocity = stop + velocity, velocity - 0.5
+        assert stop < room, (action, room, dtype)
 
 
 def test_the_last_step_shows_the_wind() -> None:
@@ -58,18 +55,15 @@ def test_the_last_step_shows_the_wind() -> None:
         assert np.array_equal(windy.act(push, place, speed), push) == passes
 
 
-@pytest.mark.parametrize(
-    ("gap", "taken"),
-    [(11.2, (1.0, -1.0)), (10.8, (1.0, -0.25)), (10.5, (0.5, -0.25))],
-)
-def test_robots_decide_in_index_order(gap: float, taken: tuple[float, float]) -> None:
+def test_robots_decide_in_index_order() -> None:
     """A full force brings a robot 0.5 nearer and no further; 10.1 have to stay between them.
 
     With 10.8, robot 1 finds 10.3 left: half the velocity leaves 10.05, a quarter 10.175.
     """
-    places = np.array([[200.0, 200.0], [200.0 + gap, 200.0]])
-    found = shield(2).act(np.array([[1.0, 0.0], [-1.0, 0.0]]), places, REST)
-    np.testing.assert_allclose(found, [[taken[0], 0.0], [taken[1], 0.0]], atol=1e-12)
+    for gap, one, other in ((11.2, 1.0, -1.0), (10.8, 1.0, -0.25), (10.5, 0.5, -0.25)):
+        places = np.array([[200.0, 200.0], [200.0 + gap, 200.0]])
+        found = shield(2).act(np.array([[1.0, 0.0], [-1.0, 0.0]]), places, REST)
+        np.testing.assert_allclose(found, [[one, 0.0], [other, 0.0]], atol=1e-12)
 
 
 def test_robots_that_have_failed_are_kept_away_from_and_left_alone() -> None:
