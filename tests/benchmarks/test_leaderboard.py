@@ -24,6 +24,7 @@ pytestmark = pytest.mark.slow
 Results = dict[str, dict[str, Any]]
 
 
+@pytest.mark.all
 def test_the_committed_page_is_that_of_the_committed_results() -> None:
     page = ROOT / "docs" / "results" / "leaderboard.md"
     assert page.read_text(encoding="utf-8") == leaderboard(page.with_suffix(""))

@@ -74,6 +74,7 @@ def test_a_policy_finds_out_what_each_of_its_worlds_is_like(
     assert [engine.snapshot().success for engine in engines] == [True] * len(worlds)
 
 
+@pytest.mark.all
 @pytest.mark.parametrize(("name", "most"), [("greedy", 36), ("replan", 26)])
 def test_policies_hold_out_in_gusts_world_by_world(name: str, most: int) -> None:
     field, gusty = load_field("field_03"), {"gust": 0.15}

@@ -171,15 +171,16 @@ def test_each_instance_is_evaluated_with_its_own_seed(tmp_path: Path) -> None:
 
 
 def test_under_a_condition_there_are_ten_episodes_and_no_gap(tmp_path: Path) -> None:
-    found = run("greedy", ["5-weather"], tmp_path)["tiers"]["5-weather"]
-    windy = found["instances"][0]
-    one = load_tiers("test", ["5-weather"])["5-weather"][0]
+    (one, *_) = load_tiers("test", ["5-weather"])["5-weather"]
+    tiers = {"5-weather": (one,)}
+    found = run_benchmark("greedy", "test", tiers, tmp_path, command="c")["tiers"]["5-weather"]
+    (windy,) = found["instances"]
     policy = load_policy("greedy", one.field, condition="windy")
     how: dict[str, Any] = {"episodes": 10, "seed": 4_004_000, "deterministic": True}
     evaluated = evaluate(policy.policy, one.field, policy.settings, **how)
     assert len(set(evaluated.steps)) > 1
     assert windy["mean"] == numbers(evaluated, one)
-    assert found["mean"]["gap"] is None and found["mean"]["makespan"]["instances"] == COUNT
+    assert found["mean"]["gap"] is None and found["mean"]["makespan"]["instances"] == 1
 
 
 def test_an_interrupted_run_goes_on_and_gives_the_same(

@@ -22,7 +22,7 @@ from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
-from mbn_marl.field import FieldSampler, load_field, load_fields
+from mbn_marl.field import FieldSampler, load_fields
 from tests.baselines.conftest import Refusal
 from tests.support.runs import interrupted, recorded, same_policies, small_config
 
@@ -35,21 +35,35 @@ OF_RAYS = {"x": lambda k: (4 - k) % 8, "y": lambda k: -k % 8, "swap": lambda k: 
 
 
 class Scene:
-    """The observations of teams of 2 to 4 robots after random steps, and networks for them."""
+    """Made-up observations of teams of 2 to 4 robots, and networks for them."""
 
     def __init__(self, *, assignment: bool) -> None:
-        engine = BatchEngine(TEAMS, WORLDS, seed=1, **{**SEEN, "assignment": assignment})
-        engine.reset()
-        rng = np.random.default_rng(0)
-        for _ in range(30):
-            seen = engine.step(rng.uniform(-1, 1, (WORLDS, 4, 2)).astype(np.float32))[0]
-        self.rows = torch.from_numpy(np.array(seen))
-        self.names = [entry.name for entry in engine.observation_table]
+        engine = BatchEngine(TEAMS, 1, **{**SEEN, "assignment": assignment})
+        self.names = names = [entry.name for entry in engine.observation_table]
         self.tokens = Tokens.of(engine.observation_table)
+        self.rows = rows = 0.9 * torch.rand((WORLDS, 4, len(names)), generator=torch.manual_seed(1))
+        for k, name in enumerate(names):
+            if f"{name[:-1]}x" in names:
+                rows[..., k] = 2.0 * rows[..., k] - 0.9
+            if name.endswith(("_present", "_left")):
+                rows[..., k] = 1.0
+        for roi in (1, 2, 4):  # which some robots have left behind
+            self._blank(
+                f"roi_{roi}_", torch.rand(WORLDS, 4, generator=torch.manual_seed(roi)) < 0.3
+            )
+        robots = 2 + torch.arange(WORLDS)[:, None] % 3
+        for other in (1, 2, 3):
+            self._blank(f"other_{other}_", (robots <= other).expand(WORLDS, 4))
+        self._blank("", torch.arange(4) >= robots)
         torch.manual_seed(0)
         self.actor = SetActor(self.tokens, (8, 12))
         self.critic = SetCritic(self.tokens, (8, 12), central=True)
         torch.nn.init.normal_(self.actor.head.weight)
+
+    def _blank(self, start: str, where: torch.Tensor) -> None:
+        """Set entries whose names begin with ``start`` to zero in some rows."""
+        for k in (k for k, name in enumerate(self.names) if name.startswith(start)):
+            self.rows[..., k][where] = 0.0
 
     def mirrored(self, how: str) -> torch.Tensor:
         """Return what the robots would see in a field that is mirrored."""
@@ -157,7 +171,7 @@ SMALLEST = small_config("generalist")
 CONFIG = replace(
     SMALLEST,
     field="random_convex",
-    environment=SEEN,
+    environment={**SEEN, "max_steps": 50},
     hyperparameters={**SMALLEST.hyperparameters, "scattered": 0.0, "roi_radius": 1.0},
 )
 
@@ -188,11 +202,11 @@ def test_a_policy_of_random_fields_goes_anywhere_but_wants_a_field(
     free = load_policy(run.path)
     assert free.field is None and free.settings["observation"] == "entities"
     policy = load_policy(run.path, "field_10")
-    seen = BatchEngine("field_10", 2, **policy.settings).reset()
+    size = BatchEngine("field_10", 1, **policy.settings).obs_size
+    seen = np.random.default_rng(0).uniform(-0.9, 0.9, (2, 3, size)).astype(np.float32)
     actions = policy.act(seen)
     assert actions.shape == (2, 3, 2)
     np.testing.assert_array_equal(free.act(seen), actions)
-    assert len(evaluate(policy, load_field("field_10"), policy.settings, episodes=2).steps) == 2
     whole = evaluate(free, unseen(fields, 5), free.settings, episodes=3)
     assert len(whole.returns) == 3
     with pytest.raises(ConfigError, match="assignment"):

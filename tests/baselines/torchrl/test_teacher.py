@@ -34,7 +34,7 @@ CONFIG = TrainConfig(
     evaluate_every=128,
     episodes=2,
     hyperparameters={**TINY, "teacher": SOURCE},
-    environment=LEARNER,
+    environment={**LEARNER, "max_steps": 100},
 )
 
 
