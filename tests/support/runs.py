@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import csv
+import os
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from filelock import FileLock
 
 from baselines.evaluation.policy import load_trained
 from baselines.runs.folder import RunFolder
@@ -15,23 +19,36 @@ from baselines.training.config import TrainConfig
 from baselines.training.progress_bar import Report
 from baselines.training.train import train
 
+AIDS = {"roi_radius": 4.0, "scattered": 0.5, "action_repeat": [2, 1], "action_repeat_until": 0.5}
+STAGES = {**AIDS, "roi_stages": 3, "roi_success": [0.0, 0.0]}
+"""ROIs that shrink before and after the checkpoint of :func:`small_config`."""
+TEAM = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8, 8], **AIDS}
+NET = {"policy_kwargs": {"net_arch": [8]}}
+SHORT = {**NET, "n_steps": 32, "batch_size": 32}
+REPLAY = {**NET, "learning_starts": 100, "train_freq": 4, "batch_size": 16, "buffer_size": 150}
+"""At the checkpoint the buffer is full and the warm-up is over."""
+FALLING = {"learning_rate": {"from": 0.01, "to": 0.001}}
+LEARNERS: dict[str, dict[str, Any]] = {
+    "a2c": {"model": NET},
+    "ppo": {"model": {**SHORT, **FALLING}},
+    "trpo": {"model": SHORT, **STAGES},
+    "ars": {"model": {"n_delta": 1, "n_top": 1, **FALLING}, "num_envs": 1},
+    "crossq": {"model": {**REPLAY, "gradient_steps": 2}},
+    "tqc": {"model": REPLAY},
+    "ppo-shared": {"model": SHORT, **STAGES},
+    "ppo-supersuit": {"model": SHORT},
+}
+
 
 def small_config(name: str) -> TrainConfig:
-    """A run of ``"mappo"`` or ``"ppo"`` with two fresh evaluations on the way."""
-    hyperparameters: dict[str, Any] = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8, 8]}
-    hyperparameters |= {"action_repeat": [1, 1], "action_repeat_until": 0.5}
-    if name == "ppo":
-        model = {"policy_kwargs": {"net_arch": [8]}, "n_steps": 32, "batch_size": 32}
-        hyperparameters = {"num_envs": 2, "model": model}
-    return TrainConfig(
-        name,
-        "field_03",
-        steps=320,
-        evaluate_every=100,
-        episodes=2,
-        environment={"max_steps": 50},
-        hyperparameters=hyperparameters,
-    )
+    """A run of a few updates, with a fresh evaluation and a checkpoint on the way."""
+    small: dict[str, Any] = TEAM
+    if name in LEARNERS:
+        kind = {} if name == "ars" else {"policy": "MlpPolicy"}
+        small = {"num_envs": 2, **kind, **LEARNERS[name]}
+    environment = {"max_steps": 50, "random_starts": "scattered" not in small}
+    budget: dict[str, Any] = {"steps": 400, "evaluate_every": 150, "episodes": 2}
+    return TrainConfig(name, "field_03", **budget, environment=environment, hyperparameters=small)
 
 
 def interrupted(config: TrainConfig, out: Path) -> RunFolder:
@@ -58,15 +75,40 @@ def recorded(run: RunFolder) -> dict[str, Any]:
     return {"rows": rows, "evaluations": evaluations, "final": timeless(run.evaluation)}
 
 
-def parameters(run: RunFolder) -> dict[str, torch.Tensor]:
-    """The weights of a run's policy."""
-    policy: Any = load_trained(run)
-    return dict(policy.network.state_dict())
-
-
 def same_policies(run: RunFolder, other: RunFolder) -> bool:
     """Return whether the weights of two runs are bit for bit the same."""
-    ours, theirs = parameters(run), parameters(other)
+    policies: list[Any] = [load_trained(one) for one in (run, other)]
+    ours, theirs = (policy.network.state_dict() for policy in policies)
     return ours.keys() == theirs.keys() and all(
         torch.equal(weight, theirs[name]) for name, weight in ours.items()
     )
+
+
+class TinyRuns:
+    """Runs of :func:`small_config`, trained once for the tests of all workers."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def finished(self, name: str) -> RunFolder:
+        """Return a finished run; leave it as it is."""
+        return self._made(f"{name}-finished", lambda out: train(small_config(name), out))
+
+    def stopped(self, name: str, copy: Path) -> RunFolder:
+        """Copy a run that stopped after its first checkpoint."""
+        run = self._made(f"{name}-stopped", lambda out: interrupted(small_config(name), out))
+        return RunFolder.open(shutil.copytree(run.path, copy))
+
+    def _made(self, name: str, make: Callable[[Path], RunFolder]) -> RunFolder:
+        self._folder.mkdir(exist_ok=True)
+        out = self._folder / name
+        with FileLock(f"{out}.lock"):
+            return RunFolder.open(out) if out.exists() else make(out)
+
+
+@pytest.fixture(scope="session")
+def tiny_runs(tmp_path_factory: pytest.TempPathFactory) -> TinyRuns:
+    """Small runs that tests read or copy."""
+    base = tmp_path_factory.getbasetemp()
+    workers = "PYTEST_XDIST_WORKER" in os.environ  # whose folders are in one
+    return TinyRuns((base.parent if workers else base) / "runs")

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.classical.cloning import clone
 from baselines.classical.controller import make_classical
-from baselines.classical.demonstrations import record_demonstrations
 from baselines.cli import main
 from baselines.evaluation.evaluate import evaluate
 from mbn_marl import BatchEngine
@@ -20,6 +18,8 @@ from mbn_marl.episode import check_episode, load_episode
 from mbn_marl.errors import MbnError
 from mbn_marl.field import load_field
 from mbn_marl.planning import plan
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize(("name", "makespan"), [("greedy", 22), ("planner", 17), ("replan", 17)])
@@ -31,9 +31,8 @@ def test_classical_policies(name: str, makespan: int) -> None:
     assert 17.0 <= summary["makespan"] <= makespan + (name == "greedy")
 
 
-@pytest.mark.parametrize("speed", [0.1, 0.3])
-def test_the_planner_stands_wind_that_it_did_not_plan_for(speed: float) -> None:
-    field = load_field("field_01")
+def test_the_planner_gets_there_in_wind_that_it_did_not_plan_for() -> None:
+    field, speed = load_field("field_01"), 0.3
     policy = make_classical("planner", field, {})
     summary = evaluate(policy, field, {"wind": (speed, 30.0)}, episodes=2).summary()
     assert summary["success_rate"] == 1.0
@@ -75,6 +74,7 @@ def test_a_policy_finds_out_what_each_of_its_worlds_is_like(
     assert [engine.snapshot().success for engine in engines] == [True] * len(worlds)
 
 
+@pytest.mark.all
 @pytest.mark.parametrize(("name", "most"), [("greedy", 36), ("replan", 26)])
 def test_policies_hold_out_in_gusts_world_by_world(name: str, most: int) -> None:
     field, gusty = load_field("field_03"), {"gust": 0.15}
@@ -101,35 +101,11 @@ def test_unknown_classical_policy() -> None:
         make_classical("magic", load_field("field_03"), {})
 
 
-def test_demonstrations_are_the_plan() -> None:
-    found = plan("field_03")
-    arrays = record_demonstrations(found, {})
-    np.testing.assert_allclose(arrays["actions"], found.actions, atol=1e-6)
-    assert arrays["observations"].shape == (17, 3, 30)
-    assert arrays["states"].shape == (17, 13)
-    assert arrays["rewards"].sum() == pytest.approx(159_490.0)
-    assert arrays["terminations"].tolist() == [False] * 16 + [True]
-    noisy = record_demonstrations(found, {}, episodes=3, noise=0.1)
-    assert set(noisy["episodes"]) == {0, 1, 2}
-    assert noisy["successes"].all()
-    assert 0.05 < np.std((noisy["taken"] - noisy["actions"])[5:10]) < 0.15
-
-
-def test_behaviour_cloning_comes_close_to_the_planner() -> None:
-    field = load_field("field_03")
-    arrays = record_demonstrations(plan(field), {}, episodes=20, noise=0.2)
-    policy = clone(arrays["observations"], arrays["actions"], updates=600, hidden=64)
-    summary = evaluate(policy, field, {}, episodes=1, deterministic=True).summary()
-    assert summary["success_rate"] == 1.0
-    assert summary["makespan"] < 30
-
-
 def test_mbn_plan_prints_draws_and_saves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, export = tmp_path / "plan", tmp_path / "demos.npz"
-    words = ["plan", "field_03", "-o", str(out), "--export", str(export), "--episodes", "2"]
-    assert main(words) == 0
+    out = tmp_path / "plan"
+    assert main(["plan", "field_03", "-o", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "17 steps" in printed and "yes, proved" in printed
     saved = json.loads((out / "plan.json").read_text())
@@ -143,12 +119,9 @@ def test_mbn_plan_prints_draws_and_saves(
     assert (episode.steps, episode.team_return) == (17, 159_490.0)
     with np.load(out / "plan.npz") as arrays:
         assert arrays["actions"].shape == (17, 3, 2)
-    with np.load(export) as arrays:
-        assert len(arrays["actions"]) == 34
     before = sorted(tmp_path.iterdir())
-    for taken in (["-o", str(out)], ["-o", str(tmp_path / "new"), "--export", str(export)]):
-        assert main(["plan", "field_03", *taken]) == 2
-        assert "--force" in capsys.readouterr().err
+    assert main(["plan", "field_03", "-o", str(out)]) == 2
+    assert str(out) in capsys.readouterr().err
     for wrong in (["--n-robots", "9"], ["--time-limit", "-1"], ["--wind", "nan", "0"]):
         assert main(["plan", "field_03", *wrong, "-o", str(out), "--force"]) == 2
         assert wrong[0][2:].replace("-", "_") in capsys.readouterr().err

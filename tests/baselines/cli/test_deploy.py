@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +12,10 @@ from baselines.cli import main
 from mbn_marl.config import make_config
 from mbn_marl.episode import play, save_episode
 from mbn_marl.field import load_field, save_field
+from tests.baselines.conftest import Refusal
 from tests.support.missions import SMALL
-from tests.support.terminal import in_terminal
 
+pytestmark = pytest.mark.slow
 pytest.importorskip("mujoco", reason="needs mbn_marl[sim3d]")
 
 
@@ -51,6 +51,11 @@ def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
     assert [(row["wind_speed"], row["wind_angle"]) for row in rows] == [(0.1, 30.0), (0.2, 30.0)]
     assert rows[0]["strongest_wind"] == 0.2
     assert figure.stat().st_size > 10_000
+    command = ["deploy", "zoo:field_03", "--sim", "plane", "--wind-speeds", "0.5,0.1,0.3,0.1"]
+    assert main([*command, "--json", str(numbers), "--force"]) == 0  # from the weakest, until lost
+    rows = json.loads(numbers.read_text())["deployments"]
+    assert [(row["wind_speed"], row["success"]) for row in rows] == [(0.1, True), (0.3, False)]
+    assert {row["strongest_wind"] for row in rows} == {0.1}
 
 
 def test_a_policy_of_yours_is_deployed_in_its_own_wind(
@@ -68,35 +73,22 @@ def test_a_policy_of_yours_is_deployed_in_its_own_wind(
         assert (row["wind_speed"], row["wind_angle"]) == wind
 
 
-@pytest.mark.parametrize(
-    ("options", "problem"),
-    [
-        (["greedy"], "field: greedy has none of its own"),
+def test_wrong_options_are_refused_by_place(refusal: Refusal) -> None:
+    zoo = ["zoo:field_03", "--sim", "plane"]
+    for options, place in (
+        (["greedy"], "field: greedy"),
         (["zoo", "--field", "nowhere"], "nowhere"),
-        (["zoo:field_03", "--sim", "plane", "--compare"], "compare: allowed with mujoco"),
-        (["zoo:field_03", "--sim", "plane", "--video", "x.mp4"], "video: allowed with mujoco"),
-        (["zoo:field_03", "--figure", "x.png"], "figure: allowed with --compare"),
-        (["zoo:field_03", "--metres-per-unit", "0"], "metres: 0"),
-        (["zoo:field_03", "--video", "x.avi"], "video: x.avi"),
-        (["zoo:field_03", "--condition", "windy", "--wind-speeds", "0.1"], "windy, which has one"),
-    ],
-)
-def test_the_command_says_what_is_wrong(
-    options: list[str], problem: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["deploy", *options]) == 2
-    assert problem in capsys.readouterr().err
+        ([*zoo, "--compare"], "compare: "),
+        ([*zoo, "--video", "x.mp4"], "video: "),
+        ([*zoo[:1], "--figure", "x.png"], "figure: "),
+        ([*zoo[:1], "--metres-per-unit", "0"], "metres: "),
+        ([*zoo[:1], "--video", "x.avi"], "video: x.avi"),
+        ([*zoo[:1], "--condition", "windy", "--wind-speeds", "0.1"], "windy"),
+    ):
+        assert place in refusal(["deploy", *options]), options
 
 
-def test_winds_in_any_order_are_swept_from_the_weakest(tmp_path: Path) -> None:
-    numbers = tmp_path / "numbers.json"
-    command = ["deploy", "zoo:field_03", "--sim", "plane", "--wind-speeds", "0.5,0.1,0.3,0.1"]
-    assert main([*command, "--json", str(numbers)]) == 0
-    rows = json.loads(numbers.read_text())["deployments"]
-    assert [(row["wind_speed"], row["success"]) for row in rows] == [(0.1, True), (0.3, False)]
-    assert {row["strongest_wind"] for row in rows} == {0.1}
-
-
+@pytest.mark.all
 def test_the_command_deploys_under_a_condition(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -112,42 +104,38 @@ def test_the_command_deploys_under_a_condition(
     assert f"{row['outcome']}, 1 failed" in shown and "storm" in shown
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "deploy greedy --field field_03 --sim plane --json old --video a.mp4",
-        "deploy greedy --field field_03 --compare --json old --figure a.txt",
-        "deploy greedy --field field_03 --video old.mp4 --json folder",
-        "deploy greedy --field field_03 --json old --wind-speeds 0.1,x",
-        "deploy greedy --field nowhere --json old --video old.mp4",
-        "deploy greedy --field field_03 --json old --sim coppeliasim --port 1 --timeout 0.1",
-        "render field_03 -o old",
-        "render nowhere -o old.gif",
-        "replay nowhere.json -o old.html",
-        "replay broken.json -o old.html",
-        "plan field_03 --export old.npz --out file",
-        "report nowhere -o old.html",
-        "report nowhere --paper -o old.md",
-        "watch nowhere --save old.json",
-    ],
-)
+COMMANDS = """
+deploy greedy --field field_03 --sim plane --json old --video a.mp4
+deploy greedy --field field_03 --compare --json old --figure a.txt
+deploy greedy --field field_03 --video old.mp4 --json folder
+deploy greedy --field field_03 --json old --wind-speeds 0.1,x
+deploy greedy --field nowhere --json old --video old.mp4
+deploy greedy --field field_03 --json old --sim coppeliasim --port 1 --timeout 0.1
+render field_03 -o old
+render nowhere -o old.gif
+replay nowhere.json -o old.html
+replay broken.json -o old.html
+plan field_03 --export old.npz --out file
+report nowhere -o old.html
+report nowhere --paper -o old.md
+watch nowhere --save old.json
+"""
+
+
 def test_with_force_nothing_is_moved_aside_before_all_is_checked(
-    command: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, refusal: Refusal
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     names = ("old", "old.mp4", "old.html", "old.npz", "old.gif", "old.md", "old.json", "file")
     for name in names:
-        Path(name).write_text(name)
-    Path("folder").mkdir()
+        (tmp_path / name).write_text(name)
+    (tmp_path / "folder").mkdir()
     still = play(load_field("field_03"), make_config({}), np.zeros((3, 3, 2)))
-    saved = save_episode(still, Path("broken.json")).read_text()
-    Path("broken.json").write_text(saved.replace('"tau":1.0', '"tau":-1.0'))
-    assert main([*command.split(), "--force"]) == 2, capsys.readouterr().err
-    assert {path.name for path in tmp_path.iterdir()} == {*names, "folder", "broken.json"}
-    assert all(Path(name).read_text() == name for name in names)
+    broken = save_episode(still, tmp_path / "broken.json")
+    broken.write_text(broken.read_text().replace('"tau":1.0', '"tau":-1.0'))
+    for command in COMMANDS.strip().splitlines():
+        refusal([*command.split(), "--force"])
+        assert {path.name for path in tmp_path.iterdir()} == {*names, "folder", "broken.json"}
+        assert all((tmp_path / name).read_text() == name for name in names), command
 
 
 def test_force_keeps_the_old_files(
@@ -163,18 +151,3 @@ def test_force_keeps_the_old_files(
     assert figure.read_text().startswith("<?xml")
     for path in (numbers, figure):
         assert path.with_name(f"{path.name}.1").read_text() == "old"
-
-
-def test_numbers_and_names_stay_whole_at_80_columns() -> None:
-    row = {"field": "a_field_of_my_own", "sim": "coppeliasim", "outcome": "truncated"}
-    row |= {"wind_speed": 0.125, "makespan": 1234, "return": -11_972_196.0, "separation": 1234.5}
-    row |= {"tracking_error": 0.12, "times_real_time": None, "failed": [None, 3]}
-    call = f"print_deployments([{row!r}], 'title')"
-    program = f"from baselines.cli.deploy import print_deployments; {call}"
-    shown = in_terminal([sys.executable, "-c", program], columns=80)
-    words = shown.split()
-    for whole in ("a_field_of_my_own", "coppeliasim", "truncated,", "1,234", "-11,972,196"):
-        assert whole in words, shown
-    assert "truncated, 1 failed" in shown
-    assert all(len(line) <= 80 for line in shown.splitlines())
-    assert "\N{HORIZONTAL ELLIPSIS}" not in shown

@@ -12,6 +12,7 @@ import pytest
 from baselines.cli import fields
 from baselines.cli.main import COMMANDS, main
 from mbn_marl import __version__
+from tests.baselines.conftest import Refusal
 
 ROOT = Path(__file__).parents[3]
 HIDDEN = """
@@ -28,64 +29,48 @@ def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert __version__ in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", [[], ["--help"], ["-h"]])
-def test_help_lists_every_command(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(words) == 0
-    lines = capsys.readouterr().out.splitlines()
-    listed = [line.split()[0] for line in lines if line.startswith("  ") and line[2] != " "]
-    assert listed == list(COMMANDS)
-    assert max(map(len, lines)) <= 80
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ([], ["--help"], ["-h"]):
+        assert main(words) == 0
+        lines = capsys.readouterr().out.splitlines()
+        listed = [line.split()[0] for line in lines if line.startswith("  ") and line[2] != " "]
+        assert listed == list(COMMANDS)
+        assert max(map(len, lines)) <= 80
 
 
-@pytest.mark.parametrize(("word", "meant"), [("trian", "train"), ("evalute", "evaluate")])
-def test_an_unknown_command_is_answered_with_a_known_one(
-    word: str, meant: str, capsys: pytest.CaptureFixture[str]
+def test_an_unknown_command_is_answered_with_a_known_one(refusal: Refusal) -> None:
+    for word, meant in (("trian", "train"), ("evalute", "evaluate")):
+        error = refusal([word])
+        assert f"{word}: " in error and f"did you mean {meant}?" in error
+
+
+def test_a_command_ends_with_a_code_and_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([word]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"mbn: error: {word}: ") and f"did you mean {meant}?" in error
+    def missing(name: str) -> ModuleNotFoundError:
+        return ModuleNotFoundError(f"No module named '{name}'", name=name)
+
+    raised: BaseException
+    for raised, code, parts in (
+        (KeyboardInterrupt(), 130, ["interrupted"]),
+        (KeyboardInterrupt("runs/a: --resume"), 130, ["interrupted: runs/a: --resume"]),
+        (missing("optuna"), 2, ["'optuna'", "pip install 'mbn_marl[baselines]'"]),
+        (missing("ray.tune"), 2, ["'ray.tune'", "pip install 'mbn_marl[ray]'"]),
+        (FileNotFoundError(2, "gone", "a.yaml"), 2, ["a.yaml: gone"]),
+        (BrokenPipeError(32, "Broken pipe"), 2, ["Broken pipe"]),
+    ):
+
+        def run(command: object, command_line: str, raised: BaseException = raised) -> None:
+            raise raised
+
+        monkeypatch.setattr(fields.Fields, "run", run)
+        assert main(["fields"]) == code
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and all(part in error for part in parts)
 
 
-def test_a_command_that_moved_says_where(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "speed"]) == 2
-    assert "python -m benchmarks" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("raised", "code", "said"),
-    [
-        (KeyboardInterrupt(), 130, "interrupted\n"),
-        (KeyboardInterrupt("runs/a: --resume"), 130, "interrupted: runs/a: --resume\n"),
-        (
-            ModuleNotFoundError("No module named 'optuna'", name="optuna"),
-            2,
-            "mbn: error: No module named 'optuna': pip install 'mbn_marl[baselines]' brings it\n",
-        ),
-        (
-            ModuleNotFoundError("No module named 'ray.tune'", name="ray.tune"),
-            2,
-            "mbn: error: No module named 'ray.tune': pip install 'mbn_marl[ray]' brings it\n",
-        ),
-        (FileNotFoundError(2, "gone", "a.yaml"), 2, "mbn: error: a.yaml: gone\n"),
-        (BrokenPipeError(32, "Broken pipe"), 2, "mbn: error: [Errno 32] Broken pipe\n"),
-    ],
-)
-def test_how_a_command_ends(
-    raised: BaseException,
-    code: int,
-    said: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    def run(command: object, command_line: str) -> None:
-        raise raised
-
-    monkeypatch.setattr(fields.Fields, "run", run)
-    assert main(["fields"]) == code
-    assert capsys.readouterr().err == said
-
-
-@pytest.mark.parametrize("words", [["zoo"], ["fields"], ["--help"], ["train", "--help"]])
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [["fields"], ["train", "--help"]])
 def test_a_reader_may_leave(words: list[str]) -> None:
     with subprocess.Popen([*MBN, *words], stdout=-1, stderr=-1, text=True) as process:
         assert process.stdout is not None and process.stderr is not None
@@ -94,6 +79,7 @@ def test_a_reader_may_leave(words: list[str]) -> None:
     assert process.returncode == 1
 
 
+@pytest.mark.slow
 def test_another_package_that_is_called_baselines_is_named(tmp_path: Path) -> None:
     other = tmp_path / "baselines" / "__init__.py"
     other.parent.mkdir()

@@ -8,7 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from mbn_marl.compiled.jit import ANNOUNCEMENT
+
+pytestmark = pytest.mark.slow
 
 PROBE = """
 import json

@@ -19,6 +19,8 @@ from baselines.training.train import train
 from mbn_marl.errors import ConfigError
 from tests.support.records import CONFIG, TINY
 
+pytestmark = pytest.mark.slow
+
 
 def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("baselines.compare.report.write_animation", lambda episode, path: None)
@@ -55,63 +57,52 @@ def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.M
 WILD = {**TINY, "learning_rate": [1e30, 1e30], "max_grad_norm": 1e30}
 
 
-def compare_variants(folder: Path, processes: int, **hyperparameters: dict[str, Any]) -> int:
-    """Run ``mbn compare`` on variants of ``mappo``, two seeds each; return the exit code."""
-    variants = folder / "variants.yaml"
-    blocks = {
-        label: {"algorithm": "mappo", "hyperparameters": values}
-        for label, values in hyperparameters.items()
-    }
-    variants.write_text(json.dumps(blocks))
-    budget = "--seeds 0 1 --steps 320 --evaluate-every 320 --episodes 1"
-    where = ["--out", str(folder / "out"), "--variants", str(variants)]
-    return main(["compare", *where, "--processes", str(processes), *budget.split()])
-
-
-@pytest.mark.parametrize("processes", [1, 2])
 def test_a_learner_that_breaks_down_stops_its_own_run_alone(
-    processes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     monkeypatch.setattr("baselines.compare.report.write_animation", lambda episode, path: None)
-    out = tmp_path / "out"
-    assert compare_variants(tmp_path, processes, wild=WILD, tame=TINY) == 2
-    told = capsys.readouterr()
+    out, variants = tmp_path / "out", tmp_path / "variants.yaml"
+    wild, tame = ({"algorithm": "mappo", "hyperparameters": values} for values in (WILD, TINY))
+    variants.write_text(json.dumps({"wild": wild, "tame": tame}))
+    budget = "--seeds 0 1 --steps 320 --evaluate-every 320 --episodes 1 --processes 2"
+    words = ["compare", "--variants", str(variants), *budget.split(), "--out"]
+    assert main([*words, str(out)]) == 2
+    error = capsys.readouterr().err
     for seed in (0, 1):
-        said = f"{out / f'wild-field_03-seed{seed}'}: the learner diverged"
-        assert said in told.err and said in (out / "comparison.md").read_text()
+        place = str(out / f"wild-field_03-seed{seed}")
+        assert place in error and place in (out / "comparison.md").read_text()
         assert (out / f"tame-field_03-seed{seed}" / "evaluation.json").is_file()
+    assert {path.name for path in out.iterdir() if path.is_file()} >= {
+        *("aggregates.png", "command.txt", "comparison.md", "config.json", "profiles.png"),
+        *("learning_curves_field_03.png", "table.csv", "versions.json"),
+    }
     found = read_json(out / "comparison.json")
     assert {row["label"] for row in found["rows"]} == {"tame"}
     assert set(found["broken_runs"]) == {"wild-field_03-seed0", "wild-field_03-seed1"}
 
 
-def test_where_every_learner_breaks_down_nothing_is_left(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
-    assert compare_variants(tmp_path, 1, wild=WILD) == 2
-    assert "nothing is left to compare" in capsys.readouterr().err
-
-
-def test_one_broken_run_leaves_its_label_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    broken = CONFIG.runs()[-1].name
+def test_broken_runs_leave_their_label_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    every = {run.name for run in CONFIG.runs()}
+    broken = {CONFIG.runs()[-1].name}
 
     def train_or_break(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
-        if config.name == broken:
+        if config.name in broken:
             raise DivergenceError("loc is nan")
         return train(config, out, **options)
 
     monkeypatch.setattr("baselines.sweep.worker.train", train_or_break)
     results = train_all_runs(CONFIG, tmp_path / "out", command="mbn compare", processes=1)
     assert (results.labels, results.seeds) == (("mappo-tiny",), 2)
-    assert results.broken == {broken: "loc is nan"}
+    assert results.broken == dict.fromkeys(broken, "loc is nan")
+    broken |= every
+    with pytest.raises(RunError):
+        train_all_runs(CONFIG, tmp_path / "none", command="mbn compare", processes=1)
 
 
 def test_only_the_same_comparison_goes_on(tmp_path: Path) -> None:
     out = tmp_path / "comparison"
     out.mkdir()
-    with pytest.raises(RunError, match="not the folder of a comparison"):
+    with pytest.raises(RunError, match=str(out)):
         train_all_runs(CONFIG, out, command="mbn compare", processes=1, resume=True)
     write_json(out / "config.json", {**CONFIG.to_json(), "seeds": [0, 2], "steps": 7})
     with pytest.raises(ConfigError) as caught:

@@ -1,8 +1,11 @@
-"""Run folders: what they hold, and what they refuse."""
+"""Run folders: what they hold, what they refuse, and one process at a time."""
 
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,102 +17,94 @@ from baselines.training.progress_bar import Report
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import load_field
 
-# Storage
 
-
-def test_claim_folder_refuses_to_overwrite(tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "result").write_text("dear")
-    with pytest.raises(RunError, match="--force"):
-        claim_folder(tmp_path / "run")
-    assert (tmp_path / "run" / "result").read_text() == "dear"
-
-
-def test_claim_folder_with_force_loses_nothing(tmp_path: Path) -> None:
+def test_a_folder_is_claimed_without_loss(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
     for content in ("first", "second"):
-        folder = claim_folder(tmp_path / "run", force=True)
+        assert claim_folder(folder, force=True) == folder
         (folder / "result").write_text(content)
-    claim_folder(tmp_path / "run", force=True)
-    assert not list((tmp_path / "run").iterdir())
+    with pytest.raises(RunError, match=str(folder)):
+        claim_folder(folder)
+    assert (folder / "result").read_text() == "second"
+    claim_folder(folder, force=True)
+    assert not list(folder.iterdir())
     assert (tmp_path / "run.1" / "result").read_text() == "first"
     assert (tmp_path / "run.2" / "result").read_text() == "second"
-
-
-def test_claim_folder_accepts_an_empty_one_and_refuses_a_file(tmp_path: Path) -> None:
-    assert claim_folder(tmp_path) == tmp_path
+    for name in (".lock", ".config.json.abc"):  # as a process leaves it that is killed at once
+        (folder / name).touch()
+    claim_folder(folder)
+    (folder / ".hidden").touch()
+    with pytest.raises(RunError, match=str(folder)):
+        claim_folder(folder)
     (tmp_path / "file").touch()
-    with pytest.raises(RunError, match="is a file"):
+    with pytest.raises(RunError, match="file"):
         claim_folder(tmp_path / "file", force=True)
+    inner = folder / "inner"
+    inner.mkdir()
+    with alone(inner, "mbn train"), pytest.raises(RunError, match="inner"):
+        claim_folder(folder, force=True)
+    claim_folder(folder, force=True)
+    assert (tmp_path / "run.3" / "inner").is_dir()
 
 
-def test_write_json_leaves_the_old_file_when_it_fails(tmp_path: Path) -> None:
+def test_json_is_written_whole_and_errors_name_the_file(tmp_path: Path) -> None:
     path = tmp_path / "value.json"
     write_json(path, {"a": 1})
-    with pytest.raises(ValueError, match="JSON"):
+    with pytest.raises(ValueError):
         write_json(path, {"a": float("nan")})
     assert read_json(path) == {"a": 1}
     assert [file.name for file in tmp_path.iterdir()] == ["value.json"]
-
-
-def test_read_json_names_the_file(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match=r"missing\.json is missing"):
-        read_json(tmp_path / "missing.json")
     (tmp_path / "bad.json").write_text("{")
-    with pytest.raises(RunError, match=r"bad\.json is not valid JSON"):
-        read_json(tmp_path / "bad.json")
+    for name in ("missing.json", "bad.json"):
+        with pytest.raises(RunError, match=name):
+            read_json(tmp_path / name)
 
 
-def test_a_folder_at_work_is_not_moved_aside(tmp_path: Path) -> None:
-    inner = tmp_path / "comparison" / "run"
-    inner.mkdir(parents=True)
+def test_a_second_process_is_refused(tmp_path: Path) -> None:
+    code = (
+        "import sys, pathlib; from baselines.runs.files import alone\n"
+        f"with alone(pathlib.Path({str(tmp_path)!r}), 'mbn train'):\n"
+        "    print('on', flush=True)\n"
+        "    sys.stdin.read()"
+    )
+    first = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert first.stdout is not None and first.stdout.readline() == "on\n"
     with (
-        alone(inner, "mbn train"),
-        pytest.raises(RunError, match=r"run: another mbn train .*is running"),
+        pytest.raises(RunError, match=rf"another mbn train \(process {first.pid} on .* since 20"),
+        alone(tmp_path, "mbn compare"),
     ):
-        claim_folder(tmp_path / "comparison", force=True)
-    claim_folder(tmp_path / "comparison", force=True)
-    assert (tmp_path / "comparison.1" / "run").is_dir()
+        pass
+    first.kill()  # leaves its file, which holds nothing
+    first.communicate()
+    with alone(tmp_path, "mbn compare"):
+        assert json.loads((tmp_path / ".lock").read_text())["pid"] == os.getpid()
+    assert not list(tmp_path.iterdir())
 
 
-# Runs
-
-
-def _run_folder(path: Path) -> RunFolder:
-    """A run that has just begun."""
-    return RunFolder.create(path / "run", {"algorithm": "mappo"}, load_field("field_03"), "mbn")
-
-
-def test_progress_has_the_columns_of_its_first_row(tmp_path: Path) -> None:
-    run = _run_folder(tmp_path)
+def test_a_run_records_field_command_versions_and_progress(tmp_path: Path) -> None:
+    field = load_field("field_07")
+    run = RunFolder.create(tmp_path / "run", {"algorithm": "ppo"}, field, "mbn train it")
+    assert run.field == field
+    assert (run.path / "command.txt").read_text() == "mbn train it\n"
+    assert read_json(run.path / "versions.json")["packages"]["torch"]
     run.append_progress({"env_steps": 8.0, "loss": 0.25})
     run.append_progress({"env_steps": 16.0, "loss": float("nan")})
-    with pytest.raises(ValueError, match="differ"):
+    with pytest.raises(ValueError):
         run.append_progress({"env_steps": 24.0})
-    assert (run.path / "progress.csv").read_text().split() == ["env_steps,loss", "8,0.25", "16,nan"]
-
-
-def test_a_run_records_field_command_and_versions(tmp_path: Path) -> None:
-    run = RunFolder.create(
-        tmp_path / "run", {"algorithm": "ppo"}, load_field("field_07"), "mbn train it"
-    )
-    assert run.field == load_field("field_07")
-    assert (run.path / "command.txt").read_text() == "mbn train it\n"
-    assert json.loads((run.path / "versions.json").read_text())["packages"]["torch"]
-    with pytest.raises(RunError, match="not a run folder"):
+    assert run.progress.read_text().split() == ["env_steps,loss", "8,0.25", "16,nan"]
+    with pytest.raises(RunError, match=str(tmp_path)):
         RunFolder.open(tmp_path)
 
 
-def test_train_config_lists_every_number_out_of_range() -> None:
+def test_wrong_requests_are_refused_by_place() -> None:
     with pytest.raises(ConfigError) as caught:
         TrainConfig("ppo", "field_03", seed=-1, steps=0)
     assert [line.split(":")[0] for line in caught.value.problems] == ["seed", "steps"]
-
-
-def test_train_config_names_unknown_algorithms_and_fields() -> None:
-    with pytest.raises(MbnError, match="sac: unknown algorithm"):
-        TrainConfig("sac", "field_03")
-    with pytest.raises(MbnError, match="field_99"):
-        TrainConfig("ppo", "field_99")
+    for algorithm, field, place in (("sac", "field_03", "sac"), ("ppo", "field_99", "field_99")):
+        with pytest.raises(MbnError, match=place):
+            TrainConfig(algorithm, field)
 
 
 def test_the_speed_of_a_slow_learner_is_shown() -> None:

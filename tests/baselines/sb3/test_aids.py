@@ -24,6 +24,8 @@ from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPol
 from mbn_marl.errors import ConfigError
 from tests.support.runs import recorded
 
+pytestmark = pytest.mark.slow
+
 WORLDS = 64
 LIVELY = {"safety_distance": 50.0, "random_starts": True, "max_steps": 10, "seed": 2, "threads": 1}
 """Settings under which some worlds have a collision while others still run."""
@@ -80,16 +82,25 @@ def test_a_change_of_size_truncates_the_episodes_that_run(kind: type[NavigationV
     assert not all(info["TimeLimit.truncated"] for info in infos)
 
 
-@pytest.mark.parametrize("name", ["a2c", "ppo", "trpo", "ppo-shared"])
+@pytest.mark.parametrize("name", ["ppo", "ppo-shared"])
 def test_decisions_become_shorter_and_rois_smaller_over_the_budget(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    remaining: list[float] = []
+    begin_rollout = Learner.begin_rollout
+
+    def keep(self: Learner) -> None:
+        remaining.append(self.model._current_progress_remaining)
+        begin_rollout(self)
+
+    monkeypatch.setattr(Learner, "begin_rollout", keep)
     monkeypatch.setattr(run_logger, "ROW_STEPS", 1)
     config = config_of(name)
     run = train(config, tmp_path / "run")
     rows = recorded(run)["rows"]
     # Two env-steps a decision until half of the budget, then one.
     assert [int(row["env_steps"]) for row in rows] == [64, 128, 160, 192, 224, 256]
+    assert remaining == [1.0, 0.75, 0.5, 0.375, 0.25, 0.125]  # of the library's schedules
     assert run.evaluation["env_steps"] == 256 and notes(config) == []
     # Episodes of 24 steps end in the second rollout (after 32), and 24 steps later in the fifth.
     assert [int(row["episodes"]) for row in rows] == [0, 4, 0, 0, 4, 0]
@@ -98,12 +109,9 @@ def test_decisions_become_shorter_and_rois_smaller_over_the_budget(
     assert min(run.evaluation["deterministic"]["per_episode"]["steps"]) > 24
 
 
-@pytest.mark.parametrize("name", ["ppo", "ppo-shared"])
-def test_robots_are_scattered_in_a_share_of_the_worlds(name: str) -> None:
-    config = config_of(name, scattered=0.25)
-    task, hyperparameters = prepare(config)
-    env = make_env(task, hyperparameters, EpisodeWindow())
-    (engine,) = engines(env)
+def test_robots_are_scattered_in_a_share_of_the_worlds() -> None:
+    task, hyperparameters = prepare(config_of("ppo", scattered=0.25))
+    (engine,) = engines(make_env(task, hyperparameters, EpisodeWindow()))
     assert engine.fields[:3] == (task.field,) * 3 and engine.fields[3] != task.field
 
 
@@ -117,21 +125,6 @@ def test_a_decision_is_discounted_once_for_each_step(name: str, stride: int) -> 
         assert learner.model.gamma == learner.model.rollout_buffer.gamma == 0.99**repeat
 
 
-def test_the_schedule_of_a_library_falls_with_env_steps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    remaining: list[float] = []
-    original = Learner.begin_rollout
-
-    def keep(self: Learner) -> None:
-        remaining.append(self.model._current_progress_remaining)
-        original(self)
-
-    monkeypatch.setattr(Learner, "begin_rollout", keep)
-    train(config_of("ppo-shared"), tmp_path / "run")
-    assert remaining == [1.0, 0.75, 0.5, 0.375, 0.25, 0.125]
-
-
 def test_a_policy_of_all_robots_observations_is_kept_and_evaluated(tmp_path: Path) -> None:
     run = train(config_of("ppo", joint_observation=True), tmp_path / "run")
     policy = load_trained(run)
@@ -139,22 +132,18 @@ def test_a_policy_of_all_robots_observations_is_kept_and_evaluated(tmp_path: Pat
     how = {"episodes": 2, "deterministic": True}
     again = evaluate(policy, run.field, run.config["environment"], **how)
     assert again.to_json() == run.evaluation["deterministic"]
-    with pytest.raises(ConfigError, match="observation: the policy was trained with relative"):
+    with pytest.raises(ConfigError, match="observation: "):
         evaluate(policy, run.field, {"observation": "lidar"}, **how)
 
 
-@pytest.mark.parametrize("name", ["ars", "crossq", "tqc", "ppo-supersuit"])
-def test_other_learners_refuse_aids_and_say_who_has_them(name: str) -> None:
+def test_other_learners_refuse_aids() -> None:
     aids = {"action_repeat": [2, 2], "roi_radius": 2.0, "scattered": 0.5, "episode_steps": 5}
-    with pytest.raises(ConfigError) as caught:
-        load(name, "N", aids)
-    allowed = f"allowed for a2c, ppo, trpo, ppo-shared, not for {name}"
-    assert sorted(caught.value.problems) == sorted(f"{one}: {allowed}" for one in aids)
-    load(name, "N", {"action_repeat": [1, 1], "roi_radius": 1.0, "episode_steps": None})
-
-
-def test_only_a_central_learner_sees_what_all_robots_see() -> None:
-    with pytest.raises(ConfigError, match=r"joint_observation: allowed for a2c, .*not for ppo-sha"):
+    for name in ("ars", "tqc", "ppo-supersuit"):
+        with pytest.raises(ConfigError) as caught:
+            load(name, "N", aids)
+        assert sorted(one.partition(":")[0] for one in caught.value.problems) == sorted(aids)
+        load(name, "N", {"action_repeat": [1, 1], "roi_radius": 1.0, "episode_steps": None})
+    with pytest.raises(ConfigError, match="joint_observation: "):  # of a central learner alone
         load("ppo-shared", "N", {"joint_observation": True})
 
 
@@ -162,12 +151,10 @@ def test_only_a_central_learner_sees_what_all_robots_see() -> None:
     ("name", "joint", "settings", "seen"),
     [
         ("ppo", False, {}, "state"),
-        ("ppo", True, {}, "observations"),
-        ("ppo", False, {"dynamics": "unicycle"}, "state"),  # with headings: 5n + 1
-        ("ppo", False, {"dynamics": "bicycle", "n_robots": 1}, "state"),
-        ("ppo", False, {"dynamics": "unicycle", "failures": {"rate": 0.1}}, "state"),  # with flags
         ("ppo", True, {"n_robots": 1}, "observations"),
-        ("ppo-shared", False, {"dynamics": "unicycle"}, "observations"),
+        # With headings and flags.
+        ("ppo", False, {"dynamics": "unicycle", "failures": {"rate": 0.1}}, "state"),
+        ("ppo-shared", False, {}, "observations"),
     ],
 )
 def test_a_policy_knows_what_it_observes(
@@ -201,17 +188,6 @@ def test_an_evaluation_is_of_the_policy_after_the_update(name: str, tmp_path: Pa
     assert during["deterministic_return_mean"] == last["deterministic_return_mean"]
 
 
-def test_a_transferred_policy_keeps_its_normalisation(tmp_path: Path) -> None:
-    how: dict[str, Any] = {"episodes": 1, "hyperparameters": {"normalize_observation": True}}
-    run = train(TrainConfig("a2c", "field_01", "A", steps=60, **how), tmp_path / "run")
-    moved = TrainConfig("a2c", "field_02", "C", transferred_from=run.path, **how)
-    learner = Learner(*prepare(moved), EpisodeWindow())
-    learner.begin_with(run)
-    env, theirs = learner.model.get_vec_normalize_env(), load_trained(run).normalization
-    assert env.obs_rms.count > 60
-    np.testing.assert_array_equal(env.obs_rms.mean, theirs.mean)
-
-
 def test_every_stage_of_the_curriculum_draws_other_starts() -> None:
     task, hyperparameters = prepare(config_of("ppo"))
     settings = {**task.settings, "random_starts": True}
@@ -226,17 +202,3 @@ def test_every_stage_of_the_curriculum_draws_other_starts() -> None:
     places = [states[:, :6] for states in starts]
     assert not any(np.array_equal(places[0], others) for others in places[1:])
     assert not np.array_equal(places[1], places[2])
-
-
-@pytest.mark.parametrize("name", ["a2c", "ars", "tqc"])
-def test_a_run_stops_with_the_policy_that_passed(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("baselines.training.run_logger.passes", lambda *_: True)
-    how: dict[str, Any] = {"steps": 2000, "evaluate_every": 200, "episodes": 1, "stop_at": 0.0}
-    config = TrainConfig(name, "field_03", "A", environment={"max_steps": 50}, **how)
-    run = train(config, tmp_path / "run")
-    passed, final = run.evaluations
-    assert 200 <= passed["env_steps"] == final["env_steps"] < 1000
-    assert passed["deterministic_return_mean"] == final["deterministic_return_mean"]
-    assert run.finished and not (run.path / "checkpoints").exists()

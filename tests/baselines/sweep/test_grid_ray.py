@@ -24,6 +24,7 @@ from baselines.sweep.status import Status
 from baselines.tuning.study import open_study
 from tests.support.runs import recorded, same_policies
 
+pytestmark = [pytest.mark.slow, pytest.mark.all]
 cluster_utils = pytest.importorskip("ray.cluster_utils", reason="needs the extra [ray]")
 
 NODE = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
@@ -147,4 +148,4 @@ def test_a_cluster_that_is_not_there_is_named(
 ) -> None:
     spec = spec_in(tmp_path)
     assert main(["grid", str(spec), "--engine", "ray", "--address", address]) == 2
-    assert f"no Ray cluster at {address}" in capsys.readouterr().err
+    assert address in capsys.readouterr().err

@@ -16,12 +16,9 @@ FIELD = load_field("field_02")
 
 
 def test_numbers_are_interpolated_and_do_not_leave_their_ends() -> None:
-    assert [between((3.0, 1.0), share) for share in (-1, 0, 0.25, 1, 2)] == [3, 3, 2.5, 1, 1]
-
-
-def test_action_repeat_falls_to_its_second_value() -> None:
     aids = TrainingAids(action_repeat=(4, 1), action_repeat_until=0.5)
     assert [aids.repeat_at(share) for share in (0.0, 0.25, 0.4, 0.5, 1.0)] == [4, 2, 2, 1, 1]
+    assert [between((3.0, 1.0), share) for share in (-1, 0, 0.25, 1, 2)] == [3, 3, 2.5, 1, 1]
 
 
 def test_a_budget_is_rounded_up_to_rollouts_that_become_shorter() -> None:
@@ -87,14 +84,13 @@ def test_robots_are_scattered_until_rois_have_their_true_size() -> None:
     moving = task_of(random_starts=True)
     curriculum.stage = 0
     assert aids.in_training(moving, curriculum, 8)["field"] == FIELD
-
-
-def test_a_crowded_field_keeps_its_starts() -> None:
-    rng = np.random.default_rng(0)
-    assert with_other_starts(FIELD, 500.0, rng) is FIELD
+    assert with_other_starts(FIELD, 500.0, np.random.default_rng(0)) is FIELD  # crowded
 
 
 def test_rois_shrink_when_the_team_succeeds_and_grow_when_it_fails() -> None:
+    curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
+    curriculum.add([0, 0, 0, 0])
+    assert not curriculum.move() and curriculum.radius == 8.0  # never beyond the first size
     curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
     sizes, moves = [], []
     none, all_of_them, half = [0, 0, 0, 0, 0], [1, 1, 1, 1], [1, 1, 0, 0]
@@ -116,9 +112,3 @@ def test_worlds_have_another_seed_after_every_change_of_size() -> None:
         seeds.append(rois.seed(7))
     assert seeds[:2] == [7, 7] and len(set(seeds[1:])) == 4
     assert all(0 <= seed < 2**63 for seed in seeds)
-
-
-def test_rois_never_grow_beyond_their_first_size() -> None:
-    curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
-    curriculum.add([0, 0, 0, 0])
-    assert not curriculum.move() and curriculum.radius == 8.0

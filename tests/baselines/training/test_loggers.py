@@ -11,22 +11,15 @@ import pytest
 
 from baselines.cli import main
 from baselines.runs.files import read_json
-from baselines.training.config import TrainConfig
 from baselines.training.progress_bar import Report
 from baselines.training.train import train
+from tests.support.runs import small_config
 
-CONFIG = TrainConfig(
-    "ippo",
-    "field_03",
-    steps=320,
-    evaluate_every=128,
-    episodes=2,
-    hyperparameters={"num_worlds": 4, "rollout_steps": 16, "hidden": [8], "action_repeat": [1, 1]},
-)
+pytestmark = pytest.mark.slow
 
 
 class FakeRun:
-    """A run of the library's: what it was begun with, what it was told, and whether it ended."""
+    """A run of the library's: its arguments, its numbers, and whether it ended."""
 
     def __init__(self, arguments: dict[str, Any]) -> None:
         self.arguments = arguments
@@ -40,65 +33,43 @@ class FakeRun:
         self.finished = True
 
 
-@pytest.fixture
-def runs(monkeypatch: pytest.MonkeyPatch) -> list[FakeRun]:
-    """The runs that are begun."""
-    begun: list[FakeRun] = []
+def test_an_interrupted_run_is_logged_and_goes_on_in_the_same_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs: list[FakeRun] = []
+    config, out, module = small_config("ppo"), tmp_path / "run", ModuleType("wandb")
 
     def init(**arguments: Any) -> FakeRun:
-        begun.append(FakeRun(arguments))
-        return begun[-1]
-
-    module = ModuleType("wandb")
-    module.init = init  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "wandb", module)
-    return begun
-
-
-def test_a_run_is_logged_to_the_project(runs: list[FakeRun], tmp_path: Path) -> None:
-    run = train(CONFIG, tmp_path / "run", wandb="robots")
-    (logged,) = runs
-    assert logged.finished
-    assert (logged.arguments["project"], logged.arguments["name"]) == ("robots", CONFIG.name)
-    assert logged.arguments["config"] == run.config
-    values: dict[str, float] = {}
-    for _, row in logged.logged:
-        values |= row
-    assert values["evaluation/return_mean"] == run.evaluation["stochastic"]["return_mean"]
-    assert values["training/seconds"] > 0.0
-    assert [step for step, _ in logged.logged] == sorted(step for step, _ in logged.logged)
-
-
-def test_an_interrupted_run_goes_on_in_the_same_one(runs: list[FakeRun], tmp_path: Path) -> None:
-    out = tmp_path / "run"
+        runs.append(FakeRun(arguments))
+        return runs[-1]
 
     def interrupt(report: Report) -> None:
         if (out / "checkpoints").exists():
             raise InterruptedError
 
+    module.init = init  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "wandb", module)
     with pytest.raises(InterruptedError):
-        train(CONFIG, out, wandb="robots", listener=interrupt)
+        train(config, out, wandb="robots", listener=interrupt)
     assert not runs[0].finished
-    train(CONFIG, out, wandb="robots", resume=True)
-    assert runs[1].arguments["id"] == runs[0].arguments["id"] == read_json(out / "wandb.json")["id"]
-    assert runs[1].arguments["resume"] == "allow"
-    assert runs[1].finished
+    run = train(config, out, wandb="robots", resume=True)
+    first, second = (one.arguments for one in runs)
+    assert (first["project"], first["name"], first["config"]) == ("robots", config.name, run.config)
+    assert first["id"] == second["id"] == read_json(out / "wandb.json")["id"]
+    assert second["resume"] == "allow" and runs[1].finished
+    for one in runs:
+        steps = [step for step, _ in one.logged]
+        assert steps and steps == sorted(steps)
+    values = {name: value for _, row in runs[1].logged for name, value in row.items()}
+    assert values["evaluation/return_mean"] == run.evaluation["stochastic"]["return_mean"]
+    assert values["training/seconds"] > 0.0
 
 
-@pytest.mark.parametrize("command", [["train", "ippo", "field_03"], ["compare"]])
 def test_without_the_package_nothing_is_begun(
-    command: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
-    assert main([*command, "--wandb", "robots", "--out", str(tmp_path / "out")]) == 2
-    assert "wandb: the package is not installed; pip install wandb" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_nothing_is_logged_unless_asked_for(runs: list[FakeRun], tmp_path: Path) -> None:
-    train(CONFIG, tmp_path / "run")
-    assert not runs
-    assert list((tmp_path / "run" / "tensorboard").iterdir())
+    for command in (["train", "ippo", "field_03"], ["compare"]):
+        assert main([*command, "--wandb", "robots", "--out", str(tmp_path / "out")]) == 2
+        assert "wandb: " in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()

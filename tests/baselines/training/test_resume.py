@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
+import resource
 import signal
-import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,181 +18,102 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main
 from baselines.evaluation.policy import load_trained
-from baselines.runs.files import RunError
+from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
 from baselines.training import run_logger as recorder
-from baselines.training.config import TrainConfig
 from baselines.training.progress_bar import Report
-from baselines.training.train import train
+from baselines.training.train import prepare, train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field, save_field
-from tests.support.runs import interrupted, recorded, same_policies
+from tests.support.runs import STAGES, TinyRuns, interrupted, recorded, same_policies, small_config
 
-SMALL = {"policy_kwargs": {"net_arch": [8]}}
-REPLAY = {**SMALL, "learning_starts": 100, "batch_size": 16, "buffer_size": 150}
-"""The buffer is full and the warm-up is over when the run is interrupted."""
-AIDS = {
-    **{"roi_radius": 4.0, "scattered": 0.5},
-    **{"action_repeat": [2, 1], "action_repeat_until": 0.5},
-}
-AIDED = ("trpo", "ppo-shared")
-"""Those of Stable-Baselines3 with aids; ROIs shrink before and after the interruption."""
-MODELS: dict[str, dict[str, Any]] = {
-    "a2c": SMALL,
-    "ppo": {**SMALL, "n_steps": 32, "batch_size": 32, "learning_rate": {"from": 0.01, "to": 0.001}},
-    "trpo": {**SMALL, "n_steps": 32, "batch_size": 32},
-    "ars": {"n_delta": 1, "n_top": 1, "learning_rate": {"from": 0.1, "to": 0.01}},
-    "crossq": {**REPLAY, "gradient_steps": 2},
-    "tqc": REPLAY,
-    "ppo-shared": {**SMALL, "n_steps": 32, "batch_size": 32},
-    "ppo-supersuit": {**SMALL, "n_steps": 32, "batch_size": 32},
-}
+pytestmark = pytest.mark.slow
+
+FAMILIES = ("ppo", "ars", "tqc", "mappo", "ppo-shared")
+"""An algorithm of each kind; the others share their trainers."""
 
 
-def _config(name: str, **changes: Any) -> TrainConfig:
-    """A run of a few updates with a checkpoint on the way."""
-    if ALGORITHMS[name].package == "torchrl":
-        small = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8, 8]}
-        small |= AIDS
-        config = TrainConfig(name, "field_03", steps=320, evaluate_every=128, episodes=2)
-        return replace(config, hyperparameters=small, **changes)
-    envs = 1 if name == "ars" else 2
-    hyperparameters = {"num_envs": envs, "model": MODELS[name]}
-    if name != "ars":
-        hyperparameters["policy"] = "MlpPolicy"
-    if name in AIDED:
-        hyperparameters |= {**AIDS, "roi_stages": 3, "roi_success": [0.0, 0.0]}
-    return TrainConfig(
-        name,
-        "field_03",
-        steps=400,
-        evaluate_every=150,
-        episodes=2,
-        environment={"max_steps": 50, "random_starts": True},
-        hyperparameters=hyperparameters,
-        **changes,
-    )
-
-
-def _assert_equal(run: RunFolder, other: RunFolder) -> None:
+def assert_equal(run: RunFolder, other: RunFolder) -> None:
     assert recorded(run) == recorded(other)
     assert same_policies(run, other)
 
 
-@pytest.mark.parametrize("name", ALGORITHMS)
-def test_a_resumed_run_equals_an_uninterrupted_one(name: str, tmp_path: Path) -> None:
-    config = _config(name)
-    whole = train(config, tmp_path / "whole")
-    stopped = interrupted(config, tmp_path / "resumed")
+@pytest.mark.parametrize(
+    "name",
+    [*FAMILIES, *(pytest.param(k, marks=pytest.mark.all) for k in ALGORITHMS if k not in FAMILIES)],
+)
+def test_a_resumed_run_equals_an_uninterrupted_one(
+    name: str, tmp_path: Path, tiny_runs: TinyRuns
+) -> None:
+    config, stopped = small_config(name), tiny_runs.stopped(name, tmp_path / "run")
     torch.manual_seed(99)
     np.random.seed(99)
     resumed = train(config, stopped.path, resume=True)
-    history = json.loads((resumed.path / "resumed.json").read_text())
-    assert 0 < history[0]["env_steps"] < config.steps
-    if name in AIDED:
-        sizes = [row["roi_radius"] for row in recorded(resumed)["rows"]]
-        assert len(sizes) == 3 and 1.0 < float(sizes[0]) < 4.0 and sizes[-1] == "1"
-    _assert_equal(resumed, whole)
+    (history,) = read_json(resumed.path / "resumed.json")
+    assert 0 < history["env_steps"] < config.steps
+    assert_equal(resumed, tiny_runs.finished(name))
+    budget = ALGORITHMS[name].budget(*prepare(config))
+    least = budget.env_steps if budget.exact else config.steps
+    assert least <= resumed.evaluation["env_steps"] <= budget.env_steps
+    if STAGES.items() <= config.hyperparameters.items():
+        sizes = [float(row["roi_radius"]) for row in recorded(resumed)["rows"]]
+        assert 1.0 < sizes[0] < 4.0 and sizes[-1] == 1.0
     assert not (resumed.path / "checkpoints").exists()
+    events = EventAccumulator(str(resumed.path / "tensorboard")).Reload()
+    shown = [(event.step, event.value) for event in events.Scalars("evaluation/return_mean")]
+    evaluated = [(entry["env_steps"], entry["return_mean"]) for entry in resumed.evaluations]
+    assert shown == [(steps, pytest.approx(mean)) for steps, mean in evaluated]
+    assert name != "tqc" or "train/critic_loss" in events.Tags()["scalars"]
 
 
-def _start(arguments: list[str]) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "mbn_marl", *arguments],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
-def _wait_for_checkpoint(folder: Path, process: subprocess.Popen[str]) -> None:
-    deadline = time.monotonic() + 120.0
-    while not list(folder.glob("checkpoints/[0-9]*")):
-        assert process.poll() is None, "the run ended before it could be interrupted"
-        assert time.monotonic() < deadline, "no checkpoint appeared"
-        time.sleep(0.01)
-
-
-@pytest.mark.parametrize(
-    ("name", "number", "code", "options"),
-    [
-        ("tqc", signal.SIGKILL, -9, "--steps 800 --evaluate-every 200 --num-envs 2"),
-        ("mappo", signal.SIGKILL, -9, "--steps 3000 --evaluate-every 500 --num-envs 2"),
-        ("ppo-shared", signal.SIGKILL, -9, "--steps 4000 --evaluate-every 500 --num-envs 2"),
-        ("a2c", signal.SIGTERM, 130, "--steps 4000 --evaluate-every 800 --setting A"),
-    ],
-)
-def test_a_killed_process_is_resumed(
-    name: str, number: signal.Signals, code: int, options: str, tmp_path: Path
-) -> None:
-    arguments = ["train", name, "field_03", "--episodes", "2", *options.split()]
-    if name == "tqc":
-        block = {"normalize_observation": True, "reward_scale": 5e-5, "model": REPLAY}
-        hyperparams = tmp_path / "small.yaml"
-        hyperparams.write_text(yaml.safe_dump({"N": block}))
-        arguments += ["--hyperparams", str(hyperparams)]
-    elif name == "ppo-shared":
-        arguments += ["--set", "action_repeat=[4,1]", "roi_radius=5.0", "roi_success=[0.0,0.0]"]
-        arguments += ["episode_steps=50", "model.n_steps=32", "model.batch_size=64"]
+def test_a_killed_process_is_resumed(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    assert main([*arguments, "--out", str(whole)]) == 0
-    again = [*arguments, "--out", str(killed)]
-    process = _start(again)
+    words = "train ppo-shared field_03 --episodes 2 --steps 4000 --evaluate-every 500 --num-envs 2"
+    sets = "--set action_repeat=[4,1] roi_radius=5.0 roi_success=[0.0,0.0] episode_steps=50"
+    model = "model.n_steps=32 model.batch_size=64"
+    arguments = [*words.split(), *sets.split(), *model.split(), "--out"]
+    assert main([*arguments, str(whole)]) == 0
+    command = [sys.executable, "-m", "mbn_marl", *arguments, str(killed)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     try:
-        _wait_for_checkpoint(killed, process)
-        process.send_signal(number)
-        _, error = process.communicate(timeout=60)
-        assert process.returncode == code
-        assert "Traceback" not in error
-        stopped = RunFolder.open(killed)
-        assert stopped.unfinished is not None
-        if code == 130:
-            assert (
-                error == f"interrupted: {killed} is {stopped.unfinished}; continue with --resume\n"
-            )
+        deadline = time.monotonic() + 600.0
+        while not list(killed.glob("checkpoints/[0-9]*")):
+            assert process.poll() is None, "the run ended before it could be interrupted"
+            assert time.monotonic() < deadline, "no checkpoint appeared"
+            time.sleep(0.01)
     finally:
-        process.kill()
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert RunFolder.open(killed).unfinished is not None
     assert not (killed / "evaluation.json").exists()
-    assert main([*again, "--resume"]) == 0
-    _assert_equal(RunFolder.open(killed), RunFolder.open(whole))
-    history = json.loads((killed / "resumed.json").read_text())
-    assert history[0]["env_steps"] > 0
-    assert history[0]["command"].endswith("--resume")
+    assert main([*arguments, str(killed), "--resume"]) == 0
+    assert_equal(RunFolder.open(killed), RunFolder.open(whole))
+    assert read_json(killed / "resumed.json")[0]["command"].endswith("--resume")
     assert not list(killed.glob(".*"))
 
 
-def test_a_run_killed_before_its_first_checkpoint_begins_again(tmp_path: Path) -> None:
-    config = _config("ppo")
-    whole = train(config, tmp_path / "whole")
+def test_a_run_killed_before_its_first_checkpoint_begins_again(
+    tmp_path: Path, tiny_runs: TinyRuns
+) -> None:
+    config, out = small_config("ppo"), tmp_path / "run"
 
     def interrupt(report: Report) -> None:
         raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        train(config, tmp_path / "run", listener=interrupt)
-    (tmp_path / "run" / ".policy.abc").mkdir()
-    assert (tmp_path / "run" / "progress.csv").exists()
-    assert not (tmp_path / "run" / "checkpoints").exists()
-    _assert_equal(train(config, tmp_path / "run", resume=True), whole)
-    assert not list((tmp_path / "run").glob(".*"))
-
-
-def test_tensorboard_shows_every_step_once(tmp_path: Path) -> None:
-    config = _config("tqc")
-    stopped = interrupted(config, tmp_path / "run")
-    run = train(config, stopped.path, resume=True)
-    events = EventAccumulator(str(run.path / "tensorboard")).Reload()
-    shown = [(event.step, event.value) for event in events.Scalars("evaluation/return_mean")]
-    expected = [(entry["env_steps"], entry["return_mean"]) for entry in run.evaluations]
-    assert [step for step, _ in shown] == [step for step, _ in expected]
-    assert [value for _, value in shown] == pytest.approx([value for _, value in expected])
-    assert "train/critic_loss" in events.Tags()["scalars"]
+        train(config, out, listener=interrupt)
+    (out / ".policy.abc").mkdir()
+    assert (out / "progress.csv").exists() and not (out / "checkpoints").exists()
+    for name in ("field.yaml", "versions.json"):
+        (out / name).unlink()
+    assert_equal(train(config, out, resume=True), tiny_runs.finished("ppo"))
+    assert RunFolder.open(out).field == load_field("field_03") and (out / "versions.json").exists()
+    assert not list(out.glob(".*"))
 
 
 def test_slow_training_is_saved_between_evaluations(
@@ -199,8 +121,7 @@ def test_slow_training_is_saved_between_evaluations(
 ) -> None:
     monkeypatch.setattr(recorder, "CHECKPOINT_SECONDS", 0.0)
     monkeypatch.setattr(recorder, "ROW_STEPS", 64)
-    config = replace(_config("ppo"), evaluate_every=100_000)
-    stopped = interrupted(config, tmp_path / "run")
+    stopped = interrupted(replace(small_config("ppo"), evaluate_every=100_000), tmp_path / "run")
     assert stopped.checkpoint is not None and int(stopped.checkpoint.name) == 64
     assert stopped.evaluations == []
 
@@ -219,45 +140,35 @@ def test_a_checkpoint_that_fails_leaves_the_one_before(tmp_path: Path) -> None:
 
 
 def test_a_policy_can_be_looked_at_before_the_run_is_finished(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, tiny_runs: TinyRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stopped = interrupted(_config("ippo"), tmp_path / "run")
+    stopped = tiny_runs.stopped("mappo", tmp_path / "run")
     load_trained(stopped)
-    assert stopped.unfinished == "unfinished: checkpoint at 128 of 320 env-steps"
+    assert stopped.unfinished and "of 400 env-steps" in stopped.unfinished
     assert main(["evaluate", str(stopped.path), "--episodes", "1"]) == 0
     assert stopped.unfinished in capsys.readouterr().out
-    with pytest.raises(RunError, match="is not a finished run"):
+    with pytest.raises(RunError):
         _ = stopped.evaluation
 
 
-def test_an_interrupted_run_says_where_it_can_be_resumed(tmp_path: Path) -> None:
-    out = tmp_path / "run"
+def test_an_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(
+    tmp_path: Path,
+) -> None:
+    threads, during = torch.get_num_threads(), []
 
     def interrupt(report: Report) -> None:
-        if (out / "checkpoints").exists():
+        during.append(torch.get_num_threads())
+        if (tmp_path / "run" / "checkpoints").exists():
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt) as caught:
-        train(_config("mappo"), out, listener=interrupt)
-    where = f"{out} is unfinished: checkpoint at 128 of 320 env-steps"
-    assert str(caught.value) == f"{where}; continue with --resume"
-
-
-def test_torch_has_its_threads_again_after_a_run(tmp_path: Path) -> None:
-    threads = torch.get_num_threads()
-    during: list[int] = []
     torch.set_num_threads(3)
     try:
-        train(
-            _config("ippo"),
-            tmp_path / "run",
-            listener=lambda report: during.append(torch.get_num_threads()),
-        )
-        interrupted(_config("ippo"), tmp_path / "interrupted")
-        assert torch.get_num_threads() == 3
+        with pytest.raises(KeyboardInterrupt, match="--resume") as caught:
+            train(small_config("ppo"), tmp_path / "run", listener=interrupt)
+        assert torch.get_num_threads() == 3 and set(during) == {1}
     finally:
         torch.set_num_threads(threads)
-    assert set(during) == {1}
+    assert str(tmp_path / "run") in str(caught.value)
 
 
 MEMORY = """
@@ -275,61 +186,72 @@ print(held() - before)
 """
 
 
+@pytest.mark.all
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="malloc is another one")
 def test_freed_memory_is_kept_for_the_next_update() -> None:
     ran = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True)
     assert int(ran.stdout) > 2**26  # half of the block
 
 
-def test_a_finished_run_is_left_as_it_is(tmp_path: Path) -> None:
-    config = _config("a2c")
-    run = train(config, tmp_path / "run")
+def test_a_finished_run_is_left_as_it_is(tmp_path: Path, tiny_runs: TinyRuns) -> None:
+    stopped = tiny_runs.stopped("ppo", tmp_path / "run")
+    run = train(small_config("ppo"), stopped.path, resume=True)
     before = {path: path.stat().st_mtime_ns for path in run.path.iterdir()}
-    assert train(config, run.path, resume=True).evaluation == run.evaluation
+    assert train(small_config("ppo"), run.path, resume=True).evaluation == run.evaluation
     assert {path: path.stat().st_mtime_ns for path in run.path.iterdir()} == before
 
 
-def test_only_the_same_run_can_be_resumed(tmp_path: Path) -> None:
-    config = _config("a2c")
-    stopped = interrupted(config, tmp_path / "run")
+def test_only_the_same_run_can_be_resumed(tmp_path: Path, tiny_runs: TinyRuns) -> None:
+    config, stopped = small_config("ppo"), tiny_runs.stopped("ppo", tmp_path / "run")
     before = stopped.progress.read_bytes()
     with pytest.raises(ConfigError) as caught:
         train(replace(config, seed=5, steps=500), stopped.path, resume=True)
     assert [line.split(":")[0] for line in caught.value.problems] == ["seed", "steps"]
-    assert "recorded is 0, asked for is 5" in caught.value.problems[0]
-    with pytest.raises(RunError, match="is not a run folder"):
+    with pytest.raises(RunError):
         train(config, tmp_path / "nothing", resume=True)
-    assert stopped.progress.read_bytes() == before
-    assert stopped.checkpoint is not None
-
-
-def test_a_field_that_was_edited_meanwhile_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    save_field(load_field("field_03"), path)
-    config = replace(_config("a2c"), field=str(path))
-    stopped = interrupted(config, tmp_path / "run")
-    save_field(load_field("field_04"), path)
-    with pytest.raises(ConfigError, match="it has changed since the run was started"):
+    save_field(load_field("field_04"), stopped.path / "field.yaml")
+    with pytest.raises(ConfigError, match="field"):
         train(config, stopped.path, resume=True)
-    save_field(load_field("field_03"), path)
-    assert train(config, stopped.path, resume=True).finished
+    assert stopped.progress.read_bytes() == before and stopped.checkpoint is not None
 
 
-def test_a_run_at_work_is_left_alone(tmp_path: Path) -> None:
-    config, out = _config("a2c"), tmp_path / "run"
-    refused: list[str] = []
+def test_a_run_that_another_process_trains_is_left_alone(tmp_path: Path) -> None:
+    config, out, refused = small_config("ppo"), tmp_path / "run", []
 
     def interfere(report: Report) -> None:
         for options in ({"resume": True}, {"force": True}):
-            with pytest.raises(RunError, match=r"another mbn.* is running here") as caught:
+            with pytest.raises(RunError, match=f"{out}.*process {os.getpid()} on"):
                 train(config, out, **options)
-            refused.append(str(caught.value))
+            refused.append(options)
         raise InterruptedError
 
     with pytest.raises(InterruptedError):
         train(config, out, listener=interfere)
-    holder = f"process {os.getpid()} on {socket.gethostname()} since 20"
-    assert all(f"{out}: another mbn train ({holder}" in problem for problem in refused)
-    assert len(refused) == 2
-    assert train(config, out, resume=True).finished
-    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    assert len(refused) == 2 and [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+@contextmanager
+def files_up_to(size: int) -> Iterator[None]:
+    """No file can grow beyond ``size`` bytes, as on a disk that is full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("name", ["mappo", "ppo"])
+def test_a_full_disk_leaves_the_checkpoint_before(
+    name: str, tmp_path: Path, tiny_runs: TinyRuns
+) -> None:
+    run = tiny_runs.stopped(name, tmp_path / "run")
+    kept: Any = run.checkpoint
+    before = {path: path.read_bytes() for path in kept.rglob("*") if path.is_file()}
+    for size in (0, 300, 3_000):
+        with files_up_to(size), pytest.raises(RunError, match=str(run.path)):
+            train(small_config(name), run.path, resume=True)
+        assert run.checkpoint == kept
+        assert {path: path.read_bytes() for path in kept.rglob("*") if path.is_file()} == before
+    assert_equal(train(small_config(name), run.path, resume=True), tiny_runs.finished(name))
+    assert not list(run.path.glob(".*"))
