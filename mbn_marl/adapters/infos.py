@@ -22,6 +22,7 @@ In a team's info the robots' own values (from ``wall_hits`` on) are summed over 
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -82,8 +83,11 @@ class Infos:
 
     def of_robots(self, ended: bool) -> list[dict[str, float]]:
         """One info for each robot of the first world; ``ended``: whether its episode has."""
-        more = [float(column[0]) for column in self._team_wide(np.array([ended]))]
-        return [self._named(row + more) for row in self._engine.infos()[0].tolist()]
+        rows = self._engine.infos()[0].tolist()
+        if ended or self.keys[-1] != GAP:
+            more = [float(column[0]) for column in self._team_wide(np.array([ended]))]
+            return [self._named(row + more) for row in rows]
+        return [dict(zip(self.keys, (*row, UNDEFINED), strict=False)) for row in rows]
 
     def of_team(self, ended: bool) -> dict[str, float]:
         """The info of the first world's team; ``ended``: whether its episode has."""
@@ -121,4 +125,6 @@ class Infos:
 
     def _named(self, row: list[float]) -> dict[str, float]:
         info = dict(zip(self.keys, row, strict=True))
-        return {**info, GAP: UNDEFINED} if np.isnan(info[GAP]) else info
+        if math.isnan(info[GAP]):
+            info[GAP] = UNDEFINED
+        return info

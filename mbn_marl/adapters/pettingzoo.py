@@ -152,7 +152,8 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         self.agents = list(self.possible_agents)
         if self.engine.teams_vary:
             self.agents = self.agents[: int(self.engine.present[0].sum())]
-        infos = {agent: self._infos.of_reset() for agent in self.agents}
+        info = self._infos.of_reset()
+        infos = {agent: info.copy() for agent in self.agents}
         return dict(zip(self.agents, observations, strict=False)), infos
 
     def step(self, actions: Mapping[str, ArrayLike]) -> StepResult:
@@ -175,17 +176,20 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         observations, rewards, terminated, truncated = self._move(self._stacked(actions))
         ended = terminated or truncated
         infos = self._infos.of_robots(ended)
+        if len(agents) < len(infos):
+            there = [self._index[agent] for agent in agents]
+            observations, rewards = observations[there], rewards[there]
+            infos = [infos[robot] for robot in there]
         lost = dict.fromkeys(agents, terminated)
         if self._terminate_failed and not terminated:
-            lost |= {agent: bool(infos[self._index[agent]]["failed"]) for agent in agents}
-        self.agents = [agent for agent in agents if not (ended or lost[agent])]
-        shares = rewards.tolist()
+            lost = {agent: bool(info["failed"]) for agent, info in zip(agents, infos, strict=True)}
+        self.agents = [] if ended else [agent for agent in agents if not lost[agent]]
         return (
-            {agent: observations[self._index[agent]] for agent in agents},
-            {agent: shares[self._index[agent]] for agent in agents},
+            dict(zip(agents, observations, strict=False)),  # strict: slow at the end of an array
+            dict(zip(agents, rewards.tolist(), strict=True)),
             lost,
             {agent: truncated and not lost[agent] for agent in agents},
-            {agent: infos[self._index[agent]] for agent in agents},
+            dict(zip(agents, infos, strict=True)),
         )
 
     def _check_known(self, agent: str) -> None:

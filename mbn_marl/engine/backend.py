@@ -100,6 +100,7 @@ class Backend(ABC):
         self.output = state.make_output(worlds, n, spec.obs_size, config, xp)
         self._everyone = xp.ones(worlds, dtype=xp.bool)
         self._actions = xp.zeros(spec.actions_shape, dtype=self._real)
+        self._allowed_actions = f"{spec.actions_shape} (worlds, robots, axes)"
         self.memory.seed[:] = spec.seed
 
     def reseed(self, seed: int, episode: int) -> None:
@@ -317,10 +318,9 @@ class Backend(ABC):
         Raises:
             ActionError: wrong shape, not numeric, or found not to be finite.
         """
-        shape = self.spec.actions_shape
-        allowed = f"{shape} (worlds, robots, axes)"
+        allowed = self._allowed_actions
         given = self._given("actions", actions, allowed)
-        if tuple(given.shape) != shape:
+        if given.shape != self._actions.shape:
             raise ActionError(f"actions: shape {tuple(given.shape)}; allowed: {allowed}")
         if not self._is_real(given):
             raise ActionError(f"actions: dtype {given.dtype}; allowed: a real number type")

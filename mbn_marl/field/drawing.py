@@ -80,24 +80,22 @@ def is_near(scratch, f, e, x, y, distance):
     uy = scratch[Y + after, f] - scratch[Y + e, f]
     wx, wy = x - scratch[X + e, f], y - scratch[Y + e, f]
     along, square = wx * ux + wy * uy, ux * ux + uy * uy
-    if along <= 0:
-        return wx * wx + wy * wy < distance * distance
-    if along >= square:
-        return (wx - ux) * (wx - ux) + (wy - uy) * (wy - uy) < distance * distance
-    return abs(ux * wy - uy * wx) < distance * scratch[LENGTH + e, f]
+    before, past = along <= 0, along >= square
+    near = before & (wx * wx + wy * wy < distance * distance)
+    near |= past & ((wx - ux) * (wx - ux) + (wy - uy) * (wy - uy) < distance * distance)
+    beside = abs(ux * wy - uy * wx) < distance * scratch[LENGTH + e, f]
+    return near | (beside & (not (before | past)))
 
 
 @compiled
 def is_clear(scratch, f, corners, x, y, distance):
     """Return whether (x, y) is inside, at least ``distance`` from all edges."""
-    inside = False
-    for e in range(corners):
-        if is_near(scratch, f, e, x, y, distance):
-            return False
+    inside, near = False, False
+    for e in range(corners):  # without branches, so that edges are checked side by side
+        near |= is_near(scratch, f, e, x, y, distance)
         after = scratch[NEXT + e, f]
         ax, ay = scratch[X + e, f], scratch[Y + e, f]
         bx, by = scratch[X + after, f], scratch[Y + after, f]
-        if (ay > y) != (by > y):
-            left = (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0
-            inside = inside != (left == (by > ay))
-    return inside
+        left = (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0
+        inside ^= ((ay > y) != (by > y)) & (left == (by > ay))
+    return inside & (not near)

@@ -308,10 +308,7 @@ def change_one(g, plan, status, ep, w):
         exchange(plan, n, m, one, a, two, b, w)
     elif robot != END:
         put_after(plan, n, m, to, place, take_after(plan, n, m, robot, before, w), w)
-    changed = (one != END) | (robot != END)
-    if changed:
-        measure_all(g, plan, ep, w)
-    return changed
+    return (one != END) | (robot != END)
 
 
 @compiled
@@ -337,10 +334,11 @@ def assign_all(g, plan, status, ep, weight, w):
         plan[w, row] = END
     while insert_one(g, plan, status, ep, weight, w):
         pass
-    measure_all(g, plan, ep, w)
-    for _ in range(CHANGES * count_bits(g.codes[column(g, w)])):
-        if not change_one(g, plan, status, ep, w):
-            break
+    changes, more = CHANGES * count_bits(g.codes[column(g, w)]), True
+    while more:
+        measure_all(g, plan, ep, w)
+        more = (changes > 0) and change_one(g, plan, status, ep, w)
+        changes -= 1
     longest, total = others(plan, n, END, END, w)
     return longest + SPREAD * total
 

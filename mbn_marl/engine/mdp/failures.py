@@ -167,17 +167,15 @@ def put_flag(status, lo, hi, i, tile, k):
 def blank_gone(p, status, lo, hi, j, tile, first, end):
     """Blank the entries ``first`` to ``end - 1``, about robot j, where it is gone."""
     if status.ndim == 2 and p.some_gone:
-        for w in range(lo, hi):
-            there = p.zero if is_gone(p, status, j, w) else p.one
-            for entry in range(first, end):
-                tile[entry, w - lo] *= there
+        for entry in range(first, end):
+            for w in range(lo, hi):
+                tile[entry, w - lo] *= select(is_gone(p, status, j, w), p.zero, p.one)
 
 
 @compiled
 def blank_absent(p, status, lo, hi, i, tile):
     """Blank all that robot i sees where it is absent."""
     if status.ndim == 2 and p.teams_vary:
-        for w in range(lo, hi):
-            there = p.zero if is_absent(status, i, w) else p.one
-            for entry in range(tile.shape[0]):
-                tile[entry, w - lo] *= there
+        for entry in range(tile.shape[0]):
+            for w in range(lo, hi):
+                tile[entry, w - lo] *= select(is_absent(status, i, w), p.zero, p.one)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import FIRST, clip, column
+from mbn_marl.compiled.scalars import FIRST, clip, column, select
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.intrinsics import SIDE, transpose
 from mbn_marl.engine.mdp import lidar
@@ -204,34 +204,25 @@ def put_roi(p, g, ep, lo, hi, i, j, tile, k):
 
 
 @compiled
-def hide(p, dx, dy, column, tile, k, end):
-    """Blank entries k to end - 1 beyond the sensing radius; return 1 within it, else 0."""
-    seen = p.one if within(dx, dy, p.sensing_squared) else p.zero
-    for entry in range(k, end):
-        tile[entry, column] *= seen
-    return seen
-
-
-@compiled
 def hide_other(p, ep, lo, hi, i, j, tile, k, end, flag):
     """Hide robot j, in entries k to end - 1, where it is far; the flag before them says so."""
-    for w in range(lo, hi):
-        dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
-        seen = hide(p, dx, dy, w - lo, tile, k, end)
-        if flag:
-            tile[k - 1, w - lo] = seen
+    for entry in range(k - flag, end):
+        for w in range(lo, hi):
+            dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
+            seen = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
+            tile[entry, w - lo] = seen * select(entry < k, p.one, tile[entry, w - lo])
 
 
 @compiled
 def hide_roi(p, g, ep, lo, hi, i, j, tile, k, end, flag):
     """Hide ROI j, in entries k to end - 1, where it is far; its visit bit, after them, stays."""
-    for w in range(lo, hi):
-        f = column(g, w)
-        dx = spot(g.rois, 0, j, f, w) - ep.x[i, w]
-        dy = spot(g.rois, 1, j, f, w) - ep.y[i, w]
-        seen = hide(p, dx, dy, w - lo, tile, k, end)
-        if flag:
-            tile[k - 1, w - lo] = seen
+    for entry in range(k - flag, end):
+        for w in range(lo, hi):
+            f = column(g, w)
+            dx = spot(g.rois, 0, j, f, w) - ep.x[i, w]
+            dy = spot(g.rois, 1, j, f, w) - ep.y[i, w]
+            seen = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
+            tile[entry, w - lo] = seen * select(entry < k, p.one, tile[entry, w - lo])
 
 
 @compiled
