@@ -6,28 +6,35 @@ numbers that tell which robots hit a wall, stood on known ground or reached an R
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import cache
+from itertools import groupby
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
 
-from mbn_marl import Field
+from mbn_marl import BatchEngine, Field
 from mbn_marl.field import catalogue_names, load_field
 from tests.golden import FIELDS, Episode, load_episodes
-from tests.support.forms import BatchForm, CentralizedForm, Form, ParallelForm, TeamSharingForm
+from tests.support.configurations import PRECISIONS
+from tests.support.forms import CentralizedForm, Form, ParallelForm, TeamSharingForm
 
-WORLDS = 131  # more than a block of the engine, and no multiple of any vector width
-FORMS = {
-    "parallel": ParallelForm,
-    "parallel, team": TeamSharingForm,
-    "centralized": CentralizedForm,
-    "batch": lambda field, **settings: BatchForm(
-        field, WORLDS, WORLDS - 1, same_actions=True, threads=2, **settings
-    ),
-}
-SUMS_OF_SHARES = {"parallel": {"float64": 1e-12, "float32": 1e-6}}
-"""Relative tolerance of the team's reward where it is a sum over robots: a third is no float."""
+WORLDS = 131  # no multiple of any vector width, or of the number of episodes
 POSITION_TOLERANCE = {"float64": 1e-9, "float32": 0.005}
+ROUNDING = {"float64": 1e-12, "float32": 1e-6}
+"""Relative tolerance of the team's reward where it is a sum over robots: a third is no float."""
+
+
+class Played(NamedTuple):
+    """The states (T + 1, 4n + 1), team rewards (T,) and flags (T,) of an episode."""
+
+    states: NDArray[Any]
+    rewards: NDArray[Any]
+    terminated: NDArray[Any]
+    truncated: NDArray[Any]
 
 
 @cache
@@ -36,34 +43,79 @@ def golden_field(name: str) -> Field:
     return load_field(name) if name in catalogue_names() else Field(**FIELDS[name])
 
 
-def replay(
-    form: Form, episode: Episode, position_tolerance: float, reward_tolerance: float
-) -> None:
-    """Step through ``episode`` and compare everything that it records."""
-    state = form.reset()
-    n, total = episode.n_robots, 0.0
-    for t, actions in enumerate(episode.actions):
-        recorded = np.hstack([episode.positions[t].ravel(), episode.velocities[t].ravel()])
-        np.testing.assert_allclose(state[: 4 * n], recorded, rtol=0, atol=position_tolerance)
-        assert state[4 * n] == episode.codes[t]
-        outcome = form.step(actions)
-        state = outcome.state
-        assert outcome.team_reward == pytest.approx(episode.rewards[t], rel=reward_tolerance, abs=0)
-        assert outcome.terminated == episode.terminated[t]
-        assert outcome.truncated == (t == 999 and not outcome.terminated)
-        total += outcome.team_reward
-    np.testing.assert_allclose(
-        state[: 2 * n], episode.positions[-1].ravel(), rtol=0, atol=position_tolerance
-    )
-    assert state[4 * n] == episode.codes[-1]
-    assert total == pytest.approx(episode.episode_return, rel=0, abs=reward_tolerance * 1e6)
+def settings_of(episode: Episode) -> dict[str, Any]:
+    """What an environment needs beside the field."""
+    return {"n_robots": episode.n_robots, "wind": episode.wind}
 
 
-@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
+def alone(make: Callable[..., Form]) -> Callable[[str], Iterator[tuple[Episode, Played]]]:
+    """Play each episode in an environment of its own."""
+
+    def play(dtype: str) -> Iterator[tuple[Episode, Played]]:
+        for episode in load_episodes():
+            form = make(golden_field(episode.field), dtype=dtype, **settings_of(episode))
+            states, results = [form.reset().copy()], []
+            for action in episode.actions:
+                outcome = form.step(action)
+                states.append(outcome.state.copy())
+                results.append((outcome.team_reward, outcome.terminated, outcome.truncated))
+            yield episode, Played(np.array(states), *map(np.array, zip(*results, strict=True)))
+
+    return play
+
+
+def in_batches(dtype: str) -> Iterator[tuple[Episode, Played]]:
+    """Play those of the same team and wind as the worlds of one batch, some of them repeatedly."""
+
+    def team_and_wind(episode: Episode) -> Any:
+        return episode.n_robots, episode.wind
+
+    for _, rows in groupby(sorted(load_episodes(), key=team_and_wind), team_and_wind):
+        group = list(rows)
+        fields, settings = [golden_field(one.field) for one in group], settings_of(group[0])
+        engine = BatchEngine(fields, WORLDS, dtype=dtype, threads=2, **settings)  # type: ignore[arg-type]
+        engine.reset()
+        states, results = [engine.state().copy()], []
+        for t in range(max(len(one.actions) for one in group)):
+            actions = [one.actions[t] if t < len(one.actions) else one.actions[0] for one in group]
+            _, _, *flags = engine.step(np.resize(actions, (WORLDS, *actions[0].shape)))
+            ended = flags[0] | flags[1]
+            states.append(np.where(ended[:, None], engine.final_state(), engine.state()))
+            results.append([engine.team_rewards, *flags])
+            results[-1] = [array.copy() for array in results[-1]]
+        played = [np.array(states), *map(np.array, zip(*results, strict=True))]
+        for world in range(WORLDS):
+            episode = group[world % len(group)]
+            steps = len(episode.actions)
+            cuts = (steps + 1, steps, steps, steps)
+            rows_of = (array[:cut, world] for array, cut in zip(played, cuts, strict=True))
+            yield episode, Played(*rows_of)
+
+
+FORMS = {
+    "parallel": alone(ParallelForm),
+    "parallel, team": alone(TeamSharingForm),
+    "centralized": alone(CentralizedForm),
+    "batch": in_batches,
+}
+
+
+@pytest.mark.parametrize("dtype", PRECISIONS)
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("episode", load_episodes(), ids=lambda episode: episode.id)
-def test_golden_episode(episode: Episode, form: str, dtype: str) -> None:
-    field = golden_field(episode.field)
-    world = FORMS[form](field, n_robots=episode.n_robots, wind=episode.wind, dtype=dtype)
-    tolerance = SUMS_OF_SHARES.get(form, {"float64": 0.0, "float32": 0.0})[dtype]
-    replay(world, episode, POSITION_TOLERANCE[dtype], tolerance)
+def test_golden_episodes(form: str, dtype: str) -> None:
+    close = {"rtol": ROUNDING[dtype] if form == "parallel" else 0.0, "atol": 0.0}
+    there = set()
+    for episode, played in FORMS[form](dtype):
+        there.add(episode.id)
+        steps, n = episode.actions.shape[:2]
+        motion = np.concatenate([episode.positions, episode.velocities], axis=1)
+        assert_allclose(
+            *(played.states[:, : 4 * n], motion.reshape(steps + 1, 4 * n)),
+            **{"rtol": 0.0, "atol": POSITION_TOLERANCE[dtype], "err_msg": episode.id},
+        )
+        assert_array_equal(played.states[:, 4 * n], episode.codes, episode.id)
+        assert_allclose(played.rewards, episode.rewards, **close, err_msg=episode.id)
+        assert_array_equal(played.terminated, episode.terminated, episode.id)
+        late = (np.arange(steps) == 999) & ~episode.terminated
+        assert_array_equal(played.truncated, late, episode.id)
+    assert len(there) == 107

@@ -6,11 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.golden import FIELDS, Episode, load_episodes
+from tests.golden import FIELDS, load_episodes
 from tests.support.oracle import Oracle
-
-EPISODES = load_episodes()
 
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 STILL = (0.0, 0.0)
@@ -22,29 +21,24 @@ def make_field(starts, rois=((90.0, 90.0),), vertices=SQUARE, holes=()):
     )
 
 
-@pytest.mark.parametrize("episode", EPISODES, ids=lambda episode: episode.id)
-def test_golden_episode(episode: Episode) -> None:
-    field = make_field(**FIELDS[episode.field])
-    oracle = Oracle(field, n_robots=episode.n_robots, wind=episode.wind)
-    n = episode.n_robots
-    for t, action in enumerate(episode.actions.tolist()):
-        step = oracle.step(action)
-        state = np.array(oracle.state())
-        assert step.team_reward == episode.rewards[t]
-        assert step.terminated == episode.terminated[t]
-        assert state[-1] == episode.codes[t + 1]
-        np.testing.assert_allclose(
-            state[: 2 * n], episode.positions[t + 1].ravel(), rtol=0, atol=1e-9
-        )
-        np.testing.assert_allclose(
-            state[2 * n : -1], episode.velocities[t + 1].ravel(), rtol=0, atol=1e-9
-        )
-    assert oracle.episode_return == episode.episode_return
-
-
-def test_all_episodes_are_there() -> None:
-    assert len(EPISODES) == 107
-    assert sum(len(episode.rewards) for episode in EPISODES) == 16_886
+def test_golden_episodes() -> None:
+    episodes = load_episodes()
+    for episode in episodes:
+        field = make_field(**FIELDS[episode.field])
+        oracle = Oracle(field, n_robots=episode.n_robots, wind=episode.wind)
+        steps, states = [], []
+        for action in episode.actions.tolist():
+            steps.append(oracle.step(action))
+            states.append(oracle.state())
+        n, found = episode.n_robots, np.array(states)
+        motion = np.concatenate([episode.positions, episode.velocities], axis=1)[1:]
+        assert_allclose(found[:, :-1], motion.reshape(-1, 4 * n), 0, 1e-9, err_msg=episode.id)
+        assert_array_equal(found[:, -1], episode.codes[1:], episode.id)
+        assert [step.team_reward for step in steps] == episode.rewards.tolist(), episode.id
+        assert [step.terminated for step in steps] == episode.terminated.tolist(), episode.id
+        assert oracle.episode_return == episode.episode_return, episode.id
+    assert len(episodes) == 107
+    assert sum(len(episode.rewards) for episode in episodes) == 16_886
 
 
 def test_first_step_by_hand() -> None:

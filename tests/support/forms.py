@@ -117,8 +117,7 @@ class CentralizedForm:
 class BatchForm:
     """World ``world`` of a ``BatchEngine`` that restarts ended worlds by itself.
 
-    The other worlds get actions of their own, unless ``same_actions``; then all worlds have to
-    agree bitwise in every step.
+    The other worlds get actions of their own.
     """
 
     def __init__(
@@ -126,13 +125,10 @@ class BatchForm:
         field: Field | str | list[Field],
         num_worlds: int,
         world: int,
-        *,
-        same_actions: bool = False,
-        threads: int | None = None,
         **settings: Any,
     ) -> None:
-        self.engine = BatchEngine(field, num_worlds, threads=threads, **settings)
-        self.world, self.same_actions = world, same_actions
+        self.engine = BatchEngine(field, num_worlds, **settings)
+        self.world = world
         self._fresh = False
 
     def reset(self) -> NDArray[Any]:
@@ -146,14 +142,11 @@ class BatchForm:
     def step(self, actions: NDArray[np.float32]) -> Outcome:
         engine, world = self.engine, self.world
         batch = engine.sample_actions()
-        batch[... if self.same_actions else world] = actions
+        batch[world] = actions
         observations, rewards, terminated, truncated = engine.step(batch)
         self._check(observations)
         self._fresh = bool(terminated[world] | truncated[world])
         states = engine.final_state() if self._fresh else engine.state()
-        if self.same_actions:
-            for array in (observations, rewards, terminated, truncated, states):
-                assert (array == array[:1]).all()
         seen = engine.final_observations if self._fresh else observations
         return Outcome(
             state=states[world],

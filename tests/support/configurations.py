@@ -1,0 +1,107 @@
+"""Configurations that tests share, and how the processes of a run share what they compile.
+
+The engine is compiled for each combination of a precision with what is on, for many seconds each.
+So a test takes one of these configurations, unless what it checks needs another.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+from numba.core import event
+from numba.core.caching import NullCache
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
+
+from mbn_marl import Failures, Uniform
+from mbn_marl.field import FieldSampler
+from mbn_marl.field.layout import FAMILIES
+
+PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
+"""Those of the default configuration, for tests of both."""
+NOUGHT = Uniform(0.0, 0.0)
+"""A disturbance that is compiled and changes nothing, not even by rounding."""
+UNTOUCHED: dict[str, Any] = {
+    **{"gust": NOUGHT, "action_loss": NOUGHT, "dropout": NOUGHT},
+    **{"gust_time": Uniform(10.0, 10.0), "failures": Failures()},
+}
+EVERYTHING: dict[str, Any] = {
+    **{"dtype": "float64", "dynamics": ("point_mass", "holonomic", "unicycle"), **UNTOUCHED}
+}
+"""Headings, drawn numbers, disturbances and failures; a test says which of them do something."""
+STORM: dict[str, Any] = {
+    **{"observation": "entities", "assignment": True, "condition": "storm"},
+    **{"dynamics": ("point_mass", "holonomic", "unicycle", "bicycle"), "mass": Uniform(0.8, 1.5)},
+    **{"tau": Uniform(0.8, 1.2), "roi_radius": 20.0, "max_steps": 90},
+}
+"""The same in float32 with entities and an assignment; all of it does something."""
+SAMPLER = FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 6), seed=5)
+
+COMPILED: list[float] = []
+"""CPU seconds of each function compiled so far, in this process or in its workers."""
+
+
+class Compilations(event.Listener):
+    """Measures what Numba compiles, callees included."""
+
+    def __init__(self) -> None:
+        self.begun: list[float] = []
+
+    def on_start(self, event: Any) -> None:
+        """Hear that Numba begins to compile a function."""
+        self.begun.append(time.process_time())
+
+    def on_end(self, event: Any) -> None:
+        """Hear that it has ended."""
+        seconds = time.process_time() - self.begun.pop()
+        if not self.begun:
+            COMPILED.append(seconds)
+
+
+def share_compilation() -> None:
+    """Let a process wait for a function that another one compiles, and load it then."""
+    compile_here = Dispatcher.compile
+    folder = Path(numba.config.CACHE_DIR or tempfile.gettempdir()) / "locks"
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def compile_once(self: Any, signature: Any) -> Any:
+        if isinstance(self._cache, NullCache):
+            return compile_here(self, signature)
+        function = f"{self.py_func.__module__}.{self.py_func.__qualname__}{signature}"
+        name = hashlib.sha256(function.encode()).hexdigest()[:32]
+        with global_compiler_lock, (folder / name).open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            return compile_here(self, signature)
+
+    Dispatcher.compile = compile_once
+
+
+def pytest_configure() -> None:
+    """Begin to share and to measure."""
+    share_compilation()
+    event.register("numba:compile", Compilations())
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Hand what a worker compiled to the process that prints the summary."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["compiled"] = COMPILED
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Take what a worker compiled; one that has died says nothing."""
+    COMPILED.extend(getattr(node, "workeroutput", {}).get("compiled", []))
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Print how many functions were compiled and for how long."""
+    line = f"{len(COMPILED)} functions compiled in {sum(COMPILED):.0f} CPU seconds"
+    terminalreporter.write_line(line)
