@@ -1,16 +1,20 @@
-# make demo   set up .venv, train PPO, MAPPO and IPPO on field_03, print the comparison
-# make quick  set up .venv, lint, run the tests that take no seconds
-# make test   set up .venv, lint, type-check, run all tests
-# make docs   set up .venv, build the documentation site into build/docs, warnings as errors
-# make pages  set up .venv, build the wheel, run what README and docs show with it elsewhere
-# make lowest set up an empty environment with the oldest versions allowed, step every form there
+# make demo   train PPO, MAPPO and IPPO on field_03, print the comparison
+# make quick  lint, run the tests that take no seconds
+# make test   lint, type-check, run the tests of every pull request
+# make docs   build the documentation site into build/docs, warnings as errors
+# make readme do what the README shows, with the wheel, in an empty folder
+# make all    all of this, and what takes long: tests marked all, the judges of the engine without
+#             its compiler and on the newest Numba, the oldest versions allowed, every page's commands
 # make clean  remove what the others made, but not runs/
+# All but clean set up .venv first.
 
 PYTHON ?= python3
 BIN := .venv/bin
+PYTEST := python -m pytest -n 2 --dist worksteal
+JUDGES := tests/engine/test_golden.py tests/engine/test_oracle.py tests/adapters/test_forms.py
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 
-.PHONY: demo quick test ruff mypy pytest docs pages lowest clean
+.PHONY: demo quick test ruff mypy pytest docs readme all clean
 .DELETE_ON_ERROR:
 
 .venv/installed: pyproject.toml constraints.txt
@@ -32,10 +36,10 @@ mypy: ruff
 	$(BIN)/mypy
 
 pytest: ruff
-	$(BIN)/pytest -n 2 --dist worksteal
+	$(BIN)/$(PYTEST)
 
 quick: ruff
-	$(BIN)/pytest -n 2 --dist worksteal -m "not slow"
+	$(BIN)/$(PYTEST) -m "not slow and not all"
 
 test:
 	$(MAKE) -j2 mypy pytest
@@ -43,11 +47,18 @@ test:
 docs: .venv/installed
 	$(BIN)/sphinx-build -q -W --keep-going -d build/doctrees docs build/docs
 
-pages: .venv/installed
-	$(BIN)/python -m tests.newcomer
+readme: .venv/installed
+	$(BIN)/python -m tests.newcomer README.md
 
-lowest: .venv/installed
+all: test docs readme
+	$(BIN)/$(PYTEST) -m all
+	MBN_PLAIN_JIT=1 NUMBA_CACHE_DIR=build/plain_cache $(BIN)/$(PYTEST) $(JUDGES)
+	$(PYTHON) -m venv --clear build/newest
+	build/newest/bin/pip install --quiet numba
+	ls -d $(CURDIR)/.venv/lib/*/site-packages > $$(ls -d build/newest/lib/*/site-packages)/borrowed.pth
+	NUMBA_CACHE_DIR=build/newest/cache build/newest/bin/$(PYTEST) $(JUDGES)
 	$(BIN)/python -m tests.lowest
+	$(BIN)/python -m tests.newcomer
 
 clean:
 	rm -rf .venv .numba_cache .mypy_cache .ruff_cache .pytest_cache *.egg-info build

@@ -29,6 +29,7 @@ from tests.support.pages import (
     ROOT,
     TINY,
     blocks_of,
+    check_command,
     commands_of,
     run_page,
     write_file,
@@ -36,18 +37,44 @@ from tests.support.pages import (
 )
 
 TEXT = README.read_text(encoding="utf-8")
-RUN = [page for page in PAGES if page != EXTENDING and blocks_of(page)]
+RUN = [
+    page
+    for page in PAGES
+    if page != EXTENDING and any(block.language == "python" for block in blocks_of(page))
+]
 CODE = re.compile(r"`(?!mbn_marl)(\w+)\.(\w+)`")
 
 
+@pytest.mark.slow
+def test_commands_exist_and_marks_are_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_own_files(tmp_path)
+    for page in PAGES:
+        blocks = blocks_of(page)
+        for block in blocks:
+            assert block.language in ("", "diff", "python", "sh", "yaml"), page
+            if block.language in ("python", "yaml"):
+                write_file(block, tmp_path)
+            if block.language == "sh" and page != EXTENDING:  # the recipes' own are not there yet
+                for words in commands_of(block):
+                    check_command(words)
+        marks = re.findall(r"(?m)^<!-- needs:(.*)-->$", page.read_text(encoding="utf-8"))
+        assert {mark.strip() for mark in marks} <= {*NEEDS}, page
+        assert len(marks) == sum(bool(block.needs) for block in blocks), page
+
+
+@pytest.mark.all
 @pytest.mark.parametrize("page", RUN, ids=lambda page: str(page.relative_to(ROOT)))
-def test_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # a window that nobody sees
     write_own_files(tmp_path)
     run_page(page, tmp_path)
 
 
+@pytest.mark.all
 def test_recipes_fit_the_code(tmp_path: Path) -> None:
     for package in ("mbn_marl", "baselines", "envs_catalog"):
         shutil.copytree(ROOT / package, tmp_path / package)
@@ -80,29 +107,12 @@ def test_recipes_fit_the_code(tmp_path: Path) -> None:
     assert languages == {"diff", "yaml", "python", "sh"}
 
 
-def test_a_reward_term_is_four_edits() -> None:
-    diffs = [block.text for block in blocks_of(EXTENDING) if block.language == "diff"]
-    assert "+    idle: NonNegative" in diffs[0]
-    assert len(re.findall("^@@", diffs[0], re.MULTILINE)) <= 4
-
-
+@pytest.mark.all
 @pytest.mark.parametrize("path", notebooks.notebooks(), ids=lambda path: path.stem)
 def test_notebook_prints_what_it_keeps(path: Path) -> None:
     kept = nbformat.read(path, as_version=4)
     assert notebooks.texts(notebooks.run(path)) == notebooks.texts(kept)
     assert any(text for cell in notebooks.texts(kept) for text in cell)
-
-
-def test_marks_of_blocks_are_known() -> None:
-    for page in PAGES:
-        marks = re.findall(r"(?m)^<!-- needs:(.*)-->$", page.read_text(encoding="utf-8"))
-        assert {mark.strip() for mark in marks} <= {*NEEDS}, page
-        assert len(marks) == sum(bool(block.needs) for block in blocks_of(page)), page
-
-
-def test_the_example_has_twelve_lines() -> None:
-    block = next(block for block in blocks_of(README) if block.language == "python")
-    assert len([line for line in block.text.splitlines() if line]) <= 12
 
 
 def test_shapes() -> None:
@@ -119,11 +129,10 @@ def test_shapes() -> None:
     env.close()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_linked_files_exist(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
-        if not target.startswith("http"):
-            assert (page.parent / target).is_file(), target
+def test_linked_files_exist() -> None:
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
+            assert target.startswith("http") or (page.parent / target).is_file(), (page, target)
 
 
 def test_the_code_of_the_equations_exists() -> None:
@@ -207,9 +216,9 @@ def test_citation_is_of_this_version() -> None:
     assert str(citation["version"]) == mbn_marl.__version__
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / ".github").rglob("*.yml")), ids=lambda p: p.stem)
-def test_issue_forms_are_complete(path: Path) -> None:
-    form = yaml.safe_load(path.read_text(encoding="utf-8"))
-    if path.stem != "config":
-        assert {"name", "description", "body"} <= set(form)
-        assert all({"type", "attributes"} <= set(entry) for entry in form["body"])
+def test_issue_forms_are_complete() -> None:
+    for path in (ROOT / ".github").rglob("*.yml"):
+        form = yaml.safe_load(path.read_text(encoding="utf-8"))
+        if path.stem != "config":
+            assert {"name", "description", "body"} <= set(form), path
+            assert all({"type", "attributes"} <= set(entry) for entry in form["body"]), path

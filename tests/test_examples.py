@@ -16,16 +16,11 @@ TINY = {
     "skrl_ppo": ("--steps 1200 --worlds 8", r"\d+ episodes ended, return .*: (-?[\d,]+|nan)"),
 }
 """For each script, options that make it short, and the output to expect."""
-ELSEWHERE = {
-    "agilerl_ippo",
-    "benchmarl_task",
-    "minari_dataset",
-    "rllib_ppo",
-    "tianshou_ppo",
-}
+ELSEWHERE = {"agilerl_ippo", "benchmarl_task", "minari_dataset", "rllib_ppo", "tianshou_ppo"}
 """Their libraries want other versions than ours, or JAX: run by hand, with those."""
 
 
+@pytest.mark.all
 @pytest.mark.parametrize("name", TINY)
 def test_an_example_runs(name: str) -> None:
     words, printed = TINY[name]
@@ -35,11 +30,5 @@ def test_an_example_runs(name: str) -> None:
     assert re.fullmatch(printed, done.stdout.strip())
 
 
-def test_every_example_says_what_it_needs_and_what_it_printed() -> None:
-    paths = sorted(FOLDER.glob("*.py"))
-    assert {path.stem for path in paths} == TINY.keys() | ELSEWHERE
-    for path in paths:
-        text = path.read_text(encoding="utf-8")
-        for heading in ("Requirements: pip install ", f"Command: python examples/{path.name}"):
-            assert f"\n{heading}" in text, path
-        assert "\nPrinted: " in text, path
+def test_every_example_is_known() -> None:
+    assert {path.stem for path in FOLDER.glob("*.py")} == TINY.keys() | ELSEWHERE

@@ -17,7 +17,7 @@ from supersuit import frame_skip_v0
 from torchrl.envs import GymEnv
 
 from mbn_marl import parallel_env, registration
-from mbn_marl.adapters.gymnasium import CentralizedEnv, CentralizedVectorEnv
+from mbn_marl.adapters.gymnasium import CentralizedEnv
 from mbn_marl.adapters.rendering import RENDER_FPS
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, SharedPolicyVecEnv
 from mbn_marl.config import CONDITIONS
@@ -62,12 +62,9 @@ def test_max_episode_steps_is_understood() -> None:
     for step in range(1, 11):
         assert envs.step(np.zeros((2, 3, 2)))[3].tolist() == [step == 10] * 2
         assert env.step(np.zeros((3, 2)))[3] is (step == 10)
-    with pytest.raises(ConfigError, match="max_episode_steps: is max_steps, give only one"):
-        CentralizedVectorEnv(2, max_episode_steps=10, max_steps=11)
 
 
-@pytest.mark.parametrize("kind", [CentralizedVecEnv, SharedPolicyVecEnv])
-def test_stable_baselines_films_one_world(kind, tmp_path, monkeypatch) -> None:
+def test_stable_baselines_films_one_world(tmp_path, monkeypatch) -> None:
     """MoviePy, which writes the file, wants another Pillow than the suite's."""
     films = []
 
@@ -83,13 +80,14 @@ def test_stable_baselines_films_one_world(kind, tmp_path, monkeypatch) -> None:
     module = ModuleType("moviepy.video.io.ImageSequenceClip")
     module.ImageSequenceClip = Clip
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    worlds = kind("field_03", 4, render_mode="rgb_array")
-    env = VecVideoRecorder(worlds, str(tmp_path), lambda step: step == 0, 3)
-    env.reset()
-    for _ in range(5):
-        env.step(np.zeros((env.num_envs, *env.action_space.shape)))
-    env.close()
-    assert films == [((4, *RENDER_SIZE[::-1], 3), RENDER_FPS)]
+    for kind in (CentralizedVecEnv, SharedPolicyVecEnv):
+        worlds = kind("field_03", 4, render_mode="rgb_array")
+        env = VecVideoRecorder(worlds, str(tmp_path), lambda step: step == 0, 3)
+        env.reset()
+        for _ in range(5):
+            env.step(np.zeros((env.num_envs, *env.action_space.shape)))
+        env.close()
+    assert films == [((4, *RENDER_SIZE[::-1], 3), RENDER_FPS)] * 2
 
 
 def test_the_frame_of_a_native_vector_is_that_of_its_first_world() -> None:
@@ -99,7 +97,7 @@ def test_the_frame_of_a_native_vector_is_that_of_its_first_world() -> None:
     alone.reset()
     assert env.render().shape == alone.render().shape
     assert (env.render() != alone.render()).any()
-    with pytest.raises(ConfigError, match="render_mode: unknown mode 'human'"):
+    with pytest.raises(ConfigError, match="render_mode: "):
         CentralizedVecEnv("field_03", 4, render_mode="human")
 
 

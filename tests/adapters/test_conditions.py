@@ -1,41 +1,36 @@
-"""The checkers of every library pass under every condition, and infos tell what was drawn."""
+"""The checkers of every library pass in a storm, and infos tell what was drawn."""
 
 from __future__ import annotations
 
 import warnings
-from typing import Any, get_args
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from pettingzoo.test import api_test, parallel_api_test
 from stable_baselines3.common.env_checker import check_env as check_for_sb3
 from stable_baselines3.common.vec_env import VecMonitor
 from torchrl.envs.utils import check_env_specs
 
-from mbn_marl import BatchEngine, centralized_env, env, parallel_env
+from mbn_marl import BatchEngine, centralized_env, parallel_env
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.adapters.torchrl import NavigationEnv
-from mbn_marl.config import Condition
+from tests.support import configurations
 
-CONDITIONS: list[Any] = [name for name in get_args(Condition) if name != "calm"]
+STORM: dict[str, Any] = {**configurations.STORM, "dynamics": ("holonomic", "unicycle", "bicycle")}
+OF_ID = {name: value for name, value in STORM.items() if name != "condition"}
+pytestmark = pytest.mark.slow
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("condition", CONDITIONS)
-def test_the_checkers_of_all_libraries_pass(
-    condition: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_checkers_of_all_libraries_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    parallel_api_test(parallel_env("field_03", condition=condition), num_cycles=300)
-    api_test(env("field_03", condition=condition), num_cycles=60)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Gymnasium's advice on raw units
-        check_env(gymnasium.make(f"mbn/field_03-{condition}-v0").unwrapped)
-        check_for_sb3(centralized_env("field_03", condition=condition))
-    check_env_specs(NavigationEnv("field_03", 4, condition=condition))
-    worlds = VecMonitor(CentralizedVecEnv("field_03", 4, condition=condition, max_steps=5))
+        check_env(gymnasium.make("mbn/field_03-storm-v0", **OF_ID).unwrapped)
+        check_for_sb3(centralized_env("field_03", **STORM))
+    check_env_specs(NavigationEnv("field_03", 4, **STORM))
+    worlds = VecMonitor(CentralizedVecEnv("field_03", 4, **STORM | {"max_steps": 5}))
     worlds.reset()
     for _ in range(5):
         *_, dones, infos = worlds.step(np.zeros((4, 3, 2), np.float32))
@@ -43,27 +38,28 @@ def test_the_checkers_of_all_libraries_pass(
 
 
 def test_infos_tell_what_was_drawn() -> None:
-    how: dict[str, Any] = {"condition": "windy", "max_steps": 3}
-    names = ["drawn/wind_speed", "drawn/wind_angle"]
+    how: dict[str, Any] = STORM | {"max_steps": 6}
     engine = BatchEngine("field_03", 4, seed=6, **how)
     engine.reset()
+    names = [f"drawn/{name}" for name in engine.drawn()]
+    assert names[-2:] == ["drawn/wind_speed", "drawn/wind_angle"]
     drawn = [engine.drawn()]
     engine.reset()
     drawn.append(engine.drawn())
-    rows = [np.stack([*one.values()], axis=1) for one in drawn]  # (W, 2) of two episodes
+    rows = [np.stack([*one.values()], axis=1) for one in drawn]  # (W, names) of two episodes
 
     one = parallel_env("field_03", **how)
     for row in rows:
         _, infos = one.reset(seed=6 if row is rows[0] else None)
-        for _ in range(3):
+        for _ in range(6):
             assert all([info[name] for name in names] == row[0].tolist() for info in infos.values())
             *_, infos = one.step(dict.fromkeys(one.agents, (0.0, 0.0)))
         assert all([info[name] for name in names] == row[0].tolist() for info in infos.values())
 
-    same_step: dict[str, Any] = {"autoreset_mode": "SameStep", "max_steps": 3}
-    many = gymnasium.make_vec("mbn/field_03-windy-v0", 4, **same_step)
+    same_step: dict[str, Any] = OF_ID | {"autoreset_mode": "SameStep", "max_steps": 6}
+    many = gymnasium.make_vec("mbn/field_03-storm-v0", 4, **same_step)
     _, found = many.reset(seed=6)
-    for _ in range(3):
+    for _ in range(6):
         assert np.array_equal(np.stack([found[name] for name in names], axis=1), rows[0])
         *_, found = many.step(np.zeros((4, 3, 2)))
     last = [found["final_info"][name] for name in names]
@@ -76,6 +72,6 @@ def test_infos_tell_what_was_drawn() -> None:
 
     learners = CentralizedVecEnv("field_03", 4, seed=6, **how)
     learners.reset()
-    for _ in range(3):
+    for _ in range(6):
         *_, infos = learners.step(np.zeros((4, 3, 2), np.float32))
     assert [[info[name] for name in names] for info in infos] == rows[0].tolist()

@@ -24,20 +24,7 @@ from mbn_marl.config import CONDITIONS
 from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
 from mbn_marl.field import catalogue_names
 from tests.support.forms import INFO_KEYS, NOTHING
-from tests.support.worlds import DISTURBANCES
 
-MIXED = ("holonomic", "unicycle", "bicycle")
-CONFIGURATIONS = {
-    "default": {},
-    "float64, wind": {"field": "field_09", "dtype": "float64", "wind": (0.05, 90.0)},
-    "one robot, short": {"field": "field_07", "n_robots": 1, "max_steps": 30},
-    "disturbed robots that turn": DISTURBANCES | {"dynamics": MIXED},
-    "formal, random starts": {"field": "field_01", "reward": "formal", "random_starts": True},
-}
-every_configuration = pytest.mark.parametrize(
-    "settings", CONFIGURATIONS.values(), ids=list(CONFIGURATIONS)
-)
-no_warnings = pytest.mark.filterwarnings("error")
 MODES = list(AutoresetMode)
 
 
@@ -64,24 +51,22 @@ def lane():
 
 
 class TestOfficial:
-    @no_warnings
-    @every_configuration
-    def test_check_env(self, settings, monkeypatch):
+    @pytest.mark.filterwarnings("error")
+    def test_check_env(self, monkeypatch):
         monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-        field = settings.get("field", "field_03")
-        check_env(gymnasium.make(f"mbn/{field}-v0", **settings).unwrapped)
-
-    @pytest.mark.parametrize("name", catalogue_names())
-    def test_every_field_has_its_id(self, name):
-        env = gymnasium.make(f"mbn/{name}-v0", n_robots=2)
-        assert env.unwrapped.engine.field.name == name
-        assert env.action_space.shape == (2, 2)
+        check_env(gymnasium.make("mbn/field_03-v0").unwrapped)
+        check_env(gymnasium.make("mbn/field_07-v0", n_robots=1, max_steps=30).unwrapped)
 
     def test_ids_are_the_catalogue_under_every_condition(self):
         ids = {env_id for env_id in gymnasium.registry if env_id.startswith("mbn/")}
         marks = ["", *(f"-{name}" for name in CONDITIONS if name != "calm")]
         assert ids == {f"mbn/{name}{mark}-v0" for name in catalogue_names() for mark in marks}
+        for name in catalogue_names():
+            env = gymnasium.make(f"mbn/{name}-v0", n_robots=2)
+            assert env.unwrapped.engine.field.name == name
+            assert env.action_space.shape == (2, 2)
 
+    @pytest.mark.slow
     def test_an_id_can_name_the_package_instead_of_importing_it(self):
         code = (
             "import gymnasium; env = gymnasium.make('mbn_marl:mbn/field_04-v0'); "
@@ -89,24 +74,27 @@ class TestOfficial:
         )
         subprocess.run([sys.executable, "-c", code], check=True)
 
-    @pytest.mark.parametrize("mode", ["rgb_array", "rgb_array_list"])
-    def test_frames(self, mode):
-        env = gymnasium.make("mbn/field_03-v0", render_mode=mode)
-        env.reset()
-        env.step(env.action_space.sample())
-        frames = env.render() if mode == "rgb_array_list" else [env.render()]
-        assert all(frame.ndim == 3 and frame.dtype == np.uint8 for frame in frames)
-        env.close()
-        env.close()
-
-    def test_without_a_render_mode_nothing_is_drawn(self):
+    def test_frames(self):
+        for mode in ("rgb_array", "rgb_array_list"):
+            env = gymnasium.make("mbn/field_03-v0", render_mode=mode)
+            env.reset()
+            env.step(env.action_space.sample())
+            frames = env.render() if mode == "rgb_array_list" else [env.render()]
+            assert all(frame.ndim == 3 and frame.dtype == np.uint8 for frame in frames)
+            env.close()
+            env.close()
         with pytest.warns(UserWarning, match="render_mode"):
             assert centralized_env().render() is None
+        envs = gymnasium.make_vec("mbn/field_03-v0", num_envs=2, render_mode="rgb_array")
+        envs.reset()
+        first, second = envs.render()
+        assert first.shape == second.shape
+        envs.close()
 
 
 class TestNumbersByHand:
     def test_to_the_roi_and_success(self, lane):
-        env = centralized_env(lane, f_max=10.0, v_clip=15.0, dtype="float64")
+        env = centralized_env(lane, f_max=10.0, v_clip=15.0)
         state, info = env.reset()
         assert state.tolist() == [20.0, 50.0, 0.0, 0.0, 0.0]
         assert info == NOTHING
@@ -145,13 +133,12 @@ class TestNumbersByHand:
                 break
         assert info["path_length"] > 0
 
-    @every_configuration
-    def test_every_state_lies_in_its_space(self, settings):
-        env = centralized_env(**settings)
+    def test_every_state_lies_in_its_space(self):
+        env = centralized_env("field_01", reward="formal", random_starts=True, max_steps=60)
         env.action_space.seed(3)
         assert env.observation_space.contains(env.reset(seed=2)[0])
         episodes = 0
-        for _ in range(1000):
+        for _ in range(300):
             state, reward, terminated, truncated, info = env.step(env.action_space.sample())
             assert env.observation_space.contains(state)
             assert tuple(info) == INFO_KEYS
@@ -165,65 +152,71 @@ class TestNumbersByHand:
                 env.reset()
         assert episodes > 0
 
-    @pytest.mark.parametrize("copied", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
-    def test_copies_go_their_own_way(self, copied):
-        env = centralized_env(random_starts=True)
-        env.reset(seed=3)
-        env.step(np.full((3, 2), 0.7))
-        twin = copied(env)
-        actions = np.full((3, 2), -0.4)
-        assert equal(env.step(actions), twin.step(actions))
-        twin.step(actions)
-        assert not equal(env.step(-actions)[0], twin.step(actions)[0])
+    def test_copies_go_their_own_way(self):
+        for copied in (copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))):
+            env = centralized_env(random_starts=True)
+            env.reset(seed=3)
+            env.step(np.full((3, 2), 0.7))
+            twin = copied(env)
+            actions = np.full((3, 2), -0.4)
+            assert equal(env.step(actions), twin.step(actions))
+            twin.step(actions)
+            assert not equal(env.step(-actions)[0], twin.step(actions)[0])
 
 
 class TestBadInput:
-    @pytest.mark.parametrize(
-        ("action", "named"),
-        [
-            (np.zeros((2, 2)), r"action: .*\(3, 2\)"),
-            (np.zeros(6), r"action: .*\(3, 2\)"),
-            ([[0.0, 0.0], [0.0, np.nan], [0.0, 0.0]], "robot_1"),
-            ([[0.0, 0.0], [0.0, 0.0], [np.inf, 0.0]], "robot_2"),
-            ("north", "action: .*north"),
-            ([[0.0], [0.0, 1.0]], "action: "),
-        ],
-    )
-    def test_actions(self, action, named):
+    def test_actions(self):
         env = centralized_env()
         env.reset()
         env.step(np.full((3, 2), 0.5))
         before = env.engine.state()
-        with pytest.raises(ActionError, match=named):
-            env.step(action)
-        assert np.array_equal(env.engine.state(), before)
+        for action, place in (
+            (np.zeros((2, 2)), "action: "),
+            (np.zeros(6), "action: "),
+            ([[0.0, 0.0], [0.0, np.nan], [0.0, 0.0]], "robot_1"),
+            ([[0.0, 0.0], [0.0, 0.0], [np.inf, 0.0]], "robot_2"),
+            ("north", "action: "),
+            ([[0.0], [0.0, 1.0]], "action: "),
+        ):
+            with pytest.raises(ActionError, match=place):
+                env.step(action)
+            assert np.array_equal(env.engine.state(), before)
         env.step(np.zeros((3, 2), int))
 
     def test_order(self):
-        env = centralized_env(max_steps=1)
-        with pytest.raises(StepError, match="reset"):
+        env, envs = centralized_env(max_steps=1), CentralizedVectorEnv(4)
+        with pytest.raises(StepError):
+            envs.step(np.zeros((4, 3, 2)))
+        with pytest.raises(StepError):
             env.step(np.zeros((3, 2)))
-        env.reset()
-        assert env.step(np.zeros((3, 2)))[2:4] == (False, True)
-        with pytest.raises(StepError, match="reset"):
-            env.step(np.zeros((3, 2)))
-        env.reset()
-        env.step(np.zeros((3, 2)))
+        for _ in range(2):
+            env.reset()
+            assert env.step(np.zeros((3, 2)))[2:4] == (False, True)
+            with pytest.raises(StepError):
+                env.step(np.zeros((3, 2)))
 
     def test_names(self):
-        with pytest.raises(FieldError, match="field_99"):
-            centralized_env("field_99")
-        with pytest.raises(ConfigError, match="render_mode: "):
-            centralized_env(render_mode="ascii")
-        with pytest.raises(ConfigError, match="autoreset_mode: "):
-            CentralizedVectorEnv(2, autoreset_mode="never")
-        with pytest.raises(gymnasium.error.NameNotFound, match="field_09"):
-            gymnasium.make("mbn/field_99-v0")
+        for call, error, place in (
+            (lambda: centralized_env("field_99"), FieldError, "field_99"),
+            (lambda: centralized_env(render_mode="ascii"), ConfigError, "render_mode: "),
+            (lambda: centralized_env(autoreset=1), ConfigError, "autoreset: "),
+            (lambda: CentralizedVectorEnv(2, seed=1), ConfigError, "seed: "),
+            (lambda: CentralizedVectorEnv(2, first_world=1), ConfigError, "first_world: "),
+            (lambda: CentralizedVectorEnv(2, autoreset_mode="x"), ConfigError, "autoreset_mode: "),
+            (
+                lambda: CentralizedVectorEnv(2, max_episode_steps=10, max_steps=11),
+                ConfigError,
+                "max_episode_steps: ",
+            ),
+            (lambda: gymnasium.make("mbn/field_99-v0"), gymnasium.error.NameNotFound, "field_09"),
+        ):
+            with pytest.raises(error, match=place):
+                call()
 
 
 class TestVector:
     def test_make_vec_gives_one_engine(self):
-        envs = gymnasium.make_vec("mbn/field_06-v0", num_envs=5, dtype="float64")
+        envs = gymnasium.make_vec("mbn/field_06-v0", num_envs=5)
         assert isinstance(envs, CentralizedVectorEnv)
         assert envs.engine.num_worlds == envs.num_envs == 5
         assert envs.engine.field.name == "field_06"
@@ -232,9 +225,14 @@ class TestVector:
         assert envs.action_space.shape == (5, 3, 2)
         states, _ = envs.reset(seed=1)
         assert envs.observation_space.contains(states)
+        made = gymnasium.make_vec("mbn/field_03-v0", num_envs=2, max_steps=50)
+        assert gymnasium.make_vec(made.spec).unwrapped.engine.config.max_steps == 50
 
-    @pytest.mark.parametrize("mode", MODES)
-    @pytest.mark.parametrize("sharing", ["individual", "team"])
+    @pytest.mark.slow
+    @pytest.mark.parametrize(
+        ("mode", "sharing"),
+        [(AutoresetMode.NEXT_STEP, "team"), *((mode, "individual") for mode in MODES)],
+    )
     def test_it_does_what_gymnasiums_own_vector_does(self, mode, sharing):
         """Through hundreds of ends: states, rewards, flags, infos, final states and final infos."""
         settings = {"field": "field_03", "max_steps": 25, "wind": (0.08, 45.0), "f_max": 1.0}
@@ -264,7 +262,7 @@ class TestVector:
 
     def test_same_step_final_state_by_hand(self, lane):
         mode = AutoresetMode.SAME_STEP
-        settings = {"f_max": 30.0, "v_clip": 30.0, "dtype": "float64"}
+        settings = {"f_max": 30.0, "v_clip": 30.0}
         envs = CentralizedVectorEnv(2, lane, autoreset_mode=mode, **settings)
         envs.reset()
         actions = np.zeros((2, 1, 2))
@@ -312,44 +310,31 @@ class TestVector:
         assert states[1, :6].tolist() == [200.0, 250.0, 300.0, 300.0, 250.0, 300.0]
         assert infos["_success"].tolist() == [False, True, False]
 
-    @pytest.mark.parametrize(
-        ("options", "seed", "named"),
-        [
-            ({"reset_mask": np.array([True])}, None, "reset_mask: shape"),
-            ({}, [0, 1], r"seed: \[0, 1\]; allowed: an integer"),
-            ({"reset_mask": [True, False]}, None, "reset_mask: list"),
-            ({"reset_mask": np.array([1, 0])}, None, "reset_mask: ndarray"),
-            ({"reset_mask": np.array([True, False])}, 3, "reset_mask: a seed"),
-            ({"field": "field_03", "reset_mask": [True]}, None, r"field: allowed(.|\n)*reset_mask"),
-            ({"starts": np.zeros((3, 2))}, None, "starts: allowed"),
-        ],
-    )
-    def test_wrong_options(self, options, seed, named):
+    def test_wrong_options(self):
         envs = CentralizedVectorEnv(2)
         before, _ = envs.reset()
-        with pytest.raises(ConfigError, match=named):
-            envs.reset(seed=seed, options=options)
-        assert np.array_equal(envs.engine.state(), before)
+        for options, seed, place in (
+            ({"reset_mask": np.array([True])}, None, "reset_mask: "),
+            ({}, [0, 1], "seed: "),
+            ({"reset_mask": [True, False]}, None, "reset_mask: "),
+            ({"reset_mask": np.array([1, 0])}, None, "reset_mask: "),
+            ({"reset_mask": np.array([True, False])}, 3, "reset_mask: "),
+            ({"field": "field_03", "reset_mask": [True]}, None, r"field: (.|\n)*reset_mask: "),
+            ({"starts": np.zeros((3, 2))}, None, "starts: "),
+        ):
+            with pytest.raises(ConfigError, match=place):
+                envs.reset(seed=seed, options=options)
+            assert np.array_equal(envs.engine.state(), before)
 
     def test_wrong_actions_name_the_world(self):
         envs = CentralizedVectorEnv(4)
-        with pytest.raises(StepError, match="reset"):
-            envs.step(np.zeros((4, 3, 2)))
         envs.reset()
         actions = np.zeros((4, 3, 2))
-        with pytest.raises(ActionError, match=r"actions: .*\(4, 3, 2\)"):
+        with pytest.raises(ActionError, match="actions: "):
             envs.step(actions[0])
         actions[2, 1, 0] = np.nan
         with pytest.raises(ActionError, match=r"world 2.*robot_1"):
             envs.step(actions)
-
-    def test_frames_of_all_worlds(self):
-        envs = gymnasium.make_vec("mbn/field_03-v0", num_envs=2, render_mode="rgb_array")
-        envs.reset()
-        frames = envs.render()
-        assert len(frames) == 2
-        assert frames[0].shape == frames[1].shape
-        envs.close()
 
 
 def assert_same_infos(ours, theirs):
@@ -366,14 +351,6 @@ def assert_same_infos(ours, theirs):
     assert ours.keys() == theirs.keys()
 
 
-def test_a_vector_is_made_from_its_own_spec():
-    made = gymnasium.make_vec("mbn/field_03-v0", num_envs=2, max_steps=50)
-    again = gymnasium.make_vec(made.spec)
-    assert again.unwrapped.engine.config.max_steps == 50
-    with pytest.raises(ConfigError, match="max_episode_steps: is max_steps"):
-        CentralizedVectorEnv(2, max_episode_steps=50, max_steps=60)
-
-
 @pytest.mark.parametrize("make", [centralized_env, parallel_env])
 def test_a_seed_of_numpy_is_a_seed(make):
     env, same = make("field_03"), make("field_03")
@@ -381,10 +358,3 @@ def test_a_seed_of_numpy_is_a_seed(make):
     same.reset(seed=3)
     assert env.np_random.random() == same.np_random.random()
     assert env.engine.seed == 3
-
-
-@pytest.mark.parametrize("make", [centralized_env, parallel_env, CentralizedVectorEnv])
-@pytest.mark.parametrize("name", ["starts", "seed", "autoreset", "first_world"])
-def test_arguments_of_the_engine_are_no_settings(make, name):
-    with pytest.raises(ConfigError, match=f"{name}: unknown name"):
-        make(**{name: 1})

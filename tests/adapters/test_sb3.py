@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from sb3_contrib import TQC, CrossQ
-from stable_baselines3 import PPO, SAC
+from sb3_contrib import TQC
+from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
@@ -17,7 +17,6 @@ from mbn_marl import centralized_env
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
-from tests.support.worlds import DISTURBANCES
 
 WORLDS, ROBOTS, STEPS = 5, 3, 60
 LIVELY = {"max_steps": 25, "safety_distance": 50.0, "random_starts": True}
@@ -43,20 +42,9 @@ def observed(env: NavigationVecEnv, engine: BatchEngine, observations: np.ndarra
     return observations.reshape(env.num_envs, -1)
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {},
-        {"field": "field_10", "n_robots": 2, "reward": "formal"},
-        {"n_robots": 1, "dtype": "float64", "wind": (0.2, 30.0)},
-        {"random_starts": True, "max_steps": 20},
-        {"dynamics": ("holonomic", "unicycle", "bicycle"), **DISTURBANCES},
-    ],
-    ids=lambda settings: "-".join(settings) or "default",
-)
-def test_sb3_check_env(settings: dict[str, Any]) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+@pytest.mark.filterwarnings("error")
+def test_sb3_check_env() -> None:
+    for settings in ({}, {"field": "field_10", "n_robots": 2, "reward": "formal", "max_steps": 20}):
         check_env(centralized_env(**settings))
 
 
@@ -165,21 +153,29 @@ def test_seed_takes_effect_at_the_next_reset(kind: type[NavigationVecEnv]) -> No
 def test_bad_calls_are_refused_before_anything_moves(kind: type[NavigationVecEnv]) -> None:
     env = kind("field_03", WORLDS)
     good = forces(env, 1)[0]
-    with pytest.raises(StepError, match="reset"):
+    with pytest.raises(StepError):
         env.step(good)
     env.reset()
     before = env.engine.state()
-    with pytest.raises(StepError, match="step_wait: "):
-        env.step_wait()
-    with pytest.raises(ActionError, match="actions: "):
-        env.step(np.zeros(2))
     bad = good.copy()
     bad.reshape(-1)[-1] = np.nan
-    with pytest.raises(ActionError, match=r"world 4.*robot_2"):
-        env.step(bad)
-    np.testing.assert_array_equal(env.engine.state(), before)
-    with pytest.raises(ConfigError, match="max_step: "):
-        kind("field_03", WORLDS, max_step=3)
+    for call, error, place in (
+        (env.step_wait, StepError, "step_wait: "),
+        (lambda: env.step(np.zeros(2)), ActionError, "actions: "),
+        (lambda: env.step(bad), ActionError, r"world 4.*robot_2"),
+        (lambda: kind("field_03", WORLDS, max_step=3), ConfigError, "max_step: "),
+        (lambda: kind("field_03", WORLDS, action_repeat=0), ConfigError, "action_repeat: "),
+        (lambda: env.set_attr("action_repeat", 0), ConfigError, "action_repeat: "),
+        (lambda: env.set_attr("label", "other", indices=[0]), MbnError, "label"),
+    ):
+        with pytest.raises(error, match=place):
+            call()
+        np.testing.assert_array_equal(env.engine.state(), before)
+    env.set_options({"field": "field_07"})
+    with pytest.raises(ConfigError, match="options: "):
+        env.reset()
+    env.set_options()
+    env.reset()
 
 
 @BOTH
@@ -192,8 +188,6 @@ def test_attributes_and_methods(kind: type[NavigationVecEnv]) -> None:
     assert not env.has_attr("missing")
     env.set_attr("label", "mine")
     assert env.get_attr("label", indices=1) == ["mine"]
-    with pytest.raises(MbnError, match="label"):
-        env.set_attr("label", "other", indices=[0])
     shots = env.env_method("snapshot", indices=[env.num_envs - 1])
     assert [shot.field.name for shot in shots] == ["field_03"]
     with pytest.raises(AttributeError):
@@ -257,6 +251,7 @@ def train(kind: type[NavigationVecEnv], seed: int) -> PPO:
     return PPO("MlpPolicy", env, seed=seed, **options).learn(32 * env.num_envs * 2)
 
 
+@pytest.mark.slow
 @BOTH
 def test_seeded_ppo_gives_bit_equal_weights(kind: type[NavigationVecEnv]) -> None:
     first, again, other = (train(kind, seed) for seed in (0, 0, 1))
@@ -266,10 +261,10 @@ def test_seeded_ppo_gives_bit_equal_weights(kind: type[NavigationVecEnv]) -> Non
     assert len(first.ep_info_buffer) > 0 and len(first.ep_success_buffer) > 0
 
 
-@pytest.mark.parametrize("algorithm", [SAC, TQC, CrossQ])
-def test_off_policy_algorithms_take_the_joint_action(algorithm: type[SAC]) -> None:
+@pytest.mark.slow
+def test_an_off_policy_algorithm_takes_the_joint_action() -> None:
     env = CentralizedVecEnv("field_03", 2, max_steps=10)
-    model = algorithm("MlpPolicy", env, learning_starts=8, batch_size=8, seed=0, device="cpu")
+    model = TQC("MlpPolicy", env, learning_starts=8, batch_size=8, seed=0, device="cpu")
     model.learn(24)
     action, _ = model.predict(env.reset())
     assert action.shape == (2, ROBOTS, 2)
@@ -324,12 +319,10 @@ def test_standing_still_for_three_repeats_costs_three_steps() -> None:
     assert (first.tolist(), second.tolist()) == ([-630.0] * 2, [-600.0] * 2)
     assert not early.any() and late.all()
     assert [info["episode"]["l"] for info in infos] == [5, 5]
-    with pytest.raises(ConfigError, match="action_repeat: must be a whole number"):
-        CentralizedVecEnv("field_03", 2, action_repeat=0)
 
 
 def test_a_central_learner_can_see_what_all_robots_see() -> None:
-    settings: dict[str, Any] = {"observation": "lidar", "seed": 5, **LIVELY}
+    settings: dict[str, Any] = {"observation": "local", "seed": 5, **LIVELY}
     joint = CentralizedVecEnv("field_03", WORLDS, joint_observation=True, **settings)
     robots = SharedPolicyVecEnv("field_03", WORLDS, **settings)
     size = ROBOTS * robots.engine.obs_size
@@ -346,14 +339,3 @@ def test_a_central_learner_can_see_what_all_robots_see() -> None:
             np.testing.assert_array_equal(infos[row]["terminal_observation"], np.concatenate(last))
             ended += 1
     assert ended > 0
-
-
-def test_options_and_repeats_that_are_none_are_refused() -> None:
-    env = CentralizedVecEnv("field_03", 2)
-    env.set_options({"field": "field_07"})
-    with pytest.raises(ConfigError, match=r"options: .*allowed: none"):
-        env.reset()
-    env.set_options()
-    env.reset()
-    with pytest.raises(ConfigError, match="action_repeat: must be a whole number"):
-        env.set_attr("action_repeat", 0)

@@ -15,6 +15,7 @@ from supersuit import concat_vec_envs_v1, pettingzoo_env_to_vec_env_v1
 
 from mbn_marl import parallel_env
 
+pytestmark = pytest.mark.slow
 WORLDS, ROBOTS, LIMIT = 2, 3, 20
 
 

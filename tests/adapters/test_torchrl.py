@@ -14,16 +14,18 @@ from torchrl.envs.utils import check_env_specs
 from torchrl.modules import MultiAgentMLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
-from mbn_marl import Uniform, parallel_env
+from mbn_marl import parallel_env
 from mbn_marl.adapters.torchrl import GROUP, METRICS, NavigationEnv
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, StepError
-from tests.support.worlds import DISTURBANCES
+from tests.support import configurations
 
+pytestmark = pytest.mark.slow
 WORLDS, STEPS = 6, 60
 LIVELY = {"max_steps": 25, "safety_distance": 50.0, "random_starts": True}
 """Settings under which random robots soon collide, or else run out of time."""
 
+STORM = {**configurations.STORM, "dynamics": ("holonomic", "unicycle", "bicycle")}
 ENTRIES = [(GROUP, "observation"), "state", "team_reward"]
 
 
@@ -59,31 +61,18 @@ def test_entries_are_those_of_the_table() -> None:
     assert shapes == world | following | robots
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {},
+def test_specs() -> None:
+    for settings in (
         {"max_steps": 2},
-        {"n_robots": 1, "dtype": "float64"},
         {"observation": "state", "reward_sharing": "team"},
-        {"observation": "local", "one_hot": True, "wind": (0.1, 45.0)},
-        {"observation": "lidar", "one_hot": True},
-        {"reward": "formal", "random_starts": True},
-        {"dynamics": ("holonomic", "unicycle", "bicycle"), **DISTURBANCES},
-    ],
-    ids=str,
-)
-def test_specs(settings: dict[str, object]) -> None:
-    env = NavigationEnv("field_03", 3, **settings)
-    check_env_specs(env, break_when_any_done="both", seed=0)
-
-
-def test_specs_of_several_fields() -> None:
+        {"n_robots": 1, "reward": "formal", "random_starts": True, "one_hot": True},
+    ):
+        env = NavigationEnv("field_03", 3, **settings)
+        check_env_specs(env, break_when_any_done="both", seed=0)
     check_env_specs(NavigationEnv(["field_03", "field_07"], 4))
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-@pytest.mark.parametrize("transformed", [False, True], ids=["plain", "transformed"])
+@pytest.mark.parametrize(("transformed", "dtype"), [(False, "float32"), (True, "float64")])
 def test_rollout_is_the_engine_step_by_step(transformed: bool, dtype: str) -> None:
     """Also that nothing leaks across a reset: ``next`` is the ended episode's, the root the new."""
     settings = LIVELY | {"dtype": dtype}
@@ -116,10 +105,11 @@ def test_rollout_is_the_engine_step_by_step(transformed: bool, dtype: str) -> No
     assert data["next", "terminated"].any() and data["next", "truncated"].any()
 
 
-@pytest.mark.parametrize("more", [{}, {"v_clip": Uniform(3.0, 5.0)}], ids=["calm", "drawn"])
+@pytest.mark.parametrize("more", [{}, STORM], ids=["calm", "storm"])
 def test_own_maybe_reset_equals_torchrls(more: dict[str, Any]) -> None:
-    own = NavigationEnv("field_03", WORLDS, seed=1, **LIVELY, **more)
-    plain = TransformedEnv(NavigationEnv("field_03", WORLDS, seed=1, **LIVELY, **more))
+    settings = more | {"field": "field_03", "num_worlds": WORLDS, "seed": 1} | LIVELY
+    own = NavigationEnv(**settings)
+    plain = TransformedEnv(NavigationEnv(**settings))
     expected = play(plain)
     assert expected["next", "done"][:, :-1].any()
     assert_close(play(own), expected, rtol=0.0, atol=0.0)
@@ -201,9 +191,9 @@ def test_bad_steps_are_refused_before_anything_moves() -> None:
         env.step(bad)
     np.testing.assert_array_equal(env.engine.state(), before)
     data = env.rand_action(env.step(data)["next"])
-    with pytest.raises(StepError, match="world 0 has ended"):
+    with pytest.raises(StepError, match="world 0"):
         env.step(data)
-    with pytest.raises(ConfigError, match="max_step: unknown name"):
+    with pytest.raises(ConfigError, match="max_step: "):
         NavigationEnv("field_03", 2, max_step=3)  # type: ignore[call-arg]
 
 
@@ -376,19 +366,16 @@ def test_a_saved_world_that_had_ended_begins_again() -> None:
     env.step(push()(env.reset()))
 
 
-@pytest.mark.parametrize("value", [0, 1.5, "2", None])
-def test_a_repeat_that_is_no_number_of_steps_is_refused(value: Any) -> None:
+def test_repeats_sizes_and_metrics_are_checked_at_once() -> None:
     env = NavigationEnv("field_03", 2)
-    for make in (
-        lambda: NavigationEnv("field_03", 2, action_repeat=value),
-        lambda: setattr(env, "action_repeat", value),
-    ):
-        with pytest.raises(ConfigError, match="action_repeat: must be a whole number"):
-            make()
+    for value in (0, 1.5, "2", None):
+        for make in (
+            lambda value=value: NavigationEnv("field_03", 2, action_repeat=value),
+            lambda value=value: setattr(env, "action_repeat", value),
+        ):
+            with pytest.raises(ConfigError, match="action_repeat: "):
+                make()
     assert env.action_repeat == 1 and NavigationEnv("field_03", np.int64(2)).batch_size == (2,)
-
-
-def test_sizes_and_metrics_are_checked_at_once() -> None:
     with pytest.raises(ConfigError) as caught:
         NavigationEnv("field_03", 2.5, metrics=["success", "success"])  # type: ignore[arg-type]
     assert [one.partition(":")[0] for one in caught.value.problems] == ["metrics", "num_worlds"]

@@ -19,32 +19,24 @@ pytest.importorskip("PIL", reason="needs the extra [render]")
 pytest.importorskip("imageio_ffmpeg", reason="needs the extra [render]")
 
 
-@pytest.mark.parametrize(
-    ("frames", "name", "fps", "message"),
-    [
-        ([], "a.gif", 20.0, r"a\.gif: .*no frames"),
-        ([np.zeros((4, 4, 3))], "a.gif", 20.0, r"a\.gif: frame 0 is float64 \(4, 4, 3\)"),
-        ([np.zeros((4, 4), np.uint8)], "a.gif", 20.0, r"frame 0 is uint8 \(4, 4\)"),
-        ([None], "a.gif", 20.0, r"frame 0 is object"),
-        (
-            [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 5, 3), np.uint8)],
-            "a.gif",
-            20.0,
-            r"frame 1 has shape \(4, 5, 3\), the first has \(4, 4, 3\)",
-        ),
-        ([np.zeros((4, 4, 3), np.uint8)], "a.gif", 60.0, r"a\.gif: fps has to be 0\.01 to 50"),
-        ([np.zeros((4, 4, 3), np.uint8)] * 70, "a.gif", 0.1, r"a\.gif: equal frames .*raise fps"),
-        ([np.zeros((4, 4, 3), np.uint8)], "a.png", 20.0, r"a\.png: .* \.gif"),
-    ],
-)
-def test_a_gif_that_cannot_be_is_refused_and_nothing_replaced(
-    frames: Any, name: str, fps: float, message: str, tmp_path: Path
-) -> None:
-    path = tmp_path / name
-    path.write_bytes(b"old")
-    with pytest.raises(MbnError, match=message):
-        write_gif(frames, path, fps)
-    assert path.read_bytes() == b"old"
+def test_a_gif_that_cannot_be_is_refused_and_nothing_replaced(tmp_path: Path) -> None:
+    square = np.zeros((4, 4, 3), np.uint8)
+    cases: list[tuple[Any, str, float, str]] = [
+        ([], "a.gif", 20.0, "no frames"),
+        ([square.astype(float)], "a.gif", 20.0, "frame 0"),
+        ([square[:, :, 0]], "a.gif", 20.0, "frame 0"),
+        ([None], "a.gif", 20.0, "frame 0"),
+        ([square, np.zeros((4, 5, 3), np.uint8)], "a.gif", 20.0, "frame 1"),
+        ([square], "a.gif", 60.0, "fps"),
+        ([square] * 70, "a.gif", 0.1, "fps"),
+        ([square], "a.png", 20.0, r"\.gif"),
+    ]
+    for frames, name, fps, place in cases:
+        path = tmp_path / name
+        path.write_bytes(b"old")
+        with pytest.raises(MbnError, match=rf"{name}: .*{place}"):
+            write_gif(frames, path, fps)
+        assert path.read_bytes() == b"old"
 
 
 def still_frames(count: int) -> Iterator[NDArray[np.uint8]]:
@@ -53,6 +45,7 @@ def still_frames(count: int) -> Iterator[NDArray[np.uint8]]:
         yield np.full((400, 400, 3), level, np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a.gif", "a.mp4"])
 def test_an_animation_is_written_without_holding_its_frames(name: str, tmp_path: Path) -> None:
     write = write_gif if name == "a.gif" else write_mp4
@@ -68,7 +61,7 @@ def test_a_video_cut_short_by_a_wrong_frame_replaces_nothing(tmp_path: Path) -> 
     path = tmp_path / "a.mp4"
     path.write_bytes(b"old")
     frames = [*still_frames(3), np.zeros((4, 4, 3), np.uint8)]
-    with pytest.raises(MbnError, match="frame 3 has shape"):
+    with pytest.raises(MbnError, match="frame 3"):
         write_mp4(frames, path)
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path], "no temporary file is left"

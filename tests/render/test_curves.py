@@ -105,21 +105,28 @@ def test_returns_up_to_zero_are_drawn() -> None:
     assert axes.get_yscale() == "symlog" and axes.get_ylim()[1] > 0.0
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
+def test_curves_that_cannot_be_drawn_are_refused() -> None:
+    cases: list[tuple[Any, str]] = [
         ({}, "no algorithm"),
-        ({"a": []}, "a: there is no seed"),
-        ({"a": [run([0, 1], [0, 1]), run([0, 1], [0])]}, r"a, seed 1: .*\(2,\) and \(1,\)"),
-        ({"a": [run([], [])]}, r"a, seed 0: .*\(0,\)"),
-        ({"a": [run([0, 1], [0, np.nan])]}, "a, seed 0: .*finite"),
-        ({"a": [run([0, 0], [0, 1])]}, "a, seed 0: the steps have to increase"),
-        ({"a": [run([0, 1], [0, 1]), run([2, 3], [0, 1])]}, "a: the seeds have no range"),
-    ],
-)
-def test_curves_that_cannot_be_drawn_are_refused(wrong: Any, message: str) -> None:
-    with pytest.raises(MbnError, match=message):
-        curves.learning_curves(wrong)
+        ({"a": []}, "a: "),
+        ({"a": [run([0, 1], [0, 1]), run([0, 1], [0])]}, "a, seed 1: "),
+        ({"a": [run([], [])]}, "a, seed 0: "),
+        ({"a": [run([0, 1], [0, np.nan])]}, "a, seed 0: "),
+        ({"a": [run([0, 0], [0, 1])]}, "a, seed 0: "),
+        ({"a": [run([0, 1], [0, 1]), run([2, 3], [0, 1])]}, "a: "),
+    ]
+    for wrong, place in cases:
+        with pytest.raises(MbnError, match=place):
+            curves.learning_curves(wrong)
+    for call in (
+        lambda: curves.learning_curve_panels({"one": curves.Panel({}, None)}, {}, 10.0),
+        lambda: curves.pairs({"ppo": {"here": curves.Pair(None, None)}}, ("A", "B"), 5.0),
+        lambda: curves.study_figure([], {}, "ppo"),
+        lambda: estimates.intervals_figure({"mean": {}}),
+        lambda: estimates.profiles_figure({}, np.array([0.0, 1.0]), "score", {}),
+    ):
+        with pytest.raises(MbnError):
+            call()
 
 
 def test_panels_have_common_axes_and_one_legend() -> None:
@@ -136,8 +143,6 @@ def test_panels_have_common_axes_and_one_legend() -> None:
     assert [len(axes.collections) for axes in shown] == [0, 1, 0], "a band for two seeds"
     assert [len(axes.lines) for axes in shown] == [3, 2, 2], "curve, threshold, optimum"
     assert labels_of(figure) == ["a", "b", "threshold 10", "proved optimum"]
-    with pytest.raises(MbnError, match="no curve"):
-        curves.learning_curve_panels({"one": curves.Panel({}, None)}, {}, 10.0)
 
 
 def test_pairs_are_joined_and_missing_ones_say_so() -> None:
@@ -152,8 +157,6 @@ def test_pairs_are_joined_and_missing_ones_say_so() -> None:
     assert [text.get_text() for text in ppo.texts + ars.texts] == ["missing"]
     assert ars.texts[0].xy[1] == 0
     assert labels_of(figure) == ["A", "B", "threshold 5"]
-    with pytest.raises(MbnError, match="no return"):
-        curves.pairs({"ppo": {"here": curves.Pair(None, None)}}, ("A", "B"), 5.0)
 
 
 def test_a_study_shows_its_best_so_far_and_what_was_pruned() -> None:
@@ -168,8 +171,6 @@ def test_a_study_shows_its_best_so_far_and_what_was_pruned() -> None:
     assert [bar.get_width() for bar in bars.patches] == [0.75, 0.25]
     unknown = curves.study_figure(trials, {}, "ppo").axes[1]
     assert "too few" in unknown.texts[0].get_text()
-    with pytest.raises(MbnError, match="no trial"):
-        curves.study_figure([], {}, "ppo")
 
 
 def test_estimates_are_marked_within_their_intervals() -> None:
@@ -184,8 +185,6 @@ def test_estimates_are_marked_within_their_intervals() -> None:
     (interval,) = mean.collections
     assert interval.get_segments()[0].tolist() == [[0.25, 0], [0.75, 0]]
     assert len(gap.collections) == 2
-    with pytest.raises(MbnError, match="intervals"):
-        estimates.intervals_figure({"mean": {}})
 
 
 def test_the_axis_of_a_probability_spans_all_of_it_with_a_line_at_one_half() -> None:
@@ -213,5 +212,3 @@ def test_profiles_are_drawn_whole_and_near_the_end() -> None:
         assert [line.get_color() for line in axes.lines] == [style.series(k).colour for k in (4, 1)]
         assert len(axes.collections) == 2
     assert labels_of(figure) == ["ppo", "mappo"]
-    with pytest.raises(MbnError, match="profiles"):
-        estimates.profiles_figure({}, thresholds, "score", {})

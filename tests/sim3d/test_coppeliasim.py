@@ -25,8 +25,9 @@ from mbn_marl.sim3d.coppeliasim import CoppeliaSimulator
 from mbn_marl.sim3d.scene import AREA, SPRAYED_AREA, SPRAYED_WEED, WEED
 from tests.support.coppelia_server import LATE, RUNNING, STOPPED, CoppeliaServer, free_port
 from tests.support.field_cases import square
-from tests.support.pages import Block, commands_of, parse_mbn
+from tests.support.pages import Block, check_command, commands_of
 
+pytestmark = pytest.mark.slow
 PAGE = Path(__file__).parents[2] / "docs" / "coppeliasim.md"
 
 
@@ -85,6 +86,7 @@ def test_a_policy_sprays_every_weed_of_a_field_with_a_hole(server: CoppeliaServe
     assert left(server) == EMPTY
 
 
+@pytest.mark.all
 def test_the_command_flies_one_field_after_another(
     server: CoppeliaServer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -330,6 +332,7 @@ def test_a_failed_reset_leaves_nothing_behind(
     assert left(server) == EMPTY
 
 
+@pytest.mark.all
 def test_the_page_does_what_it_shows(
     server: CoppeliaServer, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -337,7 +340,7 @@ def test_the_page_does_what_it_shows(
         re.findall(r"```{code-block} (\w+)\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     )
     for words in commands_of(Block("sh", blocks["sh"])):
-        parse_mbn(words[1:])
+        check_command(words)
     code = blocks["python"]
     assert "23000" in code
     exec(compile(code.replace("23000", str(server.port)), str(PAGE), "exec"), {})

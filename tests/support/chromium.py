@@ -13,12 +13,9 @@ import time
 from pathlib import Path
 from typing import Any, Self
 
-import pytest
-
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 PROGRAM = next((found for name in NAMES if (found := shutil.which(name))), None)
 MISSING = "no Chromium here: install one (Debian: apt-get install chromium)"
-needs_browser = pytest.mark.skipif(PROGRAM is None, reason=MISSING)
 FLAGS = (
     "--headless=new",
     "--no-sandbox",

@@ -110,15 +110,12 @@ def tiny(words: Sequence[str]) -> list[str]:
     return [*words, *TINY.get(words[0], "").split()]
 
 
-def parse_mbn(words: Sequence[str]) -> None:
-    """Check that there is such a command."""
-    if "--help" not in words:
-        read_command(words)
-
-
-def check_tool(words: Sequence[str]) -> None:
-    """Check that what a line of make, pip or python names is there."""
+def check_command(words: Sequence[str]) -> None:
+    """Check that what a line names is there: a command of mbn, or what make, pip or python take."""
     match words:
+        case ["mbn", *rest]:
+            if "--help" not in rest:
+                read_command(rest)
         case ["make", target]:
             makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
             assert re.search(rf"^{target}:", makefile, re.MULTILINE), words
@@ -140,24 +137,14 @@ def check_tool(words: Sequence[str]) -> None:
 def run_page(page: Path, folder: Path) -> None:
     """Run a page's Python, which shares its names, with ``folder`` as the working directory.
 
-    Its commands are parsed only: ``tests.newcomer`` runs them, with the wheel. But ``mbn export``
-    is run, since the Python after it reads the file.
+    Of its commands only ``mbn export`` is run, since the Python after it reads the file.
     """
     names: dict[str, object] = {"__name__": "__main__"}
     for block in blocks_of(page):
-        match block.language:
-            case "python":
-                write_file(block, folder)
-                exec(compile(block.text, str(page), "exec"), names)
-            case "yaml":
-                write_file(block, folder)
-            case "sh":
-                for words in commands_of(block):
-                    if words[:2] == ["mbn", "export"]:
-                        assert main(words[1:]) == 0
-                    else:
-                        parse_mbn(words[1:]) if words[0] == "mbn" else check_tool(words)
-            case "":
-                pass
-            case other:
-                raise AssertionError(f"{page.name}: no reader runs {other!r} blocks")
+        if block.language in ("python", "yaml"):
+            write_file(block, folder)
+        if block.language == "python":
+            exec(compile(block.text, str(page), "exec"), names)
+        for words in commands_of(block) if block.language == "sh" else ():
+            if words[:2] == ["mbn", "export"]:
+                assert main(words[1:]) == 0

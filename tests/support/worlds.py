@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import shapely
@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from mbn_marl import Field
 from mbn_marl.checked import Uniform
 from mbn_marl.config import RewardProfile
-from mbn_marl.engine.mdp.dynamics import DYNAMICS
-from mbn_marl.engine.mdp.observations import OBSERVATIONS
 from tests.support.oracle import Oracle
 
 BEHAVIOURS = ("seek", "uniform", "lattice", "push", "still")
@@ -50,9 +48,12 @@ class World:
 
 
 @st.composite
-def worlds(draw: st.DrawFn, n: int, rules: Literal["released", "formal"]) -> World:
-    """A random world of n robots: its field, weights, wind, masses, limits, behaviours."""
-    seed = draw(st.integers(0, 2**32 - 1))
+def worlds(draw: st.DrawFn, n: int, **settings: Any) -> World:
+    """A random world of n robots: its field, its numbers, its behaviours; and the settings given.
+
+    No number that is drawn here changes the types that the engine is compiled for.
+    """
+    seed, rules = draw(st.integers(0, 2**32 - 1)), draw(st.sampled_from(["released", "formal"]))
     rng = np.random.default_rng(seed)
     field = random_field(
         rng,
@@ -61,29 +62,25 @@ def worlds(draw: st.DrawFn, n: int, rules: Literal["released", "formal"]) -> Wor
         n_rois=draw(st.integers(1, 8)),
         n_starts=n,
     )
-    settings = {
-        "reward": draw(st.sampled_from([rules, RewardProfile(rules=rules, **OWN_WEIGHTS)])),
-        "wind": draw(st.sampled_from([(0.0, 0.0), (0.1, 30.0), (0.3, 217.0)])),
-        "dynamics": draw(st.sampled_from([*DYNAMICS, tuple(([*DYNAMICS] * n)[:n])])),
-        "mass": draw(st.sampled_from([1.0, 1.7, tuple(0.5 + 0.3 * k for k in range(n))])),
-        "f_max": draw(st.sampled_from([3.0, 0.5, tuple(2.0 + 0.4 * k for k in range(n))])),
-        "v_clip": draw(st.sampled_from([5.0, tuple(5.5 - 0.7 * k for k in range(n))])),
-        "turn_max": draw(st.sampled_from([0.3, 2.9])),
-        "wheelbase": draw(st.sampled_from([4.0, 0.6])),
-        "tau": draw(st.sampled_from([1.0, 0.7])),
-        "roi_radius": draw(st.sampled_from([10.0, 30.0])),
-        "safety_distance": draw(st.sampled_from([APART, 3.0])),
-        "max_steps": draw(st.sampled_from([40, 7, 1000])),
-        **draw(st.sampled_from([*({"observation": name} for name in OBSERVATIONS), ASSIGNED])),
-        "sensing_radius": draw(st.sampled_from([60.0, 17.3])),
-        "one_hot": draw(st.booleans()),
-        **draw(st.sampled_from([{}, DISTURBANCES])),
+    choices: dict[str, list[Any]] = {
+        "reward": [rules, RewardProfile(rules=rules, **OWN_WEIGHTS)],
+        "wind": [(0.0, 0.0), (0.1, 30.0), (0.3, 217.0)],
+        "mass": [1.0, 1.7, tuple(0.5 + 0.3 * k for k in range(n))],
+        "f_max": [3.0, 0.5, tuple(2.0 + 0.4 * k for k in range(n))],
+        "v_clip": [5.0, tuple(5.5 - 0.7 * k for k in range(n))],
+        "tau": [1.0, 0.7],
+        "roi_radius": [10.0, 30.0],
+        "safety_distance": [APART, 3.0],
+        "max_steps": [40, 7, 1000],
+        "sensing_radius": [60.0, 17.3],
+        "one_hot": [False, True],
     }
+    drawn = {name: draw(st.sampled_from(values)) for name, values in choices.items()}
     one = st.sampled_from(BEHAVIOURS)
     behaviours = draw(
         st.one_of(one.map(lambda all_: [all_] * n), st.lists(one, min_size=n, max_size=n))
     )
-    return World(field, settings, tuple(behaviours), seed)
+    return World(field, drawn | settings, tuple(behaviours), seed)
 
 
 def random_field(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from mbn_marl.config import make_config
 from mbn_marl.episode import Episode
 from mbn_marl.errors import MbnError
 from mbn_marl.web.replay import replay_page
-from tests.support.chromium import Chromium, fact, needs_browser
+from tests.support.chromium import Chromium, fact
 
 FRAMES = """new Promise((done) => {
   let count = 0, first;
@@ -88,7 +89,7 @@ def robots(page: Chromium, panel: int) -> Any:
     )
 
 
-@needs_browser
+@pytest.mark.all
 def test_the_page_loads_alone_and_without_a_word(page: Chromium) -> None:
     assert page.problems == []
     assert page.run("performance.getEntriesByType('resource').length") == 0
@@ -97,7 +98,7 @@ def test_the_page_loads_alone_and_without_a_word(page: Chromium) -> None:
     assert titles == ["short", "<b>long</b> & </script>"]
 
 
-@needs_browser
+@pytest.mark.all
 def test_the_scrub_bar_moves_the_robots(page: Chromium) -> None:
     before = robots(page, 1)
     for step in (17, 40, 0):
@@ -111,7 +112,7 @@ def test_the_scrub_bar_moves_the_robots(page: Chromium) -> None:
     assert page.problems == []
 
 
-@needs_browser
+@pytest.mark.all
 def test_a_robot_that_has_failed_gets_a_cross(browser: Chromium, tmp_path: Path) -> None:
     path = tmp_path / "one.html"
     failed = np.array([0, 4], np.int32)
@@ -123,7 +124,7 @@ def test_a_robot_that_has_failed_gets_a_cross(browser: Chromium, tmp_path: Path)
         assert browser.run(crossed) == expected
 
 
-@needs_browser
+@pytest.mark.all
 def test_robots_with_a_heading_show_it(browser: Chromium, tmp_path: Path) -> None:
     headings = np.stack([np.linspace(0.0, -1.5, 7), np.full(7, np.nan)], axis=1)
     path = tmp_path / "one.html"
@@ -138,7 +139,7 @@ def test_robots_with_a_heading_show_it(browser: Chromium, tmp_path: Path) -> Non
     assert browser.problems == []
 
 
-@needs_browser
+@pytest.mark.all
 def test_gusts_turn_the_arrow(browser: Chromium, tmp_path: Path) -> None:
     winds = np.zeros((7, 2))
     winds[0], winds[4] = (0.3, 0.4), (-0.1, -0.1)
@@ -158,7 +159,7 @@ def test_gusts_turn_the_arrow(browser: Chromium, tmp_path: Path) -> None:
     assert browser.problems == []
 
 
-@needs_browser
+@pytest.mark.all
 def test_rois_returns_and_cursor_follow(page: Chromium) -> None:
     visited = "document.querySelectorAll('.panel')[1].querySelectorAll('.roi.visited').length"
     cursor = "document.querySelectorAll('.panel')[1].querySelector('.cursor').style.transform"
@@ -175,7 +176,7 @@ def test_rois_returns_and_cursor_follow(page: Chromium) -> None:
     assert rows == [["return", "9,370"], ["step", "\u2212630"], ["roi", "10,000"]]
 
 
-@needs_browser
+@pytest.mark.all
 def test_strips_have_scales_and_units(page: Chromium) -> None:
     """40 steps of three robots cost 10 each; the ROI of step 21 earns 10 000."""
     strips = "document.querySelectorAll('.panel')[1].querySelectorAll"
@@ -189,7 +190,7 @@ def test_strips_have_scales_and_units(page: Chromium) -> None:
     assert words == ["running total of the reward", "steps"]
 
 
-@needs_browser
+@pytest.mark.all
 def test_names_of_rois_lie_above_the_robots(page: Chromium) -> None:
     above = page.run(
         "[...document.querySelectorAll('.panel')[1].querySelectorAll('.name')].map(name => "
@@ -200,7 +201,7 @@ def test_names_of_rois_lie_above_the_robots(page: Chromium) -> None:
     assert page.run("getComputedStyle(document.querySelector('.name')).paintOrder") == "stroke"
 
 
-@needs_browser
+@pytest.mark.all
 def test_keys_drive_the_player(page: Chromium) -> None:
     at = "document.querySelector('.counter').textContent"
     for key, shift, expected in (
@@ -224,7 +225,7 @@ def test_keys_drive_the_player(page: Chromium) -> None:
     assert page.run(f"new Promise(done => setTimeout(() => done({at}), 200))") == stopped
 
 
-@needs_browser
+@pytest.mark.all
 def test_playing_ends_at_the_end_and_begins_again(page: Chromium) -> None:
     page.run("document.querySelector('select').value = 500")
     page.press(" ")
@@ -238,7 +239,7 @@ def test_playing_ends_at_the_end_and_begins_again(page: Chromium) -> None:
     page.press("k")
 
 
-@needs_browser
+@pytest.mark.all
 def test_a_phone_and_the_dark(page: Chromium, tmp_path: Path) -> None:
     colour = "getComputedStyle(document.documentElement).backgroundColor"
     light = page.run(colour)
@@ -258,7 +259,7 @@ def test_a_phone_and_the_dark(page: Chromium, tmp_path: Path) -> None:
     page.wait_for(drawn)
 
 
-@needs_browser
+@pytest.mark.all
 def test_a_long_episode_is_small_quick_and_smooth(browser: Chromium, tmp_path: Path) -> None:
     """The bounds are looser than the targets, for busy machines; docs/replay.md has the figures."""
     path = tmp_path / "long.html"
@@ -273,10 +274,10 @@ def test_a_long_episode_is_small_quick_and_smooth(browser: Chromium, tmp_path: P
     assert browser.problems == []
 
 
-def test_no_episode_is_an_error() -> None:
+def test_a_page_holds_its_episodes() -> None:
     with pytest.raises(MbnError, match="episode"):
         replay_page([])
-
-
-def test_episodes_that_differ_make_different_pages() -> None:
-    assert replay_page([SHORT]) != replay_page([replace(SHORT, outcome="collision")])
+    pages = [replay_page([one]) for one in (SHORT, replace(SHORT, outcome="collision"), LONG)]
+    assert len(set(pages)) == 3
+    assert not re.search("(src|href)=.https?:", pages[0]), "it loads nothing"
+    assert "<b>long" not in pages[2] and pages[2].count("</script>") == pages[0].count("</script>")
