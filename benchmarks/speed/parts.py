@@ -95,20 +95,11 @@ def step_parts(store, actions, last, lo, hi):  # type: ignore[no-untyped-def]  #
     return ended
 
 
-@numba.njit(nogil=True, error_model="numpy", parallel=True)
-def step_parts_of_ranges(store, actions, last, cuts):  # type: ignore[no-untyped-def]
-    """``step_parts`` for every range of worlds between two cuts, in parallel."""
-    ended = 0
-    for k in numba.prange(cuts.size - 1):
-        ended += step_parts(store, actions, last, cuts[k], cuts[k + 1])
-    return ended
-
-
 def partial_step(engine: BatchEngine, last: int) -> Callable[[Any], None]:
     """Reset an engine with released rules; return a step up to ``PARTS[last]``, unchecked."""
     engine.reset()
-    backend = cpu_backend(engine)
-    return lambda actions: step_parts_of_ranges(backend.store, actions, last, backend.threads.cuts)
+    store, worlds = cpu_backend(engine).store, np.array([0, engine.num_worlds], np.uint64)
+    return lambda actions: step_parts(store, actions, last, *worlds)
 
 
 def part_cases(worlds: int, warm_up: int) -> list[Case]:

@@ -30,7 +30,7 @@ from benchmarks.speed.features import FEATURES, SAMPLERS, Features
 from benchmarks.speed.measure import Speed
 from benchmarks.speed.parts import OBSERVATIONS, PARTS, REWARDS, partial_step
 from benchmarks.speed.sizes import SIZES, USUAL, make_field, measure_sizes
-from benchmarks.speed.timing import Budget, Case, interleaved
+from benchmarks.speed.timing import Budget, Case, Timings, interleaved
 from mbn_marl import BatchEngine, load_field
 from mbn_marl.config import Condition, make_config
 from mbn_marl.errors import ConfigError
@@ -58,12 +58,14 @@ def findings() -> Findings:
 
 def test_ratios_are_medians_over_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     fast, slow = [1e-6, 2e-6, 30e-6], [4e-6, 10e-6, 60e-6]
-    columns = {"own": slow, "never ending": fast, "a world ends each step": slow}
+    columns = {"own": slow, "lean": fast, "never ending": fast, "a world ends each step": slow}
     turns = pd.DataFrame({"engine": fast, "SB3": slow, **columns})
-    monkeypatch.setattr("benchmarks.speed.timing.interleaved", lambda cases, budget: turns)
+    timings = Timings(turns, pd.DataFrame())
+    monkeypatch.setattr("benchmarks.speed.timing.interleaved", lambda cases, budget: timings)
     (over,) = measure_sb3(TINY)
     assert over.value == pytest.approx(8.0)  # us: of 3, 8, 30
-    never, each = measure_torchrl(TINY)
+    lean, never, each = measure_torchrl(TINY)
+    assert lean.value == pytest.approx(0.5) and "4.00 x" in lean.note  # of 4, 5, 2
     assert never.value == pytest.approx(25.0)  # %: of 1/4, 1/5, 1/2
     assert each.value == pytest.approx(100.0)
 
@@ -81,18 +83,21 @@ def test_cases_take_turns_and_prepare_first() -> None:
     timings = interleaved(cases, Budget(rounds=2, seconds=0.0))
     turn = [f"{what} {name} 1" for name in "ab" for what in ("prepare", "run")]
     assert turns[-8:] == 2 * turn
-    assert list(timings) == ["a", "b"] and timings.shape == (2, 2)
+    for clock in timings:
+        assert list(clock) == ["a", "b"] and clock.shape == (2, 2)
 
 
 def test_seconds_are_per_unit(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = {"now": 0.0}
-    monkeypatch.setattr("benchmarks.speed.timing.perf_counter", lambda: clock["now"])
+    monkeypatch.setattr("benchmarks.speed.timing.thread_time", lambda: clock["now"])
+    monkeypatch.setattr("benchmarks.speed.timing.perf_counter", lambda: 3.0 * clock["now"])
 
     def run(calls: int) -> None:
         clock["now"] += 0.5 * calls
 
-    timing = interleaved([Case("a", run, units=10.0)], Budget(rounds=3, seconds=4.0))["a"]
-    assert timing.tolist() == [0.05] * 3
+    cpu, wall = interleaved([Case("a", run, units=10.0)], Budget(rounds=3, seconds=4.0))
+    assert cpu["a"].tolist() == [0.05] * 3
+    assert wall["a"].tolist() == pytest.approx([0.15] * 3)
     assert clock["now"] == 0.5 * (1 + 1 + 2 + 3 * 8)  # warm-up, calibration, three turns of 4 s
 
 
@@ -207,9 +212,10 @@ def test_usual_sizes_are_the_catalogues() -> None:
 def test_growth_is_the_law_that_made_the_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     costs = {"robots": lambda n: 7 + 5 * n + 2 * n * n, "ROIs": lambda n: 3 + 4 * n}
 
-    def timings(cases: list[Case], budget: Budget) -> pd.DataFrame:
+    def timings(cases: list[Case], budget: Budget) -> Timings:
         law = costs["robots" if len(cases) == 3 else "ROIs"]
-        return pd.DataFrame({case.name: [1e-9 * law(int(case.name))] for case in cases})
+        cpu = pd.DataFrame({case.name: [1e-9 * law(int(case.name))] for case in cases})
+        return Timings(cpu, pd.DataFrame())
 
     monkeypatch.setattr("benchmarks.speed.sizes.interleaved", timings)
     sizes = {"robots": (1, 2, 5), "ROIs": (1, 24)}
@@ -224,7 +230,7 @@ def test_growth_is_the_law_that_made_the_figures(monkeypatch: pytest.MonkeyPatch
 
 def test_every_row_has_a_figure_or_a_reason(findings: Findings) -> None:
     rows = [row.to_json() for row in findings.measurements]
-    assert len({row["name"] for row in rows}) == len(rows) == 13
+    assert len({row["name"] for row in rows}) == len(rows) == 16
     for row in rows:
         assert row.keys() == {"name", "value", "unit", "target", "at_least", "note", "met"}
         assert (row["value"] is None) == ("needs" in row["note"])
@@ -276,8 +282,10 @@ def test_a_folder_is_written_once(
 def test_a_run_beside_others_is_said_to_be_invalid(cores: float | None, doubtful: bool) -> None:
     console = Console(record=True, width=200)
     record = {"machine": describe_machine(), "seconds": 1.0, "other_cores": cores}
-    print_findings(Findings("a", []), record, console)
-    assert ("not valid" in console.export_text()) == doubtful
+    print_findings(Findings("a", []), {**record, "load_average": (2.5, 1.0, 0.5)}, console)
+    printed = console.export_text()
+    assert ("not valid" in printed) == doubtful
+    assert "load average 2.50, 1.00, 0.50" in printed
 
 
 def test_load_of_others_leaves_out_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
