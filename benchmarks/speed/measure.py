@@ -26,7 +26,7 @@ from benchmarks.speed.features import SAMPLERS
 from benchmarks.speed.parts import PARTS, part_cases
 from benchmarks.speed.peers import plain_case, vmas_cases
 from benchmarks.speed.sizes import SIZES, Curve, curves_table, measure_sizes
-from benchmarks.speed.timing import Budget, cpu_backend, engine_case, interleaved, random_case
+from benchmarks.speed.timing import Budget, engine_case, interleaved
 from mbn_marl import BatchEngine
 from mbn_marl.field import catalogue_names
 from mbn_marl.files import replacing
@@ -99,37 +99,34 @@ def measure_engine(budget: Budget) -> tuple[list[Measurement], dict[str, float]]
 
     All of them, the plain loop and VMAS (where installed) take turns.
     """
-    some, many, ten = budget.worlds, budget.many_worlds, catalogue_names()
+    some, many = budget.worlds, budget.many_worlds
     *_, (mixed, (sampler, _)) = SAMPLERS.items()
-    batches: tuple[tuple[str, Any, int, float | None], ...] = (
-        ("BatchEngine.step", FIELD, some, 11.0),
-        ("BatchEngine.step", FIELD, many, 7.5),
-        ("the ten fields in one batch", ten, some, None),
-        ("the ten fields in one batch", ten, many, None),
-        (mixed, sampler, some, 1.9),
-    )
-    targets = {f"{name}, {worlds:,} worlds": target for name, _, worlds, target in batches}
+    batches: dict[str, tuple[Any, int, float | None]] = {
+        f"BatchEngine.step, {some:,} worlds": (FIELD, some, 11.0),
+        f"BatchEngine.step, {many:,} worlds": (FIELD, many, 7.5),
+        f"the ten fields in one batch, {some:,} worlds": (catalogue_names(), some, None),
+        f"{mixed}, {some:,} worlds": (sampler, some, 1.9),
+    }
     cases = [
         engine_case(name, BatchEngine(fields, worlds, threads=1), budget.warm_up)
-        for name, (_, fields, worlds, _) in zip(targets, batches, strict=True)
+        for name, (fields, worlds, _) in batches.items()
     ]
+    shared = "BatchEngine.step on all cores, by the clock"
+    cases.append(engine_case(shared, BatchEngine(FIELD, some), budget.warm_up))
     plain, parts = plain_case(), part_cases(some, budget.warm_up)
     vmas = {scenario: vmas_cases(scenario) for scenario in SCENARIOS}
-    engine = BatchEngine(FIELD, some)
-    shape, checked = (some, engine.n_robots, 2), cpu_backend(engine).checked_actions
-    check = random_case("check", shape, checked, some)
-    shared = engine_case("BatchEngine.step on all cores, by the clock", engine, budget.warm_up)
-    every = [plain, *cases, check, *parts, *chain.from_iterable(vmas.values()), shared]
+    every = [plain, *parts, *chain.from_iterable(vmas.values()), *cases]
     timings, walls = interleaved(every, budget)
     step, rates, clocked = timings[cases[0].name], 1 / timings.median(), 1 / walls.median()
-    rows = []
-    for name, target in targets.items():
-        note = f"by the clock {clocked[name] / MILLION:.3g} M"
-        rows.append(Measurement(name, rates[name] / MILLION, RATE, target, note=note))
+    walled = clocked[[*batches]] / MILLION
+    rows = [
+        Measurement(name, rates[name] / MILLION, RATE, target, note=f"by the clock {wall:.3g} M")
+        for (name, (*_, target)), wall in zip(batches.items(), walled, strict=True)
+    ]
     times = (timings[plain.name] / step).median()
     of_loop = f"the loop: {rates[plain.name]:,.0f} env-steps/s"
     rows += [
-        Measurement(shared.name, clocked[shared.name] / MILLION, RATE),
+        Measurement(shared, clocked[shared] / MILLION, RATE),
         Measurement("BatchEngine.step against the plain loop", times, "x", 1000.0, note=of_loop),
     ]
     for scenario, peers in vmas.items():
@@ -138,11 +135,8 @@ def measure_engine(budget: Budget) -> tuple[list[Measurement], dict[str, float]]
             best = rates[[case.name for case in peers]].idxmax()
             ratio = (timings[best] / step).median()
             note = f"its best: {best.partition(', ')[2]}, {rates[best] / MILLION:.2f} {RATE}"
-        rows.append(
-            Measurement(f"BatchEngine.step against VMAS {scenario}", ratio, "x", 5.0, note=note)
-        )
-    share = 100 / (step / timings[check.name]).median()
-    rows.append(Measurement("check of the actions (NaN, shape), of a step", share, "%", 3.0, False))
+        name = f"BatchEngine.step against VMAS {scenario}"
+        rows.append(Measurement(name, ratio, "x", 5.0, note=note))
     steps = timings[[*(case.name for case in parts), step.name]]
     costs = 1e9 * steps.sub(steps.shift(axis=1, fill_value=0.0)).median()
     return rows, dict(zip((*PARTS, "checks around the kernel"), costs.tolist(), strict=True))
