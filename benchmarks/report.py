@@ -112,6 +112,7 @@ class Benchmark:
             found = self.measure(lambda: progress.advance(task))
         record: dict[str, Any] = {"command": command, "machine": describe_machine()}
         record |= {"seconds": perf_counter() - began, "other_cores": others.cores()}
+        record |= {"load_average": os.getloadavg()}
         print_findings(found, record, screen)
         rows = [line.to_json() for line in found.measurements]
         write_json(folder / f"{self.name}.json", {**record, "rows": rows, **found.details})
@@ -133,7 +134,9 @@ def print_findings(found: Findings, record: Mapping[str, Any], screen: Console) 
     tables = {found.title: measurement_table(found.measurements), **found.tables}
     for title, table in tables.items():
         screen.print(table.rich(title) if table.lines else title)
-    screen.print(*found.remarks, f"{record['seconds']:.0f} s in all", sep="\n", highlight=False)
+    load = ", ".join(f"{average:.2f}" for average in record["load_average"])
+    spent = f"{record['seconds']:.0f} s in all; load average {load} (1, 5 and 15 minutes)"
+    screen.print(*found.remarks, spent, sep="\n", highlight=False)
     others = record["other_cores"]
     if others is not None and others > ALLOWED:
         screen.print(

@@ -67,7 +67,7 @@ class Features(Benchmark):
             for name, fields in fields_of.items()
         ]
         advance()
-        timings = interleaved(cases, budget)
+        timings = interleaved(cases, budget).cpu
         advance()
         shares = {name: 100 * (timings[PLAIN] / timings[name]).median() for name in FEATURES}
         rows = [

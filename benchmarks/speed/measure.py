@@ -8,22 +8,23 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 from time import perf_counter
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import matplotlib
+import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator, ScalarFormatter
 
-from baselines.compare.text_table import TextTable
 from benchmarks.report import Advance, Benchmark, Findings, Measurement, describe_machine
 from benchmarks.speed.adapters import FIELD, measure_pettingzoo, measure_sb3, measure_torchrl
-from benchmarks.speed.parts import PARTS, REWARDS, part_cases
+from benchmarks.speed.features import SAMPLERS
 from benchmarks.speed.peers import plain_case, vmas_cases
 from benchmarks.speed.sizes import SIZES, Curve, curves_table, measure_sizes
-from benchmarks.speed.timing import Budget, cpu_backend, engine_case, interleaved, random_case
+from benchmarks.speed.timing import Budget, engine_case, interleaved
 from mbn_marl import BatchEngine
 from mbn_marl.field import catalogue_names
 from mbn_marl.files import replacing
@@ -31,12 +32,13 @@ from mbn_marl.render import style
 
 WIDE_RANGE = 30.0  # a curve that grows by more than this is drawn on logarithmic axes
 MILLION, RATE = 1e6, "M env-steps/s"
+SCENARIOS = "simple_spread", "navigation"
+"""The tasks of VMAS that are measured; the second is like ours."""
 FIRST_STEP = """
-import numpy as np
-from mbn_marl import BatchEngine
-engine = BatchEngine("field_01", 4096)
-engine.reset()
-engine.step(np.zeros((4096, 3, 2), np.float32))
+from mbn_marl import parallel_env
+env = parallel_env("field_03")
+env.reset()
+env.step(dict.fromkeys(env.agents, (0.0, 0.0)))
 """
 
 
@@ -49,123 +51,99 @@ class Speed(Benchmark):
     budget: ClassVar[Budget] = Budget()
 
     def measure(self, advance: Advance) -> Findings:
-        """Measure the rates, the parts of a step and the cost against sizes."""
+        """Measure the rates and the cost against sizes."""
         budget = self.budget
+        torch.set_num_threads(1)  # an engine with several threads would undo it
         startup = measure_startup() if budget.startup else []
         advance()
-        rows, parts = measure_engine(budget)
+        rows = measure_engine(budget)
         advance()
         for measure in (measure_pettingzoo, measure_torchrl, measure_sb3):
             rows += measure(budget)
             advance()
         curves = measure_sizes(budget, advance)
         return Findings(
-            "3 robots, 6 ROIs, field_01, random actions, float32",
+            "CPU time of one thread; 3 robots, 6 ROIs, field_01, random actions, float32",
             rows + startup,
-            tables={
-                "where the time of a step goes, all threads working": parts_table(parts),
-                "cost against sizes: ns per world-step, all threads working": curves_table(curves),
-            },
+            tables={"cost against sizes: ns per world-step": curves_table(curves)},
             remarks=[f"{curve.quantity}: {curve.growth}" for curve in curves],
-            details={
-                "parts": [{"name": name, "nanoseconds": cost} for name, cost in parts.items()],
-                "curves": [asdict(curve) for curve in curves],
-            },
-            draw=lambda path: write_figure(rows, parts, curves, path),
+            details={"curves": [asdict(curve) for curve in curves]},
+            draw=lambda path: write_figure(rows, curves, path),
         )
 
 
 def measure_startup() -> list[Measurement]:
-    """Measure the seconds from starting Python to the end of the first step."""
+    """Measure a new process up to its first PettingZoo step: without a cache, and with one."""
+    rows = []
     with tempfile.TemporaryDirectory() as cache:
-        first = _seconds(cache)
-        later = sorted(_seconds(cache) for _ in range(3))[1]
-    return [
-        Measurement("first call on a machine (compiles)", first, "s", 20.0, False),
-        Measurement("later starts (cached)", later, "s", 2.0, False, "median of 3"),
-    ]
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        for name, target in (("first call on a machine (compiles)", 6.0), ("later starts", 0.6)):
+            wall, before = perf_counter(), os.times()
+            subprocess.run([sys.executable, "-c", FIRST_STEP], env=environment, check=True)
+            wall, after = perf_counter() - wall, os.times()
+            used = sum(after[2:4]) - sum(before[2:4])  # by ended children
+            rows.append(Measurement(name, used, "s", target, False, f"by the clock {wall:.3g} s"))
+    return rows
 
 
-def _seconds(cache: str) -> float:
-    environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
-    start = perf_counter()
-    subprocess.run([sys.executable, "-c", FIRST_STEP], env=environment, check=True)
-    return perf_counter() - start
+def measure_engine(budget: Budget) -> list[Measurement]:
+    """Measure ``BatchEngine`` on field_01.
 
-
-def measure_engine(budget: Budget) -> tuple[list[Measurement], dict[str, float]]:
-    """Measure ``BatchEngine`` on field_01, and the parts of its step in ns per world-step.
-
-    All of them, the plain loop and VMAS (where installed) take turns. The loop, on one thread,
-    comes after VMAS, whose threads keep a core busy for some time after their work is done.
+    All cases, the plain loop and VMAS (where installed) take turns.
     """
-    sizes = {"some": budget.worlds, "many": budget.many_worlds}
-    fields = {"one field": FIELD, "ten fields": list(catalogue_names())}
-    vmas, plain, parts = vmas_cases(), plain_case(), part_cases(budget.worlds, budget.warm_up)
+    some, many = budget.worlds, budget.many_worlds
+    *_, (mixed, (sampler, _)) = SAMPLERS.items()
+    batches: dict[str, tuple[Any, int, float | None]] = {
+        f"BatchEngine.step, {some:,} worlds": (FIELD, some, 11.0),
+        f"BatchEngine.step, {many:,} worlds": (FIELD, many, 7.5),
+        f"the ten fields in one batch, {some:,} worlds": (catalogue_names(), some, None),
+        f"{mixed}, {some:,} worlds": (sampler, some, 1.9),
+    }
     cases = [
-        engine_case(f"{field}, {size}", BatchEngine(fields[field], sizes[size]), budget.warm_up)
-        for field in fields
-        for size in sizes
+        engine_case(name, BatchEngine(fields, worlds, threads=1), budget.warm_up)
+        for name, (fields, worlds, _) in batches.items()
     ]
-    engine = BatchEngine(FIELD, budget.worlds)
-    shape, checked = (budget.worlds, engine.n_robots, 2), cpu_backend(engine).checked_actions
-    check = random_case("check", shape, checked, budget.worlds)
-    timings = interleaved([plain, *cases, check, *parts, *vmas], budget)
-    step, rates = timings["one field, some"], 1.0 / timings.median()
+    plain = plain_case()
+    vmas = {scenario: vmas_cases(scenario) for scenario in SCENARIOS}
+    every = [plain, *chain.from_iterable(vmas.values()), *cases]
+    timings, walls = interleaved(every, budget)
+    step, rates = timings[cases[0].name], 1 / timings.median()
+    walled = 1 / walls[[*batches]].median() / MILLION
     rows = [
-        Measurement(f"{name}, {sizes[size]:,} worlds", rates[case] / MILLION, RATE, target)
-        for name, case, size, target in (
-            ("BatchEngine.step", "one field, some", "some", 12.0),
-            ("BatchEngine.step", "one field, many", "many", 10.0),
-            ("the ten fields in one batch", "ten fields, some", "some", 8.0),
-            ("the ten fields in one batch", "ten fields, many", "many", 8.0),
-            ("physics, rewards and collisions only", parts[REWARDS].name, "some", None),
-        )
+        Measurement(name, rates[name] / MILLION, RATE, target, note=f"by the clock {wall:.3g} M")
+        for (name, (*_, target)), wall in zip(batches.items(), walled, strict=True)
     ]
-    ratio, note = None, "needs vmas: pip install 'mbn-marl[bench]'"
-    if vmas:
-        best = rates[[case.name for case in vmas]].idxmax()
-        ratio = (timings[best] / step).median()
-        note = f"its best: {best.partition(', ')[2]}, {rates[best] / MILLION:.2f} {RATE}"
-    share = 100 / (step / timings[check.name]).median()
     times = (timings[plain.name] / step).median()
     of_loop = f"the loop: {rates[plain.name]:,.0f} env-steps/s"
-    rows += [
-        Measurement("BatchEngine.step against the plain loop", times, "x", 1000.0, note=of_loop),
-        Measurement("BatchEngine.step against VMAS simple_spread", ratio, "x", 5.0, note=note),
-        Measurement("check of the actions (NaN, shape), of a step", share, "%", 3.0, False),
-    ]
-    steps = timings[[*(case.name for case in parts), step.name]]
-    costs = 1e9 * steps.sub(steps.shift(axis=1, fill_value=0.0)).median()
-    return rows, dict(zip((*PARTS, "checks around the kernel"), costs.tolist(), strict=True))
+    name = "BatchEngine.step against the plain loop"
+    rows.append(Measurement(name, times, "x", 1000.0, note=of_loop))
+    for scenario, peers in vmas.items():
+        ratio, note = None, "needs vmas: pip install 'mbn-marl[bench]'"
+        if peers:
+            best = rates[[case.name for case in peers]].idxmax()
+            ratio = (timings[best] / step).median()
+            note = f"its best: {best.partition(', ')[2]}, {rates[best] / MILLION:.2f} {RATE}"
+        name = f"BatchEngine.step against VMAS {scenario}"
+        rows.append(Measurement(name, ratio, "x", 5.0, note=note))
+    return rows
 
 
-def parts_table(parts: Mapping[str, float]) -> TextTable:
-    """Return the parts with their shares."""
-    whole = sum(parts.values())
-    lines = ((name, f"{cost:.1f}", f"{cost / whole:.0%}") for name, cost in parts.items())
-    return TextTable("", ("part", "ns per world-step", "share"), tuple(lines))
-
-
-def write_figure(
-    rows: Sequence[Measurement], parts: Mapping[str, float], curves: Sequence[Curve], path: Path
-) -> None:
-    """Draw rates with their targets, the parts of a step, and a panel for each curve."""
+def write_figure(rows: Sequence[Measurement], curves: Sequence[Curve], path: Path) -> None:
+    """Draw rates with their targets, and a panel for each curve."""
     with matplotlib.rc_context(style.MATPLOTLIB):
         figure = Figure(figsize=(10.0, 6.0), layout="constrained")
         grid = figure.add_gridspec(2, 1)
         above, below = (figure.add_subfigure(grid[row]) for row in (0, 1))
-        left, right = above.subplots(1, 2)
+        axes = above.subplots()
         rated = [row for row in rows if row.unit == RATE]
         rates = {",\n".join(row.name.rsplit(", ", 1)): row.value or 0.0 for row in rated}
-        _draw_bars(left, rates, style.BLUE, "million env-steps/s; line: target")
+        _draw_bars(axes, rates, style.BLUE, "million env-steps/s; line: target")
         for place, row in enumerate(reversed(rated), start=1):
             if row.target is not None:
-                left.plot([row.target] * 2, [place - 0.4, place + 0.4], color=style.VERMILLION)
-        _draw_bars(right, parts, style.BLUISH_GREEN, "ns per world-step")
+                axes.plot([row.target] * 2, [place - 0.4, place + 0.4], color=style.VERMILLION)
         panels = below.subplots(1, len(curves))
-        for index, (axes, curve) in enumerate(zip(panels, curves, strict=True)):
-            _draw_curve(axes, curve, style.series(index))
+        for index, (panel, curve) in enumerate(zip(panels, curves, strict=True)):
+            _draw_curve(panel, curve, style.series(index))
         machine = describe_machine()
         figure.suptitle(f"{machine['processor']}, {machine['cores']} cores")
         with replacing(path) as temporary:

@@ -54,8 +54,8 @@ def oracle_module() -> Any:
     return sys.modules[full]
 
 
-def vmas_cases() -> list[Case]:
-    """VMAS ``simple_spread`` with three agents, a case per batch size, in seconds per env-step."""
+def vmas_cases(scenario: str) -> list[Case]:
+    """A scenario of VMAS with three agents, a case per batch size, in seconds per env-step."""
     if not find_spec("vmas"):
         return []
     import torch
@@ -64,12 +64,12 @@ def vmas_cases() -> list[Case]:
     options = {"device": "cpu", "continuous_actions": True, "seed": 0, "n_agents": ROBOTS}
     cases = []
     for worlds in VMAS_WORLDS:
-        env = vmas.make_env("simple_spread", num_envs=worlds, **options)
+        env = vmas.make_env(scenario, num_envs=worlds, **options)
         env.reset()
         generator = torch.Generator().manual_seed(0)
         drawn = torch.rand((4, ROBOTS, worlds, 2), generator=generator) * 2 - 1
         sets = [list(actions) for actions in drawn]
-        name = f"VMAS simple_spread, {worlds:,} worlds"
+        name = f"VMAS {scenario}, {worlds:,} worlds"
         cases.append(cycling_case(name, sets, env.step, worlds))
     return cases
 

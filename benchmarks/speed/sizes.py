@@ -30,7 +30,7 @@ class Curve:
 
     quantity: str  # "robots", "ROIs" or "edges"
     sizes: tuple[int, ...]  # ascending
-    nanoseconds: tuple[float, ...]  # elapsed per world-step, all threads working
+    nanoseconds: tuple[float, ...]  # of CPU per world-step
     growth: str  # the fitted law
 
 
@@ -41,11 +41,11 @@ def measure_sizes(
     curves = []
     for quantity, counts in sizes.items():
         fields = [make_field(**{**USUAL, quantity: count}) for count in counts]
-        engines = [BatchEngine(field, budget.sized_worlds) for field in fields]
+        engines = [BatchEngine(field, budget.sized_worlds, threads=1) for field in fields]
         warm_up = min(budget.warm_up, WARM_UP)
         pairs = zip(counts, engines, strict=True)
         cases = [engine_case(str(count), engine, warm_up) for count, engine in pairs]
-        costs = tuple((1e9 * interleaved(cases, budget).median()).tolist())
+        costs = tuple((1e9 * interleaved(cases, budget).cpu.median()).tolist())
         curves.append(Curve(quantity, counts, costs, _growth(quantity, counts, costs)))
         advance()
     return curves

@@ -1,12 +1,12 @@
-"""Timing that noise cannot fool: all cases take turns, and medians and paired ratios are kept."""
+"""Timing that noise cannot fool: cases take turns; CPU time, medians and paired ratios count."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from time import perf_counter
-from typing import Any
+from time import perf_counter, thread_time
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -41,33 +41,42 @@ class Case:
     prepare: Callable[[int], object] = lambda calls: None  # before the clock starts
 
 
-def interleaved(cases: Sequence[Case], budget: Budget) -> pd.DataFrame:
-    """Time all cases, round by round; return seconds per unit, a column for the name of each case.
+class Timings(NamedTuple):
+    """Seconds per unit: a row for each round, a column for the name of each case."""
+
+    cpu: pd.DataFrame  # of the calling thread: all of it where a case uses no other
+    wall: pd.DataFrame
+
+
+def interleaved(cases: Sequence[Case], budget: Budget) -> Timings:
+    """Time all cases, round by round.
 
     Ratios and differences of turns that followed each other cancel drift.
     """
     turns = [(case, _calls_per_turn(case, budget.seconds)) for case in cases]
-    rounds = (
-        {case.name: _time(case, calls) / (calls * case.units) for case, calls in turns}
+    rounds = [
+        [np.divide(_time(case, calls), calls * case.units) for case, calls in turns]
         for _ in range(budget.rounds)
-    )
-    return pd.DataFrame(rounds)
+    ]
+    names, clocks = [case.name for case in cases], np.array(rounds).transpose(2, 0, 1)
+    return Timings(*(pd.DataFrame(seconds, columns=names) for seconds in clocks))
 
 
-def _time(case: Case, calls: int) -> float:
+def _time(case: Case, calls: int) -> tuple[float, float]:
+    """The seconds of CPU and of the clock on the wall that so many calls take."""
     case.prepare(calls)
-    start = perf_counter()
+    cpu, wall = thread_time(), perf_counter()
     case.run(calls)
-    return perf_counter() - start
+    return thread_time() - cpu, perf_counter() - wall
 
 
 def _calls_per_turn(case: Case, seconds: float) -> int:
     """How many calls take about ``seconds``; the first calls, which warm up, do not count."""
     _time(case, 1)
-    calls, taken = 1, _time(case, 1)
+    calls, (taken, _) = 1, _time(case, 1)
     while taken < seconds / 4:
         calls *= 2
-        taken = _time(case, calls)
+        taken, _ = _time(case, calls)
     return max(1, round(calls * seconds / max(taken, 1e-9)))
 
 

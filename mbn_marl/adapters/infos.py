@@ -87,7 +87,7 @@ class Infos:
         if ended or self.keys[-1] != GAP:
             more = [float(column[0]) for column in self._team_wide(np.array([ended]))]
             return [self._named(row + more) for row in rows]
-        return [dict(zip(self.keys, (*row, UNDEFINED), strict=False)) for row in rows]
+        return [dict(zip(INFO_COLUMNS, row), optimality_gap=UNDEFINED) for row in rows]  # noqa: B905 - strict is slow
 
     def of_team(self, ended: bool) -> dict[str, float]:
         """The info of the first world's team; ``ended``: whether its episode has."""

@@ -119,7 +119,7 @@ class Backend(ABC):
 
     def infos(self) -> Array:
         """See ``BatchEngine.infos``."""
-        worlds, n, _ = self.spec.actions_shape
+        worlds, n, _ = self._actions.shape
         rows: Array = self._empty((worlds, n, len(INFO_COLUMNS)), self.xp.float64)
         self._write_infos(rows)
         return rows

@@ -28,9 +28,8 @@ from benchmarks.report import (
 from benchmarks.speed.adapters import measure_sb3, measure_torchrl
 from benchmarks.speed.features import FEATURES, SAMPLERS, Features
 from benchmarks.speed.measure import Speed
-from benchmarks.speed.parts import OBSERVATIONS, PARTS, REWARDS, partial_step
 from benchmarks.speed.sizes import SIZES, USUAL, make_field, measure_sizes
-from benchmarks.speed.timing import Budget, Case, interleaved
+from benchmarks.speed.timing import Budget, Case, Timings, interleaved
 from mbn_marl import BatchEngine, load_field
 from mbn_marl.config import Condition, make_config
 from mbn_marl.errors import ConfigError
@@ -58,14 +57,14 @@ def findings() -> Findings:
 
 def test_ratios_are_medians_over_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     fast, slow = [1e-6, 2e-6, 30e-6], [4e-6, 10e-6, 60e-6]
-    columns = {"own": slow, "never ending": fast, "a world ends each step": slow}
-    turns = pd.DataFrame({"engine": fast, "SB3": slow, **columns})
-    monkeypatch.setattr("benchmarks.speed.timing.interleaved", lambda cases, budget: turns)
+    turns = pd.DataFrame({"engine": fast, "SB3": slow, "own": slow, "lean": fast, "empty": fast})
+    timings = Timings(turns, pd.DataFrame())
+    monkeypatch.setattr("benchmarks.speed.timing.interleaved", lambda cases, budget: timings)
     (over,) = measure_sb3(TINY)
     assert over.value == pytest.approx(8.0)  # us: of 3, 8, 30
-    never, each = measure_torchrl(TINY)
-    assert never.value == pytest.approx(25.0)  # %: of 1/4, 1/5, 1/2
-    assert each.value == pytest.approx(100.0)
+    lean, of_empty = measure_torchrl(TINY)
+    assert lean.value == pytest.approx(0.5) and "4.00 x" in lean.note  # of 4, 5, 2
+    assert of_empty.value == pytest.approx(25.0)  # %: of 1/4, 1/5, 1/2
 
 
 def test_cases_take_turns_and_prepare_first() -> None:
@@ -81,18 +80,21 @@ def test_cases_take_turns_and_prepare_first() -> None:
     timings = interleaved(cases, Budget(rounds=2, seconds=0.0))
     turn = [f"{what} {name} 1" for name in "ab" for what in ("prepare", "run")]
     assert turns[-8:] == 2 * turn
-    assert list(timings) == ["a", "b"] and timings.shape == (2, 2)
+    for clock in timings:
+        assert list(clock) == ["a", "b"] and clock.shape == (2, 2)
 
 
 def test_seconds_are_per_unit(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = {"now": 0.0}
-    monkeypatch.setattr("benchmarks.speed.timing.perf_counter", lambda: clock["now"])
+    monkeypatch.setattr("benchmarks.speed.timing.thread_time", lambda: clock["now"])
+    monkeypatch.setattr("benchmarks.speed.timing.perf_counter", lambda: 3.0 * clock["now"])
 
     def run(calls: int) -> None:
         clock["now"] += 0.5 * calls
 
-    timing = interleaved([Case("a", run, units=10.0)], Budget(rounds=3, seconds=4.0))["a"]
-    assert timing.tolist() == [0.05] * 3
+    cpu, wall = interleaved([Case("a", run, units=10.0)], Budget(rounds=3, seconds=4.0))
+    assert cpu["a"].tolist() == [0.05] * 3
+    assert wall["a"].tolist() == pytest.approx([0.15] * 3)
     assert clock["now"] == 0.5 * (1 + 1 + 2 + 3 * 8)  # warm-up, calibration, three turns of 4 s
 
 
@@ -115,40 +117,6 @@ def test_a_target_is_met(
 
 
 # -- what is measured ------------------------------------------------------------------------------
-
-
-def test_the_last_part_is_the_whole_step() -> None:
-    """So the parts cannot go away from the engine's step unseen."""
-    settings: dict[str, Any] = {"max_steps": 60, "random_starts": True, "seed": 1}
-    whole, parts = (BatchEngine("field_01", 300, **settings) for _ in range(2))
-    whole.reset()
-    step = partial_step(parts, OBSERVATIONS)
-    for _ in range(150):
-        actions = whole.sample_actions()
-        expected = (*whole.step(actions), whole.team_rewards, whole.state())
-        step(actions)
-        output = parts._backend.output
-        arrays = (output.observations, output.rewards, output.terminated, output.truncated)
-        for got, wanted in zip((*arrays, parts.team_rewards, parts.state()), expected, strict=True):
-            assert got.tobytes() == wanted.tobytes()
-
-
-def test_rewards_without_memory_differ_in_revisits_only() -> None:
-    settings: dict[str, Any] = {"max_steps": 60, "random_starts": True, "seed": 1}
-    whole, parts = (BatchEngine("field_01", 300, **settings) for _ in range(2))
-    whole.reset()
-    step = partial_step(parts, REWARDS)
-    small, medium = parts.config.reward.small, parts.config.reward.medium
-    revisits = 0
-    for _ in range(100):
-        actions = whole.sample_actions()
-        _, rewards, *_ = whole.step(actions)
-        step(actions)
-        assert parts.state().tobytes() == whole.state().tobytes()
-        difference = parts._backend.output.rewards - rewards
-        revisits += np.count_nonzero(difference)
-        assert np.isin(difference, [0.0, medium - small]).all()
-    assert revisits > 0
 
 
 def test_features_are_measured_against_the_plain_engine(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,9 +175,10 @@ def test_usual_sizes_are_the_catalogues() -> None:
 def test_growth_is_the_law_that_made_the_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     costs = {"robots": lambda n: 7 + 5 * n + 2 * n * n, "ROIs": lambda n: 3 + 4 * n}
 
-    def timings(cases: list[Case], budget: Budget) -> pd.DataFrame:
+    def timings(cases: list[Case], budget: Budget) -> Timings:
         law = costs["robots" if len(cases) == 3 else "ROIs"]
-        return pd.DataFrame({case.name: [1e-9 * law(int(case.name))] for case in cases})
+        cpu = pd.DataFrame({case.name: [1e-9 * law(int(case.name))] for case in cases})
+        return Timings(cpu, pd.DataFrame())
 
     monkeypatch.setattr("benchmarks.speed.sizes.interleaved", timings)
     sizes = {"robots": (1, 2, 5), "ROIs": (1, 24)}
@@ -224,21 +193,20 @@ def test_growth_is_the_law_that_made_the_figures(monkeypatch: pytest.MonkeyPatch
 
 def test_every_row_has_a_figure_or_a_reason(findings: Findings) -> None:
     rows = [row.to_json() for row in findings.measurements]
-    assert len({row["name"] for row in rows}) == len(rows) == 13
+    assert len({row["name"] for row in rows}) == len(rows) == 12
     for row in rows:
         assert row.keys() == {"name", "value", "unit", "target", "at_least", "note", "met"}
         assert (row["value"] is None) == ("needs" in row["note"])
         assert row["met"] is None or isinstance(row["met"], bool)
     with_target = [row for row in rows if row["target"] is not None]
-    assert len(with_target) == 12
+    assert len(with_target) == 10
     # The share of an overhead may come out at or below zero in so small a run.
     rates = [row for row in rows if "over the engine" not in row["name"]]
     assert all(row["value"] is None or row["value"] > 0 for row in rates)
 
 
-def test_parts_and_curves(findings: Findings) -> None:
-    parts, curves = findings.details["parts"], findings.details["curves"]
-    assert [part["name"] for part in parts] == [*PARTS, "checks around the kernel"]
+def test_curves(findings: Findings) -> None:
+    curves = findings.details["curves"]
     assert {curve["quantity"]: curve["sizes"] for curve in curves} == SIZES
     assert all(min(curve["nanoseconds"]) > 0 for curve in curves)
 
@@ -276,8 +244,10 @@ def test_a_folder_is_written_once(
 def test_a_run_beside_others_is_said_to_be_invalid(cores: float | None, doubtful: bool) -> None:
     console = Console(record=True, width=200)
     record = {"machine": describe_machine(), "seconds": 1.0, "other_cores": cores}
-    print_findings(Findings("a", []), record, console)
-    assert ("not valid" in console.export_text()) == doubtful
+    print_findings(Findings("a", []), {**record, "load_average": (2.5, 1.0, 0.5)}, console)
+    printed = console.export_text()
+    assert ("not valid" in printed) == doubtful
+    assert "load average 2.50, 1.00, 0.50" in printed
 
 
 def test_load_of_others_leaves_out_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
