@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 
 from mbn_marl import BatchEngine
-from mbn_marl.engine.cpu import CpuBackend
 
 Step = Callable[[Any], object]
 SETS = 64  # steps for which actions are drawn at a time; longer turns use them again
@@ -58,7 +57,7 @@ def interleaved(cases: Sequence[Case], budget: Budget) -> Timings:
         [np.divide(_time(case, calls), calls * case.units) for case, calls in turns]
         for _ in range(budget.rounds)
     ]
-    names, clocks = [case.name for case in cases], np.array(rounds).transpose(2, 0, 1)
+    names, clocks = [case.name for case in cases], np.moveaxis(np.array(rounds), 2, 0)
     return Timings(*(pd.DataFrame(seconds, columns=names) for seconds in clocks))
 
 
@@ -110,13 +109,6 @@ def cycling_case(name: str, sets: Iterable[Any], step: Step, units: float = 1.0)
             step(next(actions))
 
     return Case(name, run, units)
-
-
-def cpu_backend(engine: BatchEngine) -> CpuBackend:
-    """The arrays, threads and checks behind an engine on the CPU."""
-    backend = engine._backend
-    assert isinstance(backend, CpuBackend)
-    return backend
 
 
 def engine_case(name: str, engine: BatchEngine, warm_up: int) -> Case:

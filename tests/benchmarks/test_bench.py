@@ -8,9 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.image import imread
@@ -30,7 +28,7 @@ from benchmarks.speed.features import FEATURES, SAMPLERS, Features
 from benchmarks.speed.measure import Speed
 from benchmarks.speed.sizes import SIZES, USUAL, make_field, measure_sizes
 from benchmarks.speed.timing import Budget, Case, Timings, interleaved
-from mbn_marl import BatchEngine, load_field
+from mbn_marl import load_field
 from mbn_marl.config import Condition, make_config
 from mbn_marl.errors import ConfigError
 
