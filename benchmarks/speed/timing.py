@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine
 
@@ -57,8 +58,9 @@ def interleaved(cases: Sequence[Case], budget: Budget) -> Timings:
         [np.divide(_time(case, calls), calls * case.units) for case, calls in turns]
         for _ in range(budget.rounds)
     ]
-    names, clocks = [case.name for case in cases], np.moveaxis(np.array(rounds), 2, 0)
-    return Timings(*(pd.DataFrame(seconds, columns=names) for seconds in clocks))
+    names = [case.name for case in cases]
+    seconds: NDArray[Any] = np.array(rounds)
+    return Timings(*(pd.DataFrame(seconds[..., clock], columns=names) for clock in range(2)))
 
 
 def _time(case: Case, calls: int) -> tuple[float, float]:
