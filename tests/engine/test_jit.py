@@ -12,9 +12,12 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 import pytest
+from numba.core import types
+from numba.core.compiler import Compiler
 from numba.core.registry import cpu_target
 
 import mbn_marl
+from mbn_marl.compiled import jit, part
 from mbn_marl.compiled.jit import SOURCES, compiled, digest_of_sources, returning_views
 
 pytestmark = pytest.mark.slow
@@ -137,3 +140,42 @@ def test_code_without_a_module_is_compiled_beside_the_engine() -> None:
     names: dict[str, Any] = {}
     exec("def double(x):\n    return 2 * x\n", names)
     assert numba.njit(names["double"])(2) == 4
+
+
+class Settings(NamedTuple):
+    """A constant whose value is part of its type, and one whose value is not."""
+
+    kind: Any
+    weight: Any
+
+
+def test_what_settled_constants_exclude_is_not_compiled() -> None:
+    @compiled
+    def twice(x):  # type: ignore[no-untyped-def]
+        return 2 * x
+
+    @compiled
+    def worth(settings, x):  # type: ignore[no-untyped-def]
+        if settings.kind == 1:
+            return twice(x)
+        return x + settings.weight
+
+    values = types.NamedTuple([types.literal(0), types.float64], Settings)
+    worth.compile((values, types.float64))
+    assert not twice.overloads
+    assert worth(Settings(1, 0.5), 2.0) == 4.0 and worth(Settings(0, 0.5), 2.0) == 2.5
+
+
+def test_numbas_own_compiler_takes_over_where_ours_fails(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.delenv(jit.PLAIN, raising=False)
+    monkeypatch.setattr(jit, "PROVEN", ())
+    assert jit.compiler_of_rules() is part.PartCompiler
+    monkeypatch.setattr(part, "PASSES", part.PASSES[:3])  # as if Numba had moved the others
+    assert jit.compiler_of_rules() is Compiler
+    assert f"Numba {numba.__version__}" in caplog.text
+    jit._prove(Compiler)
+    monkeypatch.setattr(jit, "PROVEN", (numba.__version__,))
+    monkeypatch.setenv(jit.PLAIN, "1")
+    assert jit.compiler_of_rules() is Compiler
