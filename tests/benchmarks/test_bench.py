@@ -228,7 +228,7 @@ def test_growth_is_the_law_that_made_the_figures(monkeypatch: pytest.MonkeyPatch
 
 def test_every_row_has_a_figure_or_a_reason(findings: Findings) -> None:
     rows = [row.to_json() for row in findings.measurements]
-    assert len({row["name"] for row in rows}) == len(rows) == 13
+    assert len({row["name"] for row in rows}) == len(rows) == 12
     for row in rows:
         assert row.keys() == {"name", "value", "unit", "target", "at_least", "note", "met"}
         assert (row["value"] is None) == ("needs" in row["note"])
