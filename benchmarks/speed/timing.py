@@ -58,8 +58,8 @@ def interleaved(cases: Sequence[Case], budget: Budget) -> Timings:
         [np.divide(_time(case, calls), calls * case.units) for case, calls in turns]
         for _ in range(budget.rounds)
     ]
-    names, clocks = [case.name for case in cases], np.array(rounds).transpose(2, 0, 1)
-    return Timings(*(pd.DataFrame(seconds, columns=names) for seconds in clocks))
+    names, (cpu, wall) = [case.name for case in cases], np.array(rounds).transpose(2, 0, 1)
+    return Timings(pd.DataFrame(cpu, columns=names), pd.DataFrame(wall, columns=names))
 
 
 def _time(case: Case, calls: int) -> tuple[float, float]:
