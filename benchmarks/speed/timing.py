@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine
 
@@ -58,9 +57,8 @@ def interleaved(cases: Sequence[Case], budget: Budget) -> Timings:
         [np.divide(_time(case, calls), calls * case.units) for case, calls in turns]
         for _ in range(budget.rounds)
     ]
-    names = [case.name for case in cases]
-    seconds: NDArray[Any] = np.array(rounds)
-    return Timings(*(pd.DataFrame(seconds[..., clock], columns=names) for clock in range(2)))
+    names, (cpu, wall) = [case.name for case in cases], np.array(rounds).transpose(2, 0, 1)
+    return Timings(pd.DataFrame(cpu, columns=names), pd.DataFrame(wall, columns=names))
 
 
 def _time(case: Case, calls: int) -> tuple[float, float]:
