@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.engine.constants import Constants, constants_of
 
-SETTLED = ("rules", "team_sharing", "observation", "one_hot", "random_starts", "headings")
+SETTLED = ("rules", "team_sharing", "observation", "one_hot", "random_starts")
 """The constants that are part of a store's type: code that their values exclude is left out."""
 NO_OWNER = (0, 0)
 
