@@ -41,25 +41,25 @@ class Store:
     Args:
         record: of the constants, see ``constants.make_record``.
         parts: named tuples of arrays, which are not copied.
-        scratch: one for each range of worlds that is stepped on a thread of its own.
+        scratch: one for each range of worlds that is stepped on another thread.
+
+    Attributes:
+        resets: whether ``call_reset`` can be called.
+        address: where the tables begin: a row for each scratch.
     """
 
     def __init__(self, record: NDArray[Any], parts: Sequence[Any], scratch: Sequence[Any]) -> None:
         shared = [0, record.ctypes.data, *_words_of(parts)]
         self._held = record, parts, scratch
         self._tables = np.array([[*shared, *_words_of(one)] for one in scratch], np.int64)
-        self.address = self._tables.ctypes.data
+        self.resets, self.address = False, self._tables.ctypes.data
         constants = _kind_of_constants(constants_of(record))
         self._numba_type_ = StoreType((constants, *map(typeof, (*parts, scratch[0]))))
-
-    @property
-    def resets(self) -> bool:
-        """Whether ``call_reset`` can be called."""
-        return bool(self._tables[0, 0])
 
     def reset_by(self, address: int) -> None:
         """Let ``call_reset`` call the machine code at this address."""
         self._tables[:, 0] = address
+        self.resets = True
 
 
 def _words_of(part: Any) -> Iterator[int]:
