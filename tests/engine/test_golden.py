@@ -44,12 +44,12 @@ def golden_field(name: str) -> Field:
 
 
 def settings_of(episode: Episode) -> dict[str, Any]:
-    """What an environment needs beside the field."""
+    """The settings of an environment beside the field."""
     return {"n_robots": episode.n_robots, "wind": episode.wind}
 
 
 def alone(make: Callable[..., Form]) -> Callable[[str], Iterator[tuple[Episode, Played]]]:
-    """Play each episode in an environment of its own."""
+    """Play each episode in another environment."""
 
     def play(dtype: str) -> Iterator[tuple[Episode, Played]]:
         for episode in load_episodes():

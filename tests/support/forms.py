@@ -117,7 +117,7 @@ class CentralizedForm:
 class BatchForm:
     """World ``world`` of a ``BatchEngine`` that restarts ended worlds by itself.
 
-    The other worlds get actions of their own.
+    The other worlds get other actions.
     """
 
     def __init__(
