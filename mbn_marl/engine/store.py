@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from mbn_marl.engine.constants import Constants, constants_of
 
-SETTLED = ("rules", "team_sharing", "observation", "one_hot", "random_starts")
-"""The constants that are part of a store's type: code that their values exclude is left out."""
+SETTLED = ("rules", "team_sharing", "one_hot", "random_starts"), ("observation",)
+"""Groups of constants. One in which all are 0 is part of a store's type, without unused code."""
 NO_OWNER = (0, 0)
 
 
@@ -74,8 +74,11 @@ def _words_of(part: Any) -> Iterator[int]:
 
 def _kind_of_constants(constants: Constants) -> types.NamedTuple:
     """The type of the constants in a store."""
+    off = {
+        name for group in SETTLED if not any(getattr(constants, k) for k in group) for name in group
+    }
     kinds = [
-        types.literal(value) if name in SETTLED else typeof(value)
+        types.literal(value) if name in off else typeof(value)
         for name, value in constants._asdict().items()
     ]
     return types.NamedTuple(kinds, Constants)
