@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from gymnasium import spaces
 from sb3_contrib import TQC
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
@@ -53,7 +54,8 @@ def test_spaces(kind: type[NavigationVecEnv]) -> None:
     env = kind("field_03", WORLDS)
     central = kind is CentralizedVecEnv
     assert env.num_envs == (WORLDS if central else WORLDS * ROBOTS)
-    assert env.action_space.shape == ((ROBOTS, 2) if central else (2,))
+    shape = (ROBOTS, 2) if central else (2,)
+    assert env.action_space == spaces.Box(-1.0, 1.0, shape, np.float32)
     assert env.observation_space.shape == ((4 * ROBOTS + 1,) if central else (env.engine.obs_size,))
     observations = env.reset()
     assert all(env.observation_space.contains(row) for row in observations)

@@ -132,6 +132,7 @@ def test_features_are_measured_against_the_plain_engine(monkeypatch: pytest.Monk
     assert len(stages) == Features.stages
 
 
+@pytest.mark.all
 def test_conditions_are_those_of_the_zoo_and_the_classical_policies() -> None:
     conditions: tuple[Condition, ...] = ("calm", "failing", "storm")
     policies = (*POLICIES, "zoo:generalist-hint")
