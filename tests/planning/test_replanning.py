@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import shapely
 
-from mbn_marl import BatchEngine
+from mbn_marl import BatchEngine, Uniform
 from mbn_marl.config import Failures, NavigationConfig, make_config
 from mbn_marl.field import Field, load_field
 from mbn_marl.planning.foresight import Weather, ways_of_failed
@@ -21,6 +21,14 @@ from tests.support.planning_cases import SQUARE
 
 ALL = np.ones(3, bool)
 STILL = np.zeros((3, 2))
+
+
+def test_a_controller_counts_on_the_middle_of_what_is_drawn() -> None:
+    drawn = make_config({"mass": Uniform(1.0, 3.0), "tau": Uniform(0.5, 1.5)})
+    known = make_config({"mass": 2.0, "tau": 1.0})
+    field = load_field("field_03")
+    forces = make_problem(field, drawn, closed_loop=True).forces
+    np.testing.assert_array_equal(forces, make_problem(field, known).forces)
 
 
 def test_weather_by_hand() -> None:
