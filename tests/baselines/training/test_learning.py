@@ -55,7 +55,12 @@ OPTIMUM = 110_000.0 - 2 * 10 * 13
 def test_a_field_of_two_robots_is_solved_to_the_optimum(algorithm: str, tmp_path: Path) -> None:
     save_field(TINY, tmp_path / "tiny.yaml")
     config = TrainConfig(
-        algorithm, str(tmp_path / "tiny.yaml"), steps=196_608, environment={"max_steps": 200}
+        algorithm,
+        str(tmp_path / "tiny.yaml"),
+        steps=196_608,
+        evaluate_every=98_304,
+        episodes=50,
+        environment={"max_steps": 200},
     )
     run = train(config, tmp_path / "run")
     sampled, mean = run.evaluation["stochastic"], run.evaluation["deterministic"]
