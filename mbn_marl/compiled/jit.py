@@ -27,7 +27,7 @@ ANNOUNCEMENT = "mbn_marl: compiling %s for these settings, once per machine: 5 t
 PLAIN = "MBN_PLAIN_JIT"
 """The environment variable that turns the compiler of ``part`` off, if it is set."""
 PROVEN = ("0.61.", "0.68.")
-"""Versions of Numba that all tests have passed with; others are tried first."""
+"""The versions of Numba that the engine was run with; others are tried first."""
 SOURCES_OF = ("config.py", "compiled", "engine", "field")
 """The files, and the folders, that compiled functions and the numbers in them come from."""
 

@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 from mbn_marl.engine.constants import Constants, constants_of
 
 SETTLED = ("rules", "team_sharing", "one_hot", "random_starts"), ("observation",)
-"""Groups of constants. One in which all are 0 is part of a store's type, without unused code."""
+"""Groups of constants. Where all of one are 0, they are part of a store's type.
+
+Code that they exclude is not compiled then. Each other value in the type would compile it again.
+"""
 NO_OWNER = (0, 0)
 
 
