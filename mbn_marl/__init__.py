@@ -53,7 +53,10 @@ def __getattr__(name: str) -> object:
     """Load the module of a public name on first use (PEP 562)."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_HOMES[name]), name)
+    try:
+        value = getattr(import_module(_HOMES[name]), name)
+    except AttributeError as error:  # Python would say that the package has no such name
+        raise ImportError(f"{_HOMES[name]}: {error}") from error
     globals()[name] = value
     return value
 

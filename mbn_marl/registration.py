@@ -1,6 +1,7 @@
 """The environments' ids in the registries of Gymnasium and PettingZoo.
 
 They are ``mbn/field_03-v0`` and the like, and ``mbn/field_03-gusty-v0`` under a condition.
+Gymnasium has ``mbn/field_03-flat-v0`` too, with actions ``(2n,)``.
 
 Entry points are strings, so that an environment is imported only when one is made. Without an
 import of this package, use ``gymnasium.make("mbn_marl:mbn/field_03-v0")``.
@@ -29,6 +30,12 @@ def register_environments() -> None:
     Centralised in Gymnasium, decentralised in PettingZoo, which has a registry from 1.27 on.
     """
     forms = {"parallel": "parallel_env", "aec": "env"} if hasattr(pettingzoo, "register") else {}
+    for name in catalogue_names():
+        gymnasium.register(
+            f"mbn/{name}-flat-v0",
+            entry_point="mbn_marl.adapters.gymnasium:CentralizedEnv",
+            kwargs={"field": name, "flat": True},
+        )
     for name, condition in product(catalogue_names(), get_args(Condition)):
         settings = {"field": name} | ({} if condition == "calm" else {"condition": condition})
         gymnasium.register(

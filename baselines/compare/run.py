@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from baselines.algorithms import find_algorithm
 from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
 from baselines.compare.variants import CompareConfig
@@ -47,10 +48,10 @@ def train_all_runs(
         find_wandb()
     runs = config.runs()
     problems: list[str] = []
-    for run in runs:
+    for run in {(run.shown_as, run.field): run for run in runs}.values():  # whatever the seed
         with collecting(problems):
             load_field(run.field)  # results are of one field each
-            prepare(run)
+            find_algorithm(run.algorithm).check(*prepare(run))
     if problems:
         raise ConfigError("comparison", problems)
     if resume:

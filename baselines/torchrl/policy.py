@@ -33,7 +33,8 @@ class TeamPolicy:
         network, device = self.network, self.network.log_std.device
         mean = network.means(network.norm.normalize(torch.from_numpy(seen).to(device))).cpu()
         std = network.log_std.exp().cpu()  # the noise is the same, whatever the device
-        return (mean if deterministic else mean + std * torch.randn(mean.shape)).numpy()
+        actions = mean if deterministic else mean + std * torch.randn(mean.shape)
+        return actions.float().numpy()  # under autocast they are bfloat16
 
     def layers(self) -> Plain:
         """See :class:`~baselines.evaluation.layers.HasLayers`."""

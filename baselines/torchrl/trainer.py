@@ -33,6 +33,7 @@ from baselines.training.search import LastLayerSearch
 from baselines.zoo.entries import open_run
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import make_config
+from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import Field, FieldSampler
 
@@ -85,6 +86,9 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
         problems.append(
             f"observation: {settings.observation!r}; allowed: 'entities', the network's"
         )
+    training = hyperparameters.in_training(task, hyperparameters.curriculum(window=1), 1)
+    with collecting(problems):
+        BatchEngine(**{**training, "field": task.field}, num_worlds=1)
     if hyperparameters.teacher is not None:
         with collecting(problems):
             check_teacher(hyperparameters.teacher, task)

@@ -22,6 +22,7 @@ from baselines.training.progress_bar import Listener
 from baselines.training.run_logger import Recorder
 from baselines.zoo.entries import CARD, PREFIX, open_run
 from mbn_marl.config import expand, make_config
+from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
 from mbn_marl.field import Field, FieldSampler, load_fields
 
@@ -135,6 +136,7 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
             problem = f"field: {config.field} is random fields; allowed: with network=entities"
             raise ConfigError("training", [problem])
         fields = fields.model_copy(update={"seed": (fields.seed + config.seed) % 2**63})
+    BatchEngine(fields, 1, **settings)  # raises where field, team and settings do not fit
     task = Task(config, fields, settings)
     if config.transferred_from is not None:
         _check_source(open_run(str(config.transferred_from)), task, hyperparameters)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
 from typing import Any, Literal, Unpack, cast
 
 import gymnasium
@@ -19,7 +18,7 @@ from mbn_marl.adapters.one_world import OneWorld, check_names, rename_max_steps
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike, Fields
-from mbn_marl.engine.validation import reset_problems
+from mbn_marl.engine.validation import as_array, option_problems, reset_problems
 from mbn_marl.errors import ActionError, ConfigError
 from mbn_marl.field import FieldSampler
 from mbn_marl.render.viewer import RENDER_SIZE
@@ -66,6 +65,7 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
         n_robots: team size; the first starts of the field are used; ``None`` uses all of them.
         render_mode: ``"human"`` shows every step, ``"rgb_array"`` draws on :meth:`render`.
         render_size: width and height of a frame or the window, pixels, each at least 200.
+        flat: whether an action is ``(2n,)``, robot after robot, as many libraries want it.
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
     Raises:
@@ -83,13 +83,16 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
         *,
         render_mode: str | None = None,
         render_size: tuple[int, int] = RENDER_SIZE,
+        flat: bool = False,
         **settings: Unpack[FixedSettings],
     ) -> None:
         if "frameskip" in settings:  # TorchRL's GymEnv tries it, and expects the error of Python
             raise TypeError("CentralizedEnv() got an unexpected keyword argument 'frameskip'")
         super().__init__(field, render_mode, render_size, n_robots=n_robots, **settings)
         self.observation_space = self.state_space
-        self.action_space = spaces.Box(-1.0, 1.0, (self.engine.n_robots, 2), np.float32)
+        n = self.engine.n_robots
+        self._action_shape = (2 * n,) if flat else (n, 2)
+        self.action_space = spaces.Box(-1.0, 1.0, self._action_shape, np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -117,7 +120,7 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
         """Move all robots.
 
         Args:
-            action: finite numbers, ``(n, 2)``, clipped to [-1, 1].
+            action: finite numbers, of the action space's shape, clipped to [-1, 1].
 
         Returns:
             State ``(4n+1,)``, reward, terminated (success or collision), truncated
@@ -127,7 +130,7 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
             ActionError: wrong shape or not finite; nothing has moved.
             StepError: before the first reset, or after the end of an episode.
         """
-        actions = _as_actions(action, (self.engine.n_robots, 2))
+        actions = _as_actions(action, self._action_shape).reshape(-1, 2)
         _, _, terminated, truncated = self._move(actions)
         info = self._infos.of_team(terminated or truncated)
         return self.state(), float(self.engine.team_rewards[0]), terminated, truncated, info
@@ -212,10 +215,10 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
 
         Raises:
             ConfigError: a seed out of range; a mask of the wrong shape or type, or together with a
-                seed; or a ``field`` or ``starts``, which are for one environment.
+                seed; or another option (``field`` and ``starts`` are for one environment).
         """
-        options = options or {}
         self._check(options, seed)
+        options = options or {}
         super().reset(seed=None if seed is None else int(seed))
         mask = options.get("reset_mask")
         if mask is None:
@@ -256,14 +259,10 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         """Release the viewer; ``**kwargs`` is Gymnasium's and ignored."""
         self._viewer.close()
 
-    def _check(self, options: Mapping[str, Any], seed: int | None) -> None:
-        """Check the options of :meth:`reset`; those of wrappers are left to them."""
-        problems = [
-            f"{name}: allowed for one environment, not for a vector"
-            for name in ("field", "starts")
-            if options.get(name) is not None
-        ]
-        if (mask := options.get("reset_mask")) is not None:
+    def _check(self, options: dict[str, Any] | None, seed: int | None) -> None:
+        """Check the arguments of :meth:`reset`."""
+        problems = option_problems(options, ("reset_mask",))
+        if not problems and options and (mask := options.get("reset_mask")) is not None:
             if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_):
                 problems.append(f"reset_mask: {type(mask).__name__}, allowed: a bool array")
             elif mask.shape != (self.num_envs,):
@@ -311,7 +310,7 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 def _as_actions(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.floating[Any]]:
     """Check that the actions have ``shape``, and return them as a float array."""
     try:
-        array = np.asarray(actions)
+        array = as_array(actions)
         floats = array if array.dtype.kind == "f" else array.astype(np.float64)
     except (TypeError, ValueError):
         raise ActionError(f"action: {actions!r:.80}; allowed: numbers of shape {shape}") from None

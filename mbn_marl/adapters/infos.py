@@ -10,14 +10,15 @@ key                 value (float)
 ``path_length``     distance the robot has moved in this episode, in units
 ``impulse``         the robot's part of the paper's objective, ``|sum_t u_i tau|``
 ``failed``          1 if the robot has failed
-``reward/<term>``   the terms of this step's reward, which sum to the robot's own reward
+``reward/<term>``   the terms of this step's reward, which sum to it (up to float32's rounding)
 ``optimality_gap``  at the end of the episode, by how much its return falls short of the proved
                     optimum, as a share of that; NaN before, and where no optimum is proved
 ``drawn/<name>``    each number that the episode has drawn (``NavigationConfig.drawn``), in the
                     unit of the setting
 ==================  =========================================================================
 
-In a team's info the robots' own values (from ``wall_hits`` on) are summed over the team.
+In a team's info the robots' own values (from ``wall_hits`` to ``failed``) are summed over the team,
+and the terms are those of the team's reward.
 """
 
 from __future__ import annotations
@@ -43,8 +44,6 @@ class Undefined(np.float64):
 
 UNDEFINED = Undefined("nan")
 GAP = "optimality_gap"
-TEAM_WIDE = slice(0, INFO_COLUMNS.index("wall_hits"))
-"""The first keys describe the team and are the same for all robots."""
 
 
 class Infos:
@@ -102,10 +101,7 @@ class Infos:
         Returns:
             (W, keys), ordered as ``keys``, in their units.
         """
-        robots = self._engine.infos()
-        team: NDArray[np.float64] = robots.sum(axis=1)
-        team[:, TEAM_WIDE] = robots[:, 0, TEAM_WIDE]
-        return np.column_stack([team, *self._team_wide(ended)])
+        return np.column_stack([self._engine.team_infos(), *self._team_wide(ended)])
 
     def _team_wide(self, ended: NDArray[np.bool_]) -> list[NDArray[Any]]:
         """The entries from the gap on, (W,) each."""

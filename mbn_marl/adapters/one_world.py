@@ -13,7 +13,7 @@ from mbn_marl.adapters.infos import Infos
 from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings, NavigationConfig, Settings, make_config
 from mbn_marl.engine import BatchEngine, FieldLike
-from mbn_marl.engine.validation import reset_problems
+from mbn_marl.engine.validation import option_problems, reset_problems
 from mbn_marl.errors import ConfigError, StepError
 from mbn_marl.field import FieldSampler, load_field
 
@@ -82,13 +82,13 @@ class OneWorld:
     ) -> NDArray[np.float32]:
         """Start an episode; return fresh observations ``(n, obs_size)``.
 
-        Of the options it reads ``"field"`` and ``"starts"``, and leaves others to wrappers.
-
         Raises:
             ConfigError: the seed or an option is not allowed; nothing has changed.
             FieldError: the field of the options is invalid or unknown; nothing has changed.
         """
-        if seed is not None and (problems := reset_problems(seed, 0)):
+        problems = option_problems(options, ("field", "starts"))
+        problems += [] if seed is None else reset_problems(seed, 0)
+        if problems:
             raise ConfigError("reset", problems)
         given, starts = ((options or {}).get(name) for name in ("field", "starts"))
         field = self._own_field if given is None else load_field(given)

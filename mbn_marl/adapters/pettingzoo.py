@@ -16,6 +16,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from mbn_marl.adapters.one_world import OneWorld, rename_max_steps
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import FieldLike
+from mbn_marl.engine.validation import as_array
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError, unknown
 from mbn_marl.field import FieldSampler
 from mbn_marl.render.viewer import RENDER_SIZE
@@ -160,7 +161,8 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         """Move all robots.
 
         Args:
-            actions: two finite numbers ``(2,)`` for each of ``agents``, clipped to [-1, 1].
+            actions: two finite numbers ``(2,)`` for each of ``agents``, clipped to [-1, 1]. Those
+                of agents that have left do nothing.
 
         Returns:
             Observations ``(obs_size,)`` float32, rewards, terminated, truncated and infos, each a
@@ -208,32 +210,38 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         agents = self.agents
         try:
             given = np.array([actions[agent] for agent in agents], self.engine.dtype)
-            if given.shape == (len(agents), 2) and len(actions) == len(agents):
-                if len(agents) == len(self.possible_agents):
-                    return given
-                stacked = np.zeros((len(self.possible_agents), 2), self.engine.dtype)
-                stacked[[self._index[agent] for agent in agents]] = given
-                return stacked
-        except (LookupError, OverflowError, TypeError, ValueError):
-            pass
-        raise ActionError(self._problem(actions))
+        except (LookupError, OverflowError, RuntimeError, TypeError, ValueError):
+            if problem := self._problem(actions):
+                raise ActionError(problem) from None
+            arrays = [as_array(actions[agent]) for agent in agents]
+            given = np.array(arrays, self.engine.dtype)
+        alike = given.shape == (len(agents), 2) and len(actions) == len(agents)
+        if not alike and (problem := self._problem(actions)):
+            raise ActionError(problem)
+        if len(agents) == len(self.possible_agents):
+            return given
+        stacked = np.zeros((len(self.possible_agents), 2), self.engine.dtype)
+        stacked[[self._index[agent] for agent in agents]] = given
+        return stacked
 
     def _problem(self, actions: object) -> str:
         if not isinstance(actions, Mapping):
             return f"actions: {type(actions).__name__}; allowed: a dict of the agents' actions"
         known = self.agents
-        problems = [f"{agent!r}: unknown agent" for agent in actions if agent not in known]
+        problems = [f"{agent!r}: unknown agent" for agent in actions if agent not in self._index]
         problems += [f"{agent}: missing" for agent in known if agent not in actions]
         for agent in known:
             if agent in actions and not _is_action(actions[agent]):
                 problems.append(f"{agent}: {actions[agent]!r:.80}, not two numbers")
+        if not problems:
+            return ""
         allowed = f"two numbers for each of {', '.join(known)}"
         return f"actions: {'; '.join(problems)}; allowed: {allowed}"
 
 
 def _is_action(action: object) -> bool:
     try:
-        return np.array(action, np.float64).shape == (2,)
+        return as_array(action).astype(np.float64).shape == (2,)
     except (OverflowError, TypeError, ValueError):
         return False
 
@@ -259,9 +267,9 @@ class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
         if self.terminations[agent] or self.truncations[agent]:
             if action is not None:
                 raise ActionError(f"{agent}: the episode has ended; allowed: None")
-        elif not _is_action(action) or not np.isfinite(np.asarray(action, np.float64)).all():
+        elif not _is_action(action) or not np.isfinite(as_array(action).astype(np.float64)).all():
             raise ActionError(f"{agent}: {action!r:.80}; allowed: two finite numbers")
-        super().step(None if action is None else np.array(action, np.float64))
+        super().step(None if action is None else as_array(action).astype(np.float64))
 
 
 class EnvSettings(FixedSettings, total=False):

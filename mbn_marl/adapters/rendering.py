@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -53,6 +53,10 @@ class LazyViewer:
         if self._viewer is None:
             self._viewer = Viewer(self.render_mode, self._size)
         return self._viewer.draw(engine.snapshot(world))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the viewer, which a copy or another process opens anew."""
+        return {**self.__dict__, "_viewer": None}
 
     def close(self) -> None:
         """Close the window, if there is one. A later frame opens it again."""

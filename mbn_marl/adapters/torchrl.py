@@ -15,6 +15,7 @@ from torchrl.envs import EnvBase
 from mbn_marl.adapters.repeat import ActionRepeat
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
+from mbn_marl.engine.validation import as_array
 from mbn_marl.errors import ConfigError
 
 GROUP = "robots"
@@ -137,7 +138,7 @@ class NavigationEnv(EnvBase):
             threads=threads,
             **settings,
         )
-        self._give = _to_numpy if self.engine.device == "cpu" else _as_it_is
+        self._give = as_array if self.engine.device == "cpu" else _as_it_is
         self._state, self._team_reward, self._measures = state, team_reward, tuple(metrics)
         self._drawn = tuple(f"drawn/{name}" for name in self.engine.config.drawn if metrics)
         self._metrics = self._measures + self._drawn
@@ -352,12 +353,6 @@ class NavigationEnv(EnvBase):
         if isinstance(array, torch.Tensor):
             return array.clone()
         return torch.from_numpy(array.copy()).to(self.device)
-
-
-def _to_numpy(tensor: torch.Tensor) -> NDArray[Any]:
-    """Return the numbers of a tensor of any device, not to be written to."""
-    array: NDArray[Any] = tensor.numpy(force=True)
-    return array
 
 
 def _as_it_is(tensor: torch.Tensor) -> torch.Tensor:

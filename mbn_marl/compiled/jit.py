@@ -20,6 +20,11 @@ from numba.core.compiler import Compiler, CompilerBase
 from numba.core.registry import CPUDispatcher
 from numba.core.targetconfig import ConfigStack
 
+from mbn_marl.errors import MbnError
+
+if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+    raise MbnError("NUMBA_DISABLE_JIT: set; allowed: unset, since the engine runs only compiled")
+
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Compiled code runs without the GIL, divides as NumPy does, and is not for C to call."""
 

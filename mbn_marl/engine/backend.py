@@ -118,9 +118,9 @@ class Backend(ABC):
         """Check the arguments and step the worlds."""
 
     def infos(self) -> Array:
-        """See ``BatchEngine.infos``."""
+        """See ``BatchEngine.infos``; the row after the robots' is the team's."""
         worlds, n, _ = self._actions.shape
-        rows: Array = self._empty((worlds, n, len(INFO_COLUMNS)), self.xp.float64)
+        rows: Array = self._empty((worlds, n + 1, len(INFO_COLUMNS)), self.xp.float64)
         self._write_infos(rows)
         return rows
 
@@ -279,7 +279,7 @@ class Backend(ABC):
             "return_": lambda: last("returns").T,
         }
         if not set(names) <= set(measures):
-            infos = self.infos()
+            infos = self.infos()[:, :-1]
             columns = {name: infos[..., k] for k, name in enumerate(MEASURES)}
             measures |= {
                 name: partial(columns.__getitem__, name) for name in ("path_length", "impulse")

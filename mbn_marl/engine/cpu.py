@@ -14,6 +14,7 @@ from mbn_marl.engine.state import Array, Episode
 from mbn_marl.engine.step import make_scratch
 from mbn_marl.engine.store import Store
 from mbn_marl.engine.threads import WorldThreads
+from mbn_marl.engine.validation import as_array
 from mbn_marl.errors import ActionError
 
 
@@ -57,7 +58,7 @@ class CpuBackend(Backend):
 
     def _asked(self, mask: NDArray[np.bool_]) -> tuple[Any, ...]:
         """The arguments of ``reset_worlds`` for what a caller asks."""
-        return mask, np.uint64(0), np.uint64(mask.size), True
+        return mask, 0, self.spec.num_worlds, True
 
     def _checked_parked(self, active: Any) -> NDArray[np.intp]:
         """The ended worlds that this step leaves out, or an error naming the first offender."""
@@ -94,8 +95,8 @@ class CpuBackend(Backend):
 
     def _given(self, name: str, value: Any, allowed: str) -> Array:
         try:
-            return np.asarray(value)
-        except ValueError as error:
+            return as_array(value)
+        except (TypeError, ValueError) as error:
             raise ActionError(f"{name}: {error}; allowed: {allowed}") from None
 
     def _is_real(self, given: Array) -> bool:

@@ -11,7 +11,7 @@ from mbn_marl.compiled.scalars import count_bits, is_set
 from mbn_marl.engine.intrinsics import call_step
 from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
-from mbn_marl.engine.mdp.failures import has_failed
+from mbn_marl.engine.mdp.failures import has_failed, is_absent
 from mbn_marl.engine.mdp.observations import observe, put_state
 from mbn_marl.engine.mdp.visits import visit_code
 from mbn_marl.engine.reset import clear_output, reset_world
@@ -24,6 +24,8 @@ MEASURES = (
     *("success", "rois_visited", "collision"),
     *("wall_hits", "path_length", "impulse", "failed"),
 )
+TEAM_MEASURES, TERMS = MEASURES.index("wall_hits"), len(MEASURES)
+"""The first measures are the team's, and after all measures come the terms of the reward."""
 INFO_COLUMNS = (*MEASURES, *(f"reward/{term}" for term in rewards.REWARD_TERMS))
 
 
@@ -68,7 +70,7 @@ def reset_worlds(store, mask, lo, hi, asked):
 
     Unless this was ``asked`` for, the outputs of the last step stay.
     """
-    reset_masked(store, mask, lo, hi, asked)
+    reset_masked(store, mask, np.uint64(lo), np.uint64(hi), asked)
 
 
 @compiled
@@ -94,23 +96,49 @@ def rest_worlds(store, mask):
 
 @compiled
 def put_infos(p, ep, out, w, rows):
-    """Write the measures of each robot of world w, in the order of ``INFO_COLUMNS``."""
-    outcome, status = out.outcomes[w], ep.status
+    """Write the measures of each robot of world w, in the order of ``INFO_COLUMNS``.
+
+    The row after the robots' has the team's: sums of the robots' own, and the terms of ``R``.
+    """
+    outcome, status, n = out.outcomes[w], ep.status, ep.x.shape[0]
     rois_visited = count_bits(visit_code(ep.visited[w], ep.codes[w]))
-    lost, rested = is_set(outcome, rewards.COLLISION), is_set(outcome, rewards.RESTED)
+    lost = is_set(outcome, rewards.COLLISION)
     success = is_set(outcome, rewards.SUCCESS) and not lost
-    for i in range(rows.shape[1]):
+    for i in range(n + 1):
         rows[w, i, 0] = success
         rows[w, i, 1] = rois_visited
         rows[w, i, 2] = lost
+        for k in range(TEAM_MEASURES, rows.shape[2]):
+            rows[w, i, k] = 0.0
+    for i in range(n):
         rows[w, i, 3] = ep.wall_hits[i, w]
         rows[w, i, 4] = ep.path_length[i, w]
         rows[w, i, 5] = objective(ep.impulse_x[i, w], ep.impulse_y[i, w])
         rows[w, i, 6] = has_failed(status, i, w)
+        for k in range(TEAM_MEASURES, TERMS):
+            rows[w, n, k] += rows[w, i, k]
+    if not is_set(outcome, rewards.RESTED):
+        put_terms(p, status, out, w, n, rows)
+
+
+@compiled
+def put_terms(p, status, out, w, n, rows):
+    """Write the terms of each robot's reward in world w, and those of the team's."""
+    outcome = out.outcomes[w]
+    for i in range(n):
         own = rewards.earned(p, status, out.events[i, w], outcome, i, w)
         terms = rewards.with_share(p, status, own, outcome, i, w)
         for k in range(len(terms)):
-            rows[w, i, len(MEASURES) + k] = 0.0 if rested else terms[k]
+            rows[w, i, TERMS + k] = terms[k]
+        for k in range(len(own)):
+            rows[w, n, TERMS + k] += own[k]
+    team = rewards.team_terms(p, p.whole, outcome)
+    for k in range(len(team)):
+        rows[w, n, TERMS + rewards.TEAM_COLUMNS[k]] += team[k]
+    if p.team_sharing:
+        for i in range(n):
+            for k in range(TERMS, rows.shape[2]):
+                rows[w, i, k] = 0.0 if is_absent(status, i, w) else rows[w, n, k]
 
 
 @compiled

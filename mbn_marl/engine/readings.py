@@ -136,14 +136,18 @@ class Readings:
             are ``success``, ``rois_visited`` and ``collision`` of the team; the agent's own
             ``wall_hits``, ``path_length`` (units) and ``impulse`` (``|sum over steps of u tau|``,
             mass x units/step) of this episode, and whether it has ``failed``; and the terms of its
-            own reward in the last step.
+            reward in the last step.
         """
-        return self._backend.infos()
+        return self._backend.infos()[:, :-1]
+
+    def team_infos(self) -> NDArray[np.float64]:
+        """As :meth:`infos` of the team, (W, columns): sums over it, the terms of its reward."""
+        return self._backend.infos()[:, -1]
 
     def reward_terms(self) -> Array:
-        """The named terms of each agent's own reward in the last step, (W, n, terms) real.
+        """The named terms of each agent's reward in the last step, (W, n, terms) real.
 
-        The last axis is ordered as ``REWARD_TERMS`` and sums to the individual reward.
+        The last axis is ordered as ``REWARD_TERMS`` and sums to the reward, up to rounding.
         """
         xp = self._backend.xp
         terms = self.infos()[..., -len(REWARD_TERMS) :]

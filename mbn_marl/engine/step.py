@@ -321,7 +321,7 @@ def autoreset(store, lo, hi):
         to.restarts[w - lo] = (change & RESTARTS) != 0
         some |= to.restarts[w - lo]
     if some:
-        call_reset(store, to.restarts, lo, hi)
+        call_reset(store, to.restarts, np.int64(lo), np.int64(hi))
     return ended
 
 
@@ -379,4 +379,4 @@ def step_blocks(store, actions, lo, hi):
 @entry_point
 def step_worlds(store, actions, lo, hi):
     """Step worlds ``lo`` to ``hi - 1`` with ``actions`` (W, n, 2); return how many ended."""
-    return step_blocks(store, actions, lo, hi)
+    return step_blocks(store, actions, np.uint64(lo), np.uint64(hi))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -12,7 +12,7 @@ from shapely import Point
 from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine.constants import AUTORESET_MODES
 from mbn_marl.engine.geometry import FieldSource, Sizes, sizes_of
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.layout import MILLI, STARTS_APART
 
@@ -83,7 +83,7 @@ def _fields_problems(
     for field in fields:
         team = n if config.n_robots or starts is not None else len(field.starts)
         problems += field_problems(field, config, team, fields[0].arena, starts)
-    return problems
+    return [*dict.fromkeys(problems)]
 
 
 def _failure_problems(config: NavigationConfig, n: int) -> list[str]:
@@ -147,6 +147,32 @@ def set_sampler_problems(sampler: FieldSampler, sizes: Sizes, teams_vary: bool) 
     if new.arena != sizes.arena:
         problems.append(f"sampler: arena {new.arena}; allowed: {sizes.arena}")
     return problems
+
+
+def as_array(value: Any) -> NDArray[Any]:
+    """Return a value as NumPy reads it; a tensor without its graph, bfloat16 as float32.
+
+    Raises:
+        TypeError, ValueError: it is no array.
+    """
+    if isinstance(value, np.ndarray) or not hasattr(value, "detach"):
+        return np.asarray(value)
+    tensor = value.detach().cpu()
+    try:
+        array: NDArray[Any] = tensor.numpy()
+    except TypeError:  # NumPy has no bfloat16
+        array = tensor.float().numpy()
+    return array
+
+
+def option_problems(options: object, allowed: Sequence[str]) -> list[str]:
+    """Return the problems of the options of a reset: those that nobody reads."""
+    if options is None:
+        return []
+    if not isinstance(options, Mapping):
+        return [f"options: {type(options).__name__}; allowed: a dict, or None"]
+    names = options.keys() - {*allowed, "options"}  # PettingZoo's own tests give {"options": 1}
+    return [f"options: {name!r}: {unknown('option', str(name), allowed)}" for name in names]
 
 
 def reset_problems(seed: object, episode: object) -> list[str]:

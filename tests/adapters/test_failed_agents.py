@@ -45,8 +45,9 @@ def test_they_are_terminated_and_gone():
             for agent in working:
                 assert np.array_equal(mine[agent], full[agent])
         assert [agent for agent in asked if ours[2][agent]] == ["robot_1"] * (step == 2)
-    with pytest.raises(ActionError, match="'robot_1': "):
-        step_all(env, env.possible_agents)
+    with pytest.raises(ActionError, match="'robot_3': "):
+        step_all(env, [*env.possible_agents, "robot_3"])
+    step_all(env, env.possible_agents), step_all(kept, kept.agents)  # as TorchRL and skrl do
     assert np.array_equal(env.state(), kept.state())
     env.reset()
     assert env.agents == env.possible_agents

@@ -60,11 +60,22 @@ class TestOfficial:
     def test_ids_are_the_catalogue_under_every_condition(self):
         ids = {env_id for env_id in gymnasium.registry if env_id.startswith("mbn/")}
         marks = ["", *(f"-{name}" for name in CONDITIONS if name != "calm")]
+        marks.append("-flat")
         assert ids == {f"mbn/{name}{mark}-v0" for name in catalogue_names() for mark in marks}
         for name in catalogue_names():
             env = gymnasium.make(f"mbn/{name}-v0", n_robots=2)
             assert env.unwrapped.engine.field.name == name
             assert env.action_space.shape == (2, 2)
+
+    def test_flat_actions(self):
+        flat, env = gymnasium.make("mbn/field_03-flat-v0"), centralized_env("field_03")
+        assert flat.action_space.shape == (6,)
+        flat.reset()
+        env.reset()
+        action = np.linspace(-1.0, 1.0, 6, dtype=np.float32)
+        assert np.array_equal(flat.step(action)[0], env.step(action.reshape(3, 2))[0])
+        with pytest.raises(ActionError):
+            flat.step(action.reshape(3, 2))
 
     @pytest.mark.slow
     def test_an_id_can_name_the_package_instead_of_importing_it(self):
@@ -319,8 +330,8 @@ class TestVector:
             ({"reset_mask": [True, False]}, None, "reset_mask: "),
             ({"reset_mask": np.array([1, 0])}, None, "reset_mask: "),
             ({"reset_mask": np.array([True, False])}, 3, "reset_mask: "),
-            ({"field": "field_03", "reset_mask": [True]}, None, r"field: (.|\n)*reset_mask: "),
-            ({"starts": np.zeros((3, 2))}, None, "starts: "),
+            ({"field": "field_03", "reset_msk": [True]}, None, r"'field': (.|\n)*'reset_msk': "),
+            ([1, 2], 3, "options: "),
         ):
             with pytest.raises(ConfigError, match=place):
                 envs.reset(seed=seed, options=options)

@@ -366,6 +366,31 @@ def test_a_saved_world_that_had_ended_begins_again() -> None:
     env.step(push()(env.reset()))
 
 
+def test_low_precision_actions_are_read() -> None:
+    env, twin = NavigationEnv("field_03", 2), NavigationEnv("field_03", 2)
+    first = env.reset()
+    action = torch.full((2, 3, 2), 0.25)
+    first["robots", "action"] = action.bfloat16()
+    moved = env.step(first)["next", "robots", "observation"]
+    expected = twin.step(twin.reset().set(("robots", "action"), action))
+    assert torch.equal(moved, expected["next", "robots", "observation"])
+
+
+@pytest.mark.all
+def test_torch_compile_leaves_steps_alone() -> None:
+    env = NavigationEnv("field_03", 2)
+    engine = BatchEngine("field_03", 2)
+    engine.reset()
+
+    @torch.compile
+    def rewards_of(actions: torch.Tensor) -> torch.Tensor:
+        return torch.from_numpy(engine.step(actions.numpy())[1].copy())
+
+    assert rewards_of(torch.zeros(2, 3, 2)).shape == (2, 3)
+    step: Any = torch.compile(env.step)
+    assert step(env.rand_action(env.reset()))["next", "robots", "reward"].shape == (2, 3, 1)
+
+
 def test_repeats_sizes_and_metrics_are_checked_at_once() -> None:
     env = NavigationEnv("field_03", 2)
     for value in (0, 1.5, "2", None):

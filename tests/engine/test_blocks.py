@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Callable
 from itertools import pairwise
 from types import FunctionType
@@ -39,8 +40,8 @@ def make_engine(case: str, threads: int = 1) -> BatchEngine:
 def in_ranges_of(size: int) -> Callable[..., int]:
     """``step_worlds`` called on ``size`` worlds at a time: a call's block is no larger."""
 
-    def step_worlds(store: Any, actions: Any, lo: np.uint64, hi: np.uint64) -> int:
-        cuts = [*np.arange(lo, hi, size, dtype=np.uint64), hi]
+    def step_worlds(store: Any, actions: Any, lo: int, hi: int) -> int:
+        cuts = [*range(lo, hi, size), hi]
         return sum(STEP_WORLDS(store, actions, a, b) for a, b in pairwise(cuts))
 
     return step_worlds
@@ -87,6 +88,18 @@ def test_other_blocks(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     assert trajectory(make_engine("released")) == expected
 
 
+def _rewards_of_threads(worlds: int) -> list[float]:
+    engine = BatchEngine("field_03", worlds, threads=2)
+    engine.reset(seed=0)
+    return engine.step(engine.sample_actions())[1].sum(axis=1).tolist()
+
+
+def test_forked_children_of_threads_step() -> None:
+    expected = _rewards_of_threads(4)
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        assert pool.apply_async(_rewards_of_threads, (4,)).get(timeout=60) == expected
+
+
 def test_threads_take_actions_that_cannot_be_written() -> None:
     free, kept = (make_engine("released", threads=2) for _ in range(2))
     free.reset()
@@ -100,9 +113,9 @@ def test_threads_take_actions_that_cannot_be_written() -> None:
 
 
 def test_ranges_of_threads_cover_every_world_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    def mark(seen: Any, actions: Any, lo: np.uint64, hi: np.uint64) -> int:
-        seen[int(lo) : int(hi)] += 1
-        return int(hi - lo)
+    def mark(seen: Any, actions: Any, lo: int, hi: int) -> int:
+        seen[lo:hi] += 1
+        return hi - lo
 
     def mark_ranges(address: int, seen: Any, actions: Any, cuts: Any) -> int:
         return sum(mark(seen, actions, lo, hi) for lo, hi in pairwise(cuts))

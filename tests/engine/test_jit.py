@@ -51,6 +51,13 @@ def test_cache_is_used_and_renewed(tmp_path: Path) -> None:
     assert probe(tmp_path, tmp_path / "nb") == ["2.5", "0"]
 
 
+def test_engine_without_its_compiler_is_refused() -> None:
+    command = [sys.executable, "-c", "from mbn_marl import parallel_env"]
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode and "MbnError: NUMBA_DISABLE_JIT: " in done.stderr
+
+
 def test_only_what_python_calls_becomes_machine_code() -> None:
     @compiled
     def twice(x):

@@ -38,6 +38,8 @@ TEAM_TERMS = ("step", "revisit", "success", "collision")
 SHARED = 2
 """``step`` and ``revisit`` are a robot's own when ``released``, the team's when ``formal``."""
 REWARD_TERMS = (*OWN_TERMS, *TEAM_TERMS[SHARED:])
+TEAM_COLUMNS = tuple(map(REWARD_TERMS.index, TEAM_TERMS))
+"""The places of the ``TEAM_TERMS`` among the ``REWARD_TERMS``."""
 
 
 @compiled
