@@ -6,9 +6,11 @@ import reprlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
@@ -25,6 +27,23 @@ _SHORT = reprlib.Repr()
 """Shows values in messages: long ones without their middle."""
 _SHORT.maxstring = _SHORT.maxother = 80
 
+
+def _number(value: object) -> object:
+    if isinstance(value, bool | np.bool_ | str | bytes):
+        raise ValueError("Input should be a number")
+    return value
+
+
+def _flag(value: object) -> object:
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError("Input should be True or False")
+    return value
+
+
+RealNumber = Annotated[float, BeforeValidator(_number)]
+WholeNumber = Annotated[int, BeforeValidator(_number)]
+Flag = Annotated[bool, BeforeValidator(_flag)]
+"""Types that a word, or a truth value in place of a number, is not converted to."""
 _ONE, _EACH, _DRAWN = "for all", "for each", "(drawn)"
 """Marks of a setting's forms: one value, one for each robot, a range; not in messages."""
 
@@ -62,8 +81,8 @@ class Uniform(Checked):
         ConfigError: naming every unknown or invalid argument and what is allowed.
     """
 
-    low: Annotated[float, Field(allow_inf_nan=False)]
-    high: Annotated[float, Field(allow_inf_nan=False)]
+    low: Annotated[RealNumber, Field(allow_inf_nan=False)]
+    high: Annotated[RealNumber, Field(allow_inf_nan=False)]
 
     def __init__(self, low: Any = None, high: Any = None, **others: Any) -> None:
         super().__init__(**{"low": low, "high": high, **others})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from mbn_marl.checked import Checked, Uniform, or_drawn, or_each
+from mbn_marl.checked import Checked, Flag, RealNumber, Uniform, WholeNumber, or_drawn, or_each
 from mbn_marl.errors import ConfigError, unknown
 
 MAX_ROBOTS = 64
@@ -19,13 +19,13 @@ LEAST, MOST = 1e-12, 1e12
 """The range of what must be above 0: in float32 squares and quotients are finite, above 0 too."""
 
 RobotIndex = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
-StepNumber = Annotated[int, Field(ge=1, le=1_000_000)]
-Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
-Probability = Annotated[float, Field(ge=0.0, le=1.0)]
-Positive = Annotated[float, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, le=MOST, allow_inf_nan=False)]
-Turn = Annotated[float, Field(ge=LEAST, le=math.pi)]
-Steering = Annotated[float, Field(ge=LEAST, le=1.5)]
+StepNumber = Annotated[WholeNumber, Field(ge=1, le=1_000_000)]
+Finite = Annotated[RealNumber, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
+Probability = Annotated[RealNumber, Field(ge=0.0, le=1.0)]
+Positive = Annotated[RealNumber, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
+NonNegative = Annotated[RealNumber, Field(ge=0.0, le=MOST, allow_inf_nan=False)]
+Turn = Annotated[RealNumber, Field(ge=LEAST, le=math.pi)]
+Steering = Annotated[RealNumber, Field(ge=LEAST, le=1.5)]
 Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
 TeamDynamics = Literal[Dynamics, "mixed"]
 Observation = Literal["relative", "state", "local", "lidar", "lidar_local", "entities"]
@@ -104,7 +104,7 @@ class Failures(Checked):
     at: dict[RobotIndex, StepNumber] = Field(default_factory=dict)
     between: tuple[StepNumber, StepNumber] | None = None
     kind: Literal["brake", "coast", "vanish"] = "brake"
-    most: Annotated[int, Field(ge=0, le=MAX_ROBOTS)] | None = None
+    most: Annotated[WholeNumber, Field(ge=0, le=MAX_ROBOTS)] | None = None
 
     @field_validator("between")
     @classmethod
@@ -177,20 +177,20 @@ class NavigationConfig(Checked):
         Choton, Woods, Hsu, sections 3 and 4: symbols, dynamics and default numbers.
     """
 
-    n_robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] | None = None
+    n_robots: Annotated[WholeNumber, Field(ge=1, le=MAX_ROBOTS)] | None = None
     reward: RewardProfile = REWARD_PROFILES["released"]
     reward_sharing: Literal["individual", "team"] = "individual"
     dynamics: DynamicsOfEach = "point_mass"
     observation: Observation = "relative"
     assignment: Literal[False, True, "fresh"] = False
-    one_hot: bool = False
+    one_hot: Flag = False
     sensing_radius: Positive = 100.0
     wind: tuple[AnyNonNegative, AnyNumber] = (0.0, 0.0)
     gust: AnyNonNegative = 0.0
     gust_time: AnyPositive = 10.0
     action_noise: AnyNonNegative = 0.0
     action_loss: AnyProbability = 0.0
-    action_delay: Annotated[int, Field(ge=0, le=100)] = 0
+    action_delay: Annotated[WholeNumber, Field(ge=0, le=100)] = 0
     position_noise: AnyNonNegative = 0.0
     velocity_noise: AnyNonNegative = 0.0
     dropout: AnyProbability = 0.0
@@ -205,7 +205,7 @@ class NavigationConfig(Checked):
     steer_max: AnySteering = 0.5
     safety_distance: AnyNonNegative = 10.0
     roi_radius: AnyNonNegative = 10.0
-    random_starts: bool = False
+    random_starts: Flag = False
     failures: Failures | None = None
 
     @classmethod

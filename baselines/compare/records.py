@@ -3,29 +3,58 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic import Field as Range
 
 from baselines.algorithms import ALGORITHMS
 from baselines.runs.discover import run_folders
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
-from baselines.training.config import default_label
+from baselines.training.config import MOST, default_label, problems_of
+from mbn_marl.checked import RealNumber, WholeNumber, describe
 from mbn_marl.config import make_config
+from mbn_marl.errors import collecting
 from mbn_marl.field import Field
 from mbn_marl.optimum import optimal_return
 
 NEEDED = ("algorithm", "setting", "field", "seed")
 """Entries that the configuration of every run must have."""
 CONFIG = ("steps", "evaluate_every", "episodes", "environment", "hyperparameters")
-EVALUATION = ("env_steps", "seconds", "stochastic", "deterministic")
-SUMMARY = ("return_mean", "success_rate", "makespan")
-HISTORY = ("env_steps", "seconds", "return_mean")
-"""Entries that a comparison needs besides: of the configuration, the final evaluation, each of its
-two summaries, and every evaluation on the way."""
+"""Those that a comparison needs besides."""
+Count = Annotated[WholeNumber, Range(ge=0, le=MOST)]
+Number = Annotated[RealNumber, Range(ge=-MOST, le=MOST)]
+Positive = Annotated[RealNumber, Range(ge=0, le=MOST)]
+
+
+class Summary(BaseModel):
+    """What a comparison needs of the summary of final episodes, see ``Evaluation.summary``."""
+
+    return_mean: Number
+    success_rate: Annotated[RealNumber, Range(ge=0, le=1)]
+    makespan: Positive | None
+
+
+class Progress(BaseModel):
+    """What it needs of a fresh evaluation on the way."""
+
+    env_steps: Count
+    seconds: Positive
+    return_mean: Number
+
+
+class Final(BaseModel):
+    """What it needs of the final evaluation."""
+
+    env_steps: Count
+    seconds: Positive
+    stochastic: Summary
+    deterministic: Summary
 
 
 @dataclass(frozen=True)
@@ -44,25 +73,24 @@ class RunRecord:
             RunError: a file cannot be read, or lacks what runs record now.
         """
         record = cls(run, run.config, run.field)
-        for name, entries, needed in record._parts(finished):
-            known = entries if isinstance(entries, Mapping) else {}
-            if missing := [entry for entry in needed if entry not in known]:
-                problem = f"has no {', '.join(missing)}: it is not a run of this version"
-                raise RunError(f"{run.path / name} {problem}")
-        if finished and not record.evaluations:
-            raise RunError(f"{run.path / 'evaluations.json'} is empty: the run was never evaluated")
-        return record
-
-    def _parts(self, finished: bool) -> Iterator[tuple[str, Any, Sequence[str]]]:
-        """Yield what is checked: the file, its content, and the entries it must have."""
-        yield "config.json", self.config, NEEDED
+        path = run.path / "config.json"
+        needed = (*NEEDED, *CONFIG) if finished else NEEDED
+        if missing := [name for name in needed if record.config.get(name) is None]:
+            raise RunError(f"{path} has no {', '.join(missing)}: it is not a run of this version")
+        problems = problems_of(record.config)
+        if isinstance(environment := record.config.get("environment", {}), Mapping):
+            with collecting(problems):
+                make_config(environment)
+        if problems:
+            raise RunError(f"{path} is not valid: {'; '.join(problems)}")
         if finished:
-            yield "config.json", self.config, CONFIG
-            yield "evaluation.json", self.evaluation, EVALUATION
-            for kind in ("stochastic", "deterministic"):
-                yield "evaluation.json", self.evaluation[kind], SUMMARY
-            for entry in self.evaluations:
-                yield "evaluations.json", entry, HISTORY
+            validate(Final, record.evaluation, run.path / "evaluation.json")
+            for number, entry in enumerate(record.evaluations):
+                validate(Progress, entry, run.path / "evaluations.json", f"{number}.")
+            if not record.evaluations:
+                empty = "is empty: the run was never evaluated"
+                raise RunError(f"{run.path / 'evaluations.json'} {empty}")
+        return record
 
     @cached_property
     def evaluations(self) -> list[dict[str, Any]]:
@@ -95,6 +123,15 @@ class RunRecord:
         for name in path:
             value = value[name]
         return float(value)
+
+
+def validate(model: type[BaseModel], content: Any, path: Path, place: str = "") -> None:
+    """Check the content of a file of a run; raise a RunError that names each wrong entry."""
+    try:
+        model.model_validate(content)
+    except ValidationError as error:
+        problems = "; ".join(place + problem for problem in describe(error, model))
+        raise RunError(f"{path} is not valid: {problems}") from None
 
 
 def find_records(

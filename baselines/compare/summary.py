@@ -20,6 +20,7 @@ from baselines.compare.aggregate import (
 )
 from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
+from baselines.compare.text_table import csv_text
 from baselines.evaluation.intervals import RETURN_THRESHOLD, mean_interval, mean_of_known, passes
 
 THRESHOLDS = np.concatenate([np.arange(90) / 100, np.arange(900, 1001) / 1000])
@@ -78,7 +79,7 @@ class Comparison:
 
     def csv(self) -> str:
         """The rows as CSV; an unknown value is empty."""
-        return str(pandas.DataFrame(self.rows).to_csv(index=False, lineterminator="\n"))
+        return csv_text(pandas.DataFrame(self.rows))
 
 
 def summarise(results: Results) -> Comparison:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
+from pandas import DataFrame
 from rich import box
 from rich.table import Table
 
@@ -12,7 +13,15 @@ from baselines.console import console
 
 DASH = "–"  # noqa: RUF001  (a dash, not a minus)
 
-_LATEX = str.maketrans({"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", DASH: "--"})
+_LATEX = str.maketrans(
+    {
+        **{sign: f"\\{sign}" for sign in "_%&#${}"},
+        **{"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"},
+        **{"<": r"\textless{}", ">": r"\textgreater{}", "\n": " ", DASH: "--"},
+    }
+)
+_MARKDOWN = str.maketrans({"|": r"\|", "<": "&lt;", "\n": " ", "\r": " "})
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,7 @@ class TextTable:
         """As a table of GitHub's Markdown below its caption, under ``title`` if there is one."""
         rule = ["---"] * self.words + ["--:"] * (len(self.headings) - self.words)
         headings = [word.replace("-\n", "").replace("\n", " ") for word in self.headings]
-        rows = [" | ".join(row) for row in (headings, rule, *self.lines)]
+        rows = [" | ".join(map(_markdown, row)) for row in (headings, rule, *self.lines)]
         heading = [f"## {title}", ""] if title else []
         return "\n".join([*heading, self.caption, "", *(f"| {row} |" for row in rows)])
 
@@ -72,6 +81,20 @@ class TextTable:
         screen.print(self.rich(title))
         if self.caption:
             screen.print(self.caption, markup=False)
+
+
+def csv_text(table: DataFrame, form: str | None = None) -> str:
+    """A table as CSV, numbers in ``form``; a word that a spreadsheet would run gets a quote."""
+
+    def safe(cell: object) -> object:
+        return f"'{cell}" if isinstance(cell, str) and cell.startswith(_FORMULA) else cell
+
+    return str(table.map(safe).to_csv(index=False, float_format=form, lineterminator="\n"))
+
+
+def _markdown(cell: str) -> str:
+    """A cell with the signs escaped that would end it or begin HTML."""
+    return cell.translate(_MARKDOWN)
 
 
 def _latex_row(words: tuple[str, ...]) -> str:

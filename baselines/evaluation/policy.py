@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 
 from baselines.algorithms import find_algorithm
+from baselines.runs.files import RunError, reading
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
@@ -90,7 +91,18 @@ def load_trained(run: Path | RunFolder) -> TrainedPolicy:
         RunError: there is no run, or it has saved no policy yet.
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
-    policy: Any = find_algorithm(folder.config["algorithm"]).load_policy(folder.policy)
-    policy.origin = Origin(folder.fields, make_config(folder.config["environment"]))
+    with reading(folder.path / "config.json"):
+        algorithm = find_algorithm(folder.config["algorithm"])
+        origin = Origin(folder.fields, make_config(folder.config["environment"]))
+    policy: Any = None
+    while policy is None:
+        place = folder.policy
+        try:
+            policy = algorithm.load_policy(place)
+        except RunError:
+            if folder.policy == place:
+                raise
+            # The run has written its next checkpoint meanwhile, and removed this one.
+    policy.origin = origin
     trained: TrainedPolicy = policy
     return trained

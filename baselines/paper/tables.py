@@ -11,7 +11,7 @@ import pandas
 from pandas import DataFrame, MultiIndex, Series
 
 from baselines.algorithms import SETTINGS
-from baselines.compare.text_table import DASH, TextTable
+from baselines.compare.text_table import DASH, TextTable, csv_text
 from baselines.paper import published
 from baselines.paper.published import STATISTICS
 from baselines.paper.trainings import Trainings
@@ -188,4 +188,4 @@ def paper_tables(trainings: Trainings) -> list[PaperTable]:
 def write_csv(tables: Iterable[PaperTable]) -> str:
     """Tables of one kind as CSV; the paper's numbers once."""
     lines = pandas.concat([table.lines() for table in tables]).drop_duplicates()
-    return str(lines.to_csv(index=False, float_format="%.10g", lineterminator="\n"))
+    return csv_text(lines, "%.10g")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import math
 import os
 import shutil
 import socket
 import stat
 import tempfile
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -24,6 +27,8 @@ from baselines.runs.checksums import LIST, check, digests_of
 from mbn_marl.errors import MbnError
 from mbn_marl.files import free_name, replacing
 
+NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
+"""Errors of drives without locks; for ``ENOSYS`` the library takes a file in their place."""
 LOCK = ".lock"
 """In the folder of a running process: which process that is."""
 
@@ -41,10 +46,8 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
     """
     if path.exists() and not path.is_dir():
         raise RunError(f"{path} is a file; the output must be a folder")
-    # A process that is killed before its first write leaves at most these.
-    if path.is_dir() and any(
-        file.name != LOCK and not file.name.startswith(".config.json.") for file in path.iterdir()
-    ):
+    check_text(str(path))
+    if path.is_dir() and not is_untouched(path):
         if not force:
             raise RunError(
                 f"{path} already exists; choose another --out, or pass --force to move it aside"
@@ -57,15 +60,57 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
     return path
 
 
+def is_untouched(path: Path) -> bool:
+    """Return whether a folder has at most what a process leaves that is killed at its start."""
+    names = [file.name for file in path.iterdir()]
+    return all(name == LOCK or name.startswith(".config.json.") for name in names)
+
+
+def check_text(words: str) -> None:
+    """Check that a path or a command can be written to a file.
+
+    Raises:
+        RunError: it has bytes that are not UTF-8.
+    """
+    try:
+        words.encode()
+    except UnicodeEncodeError:
+        raise RunError(f"{words!a} is not UTF-8; allowed: names in UTF-8") from None
+
+
 @contextmanager
-def alone(folder: Path, command: str, hint: str = "") -> Iterator[None]:
+def reading(place: Path) -> Iterator[None]:
+    """Name ``place`` in any error that its content causes.
+
+    Raises:
+        RunError: in place of what a value of a wrong kind makes others raise.
+    """
+    try:
+        yield
+    except MbnError as error:
+        if str(place) in str(error):
+            raise
+        raise RunError(f"{place}: {error}") from None
+    except WRONG_CONTENT as error:
+        raise RunError(f"{place} holds what no run writes: {error!r}") from error
+
+
+WRONG_CONTENT = (
+    *(ArithmeticError, AttributeError, LookupError, MemoryError),
+    *(RuntimeError, TypeError, ValueError),
+)
+
+
+@contextmanager
+def alone(folder: Path, command: str, hint: str = "", patience: float = 0) -> Iterator[None]:
     """Hold the lock of a folder that exists; the system frees it however this process ends.
 
     Raises:
-        RunError: another process holds it; with its command, or else this one's, and ``hint``.
+        RunError: another process holds it for longer than ``patience`` seconds; with its command,
+            or else this one's, and ``hint``.
     """
     place = folder / LOCK
-    lock = FileLock(place, timeout=0)
+    lock = FileLock(place, timeout=patience)
     try:
         lock.acquire()
     except Timeout:
@@ -74,6 +119,10 @@ def alone(folder: Path, command: str, hint: str = "") -> Iterator[None]:
             recorded = json.loads(place.read_text())
             holder = "{command} (process {pid} on {host} since {since})".format(**recorded)
         raise RunError(f"{folder}: another {holder} is running here{hint}") from None
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise
+        warnings.warn(f"{folder}: no locks on this drive; start no second process", stacklevel=3)
     try:
         with suppress(OSError):  # the name is a courtesy; the lock itself is the system's
             since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
@@ -149,8 +198,14 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bo
         save(temporary, allow_pickle=False, **arrays)
 
 
-def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def read_arrays(
+    path: Path, like: Mapping[str, NDArray[Any]] | None = None
+) -> dict[str, NDArray[Any]]:
     """Read what :func:`write_arrays` wrote; nothing in a file is run.
+
+    Args:
+        path: the file.
+        like: arrays that are as large as its own may be, even if those shrank to nearly nothing.
 
     Raises:
         RunError: the file is missing or damaged, or is another kind of archive.
@@ -158,7 +213,8 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """
     try:
         check(path)
-        _check_members(path)
+        own = 2 * sum(array.nbytes for array in (like or {}).values())
+        _check_members(path, max(own, ROOM, EXPANSION * path.stat().st_size))
         with np.load(path, allow_pickle=False) as arrays:
             return dict(arrays)
     except MbnError:
@@ -167,18 +223,35 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         raise RunError(f"{path} cannot be read: {error}") from None
 
 
-UNREADABLE = (OSError, ValueError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error)
+ROOM, EXPANSION = 1 << 26, 100
+"""The bytes that the arrays of any file may have, and how many times those of the file."""
+UNREADABLE = (
+    *(OSError, ValueError, EOFError, NotImplementedError, MemoryError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 """The errors of Python's and NumPy's readers for damaged archives."""
+HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
 
 
-def _check_members(path: Path) -> None:
-    """Check that an archive names only files inside it; raise an error if it does not."""
+def _check_members(path: Path, room: int) -> None:
+    """Check that an archive names only files inside it, whose arrays fit into ``room`` bytes."""
     with zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
             name = PurePosixPath(member.filename.replace("\\", "/"))
             leaves = name.is_absolute() or ".." in name.parts or ":" in member.filename
             if leaves or stat.S_ISLNK(member.external_attr >> 16):
                 raise RunError(f"{path}: {member.filename!r} in it leads out of the archive")
+        if (size := sum(member.file_size for member in archive.infolist())) > room:
+            raise RunError(f"{path}: {size:,} bytes in it; allowed: {room:,}")
+        for member in archive.infolist():
+            with archive.open(member) as file:
+                shape, _, dtype = HEADERS[np.lib.format.read_magic(file)](file)
+                if math.prod(shape) * dtype.itemsize > member.file_size:
+                    wrong = f"has no room for {shape} of {dtype}"
+                    raise RunError(f"{path}: {member.filename!r} in it {wrong}")
 
 
 @contextmanager

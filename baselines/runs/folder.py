@@ -22,11 +22,12 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from baselines.runs.checksums import check
 from baselines.runs.files import (
@@ -47,6 +48,9 @@ FILES = (
     *("progress.csv", "evaluations.json", "evaluation.json"),
 )
 FOLDERS = ("policy", "checkpoints", "tensorboard")
+
+
+Content = TypeVar("Content", dict[str, Any], list[dict[str, Any]])
 
 
 class RunFolder:
@@ -113,10 +117,18 @@ class RunFolder:
                 raise RunError(f"{file} is a link; a run folder has its files in it")
         return cls(path)
 
+    def _read(self, name: str, kind: type[Content]) -> Content:
+        """Read a JSON file of the folder, which must hold a ``kind``."""
+        content = read_json(self.path / name)
+        if not isinstance(content, kind):
+            found = f"is {type(content).__name__}; allowed: {kind.__name__}"
+            raise RunError(f"{self.path / name} {found}")
+        return content
+
     @property
     def config(self) -> dict[str, Any]:
         """The resolved configuration."""
-        return dict(read_json(self.path / "config.json"))
+        return self._read("config.json", dict)
 
     @property
     def fields(self) -> Field | FieldSampler:
@@ -141,12 +153,12 @@ class RunFolder:
     @property
     def evaluations(self) -> list[dict[str, Any]]:
         """The summaries of the fresh evaluations during training, in order."""
-        return list(read_json(self.path / "evaluations.json"))
+        return self._read("evaluations.json", list)
 
     @property
     def evaluation(self) -> dict[str, Any]:
         """The final evaluation of a finished run."""
-        return dict(read_json(self.path / "evaluation.json"))
+        return self._read("evaluation.json", dict)
 
     @property
     def finished(self) -> bool:
@@ -164,8 +176,12 @@ class RunFolder:
     @property
     def checkpoint(self) -> Path | None:
         """The newest checkpoint, if there is one; its name is its number of env-steps."""
+        return max(self._checkpoints(), key=lambda path: int(path.name), default=None)
+
+    def _checkpoints(self) -> list[Path]:
+        """Folders whose names are numbers; any other is not a checkpoint."""
         found = (self.path / "checkpoints").glob("[0-9]*")
-        return max(found, key=lambda path: int(path.name), default=None)
+        return [path for path in found if re.fullmatch("[0-9]{1,18}", path.name) and path.is_dir()]
 
     @property
     def saved_steps(self) -> int:
@@ -175,22 +191,29 @@ class RunFolder:
     @contextmanager
     def new_checkpoint(self, env_steps: int) -> Iterator[Path]:
         """Yield a folder to fill; then it is the newest checkpoint, and the only one."""
+        self._check_there()
         path = self.path / "checkpoints" / f"{env_steps:012d}"
         with replacing_folder(path) as folder:
             yield folder
             for part in (folder, folder / "policy"):
                 if part.exists():
                     seal(part)
-        for other in path.parent.iterdir():
+        for other in (*self._checkpoints(), *path.parent.glob(".[0-9]*")):
             if other != path:
                 shutil.rmtree(other)
 
     @contextmanager
     def new_policy(self) -> Iterator[Path]:
         """Yield a folder to fill: the final policy's, if the block succeeds."""
+        self._check_there()
         with replacing_folder(self.path / "policy") as folder:
             yield folder
             seal(folder)
+
+    def _check_there(self) -> None:
+        """Raise a RunError if somebody has deleted the folder: no other file tells of the run."""
+        if not (self.path / "config.json").is_file():
+            raise RunError(f"{self.path} has lost its config.json, so the run ends here")
 
     def finish(self, evaluation: Mapping[str, Any]) -> None:
         """Write the final evaluation (JSON values), and remove the checkpoint."""
@@ -215,7 +238,7 @@ class RunFolder:
 
     def cut_progress(self, size: int) -> None:
         """Keep the first ``size`` bytes of ``progress.csv``; with 0, remove it."""
-        if self.progress_bytes < size:
+        if not 0 <= size <= self.progress_bytes:
             raise RunError(f"{self.progress} is damaged: it ends before the checkpoint")
         if size == 0:
             self.progress.unlink(missing_ok=True)
@@ -224,6 +247,7 @@ class RunFolder:
 
     def append_progress(self, row: Mapping[str, float]) -> None:
         """Append a row to ``progress.csv``, with the columns of the first row."""
+        self._check_there()
         with self.progress.open("a+", newline="") as file:
             writer = csv.writer(file)
             file.seek(0)

@@ -31,6 +31,8 @@ def restore_generators(saved: Mapping[str, Any]) -> None:
     random.setstate((version, tuple(numbers), gauss))
     state = saved["numpy"]
     key = np.asarray(state["state"]["key"], np.uint32)
+    if not 0 <= state["state"]["pos"] <= key.size:  # NumPy would read past the key
+        raise ValueError(f"pos {state['state']['pos']}; allowed: 0 to {key.size}")
     np.random.set_state({**state, "state": {**state["state"], "key": key}})
     torch.set_rng_state(_tensor(saved["torch"]))
     if saved["cuda"]:

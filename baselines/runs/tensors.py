@@ -25,11 +25,14 @@ def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
             raise OSError(f"{path} cannot be written: {error}") from error
 
 
-def read_tensors(path: Path) -> dict[str, torch.Tensor]:
+def read_tensors(
+    path: Path, like: Mapping[str, torch.Tensor] | None = None
+) -> dict[str, torch.Tensor]:
     """Read what :func:`write_tensors` wrote.
 
     Raises:
-        RunError: the file is missing or damaged.
+        RunError: the file is missing or damaged, or a number in it is not finite, or it has
+            another type than the tensor of its name in ``like``.
         DamageError: it does not have the checksum that its folder lists.
     """
     try:
@@ -37,6 +40,12 @@ def read_tensors(path: Path) -> dict[str, torch.Tensor]:
         tensors: dict[str, torch.Tensor] = safetensors_torch.load_file(path)
     except (OSError, SafetensorError) as error:
         raise RunError(f"{path} cannot be read: {error}") from None
+    for name, tensor in tensors.items():
+        allowed = tensor.dtype if like is None or name not in like else like[name].dtype
+        if tensor.dtype != allowed:
+            raise RunError(f"{path}: {name} is {tensor.dtype}; allowed: {allowed}")
+        if not tensor.isfinite().all():
+            raise RunError(f"{path}: {name} has a number that is not finite")
     return tensors
 
 

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import unwrap_vec_wrapper
 
 from baselines.algorithms import find_algorithm
-from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
+from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.rng_state import restore_generators, save_generators
 from baselines.sb3.config import SB3Config, algorithm_class, model_arguments
@@ -110,12 +111,7 @@ class Learner:
 
     def save(self, folder: Path) -> None:
         """Write, beside the policy, all else that :meth:`restore` needs into ``folder``."""
-        model = self.model
-        worlds = {
-            f"{number}/{name}": array
-            for number, engine in enumerate(engines(self._env))
-            for name, array in engine.save_state().items()
-        }
+        model, worlds = self.model, self._worlds()
         seen = {name: array for name in SEEN if (array := getattr(model, name)) is not None}
         write_arrays(folder / WORLDS, {**worlds, **seen}, compress=True)
         if (buffer := getattr(model, "replay_buffer", None)) is not None:
@@ -136,20 +132,36 @@ class Learner:
         }
         write_json(folder / COUNTERS, counters)
 
+    def _worlds(self) -> dict[str, NDArray[Any]]:
+        """The state of every engine, whose number is before the name."""
+        return {
+            f"{number}/{name}": array
+            for number, engine in enumerate(engines(self._env))
+            for name, array in engine.save_state().items()
+        }
+
     def restore(self, checkpoint: Path) -> None:
         """Resume the learner of a checkpoint at exactly the same point.
 
         Raises:
             RunError: a file is missing or damaged, or an older version wrote it.
         """
+        with reading(checkpoint):
+            self._restore(checkpoint)
+
+    def _restore(self, checkpoint: Path) -> None:
         model = self.model
         model._setup_learn(0)  # makes what is filled here
         self._put(checkpoint / "policy")
-        arrays, counters = read_arrays(checkpoint / WORLDS), read_json(checkpoint / COUNTERS)
+        counters = read_json(checkpoint / COUNTERS)
+        arrays = read_arrays(checkpoint / WORLDS, self._worlds())
         for name in SEEN:
-            setattr(model, name, arrays.get(name))
+            seen, own = arrays.get(name), getattr(model, name)
+            if getattr(seen, "shape", None) != getattr(own, "shape", None):
+                raise ValueError(f"{WORLDS}: {name} is of other worlds")
+            setattr(model, name, seen)
         if self._rois is not None:
-            self._rois.begin(RoiCurriculum(**counters["curriculum"]))
+            self._rois.begin(TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"]))
         for number, engine in enumerate(engines(self._env)):
             own = [key for key in arrays if key.startswith(f"{number}/")]
             engine.load_state({key.partition("/")[2]: arrays[key] for key in own})
@@ -158,8 +170,10 @@ class Learner:
             for name, array in _transitions(buffer).items():
                 array[: len(saved[name])] = saved[name]
             buffer.pos, buffer.full = int(saved["pos"]), bool(saved["full"])
+            if not 0 <= buffer.pos < buffer.buffer_size:
+                raise ValueError(f"{REPLAY}: pos {buffer.pos}; allowed: below buffer_size")
         for name in COUNTED:
-            setattr(model, name, counters[name])
+            setattr(model, name, int(counters[name]))
         for name in LOGGED:
             getattr(model, name).extend(counters[name])
         model.action_space.np_random.bit_generator.state = counters["actions"]

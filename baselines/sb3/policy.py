@@ -18,7 +18,7 @@ from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 
 from baselines.evaluation.layers import Layers
-from baselines.runs.files import RunError, read_json, write_json
+from baselines.runs.files import RunError, read_json, reading, write_json
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
 from baselines.sb3.config import algorithm_class
 from baselines.sb3.layers import layers_of
@@ -61,8 +61,13 @@ class Normalization:
         """The inverse of :meth:`to_json`; ``None`` of ``None``."""
         if values is None:
             return None
-        arrays = {name: np.asarray(values[name]) for name in ("mean", "variance")}
-        return cls(**{**values, **arrays})
+        arrays = {name: np.asarray(values[name], float) for name in ("mean", "variance")}
+        made = cls(**{**values, **arrays})
+        if made.mean.shape != made.variance.shape or not all(
+            np.isfinite(number).all() for number in vars(made).values()
+        ):
+            raise RunError("normalization: allowed: finite numbers, as many means as variances")
+        return made
 
     def __call__(self, seen: np.ndarray) -> np.ndarray:
         """Normalise ``seen`` (rows, size)."""
@@ -158,19 +163,18 @@ def put_into(model: Any, folder: Path) -> None:
         RunError: a file is missing or damaged, or does not fit the learner.
     """
     _check_version(folder, LEARNER)
-    weights, learned = read_tensors(folder / WEIGHTS), read_tensors(folder / LEARNER)
-    parameters = model.get_parameters()
-    for part, state in parameters.items():
-        own = [key for key in learned if key.startswith(f"{part}/")]
-        moments = {key.rpartition("/")[2]: learned[key] for key in own}
-        parameters[part] = weights if part == "policy" else with_moments(state, moments)
-    try:
+    with reading(folder):
+        weights = read_tensors(folder / WEIGHTS, model.policy.state_dict())
+        learned = read_tensors(folder / LEARNER)
+        parameters = model.get_parameters()
+        for part, state in parameters.items():
+            own = [key for key in learned if key.startswith(f"{part}/")]
+            moments = {key.rpartition("/")[2]: learned[key] for key in own}
+            parameters[part] = weights if part == "policy" else with_moments(state, moments)
         model.set_parameters(parameters, device=model.device)
         if "log_ent_coef" in learned:
             model.log_ent_coef.data.copy_(learned["log_ent_coef"])
         model._n_updates = int(learned["updates"])
-    except (RuntimeError, ValueError, LookupError) as error:
-        raise RunError(f"{folder} does not fit the learner: {error}") from None
 
 
 def load_policy(folder: Path) -> SB3Policy:
@@ -180,11 +184,12 @@ def load_policy(folder: Path) -> SB3Policy:
         RunError: a file is missing or damaged, or an older version wrote it.
     """
     _check_version(folder, SHAPE)
-    shape = {**FIRST_SHAPE, **read_json(folder / SHAPE)}
-    shape.setdefault("observes", _observed(shape))
-    normalization = Normalization.from_json(shape.pop("normalization"))
-    weights = read_tensors(folder / WEIGHTS)
-    try:
+    with reading(folder / SHAPE):
+        shape = {**FIRST_SHAPE, **read_json(folder / SHAPE)}
+        shape.setdefault("observes", _observed(shape))
+        if shape["observes"] not in ("observations", "state"):
+            raise RunError(f"observes: {shape['observes']!r}; allowed: observations, state")
+        normalization = Normalization.from_json(shape.pop("normalization"))
         kind: Any = algorithm_class(shape["algorithm"]).policy_aliases[shape["policy"]]
         learns = "lr_schedule" in inspect.signature(kind).parameters
         network = kind(
@@ -193,9 +198,8 @@ def load_policy(folder: Path) -> SB3Policy:
             **({"lr_schedule": ConstantSchedule(0.0)} if learns else {}),
             **shape["arguments"],
         )
-        network.load_state_dict(weights)
-    except (RuntimeError, TypeError, ValueError, LookupError) as error:
-        raise RunError(f"{folder / WEIGHTS} does not fit {SHAPE}: {error}") from None
+    with reading(folder / WEIGHTS):
+        network.load_state_dict(read_tensors(folder / WEIGHTS, network.state_dict()))
     return SB3Policy(network, shape, normalization)
 
 

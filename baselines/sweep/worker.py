@@ -10,9 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from filelock import FileLock, Timeout
-
-from baselines.runs.files import LOCK, RunError, claim_folder
+from baselines.runs.files import RunError, alone, claim_folder
 from baselines.runs.folder import RunFolder
 from baselines.sweep.store import Note, Store, open_store
 from baselines.training.config import DivergenceError, TrainConfig
@@ -73,8 +71,9 @@ def train_in_store(job: TrainJob, report: Callable[[Report], None]) -> Outcome:
     folder = store.folder(name)
     try:
         if folder.is_dir():
-            FileLock(folder / LOCK, timeout=PATIENCE).acquire().lock.release()
-    except Timeout:
+            with alone(folder, "mbn train", patience=PATIENCE):
+                pass
+    except RunError:
         return Outcome(name, "elsewhere", f"{name}: another process trains it")
     watch = Watch(store, job, report)
     try:

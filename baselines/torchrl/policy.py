@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 import torch
+from pydantic import TypeAdapter
 
 from baselines.evaluation.layers import Activation, Layers, Plain
-from baselines.runs.files import RunError, read_json, write_json
+from baselines.runs.files import read_json, reading, write_json
 from baselines.runs.tensors import read_tensors, write_tensors
-from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import CLIP, GaussianPolicy, TeamMLP, TeamShape
 
 WEIGHTS = "policy.safetensors"
@@ -71,14 +71,13 @@ def load_policy(folder: Path) -> TeamPolicy:
         RunError: a file is missing or does not fit.
         DamageError: a file is not what was written.
     """
-    shape = read_json(folder / SHAPE)
-    tokens = (
-        Tokens(**{k: tuple(v) for k, v in shape["tokens"].items()}) if shape.get("tokens") else None
-    )
-    read = {**shape, "hidden": tuple(shape["hidden"]), "tokens": tokens}
-    network = GaussianPolicy(TeamShape(**read))
-    try:
-        network.load_state_dict(read_tensors(folder / WEIGHTS))
-    except RuntimeError as error:
-        raise RunError(f"{folder / WEIGHTS} does not fit {SHAPE}: {error}") from None
+    with reading(folder / SHAPE):
+        shape = TypeAdapter(TeamShape).validate_python(read_json(folder / SHAPE))
+        with torch.device("meta"):  # without memory, of which a wrong shape may want much
+            sizes = GaussianPolicy(shape)
+    with reading(folder / WEIGHTS):
+        weights = read_tensors(folder / WEIGHTS, sizes.state_dict())
+        sizes.load_state_dict(weights, assign=True)  # raises if they do not fit
+        network = GaussianPolicy(shape)
+        network.load_state_dict(weights)
     return TeamPolicy(network)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from pydantic import TypeAdapter
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torchrl.collectors import Collector
@@ -18,7 +19,7 @@ from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
 from baselines.evaluation.policy import load_trained
-from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
+from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.rng_state import restore_generators, save_generators
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
 from baselines.torchrl.config import MultiAgentPPOConfig
@@ -343,16 +344,19 @@ class Trainer:
 
     def _restore(self, folder: Path) -> int:
         """Continue from a checkpoint, at exactly the same point; return its env-steps."""
-        self.loss.load_state_dict(read_tensors(folder / NETWORKS))
-        moments = read_tensors(folder / OPTIMIZER)
-        self.optimizer.load_state_dict(with_moments(self.optimizer.state_dict(), moments))
-        counters = read_json(folder / COUNTERS)
-        self.curriculum = RoiCurriculum(**counters["curriculum"])
-        env = self._make_env()
-        env.load_state(read_arrays(folder / WORLDS))
-        self._collect_from(env)
-        if self.teacher is not None:
-            self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS))
-        restore_generators(counters["generators"])  # last: a new collector tries the policy
-        env_steps: int = counters["env_steps"]
+        with reading(folder):
+            networks = read_tensors(folder / NETWORKS, self.loss.state_dict())
+            self.loss.load_state_dict(networks)
+            moments = read_tensors(folder / OPTIMIZER)
+            self.optimizer.load_state_dict(with_moments(self.optimizer.state_dict(), moments))
+            counters = read_json(folder / COUNTERS)
+            self.curriculum = TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"])
+            env = self._make_env()
+            env.load_state(read_arrays(folder / WORLDS, env.save_state()))
+            self._collect_from(env)
+            if self.teacher is not None:
+                own = self.teacher.save_state()
+                self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS, own))
+            restore_generators(counters["generators"])  # last: a new collector tries the policy
+            env_steps = int(counters["env_steps"])
         return env_steps

@@ -21,8 +21,15 @@ from mbn_marl.field import Field, FieldSampler, load_fields
 LABEL = re.compile(r"[A-Za-z0-9][\w.+-]*")
 """Labels name folders too."""
 
+MOST = 10**15
 MOST_SEED = 2**32 - 1
 """NumPy's global generator takes no larger seed."""
+RANGES = {
+    "seed": (0, MOST_SEED),
+    **{"steps": (1, MOST), "evaluate_every": (1, MOST), "episodes": (1, MOST)},
+    "num_envs": (1, MOST),
+}
+"""The least and the greatest value of the numbers of a request."""
 
 
 class DivergenceError(MbnError):
@@ -89,34 +96,7 @@ class TrainConfig:
         for name in ("seed", "steps"):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, getattr(protocol, name))
-        least = {"seed": 0, "steps": 1, "evaluate_every": 1, "episodes": 1, "num_envs": 1}
-        problems = [
-            f"{name}: must be at least {bound} (got {value})"
-            for name, bound in least.items()
-            if (value := getattr(self, name)) is not None and value < bound
-        ]
-        if self.stop_at is not None and not math.isfinite(self.stop_at):
-            problems.append(f"stop_at: must be finite (got {self.stop_at})")
-        if self.seed > MOST_SEED:
-            problems.append(f"seed: must be at most 2^32 - 1 (got {self.seed})")
-        if self.label is not None and not LABEL.fullmatch(self.label):
-            problems.append(
-                f"label: {self.label!r}; allowed: letters, digits, _ . + -, the first a letter "
-                "or digit"
-            )
-        with collecting(problems):
-            algorithm = find_algorithm(self.algorithm)
-            allowed, of_sb3 = algorithm.settings, algorithm.package == "sb3"
-            if self.setting not in allowed:
-                has = ", ".join(allowed)
-                problems.append(f"setting: {self.algorithm} has {has}, not {self.setting}")
-            elif self.setting == "C" and self.transferred_from is None:
-                problems.append("setting: C continues from a trained policy; name it with --from")
-            elif self.setting != "C" and self.transferred_from is not None and of_sb3:
-                problems.append(
-                    f"from: allowed under setting C, not {self.setting}, and for mappo, ippo, "
-                    "ppo-joint and generalist"
-                )
+        problems = problems_of(vars(self))
         with collecting(problems):
             load_fields(self.field)
         if problems:
@@ -146,6 +126,45 @@ class TrainConfig:
         if changes := words_of({**self.hyperparameters, **environment}):
             words += ["--set", *changes]
         return shlex.join(["mbn", "train", self.algorithm, self.field, *words])
+
+
+def problems_of(request: Mapping[str, Any]) -> list[str]:
+    """Return what is wrong with the entries of a request, given or recorded, but for its field."""
+    problems: list[str] = []
+    for name, (least, most) in RANGES.items():
+        value = request.get(name)
+        if not (value is None or (isinstance(value, int) and not isinstance(value, bool))):
+            problems.append(f"{name}: must be a whole number (got {value!r})")
+        elif value is not None and not least <= value <= most:
+            problems.append(f"{name}: must be at least {least}, at most {most} (got {value})")
+    stop_at, label = request.get("stop_at"), request.get("label")
+    if not (stop_at is None or (isinstance(stop_at, float | int) and math.isfinite(stop_at))):
+        problems.append(f"stop_at: must be finite (got {stop_at!r})")
+    if not (label is None or (isinstance(label, str) and LABEL.fullmatch(label))):
+        allowed = "letters, digits, _ . + -, the first a letter or digit"
+        problems.append(f"label: {label!r}; allowed: {allowed}")
+    for name in ("environment", "hyperparameters"):
+        if not isinstance(value := request.get(name, {}), Mapping):
+            problems.append(f"{name}: must be a mapping (got {value!r})")
+    return problems + _setting_problems(request)
+
+
+def _setting_problems(request: Mapping[str, Any]) -> list[str]:
+    """Return what is wrong with the algorithm, its setting, and what it begins with."""
+    name, setting = str(request.get("algorithm")), request.get("setting")
+    begins = request.get("transferred_from")
+    try:
+        algorithm = find_algorithm(name)
+    except MbnError as error:
+        return [str(error)]
+    if setting not in algorithm.settings:
+        return [f"setting: {name} has {', '.join(algorithm.settings)}, not {setting}"]
+    if setting == "C" and begins is None:
+        return ["setting: C continues from a trained policy; name it with --from"]
+    if setting != "C" and begins is not None and algorithm.package == "sb3":
+        others = "for mappo, ippo, ppo-joint and generalist"
+        return [f"from: allowed under setting C, not {setting}, and {others}"]
+    return []
 
 
 def default_label(algorithm: str, setting: str) -> str:

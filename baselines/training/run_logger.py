@@ -12,7 +12,7 @@ import numpy as np
 from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate, unseen
 from baselines.evaluation.intervals import passes
 from baselines.evaluation.policy import TrainedPolicy
-from baselines.runs.files import read_json, write_json
+from baselines.runs.files import read_json, reading, write_json
 from baselines.runs.folder import RunFolder
 from baselines.training.config import Task
 from baselines.training.loggers import Loggers
@@ -91,15 +91,16 @@ class Recorder:
         self._task = task
         self._listener = listener
         self._diagnostics: Mapping[str, float] = {}
-        state = read_json(self.checkpoint / "recorder.json") if self.checkpoint else {}
-        self._last_row: int = state.get("env_steps", 0)
-        self._seconds: float = state.get("seconds", 0.0)
-        self._saved_at = self._seconds
-        self._wall_seconds: float = state.get("wall_seconds", 0.0)
         self._started_at = 0.0
         self._wall_started_at: float | None = None
-        self._evaluations: list[dict[str, Any]] = state.get("evaluations", [])
-        folder.cut_progress(state.get("progress_bytes", 0))
+        place = (self.checkpoint or folder.path) / "recorder.json"
+        with reading(place):
+            state = read_json(place) if self.checkpoint else {}
+            self._last_row = int(state.get("env_steps", 0))
+            self._seconds = self._saved_at = float(state.get("seconds", 0.0))
+            self._wall_seconds = float(state.get("wall_seconds", 0.0))
+            self._evaluations: list[dict[str, Any]] = list(state.get("evaluations", []))
+            folder.cut_progress(int(state.get("progress_bytes", 0)))
         write_json(folder.path / "evaluations.json", self._evaluations)
         self._loggers = Loggers(folder, task.config.name, self._last_row, wandb)
         self.scalars = self._loggers.scalars

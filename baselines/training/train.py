@@ -13,7 +13,7 @@ from typing import Any
 
 from baselines.algorithms import find_algorithm
 from baselines.evaluation.fitting import acts_on
-from baselines.runs.files import RunError, alone, claim_folder
+from baselines.runs.files import RunError, alone, check_text, claim_folder, is_untouched
 from baselines.runs.folder import RunFolder
 from baselines.training.config import DivergenceError, Task, TrainConfig
 from baselines.training.hyperparameters import Hyperparameters
@@ -73,7 +73,8 @@ def train(
     algorithm = find_algorithm(config.algorithm)
     task, hyperparameters = prepare(config)
     resolved, command = resolve(task, hyperparameters), command or config.command
-    if resume:
+    check_text(command)
+    if resume := resume and not (out.is_dir() and is_untouched(out)):
         RunFolder.open(out)
     else:
         algorithm.check(task, hyperparameters)

@@ -28,6 +28,7 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, TrialState
 from sqlalchemy.exc import SQLAlchemyError
 
+from baselines.compare.text_table import csv_text
 from baselines.runs.files import RunError, read_json
 
 CONFIG = "config.json"
@@ -138,5 +139,4 @@ def trials_csv(study: Study) -> str:
         last = max(trial.intermediate_values.items(), default=(0, None))[1]
         value = trial.value if trial.state is TrialState.COMPLETE else last
         rows.append({"trial": trial.number, "state": state, "return_mean": value, **trial.params})
-    table = pandas.DataFrame(rows, dtype=object)
-    return str(table.to_csv(index=False, lineterminator="\n"))
+    return csv_text(pandas.DataFrame(rows, dtype=object))

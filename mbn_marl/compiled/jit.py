@@ -6,16 +6,19 @@ import gc
 import hashlib
 import logging
 import os
+import pickle
 import sys
 import time
 from collections.abc import Callable
-from functools import cached_property
+from contextlib import suppress
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 from numba.core import event
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.compiler import Compiler, CompilerBase
 from numba.core.registry import CPUDispatcher
 from numba.core.targetconfig import ConfigStack
@@ -29,6 +32,8 @@ COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapp
 """Compiled code runs without the GIL, divides as NumPy does, and is not for C to call."""
 
 ANNOUNCEMENT = "mbn_marl: compiling %s for these settings, once per machine: 5 to 30 seconds of CPU"
+DAMAGED = "mbn_marl: %s is damaged, so its code is compiled again: %s"
+NOT_KEPT = "mbn_marl: %s cannot be written, so compiled code is not kept: %s"
 PLAIN = "MBN_PLAIN_JIT"
 """The environment variable that turns the compiler of ``part`` off, if it is set."""
 PROVEN = ("0.61.", "0.68.")
@@ -195,10 +200,7 @@ def entry_point(function: Callable[..., Any]) -> Any:
 
 def entry_point_of_one_file(function: Callable[..., Any]) -> Any:
     """Compile what Python calls and what calls nothing of another file: Numba renews it then."""
-    try:
-        return numba.njit(cache=True)(function)
-    except RuntimeError:  # no folder for the cache
-        return numba.njit(function)
+    return _kept(numba.njit(function))
 
 
 def parallel_entry_point(function: Callable[..., Any]) -> Any:
@@ -215,6 +217,72 @@ def address_of(function: Any, *arguments: Any) -> int:
     return address
 
 
+class CodeFiles(IndexDataCacheFile):
+    """Numba's files of a function's machine code, of which damaged ones count as missing."""
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()  # type: ignore[no-untyped-call]
+        except Exception as error:  # whatever a pickle raises that was cut off
+            _warn(DAMAGED, self._index_path, repr(error))
+            return {}
+
+    def _save_data(self, name: str, data: Any) -> None:
+        code = self._dump(data)  # type: ignore[no-untyped-call]
+        super()._save_data(name, (_digest(code), code))  # type: ignore[no-untyped-call]
+
+    def _load_data(self, name: str) -> Any:
+        path = self._data_path(name)  # type: ignore[no-untyped-call]
+        try:
+            digest, code = super()._load_data(name)  # type: ignore[no-untyped-call]
+            if digest != _digest(code):  # nothing else would find a changed instruction
+                raise ValueError("it has another checksum")
+            return pickle.loads(code)
+        except FileNotFoundError:
+            raise
+        except Exception as error:
+            _warn(DAMAGED, path, repr(error))
+            raise FileNotFoundError(path) from error
+
+
+class CodeCache(FunctionCache):
+    """Numba's cache of a function; a program runs without it where it cannot be written.
+
+    Args:
+        function: the function.
+        stamp: what its code depends on; without one, Numba's: its own file.
+    """
+
+    def __init__(self, function: Callable[..., Any], stamp: Any = None) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        ours, theirs = stamp, self._cache_file._source_stamp
+        self._cache_file = CodeFiles(self._cache_path, self._impl.filename_base, ours or theirs)  # type: ignore[no-untyped-call]
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Save compiled code, or warn that its folder cannot be written."""
+        try:
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+        except OSError as error:
+            _warn(NOT_KEPT, self._cache_path, error.strerror)
+
+
+@cache
+def _warn(message: str, *parts: str | None) -> None:
+    """Warn once about a file or a folder."""
+    logging.getLogger("mbn_marl").warning(message, *parts)
+
+
+def _digest(code: bytes) -> bytes:
+    return hashlib.sha256(code).digest()
+
+
+def _kept(dispatcher: Any, stamp: Any = None) -> Any:
+    """Let a dispatcher keep its code on disk, if there is a folder that can be written."""
+    with suppress(RuntimeError):  # there is none
+        dispatcher._cache = CodeCache(dispatcher.py_func, stamp)
+    return dispatcher
+
+
 def _cached(function: Callable[..., Any], **options: Any) -> Any:
     """Compile for the types of each call, and keep the machine code on disk.
 
@@ -222,10 +290,5 @@ def _cached(function: Callable[..., Any], **options: Any) -> Any:
     function that calls it, wherever that is. So the cache is stamped with all such sources
     instead. Where nothing can be written, each process compiles for itself.
     """
-    options = {**COMMON, **options}
-    try:
-        dispatcher = numba.njit(cache=True, **options)(function)
-        dispatcher._cache._cache_file._source_stamp = SOURCES, COMPILER.__name__
-    except RuntimeError:  # no folder for the cache
-        dispatcher = numba.njit(**options)(function)
-    return dispatcher
+    dispatcher = numba.njit(**COMMON, **options)(function)
+    return _kept(dispatcher, (SOURCES, COMPILER.__name__))

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.config import Settings, make_config
 from mbn_marl.engine import validation
-from mbn_marl.engine.backend import BackendSpec
+from mbn_marl.engine.backend import Backend, BackendSpec
 from mbn_marl.engine.constants import make_record
 from mbn_marl.engine.devices import make_backend
-from mbn_marl.engine.geometry import make_geometry, sampler_numbers, sizes_of
+from mbn_marl.engine.geometry import FieldSource, make_geometry, sampler_numbers, sizes_of
 from mbn_marl.engine.listener import Listener
 from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.engine.readings import Flags, Floats, Readings
@@ -121,20 +121,34 @@ class BatchEngine(Readings):
         self.observation_high = np.array([entry.high for entry in table], np.float32)
         self.listeners: list[Listener] = []
         self._set_fields: dict[int, tuple[int, Field]] = {}
-        geometry = make_geometry(source, self.config, n, num_worlds, self.teams_vary, given)
-        self._backend = make_backend(
-            device,
+        try:
+            self._backend = self._make_worlds(source, threads, seed, given)
+        except MemoryError as error:
+            problem = f"num_worlds: {num_worlds} with {config.max_steps} steps need more memory"
+            fewer = "allowed: fewer worlds, or a smaller max_steps"
+            raise ConfigError("configuration", [f"{problem} ({error}); {fewer}"]) from None
+
+    def _make_worlds(
+        self,
+        source: FieldSource,
+        threads: int | None,
+        seed: int,
+        starts: NDArray[Any] | None,
+    ) -> Backend:
+        """Make the worlds' arrays on the device."""
+        config, n, worlds = self.config, self.n_robots, self.num_worlds
+        numbers = config, n, self.arena, self.autoreset, self.first_world, self.teams_vary
+        return make_backend(
+            self.device,
             BackendSpec(
-                config=self.config,
-                num_worlds=num_worlds,
+                config=config,
+                num_worlds=worlds,
                 obs_size=self.obs_size,
                 autoreset=self.autoreset,
                 threads=threads,
                 seed=seed,
-                geometry=geometry,
-                constants=make_record(
-                    *(self.config, n, self.arena, self.autoreset, first_world, self.teams_vary)
-                ),
+                geometry=make_geometry(source, config, n, worlds, self.teams_vary, starts),
+                constants=make_record(*numbers),
                 arena=self.arena,
                 teams_vary=self.teams_vary,
             ),

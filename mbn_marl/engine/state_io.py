@@ -5,10 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.engine.backend import Backend
-from mbn_marl.errors import MbnError
+from mbn_marl.engine.mdp.assignment import endless_orders, plan_limits
+from mbn_marl.engine.mdp.drawn import drawn_limits
+from mbn_marl.engine.mdp.failures import ABSENT
+from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES
+from mbn_marl.engine.mdp.rewards import RESTED, ROIS_SHIFT
+from mbn_marl.engine.mdp.visits import all_visited
+from mbn_marl.errors import ProblemsError
 
 VIEWS = ("x_bits", "y_bits", "trail_bits", "trail_key")
 """Arrays of ``Memory`` that are another array's memory."""
@@ -41,33 +48,158 @@ def save_worlds(backend: Backend) -> dict[str, NDArray[Any]]:
     return {name: backend.host(array) for name, array in changing_arrays(backend).items()}
 
 
-def restore_worlds(backend: Backend, saved: Mapping[str, NDArray[Any]]) -> None:
-    """Put ``saved`` in their place; either may have room for a larger field.
+def limits(backend: Backend, edges: int, waypoints: int) -> dict[str, tuple[Any, Any]]:
+    """The least and the greatest value of an array by name, either one or an array of them.
 
-    Raises:
-        MbnError: a name, a shape or a type is not that of these worlds. Nothing has changed.
+    Compiled code takes these numbers for places, counts and shifts, and does not check them. All
+    other reals are finite; other whole numbers may be any. ``edges`` and ``waypoints`` are those
+    that the saved tables have room for.
     """
-    given = {name: array for name, array in saved.items() if 0 not in array.shape}
-    arrays, rois = changing_arrays(backend), backend.geometry.rois
-    if differing := (given.keys() ^ arrays.keys()) - (set(WAYS) if WAYS_IN in arrays else set()):
-        names = ", ".join(sorted(differing))
-        raise MbnError(f"worlds: these arrays are missing or unknown: {names}")
-    edges, waypoints = (
-        given[name].shape[1] if name in given and given[name].ndim == 3 else 0
-        for name in (EDGES, WAYS[0])
-    )
-    nodes, fields = rois.shape[1] + waypoints, rois.shape[2]
+    spec, g, real = backend.spec, backend.geometry, np.dtype(backend.spec.config.dtype).type
+    _, n, _ = spec.actions_shape
+    m, steps = g.rois.shape[1], spec.config.max_steps
+    everything, arena = all_visited(m), np.array(spec.arena, real)
+    corners, pi = np.array([*arena, *arena], real)[:, None], real(np.pi)
+    episode = {
+        "x": (0, arena[0]),
+        "y": (0, arena[1]),
+        "path_length": (0, np.finfo(real).max),
+        "wall_hits": (0, steps),
+        "visited": (0, everything),
+        "codes": (0, everything),
+        "steps": (0, steps),
+        "heading": (-pi, pi),
+        "cos": (-1, 1),
+        "sin": (-1, 1),
+        "queue": (-1, 1),
+        "status": (0, ABSENT),
+    }
+    if backend.now.drawn.ndim == 2:
+        episode["drawn"] = drawn_limits(backend.host(g.ranges), real)
+    most = np.iinfo(np.int64).max
+    return {
+        "seed": (0, most),
+        "draw": (0, most),
+        **{f"{group}.{name}": ends for group in ("now", "final") for name, ends in episode.items()},
+        "memory.trail": (0, arena.max()),
+        "memory.trail_code": (0, everything),
+        "memory.words": (LEAST_WORDS, backend.memory.filter.shape[1] - ODD_LINES),
+        "memory.episode": (-1, most),
+        "memory.plan": plan_limits(n, m, waypoints),
+        "output.events": (0, (m + 1 << ROIS_SHIFT) - 1),
+        "output.outcomes": (0, 2 * RESTED - 1),
+        EDGES: (0, corners[..., None]),
+        "geometry.rois": (0, arena[:, None, None]),
+        "geometry.starts": (0, arena[:, None, None]),
+        "geometry.boxes": (0, corners),
+        "geometry.roi_bits": (0, everything),
+        "geometry.codes": (0, everything),
+        "geometry.robots_in": (0, n),
+        "geometry.waypoints": (0, arena[:, None, None]),
+        "geometry.legs": (0, np.inf),
+        WAYS_IN: (0, np.array([[edges], [waypoints]])),
+    }
+
+
+def range_problem(
+    name: str, array: NDArray[Any], ends: tuple[Any, Any] | None, blanks: bool
+) -> list[str]:
+    """Return what is wrong with the first value that is not in its range; ``blanks`` may be NaN."""
+    kind = array.dtype.kind
+    if kind == "b":
+        array, ends = array.view(np.uint8), (0, 1)  # a file may have any byte
+    if ends is None:
+        if kind != "f":
+            return []
+        ends = -np.finfo(array.dtype).max, np.finfo(array.dtype).max
+    if np.ndim(ends[1]) == 0 and array.min() >= ends[0] and array.max() <= ends[1]:
+        return []  # the usual case, in one look
+    fine = (array >= ends[0]) & (array <= ends[1])
+    if blanks:
+        fine |= np.isnan(array)
+    if fine.all():
+        return []
+    place = tuple(np.argwhere(~fine)[0].tolist())
+    low, high = (np.broadcast_to(end, array.shape)[place] for end in ends)
+    allowed = f"{low:g} to {high:g}" if kind == "f" else f"{low} to {high}"
+    if kind == "f" and high == np.finfo(array.dtype).max:
+        allowed = "finite numbers from 0 on" if low == 0 else "finite numbers"
+    found = f"{name}{list(place)}{_world(name, place)}: {array[place]}"
+    return [f"{found}; allowed: {allowed}"]
+
+
+def _world(name: str, place: tuple[int, ...]) -> str:
+    """The world of an entry, in words."""
+    group = name.partition(".")[0]
+    if name in COUNTERS:
+        return ""
+    first = group in ("memory", "output") and name != "output.events"
+    return f" (world {place[0 if first else -1]})"
+
+
+def relation_problems(given: Mapping[str, NDArray[Any]], n: int, m: int, steps: int) -> list[str]:
+    """Return what is wrong between values that are all in their ranges."""
+    words, plan = given["memory.words"], given.get("memory.plan")
+    goes_on = ~given["memory.pending"] & (given["now.steps"] >= steps)
+    wrong = {
+        "now.steps": (goes_on, f"less than {steps} where memory.pending is not set"),
+        "memory.words": ((words & (words - np.uint64(1))) != 0, "powers of two"),
+    }
+    if plan is not None:
+        wrong["memory.plan"] = endless_orders(plan, n, m), "orders of ROIs that end"
+    return [
+        f"{name}: not so in world {np.argmax(worlds)}; allowed: {allowed}"
+        for name, (worlds, allowed) in wrong.items()
+        if worlds.any()
+    ]
+
+
+def problems_of(backend: Backend, given: Mapping[str, Any]) -> list[str]:
+    """Return why ``given`` cannot take the place of these worlds; either may have more room."""
+    arrays, (_, m, fields) = changing_arrays(backend), backend.geometry.rois.shape
+    optional = set(WAYS) if WAYS_IN in arrays and len(given.keys() & set(WAYS)) != 1 else set()
+    problems = [
+        f"{name}: {'unknown' if name in given else 'missing'}; allowed: what save_state() gives"
+        for name in sorted((given.keys() ^ arrays.keys()) - optional)
+    ]
+    edges, waypoints = _room(given)
+    nodes = m + waypoints
     tables = [(4, edges, fields), (2, waypoints, fields), (nodes, nodes, fields)]
     room = dict(zip((EDGES, *WAYS), tables, strict=True))
-    for name, array in given.items():
-        host = backend.host(arrays.get(name, rois))
-        allowed = room.get(name, host.shape)
-        if (array.shape, array.dtype) != (allowed, host.dtype):
-            raise MbnError(
-                f"worlds: {name} is {array.shape} of {array.dtype}; "
-                f"allowed: {allowed} of {host.dtype}, as these worlds have it"
-            )
+    ranges = limits(backend, edges, waypoints)
+    for name in given.keys() & (arrays.keys() | optional):
+        array, own = given[name], arrays.get(name, backend.geometry.rois)
+        allowed = room.get(name, tuple(own.shape)), backend.host(own[:0]).dtype
+        found = getattr(array, "shape", None), getattr(array, "dtype", type(array).__name__)
+        if not isinstance(array, np.ndarray) or found != allowed:
+            shapes = "{} of {}; allowed: {} of {}, as these worlds have it"
+            problems.append(f"{name}: {shapes.format(*found, *allowed)}")
+        else:
+            blanks = name == "memory.trail" and backend.spec.teams_vary
+            problems += range_problem(name, array, ranges.get(name), blanks)
+    n = backend.spec.actions_shape[1]
+    return sorted(problems) or relation_problems(given, n, m, backend.spec.config.max_steps)
+
+
+def _room(given: Mapping[str, Any]) -> tuple[int, int]:
+    """How many edges and waypoints saved tables have room for."""
+    shapes: list[Any] = [getattr(given.get(name), "shape", ()) for name in (EDGES, WAYS[0])]
+    edges, waypoints = (shape[1] if len(shape) == 3 else 0 for shape in shapes)
+    return edges, waypoints
+
+
+def restore_worlds(backend: Backend, saved: Mapping[str, NDArray[Any]]) -> None:
+    """Put ``saved`` in their place.
+
+    Raises:
+        ProblemsError: an array is not one that these worlds could have; all problems are listed.
+            Nothing has changed.
+    """
+    given = {name: array for name, array in saved.items() if 0 not in getattr(array, "shape", ())}
+    if problems := problems_of(backend, given):
+        raise ProblemsError("worlds", problems)
     if EDGES in given:
+        edges, waypoints = _room(given)
         backend.make_room(edges, waypoints)
         padding = backend.geometry.edges[:, edges:]
         padding[:2] = padding[2:] = backend.xp.asarray(given[EDGES][:2, :1])

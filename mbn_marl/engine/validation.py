@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeGuard, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,7 @@ SPACING = STARTS_APART / MILLI
 Autoreset = bool | Literal["disabled", "same_step", "next_step"]
 Device = Literal["cpu", "cuda"]
 
+MOST_WORLDS = 2**31 - 1
 ROUNDING = 1e-3
 """Units by which a start that was once rounded to float32 may miss what is allowed."""
 
@@ -57,8 +58,9 @@ def check_setup(
     problems = [*_number_problems("seed", seed), *_number_problems("first_world", first_world)]
     if device not in get_args(Device):
         problems.append(f"device: {device!r}; allowed: {', '.join(map(repr, get_args(Device)))}")
-    if not _positive(num_worlds):
-        problems.append(f"num_worlds: {num_worlds!r}; allowed: an integer of at least 1")
+    if not (_positive(num_worlds) and num_worlds <= MOST_WORLDS):
+        allowed = f"an integer from 1 to {MOST_WORLDS:,}, if memory is large enough"
+        problems.append(f"num_worlds: {num_worlds!r}; allowed: {allowed}")
     if threads is not None and not _positive(threads):
         problems.append(f"threads: {threads!r}; allowed: None or an integer of at least 1")
     for name in ("dynamics", *LIMITS):
@@ -171,8 +173,11 @@ def option_problems(options: object, allowed: Sequence[str]) -> list[str]:
         return []
     if not isinstance(options, Mapping):
         return [f"options: {type(options).__name__}; allowed: a dict, or None"]
-    names = options.keys() - {*allowed, "options"}  # PettingZoo's own tests give {"options": 1}
-    return [f"options: {name!r}: {unknown('option', str(name), allowed)}" for name in names]
+    return [
+        f"options: {name!r}: {unknown('option', str(name), allowed)}"
+        for name in options
+        if name not in (*allowed, "options")  # PettingZoo's own tests give {"options": 1}
+    ]
 
 
 def reset_problems(seed: object, episode: object) -> list[str]:
@@ -186,13 +191,17 @@ def reset_problems(seed: object, episode: object) -> list[str]:
 
 def _number_problems(name: str, value: object) -> list[str]:
     """Return the problems of a seed, or of the number of a world or an episode."""
-    if isinstance(value, int | np.integer) and 0 <= int(value) < 2**63:
+    if _whole(value) and 0 <= int(value) < 2**63:
         return []
     return [f"{name}: {value!r}; allowed: an integer from 0 to 2**63 - 1"]
 
 
+def _whole(value: object) -> TypeGuard[int | np.integer[Any]]:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
 def _positive(value: object) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
+    return _whole(value) and int(value) >= 1
 
 
 def _given_starts_problems(starts: NDArray[Any], config: NavigationConfig, n: int) -> list[str]:

@@ -160,6 +160,8 @@ def load_episode(path: str | Path) -> Episode:
         OSError: the file cannot be read.
     """
     path = Path(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would wait for ever
+        raise EpisodeError(str(path), ["file: no regular file; allowed: a file"])
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:  # not text, not JSON, or nested without end

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from pydantic import Field as Described
 from pydantic import PlainValidator, ValidationInfo, field_validator
 
-from mbn_marl.checked import Checked
+from mbn_marl.checked import Checked, RealNumber, WholeNumber
 from mbn_marl.config import MAX_ROBOTS, MAX_ROIS
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import layout
@@ -56,7 +56,7 @@ def _counts(most: int) -> Any:
 
 _LEAST_SIZE = least_size(1, 1)
 _SIZES = f"a number of units from {_LEAST_SIZE:g} to {MAX_COORDINATE:g}"
-_Side = Annotated[float, Described(gt=0.0, le=MAX_COORDINATE)]
+_Side = Annotated[RealNumber, Described(gt=0.0, le=MAX_COORDINATE)]
 
 
 class FieldSampler(Checked):
@@ -89,8 +89,8 @@ class FieldSampler(Checked):
     size: Annotated[
         tuple[float, float], PlainValidator(_range_of(float, _LEAST_SIZE, MAX_COORDINATE, _SIZES))
     ]
-    weights: tuple[Annotated[float, Described(ge=0.0, allow_inf_nan=False)], ...] | None
-    seed: Annotated[int, Described(ge=0, le=MAX_SEED)]
+    weights: tuple[Annotated[RealNumber, Described(ge=0.0, allow_inf_nan=False)], ...] | None
+    seed: Annotated[WholeNumber, Described(ge=0, le=MAX_SEED)]
 
     def __init__(
         self,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbn_marl import BatchEngine, Field, load_field, parallel_env
+from mbn_marl import BatchEngine, Field, FieldSampler, Uniform, load_field, parallel_env
 from mbn_marl.config import NavigationConfig, RewardProfile, make_config
 from mbn_marl.engine.mdp.revisits import ODD_LINES
 from mbn_marl.engine.readings import METRICS
@@ -71,7 +71,7 @@ BAD_MASKS: list[tuple[Any, list[str]]] = [
     (True, ["()"]),
     ([[True], [True, False]], []),
 ]
-BAD_SEEDS = [-1, 2**63, 1.5, "seven", float("nan")]
+BAD_SEEDS = [-1, 2**63, 1.5, "seven", float("nan"), True]
 Call = tuple[Callable[[BatchEngine], object], type[Exception], list[str]]
 BAD_CALLS: list[Call] = [
     *((lambda e, a=a: e.step(a), ActionError, ["actions", *w]) for a, w in BAD_ACTIONS),
@@ -213,6 +213,13 @@ BAD_SETTINGS: list[tuple[dict[str, Any], set[str]]] = [
     ({"starts": [[1, 2], [3]]}, {"starts"}),
     ({"num_worlds": 0}, {"num_worlds"}),
     ({"num_worlds": 1.5}, {"num_worlds"}),
+    ({"num_worlds": 10**12}, {"num_worlds"}),
+    ({"max_steps": 10**6, "num_worlds": 2**31 - 1}, {"num_worlds"}),  # no machine has room
+    ({"n_robots": "3", "mass": True, "one_hot": "yes"}, {"n_robots", "mass", "one_hot"}),
+    ({"n_robots": True, "random_starts": 1}, {"n_robots", "random_starts"}),
+    ({"mass": (1.0, True, "2")}, {"mass.1", "mass.2"}),
+    ({"gust": {"low": True, "high": 2}, "max_steps": "9"}, {"gust.low", "max_steps"}),
+    ({"first_world": True}, {"first_world"}),
     ({"threads": 0}, {"threads"}),
     ({"autoreset": "sometimes"}, {"autoreset"}),
     ({"device": "tpu"}, {"device"}),
@@ -303,6 +310,15 @@ def test_a_world_that_is_left_out_keeps_its_outcome() -> None:
     engine.reset_worlds(np.array([False, True]))
     engine.step(still, np.array([False, True]))
     assert engine.snapshot(0).collision and not engine.snapshot(0).success
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: Uniform(True, 2), lambda: FieldSampler(arena=("700", True), seed=True)]
+)
+def test_truth_values_and_words_are_no_numbers(make: Callable[[], object]) -> None:
+    with pytest.raises(ConfigError, match="Input should be a number") as caught:
+        make()
+    assert len(caught.value.problems) in (1, 3)
 
 
 @pytest.mark.parametrize("model", [RewardProfile, NavigationConfig])

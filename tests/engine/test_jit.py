@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from mbn_marl.compiled import jit, part
 from mbn_marl.compiled.jit import SOURCES, compiled, digest_of_sources, returning_views
 
 pytestmark = pytest.mark.slow
+PACKAGE = Path(mbn_marl.__file__).parents[1]
 PROBE = """
 from mbn_marl.engine.mdp.dynamics import next_velocity
 
@@ -28,20 +30,24 @@ print(next_velocity(1.0, 2.0, 1.0, 0.5, 5.0), sum(next_velocity.alone.stats.cach
 """
 
 
-def probe(folder: Path, cache: Path) -> list[str]:
-    """Return what a rule computes in a new process, and the number of hits in the cache."""
+def probe(folder: Path, cache: Path, warning: str = "", largest: int = -1) -> list[str]:
+    """Return what a rule computes in a new process, and the number of hits in the cache.
+
+    ``warning`` is in exactly one line of its errors; no file may grow beyond ``largest`` bytes.
+    """
     environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)}
-    command = [sys.executable, "-c", PROBE]
     done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", PROBE],
+        **{"cwd": folder, "env": environment, "capture_output": True, "text": True, "check": True},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (largest, -1)),
     )
+    assert not warning or sum(warning in line for line in done.stderr.splitlines()) == 1
     return done.stdout.split()
 
 
 def test_cache_is_used_and_renewed(tmp_path: Path) -> None:
-    package = Path(mbn_marl.__file__).parent
     for name in ("mbn_marl", "envs_catalog"):
-        shutil.copytree(package.parent / name, tmp_path / name)
+        shutil.copytree(PACKAGE / name, tmp_path / name)
     assert probe(tmp_path, tmp_path / "nb") == ["3.5", "0"]
     assert probe(tmp_path, tmp_path / "nb") == ["3.5", "1"]
     wind = tmp_path / "mbn_marl" / "engine" / "mdp" / "disturbances.py"  # of another rule
@@ -56,6 +62,36 @@ def test_engine_without_its_compiler_is_refused() -> None:
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode and "MbnError: NUMBA_DISABLE_JIT: " in done.stderr
+
+
+@pytest.fixture(scope="module")
+def whole_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What one process has left."""
+    folder = tmp_path_factory.mktemp("whole")
+    assert probe(PACKAGE, folder) == ["3.5", "0"]
+    return folder
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("damage", ["empty", "cut", "garbage", "one byte"])
+def test_damaged_code_is_compiled_again(
+    suffix: str, damage: str, whole_cache: Path, tmp_path: Path
+) -> None:
+    cache = Path(shutil.copytree(whole_cache, tmp_path / "cache"))
+    (place,) = cache.rglob(f"*{suffix}")
+    whole = place.read_bytes()
+    half = len(whole) // 2
+    changed = whole[:half] + bytes([whole[half] ^ 4]) + whole[half + 1 :]
+    damaged = {"empty": b"", "cut": whole[:half], "garbage": whole[::-1], "one byte": changed}
+    place.write_bytes(damaged[damage])
+    warned = (suffix, damage) != (".nbi", "one byte")  # that may be another key, of no code
+    assert probe(PACKAGE, cache, f"{place} is damaged" if warned else "") == ["3.5", "0"]
+    assert probe(PACKAGE, cache) == ["3.5", "1"]
+
+
+def test_code_that_cannot_be_kept_is_used(tmp_path: Path) -> None:
+    for _ in range(2):
+        assert probe(PACKAGE, tmp_path, f"{tmp_path}", largest=100) == ["3.5", "0"]
 
 
 def test_only_what_python_calls_becomes_machine_code() -> None:

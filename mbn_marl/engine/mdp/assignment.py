@@ -13,8 +13,10 @@ Source: this package.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbn_marl.compiled.jit import compiled
 from mbn_marl.compiled.scalars import column, count_bits
@@ -28,6 +30,8 @@ from mbn_marl.engine.mdp.ways import (
     in_sight,
     length,
 )
+
+Floats = NDArray[np.floating[Any]]
 
 STRAIGHT, NO_WAY = -1, -2
 """In place of a first waypoint: the ROI is in straight sight, or no way is known."""
@@ -46,6 +50,28 @@ GO = np.float32(40)
 def plan_size(n: int, m: int) -> int:
     """How many numbers ``Memory.plan`` has of a world with n robots and m ROIs."""
     return 2 * n + 3 * m + 3 * n * m
+
+
+def plan_limits(n: int, m: int, waypoints: int) -> tuple[Floats, Floats]:
+    """The least and the greatest value of each number of a world in ``Memory.plan``."""
+    most = np.full(plan_size(n, m), np.finfo(np.float32).max)
+    low = -most
+    first, after, via = 2 * n, 2 * n + 3 * m, 2 * n + 3 * m + n * m
+    low[n:after], most[n:after] = END, m - 1
+    most[first : first + m], most[first + m : first + 2 * m] = n - 1, 1
+    low[via : via + n * m], most[via : via + n * m] = NO_WAY, max(waypoints - 1, END)
+    return low, most
+
+
+def endless_orders(plan: Floats, n: int, m: int) -> NDArray[np.bool_]:
+    """In which worlds a robot's order of ROIs comes back to one of them, (W,); all in range."""
+    worlds, at = np.arange(len(plan))[:, None], plan[:, n : 2 * n].astype(int)
+    after = plan[:, 2 * n + 2 * m : 2 * n + 3 * m].astype(int)
+    after = np.append(after, np.full((len(plan), 1), END), axis=1)  # END is followed by END
+    for _ in range(m):
+        at = after[worlds, at]
+    endless: NDArray[np.bool_] = (at != END).any(axis=1)
+    return endless
 
 
 @compiled

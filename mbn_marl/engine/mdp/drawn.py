@@ -110,6 +110,15 @@ def rows_drawn(config: NavigationConfig, n: int) -> int:
     return FIRST_LIMIT + len(LIMITS) * n if is_drawn(config) else 0
 
 
+def drawn_limits(ranges: NDArray[np.float64], real: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The least and the greatest value of each row of ``Episode.drawn``, (rows, 1); 0 as well."""
+    most = np.full((FIRST, 1), np.finfo(real).max)
+    low, high = ranges[LOW, :, None], (ranges[LOW] + ranges[WIDTH])[:, None]
+    rows = np.append(-most, np.minimum(low, 0)), np.append(most, np.maximum(high, 0))
+    least, greatest = (ends[:, None].astype(real) for ends in rows)
+    return least, greatest
+
+
 def rows_of_drawn(config: NavigationConfig, n: int) -> dict[str, int]:
     """The row in ``Episode.drawn`` of each number that is drawn, by name."""
     names = [name for name, _ in _columns(config, n)]

@@ -9,17 +9,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pandas import DataFrame
 
 from baselines.algorithms import ALGORITHMS
 from baselines.compare.records import find_records, ordered
 from baselines.compare.results import Results
 from baselines.compare.summary import THRESHOLDS, summarise
 from baselines.compare.tables import gaps, print_comparison
+from baselines.compare.text_table import TextTable, csv_text
 from baselines.console import WholeCells
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import NavigationConfig
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, load_field, load_fields
 from tests.support.records import make_run
 
@@ -215,13 +217,13 @@ def test_what_may_not_be_compared_is_refused_by_place(tmp_path: Path) -> None:
 
 
 def test_labels_may_name_different_tasks(tmp_path: Path) -> None:
-    runs = [make_run(tmp_path), make_run(tmp_path, label="in wind", environment=WIND)]
+    runs = [make_run(tmp_path), make_run(tmp_path, label="in_wind", environment=WIND)]
     assert [*Results.of(runs[:1]).optima] == ["field_03"]
     comparison = summarise(Results.of(runs))
     assert not comparison.aggregates and comparison.unproved == ["field_03"]
     (line,) = gaps(comparison).lines
     cells = dict(zip(comparison.looks, line[1:], strict=True))
-    assert cells["in wind"] == "-" and cells["mappo"].endswith("%")
+    assert cells["in_wind"] == "-" and cells["mappo"].endswith("%")
     with pytest.raises(ConfigError, match=r"environment\.wind: "):
         Results.of([runs[0], make_run(tmp_path, algorithm="ppo", environment=WIND)])
 
@@ -246,3 +248,64 @@ def test_runs_on_random_fields_are_left_out(tmp_path: Path) -> None:
     assert notes == [f"left out: {random}, trained on random fields"]
     with pytest.raises(RunError, match=str(random)):
         find_records([random])
+
+
+@pytest.mark.parametrize(
+    ("file", "path", "value"),
+    [
+        *(("config.json", ["label"], bad) for bad in (3, ["a"], {"a": 1}, "a | b", "a\nb", "=1")),
+        *(("config.json", ["algorithm"], bad) for bad in ("<b>x", 3, ["mappo"], None)),
+        *(("config.json", ["setting"], bad) for bad in ("<b>", "A", None, [])),
+        *(("config.json", ["seed"], bad) for bad in ("a", -5, 1.5, True, 2**32)),
+        *(("config.json", ["steps"], bad) for bad in ("many", 10**30, 0, float("nan"))),
+        ("config.json", ["episodes"], "x"),
+        ("config.json", ["evaluate_every"], None),
+        *(("config.json", ["environment"], bad) for bad in (None, [1], "calm")),
+        ("config.json", ["environment", "evil"], 1),
+        ("config.json", ["hyperparameters"], None),
+        *(("config.json", [], bad) for bad in ([1], "x", None)),
+        *(
+            ("evaluation.json", ["stochastic", "return_mean"], bad)
+            for bad in ("x", float("nan"), float("inf"), 1e308, None, True)
+        ),
+        *(("evaluation.json", ["deterministic", "success_rate"], bad) for bad in (5.0, -1, "1")),
+        *(("evaluation.json", ["stochastic", "makespan"], bad) for bad in ("x", -1.0)),
+        *(("evaluation.json", ["env_steps"], bad) for bad in (-7, 1.5, "x")),
+        *(("evaluation.json", ["seconds"], bad) for bad in ("x", -1, float("inf"))),
+        *(("evaluation.json", ["stochastic"], bad) for bad in ([1], None, 3)),
+        ("evaluation.json", [], [1]),
+        ("evaluations.json", [], {"a": 1}),
+        ("evaluations.json", [], []),
+        ("evaluations.json", [], [1]),
+        ("evaluations.json", [0, "return_mean"], float("nan")),
+        ("evaluations.json", [0, "seconds"], "x"),
+    ],
+)
+def test_an_entry_that_no_run_writes_is_named(
+    file: str, path: list[Any], value: Any, tmp_path: Path
+) -> None:
+    place = make_run(tmp_path).run.path / file
+    content = json.loads(place.read_text())
+    holder = content
+    for step in path[:-1]:
+        holder = holder[step]
+    if path:
+        holder[path[-1]] = value
+    place.write_text(json.dumps(content if path else value))
+    with pytest.raises(MbnError) as caught:
+        find_records([tmp_path])
+    assert str(place) in str(caught.value)
+    assert not path or str(path[-1]) in str(caught.value)
+
+
+def test_words_stay_in_their_cells() -> None:
+    words = ("a | b\n## c", "<img src=x>", r"\input{x}$^~")
+    table = TextTable("c", ("x", "y", "z"), (words,), words=3)
+    assert table.markdown().splitlines()[-1] == r"| a \| b ## c | &lt;img src=x> | \input{x}$^~ |"
+    shown = r"\textbackslash{}input\{x\}\$\textasciicircum{}\textasciitilde{}"
+    assert rf"a | b \#\# c & \textless{{}}img src=x\textgreater{{}} & {shown} \\" in table.latex(
+        "t"
+    )
+    signs = DataFrame({"label": ["=1+2", "+1", "-x", "@x", "plain"], "number": [-1.0, 2, 3, 4, 5]})
+    rows = ["label,number", "'=1+2,-1.0", "'+1,2.0", "'-x,3.0", "'@x,4.0", "plain,5.0"]
+    assert csv_text(signs).splitlines() == rows
