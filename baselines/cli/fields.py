@@ -31,8 +31,8 @@ class Fields:
     """Of each random field."""
     rois: int = 6
     """Of each random field."""
-    size: tuple[float, float] = (110.0, 420.0)
-    """From what to what a random field's longest side is drawn, units."""
+    size: tuple[float, float] | None = None
+    """The longest side of random fields, from and to, units; by default 110 420, or more."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
     """The folder to write random fields to, each as a field file."""
     figure: Path | None = None
@@ -54,9 +54,8 @@ class Fields:
             self._draw(fields, self.figure)
 
     def _check(self) -> None:
-        untouched = {name: getattr(Fields, name) for name in ("seed", "count", "robots", "rois")}
-        own = [name for name, value in untouched.items() if getattr(self, name) != value]
-        own += ["size"] * (self.size != Fields.size) + ["out"] * (self.out is not None)
+        names = ("seed", "count", "robots", "rois", "size", "out")
+        own = [name for name in names if getattr(self, name) != getattr(Fields, name)]
         wrong: dict[str, object] = {
             f"{', '.join(own)}: only with --generate": own and not self.generate,
             "generate: not with names or files": self.generate and self.fields,

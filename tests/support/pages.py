@@ -79,6 +79,12 @@ def blocks_of(page: Path) -> list[Block]:
     ]
 
 
+def code_in_tables(page: Path) -> list[str]:
+    """The inline code in the cells of a page's tables, in order."""
+    rows = [line for line in page.read_text(encoding="utf-8").splitlines() if line[:1] == "|"]
+    return re.findall(r"`([^`]+)`", "\n".join(rows))
+
+
 def commands_of(block: Block) -> Iterator[list[str]]:
     """The command lines of a block for the shell, as words, without comments."""
     for line in block.text.replace("\\\n", " ").splitlines():
