@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import tomllib
@@ -103,7 +104,9 @@ def write_file(block: Block, folder: Path) -> None:
 
 
 def write_own_files(folder: Path) -> None:
-    """Write what the reader is taken to have: a field, and an episode on it."""
+    """Write what the reader is taken to have: a map, a field, and an episode on it."""
+    ring = [[0, 0], [400, 0], [400, 300], [0, 300], [0, 0]]
+    (folder / "farm.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
     catalogue = (ROOT / "envs_catalog" / "field_03.yaml").read_text(encoding="utf-8")
     field = folder / "my_field.yaml"
     field.write_text(catalogue.replace("field_03", "my_field"), encoding="utf-8")
