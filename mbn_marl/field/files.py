@@ -78,7 +78,7 @@ def load_fields(source: str | os.PathLike[str]) -> Field | FieldSampler:
     with suppress(OSError, TypeError, ValueError):  # load_field says what is wrong
         if Path(source).is_file():
             document = parse_yaml(read_bytes(Path(source)), str(source))
-    if isinstance(document, Mapping) and document.get("format") == SAMPLER_FORMAT:
+    if _format_of(document) == SAMPLER_FORMAT:
         return _sampler_of_document(document, str(source))
     return load_field(source)
 
@@ -114,11 +114,13 @@ def _field_of_file(location: str) -> Field:
     if _MAP.match(data):
         say = f"a map (GeoJSON or WKT); 'mbn fields --from {path} -o FILE.yaml' makes a field of it"
         raise FieldError(path, [f"format: {say}"])
+    if re.match(rb"\s*\[\w+\]\s*\n", data):  # as the authors' wheeled robots have
+        raise FieldError(path, [f"format: an INI file; allowed: {FORMAT}, in YAML or JSON"])
     document = parse_yaml(data, path)
     name = name_from(Path(path).stem)
     if authors.is_collection(document):
         document, name = _chosen(document, wanted, path)
-    elif wanted is not None:
+    elif wanted is not None and (authors.is_field_set(document) or _format_of(document) == FORMAT):
         raise FieldError(path, [f"file: holds one field, there is no {wanted!r} to pick"])
     return _field_of_document(document, location, name)
 
@@ -151,6 +153,10 @@ def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
         raise FieldError(text, [f"file: cannot be read: {error}"]) from None
 
 
+def _format_of(document: object) -> object:
+    return document.get("format") if isinstance(document, Mapping) else None
+
+
 def _chosen(
     collection: Mapping[str, Any], wanted: str | None, path: str
 ) -> tuple[Mapping[str, Any], str]:
@@ -177,10 +183,13 @@ def _field_of_document(document: object, source: str, name: str) -> Field:
     """Return the field of a parsed document; ``name`` is used if the document has none."""
     if authors.is_field_set(document):
         return authors.field_from_set(document, source, name)
-    if isinstance(document, Mapping) and document.get("format") == SAMPLER_FORMAT:
+    if _format_of(document) == SAMPLER_FORMAT:
         raise FieldError(source, [f"format: {SAMPLER_FORMAT}, of random fields; allowed: {FORMAT}"])
     if not isinstance(document, Mapping) or "format" not in document:
-        raise FieldError(source, [f"format: missing; a field file starts with 'format: {FORMAT}'"])
+        say = f"missing; a field file starts with 'format: {FORMAT}'"
+        if authors.is_wheeled(document):
+            say = f"the authors' wheeled robots; allowed: {FORMAT}, or the authors' field sets"
+        raise FieldError(source, [f"format: {say}"])
     problems = []
     given = {key: value for key, value in document.items() if value is not None}
     content = {"vertices": [], "rois": [], "starts": [], **given}
