@@ -200,6 +200,11 @@ class TestRules:
         parallel_env(near, n_robots=1)
         parallel_env(square(starts=[(10, 10), (16, 18)]))
 
+    def test_degrees_as_units_are_warned_of(self) -> None:
+        parcel = Field([(5.1, 52.1), (5.2, 52.1), (5.2, 52.2)], [(5.18, 52.15)], [(5.15, 52.12)])
+        with pytest.warns(UserWarning, match="smaller than an ROI"):
+            parallel_env(parcel)
+
     def test_all_problems_at_once(self) -> None:
         problems = problems_of(
             vertices=[*SQUARE, (0.0, 0.0)],
