@@ -18,6 +18,7 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 
 import mbn_marl
+from baselines.cli.main import COMMANDS, main
 from docs.extensions import docstrings, notebooks
 from mbn_marl import parallel_env
 from mbn_marl.errors import ActionError, MbnError
@@ -30,6 +31,7 @@ from tests.support.pages import (
     TINY,
     blocks_of,
     check_command,
+    code_in_tables,
     commands_of,
     run_page,
     write_file,
@@ -63,6 +65,29 @@ def test_commands_exist_and_marks_are_known(
         marks = re.findall(r"(?m)^<!-- needs:(.*)-->$", page.read_text(encoding="utf-8"))
         assert {mark.strip() for mark in marks} <= {*NEEDS}, page
         assert len(marks) == sum(bool(block.needs) for block in blocks), page
+
+
+CALLS = re.compile(
+    r"(from|import) |(parallel_|centralized_)?env\(|BatchEngine\(|gymnasium\.|pettingzoo\."
+)
+
+
+@pytest.mark.parametrize("page", [README, ROOT / "docs" / "clients.md"], ids=lambda page: page.stem)
+def test_python_in_tables_runs(page: Path) -> None:
+    for code in filter(CALLS.match, code_in_tables(page)):
+        exec(f"import gymnasium, pettingzoo\nfrom mbn_marl import *\n{code}", {})
+
+
+def test_commands_in_tables_are_known() -> None:
+    for page in PAGES:
+        for code in code_in_tables(page):
+            words = code.split() if re.match(r"mbn |python -m ", code) else []
+            if len(words) == 2:
+                assert words[1] in COMMANDS, (page, code)
+            elif words and not re.search(r"\b[A-Z]+\b|\.\.", code):  # placeholders
+                check_command(words)
+                if words[1:3] == ["fields", "--generate"]:
+                    assert main(words[1:]) == 0
 
 
 @pytest.mark.all

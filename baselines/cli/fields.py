@@ -1,4 +1,4 @@
-"""``mbn fields``: fields as a table or as a figure, and random ones as files."""
+"""``mbn fields``: fields as a table or as a figure; random ones, or one of a map, as files."""
 
 from __future__ import annotations
 
@@ -17,24 +17,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Fields:
-    """List fields: robots, ROIs, edges, area, proved optimum. Or make random ones."""
+    """List fields: robots, ROIs, edges, area, proved optimum. Or make random ones, or a map's."""
 
     fields: Positional[Annotated[tuple[str, ...], arg(metavar="FIELD")]] = ()
     """Names or files; by default the whole catalogue."""
     generate: Annotated[tuple[str, ...], arg(metavar="FAMILY ...")] = ()
     """Random fields instead: of the families convex, concave, corridors, obstacles, farm."""
+    map: Annotated[str | None, arg(name="from", metavar="MAP")] = None
+    """A GeoJSON or WKT file, of which a field is made; MAP#NAME picks one of its polygons."""
+    metres_per_unit: float = 1.0
+    """The length of a unit, of a map."""
     seed: int = 0
     """Of the first random field of each family; the next one has the next seed."""
     count: int = 1
     """How many random fields of each family."""
     robots: int = 3
-    """Of each random field."""
+    """Of each random field, or of a map without starts."""
     rois: int = 6
-    """Of each random field."""
-    size: tuple[float, float] = (110.0, 420.0)
-    """From what to what a random field's longest side is drawn, units."""
+    """Of each random field, or of a map without ROIs."""
+    size: tuple[float, float] | None = None
+    """The longest side of random fields, from and to, units; by default 110 420, or more."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """The folder to write random fields to, each as a field file."""
+    """The folder to write random fields to, or the field file to make of a map."""
     figure: Path | None = None
     """Draw them in this file (.png, .pdf or .svg), side by side."""
     force: bool = False
@@ -46,23 +50,45 @@ class Fields:
 
         self._check()
         made = [self._make(family, k) for k in range(self.count) for family in self.generate]
+        made += self._mapped()
         fields = made or [load_field(name) for name in self.fields or catalogue_names()]
         self._print(fields)
         if self.out is not None:
-            self._write(fields, self.out)
+            random = [self.out / f"{field.name}.yaml" for field in fields]
+            self._write(fields, random if self.map is None else [self.out])
         if self.figure is not None:
             self._draw(fields, self.figure)
 
     def _check(self) -> None:
-        untouched = {name: getattr(Fields, name) for name in ("seed", "count", "robots", "rois")}
-        own = [name for name, value in untouched.items() if getattr(self, name) != value]
-        own += ["size"] * (self.size != Fields.size) + ["out"] * (self.out is not None)
+        names = ("seed", "count", "robots", "rois", "size", "out", "metres_per_unit")
+        own = [name for name in names if getattr(self, name) != getattr(Fields, name)]
+        of_sampler = [name for name in own if name in ("count", "size")]
+        of_map = [name for name in own if name == "metres_per_unit"]
+        made = self.generate or self.map
         wrong: dict[str, object] = {
-            f"{', '.join(own)}: only with --generate": own and not self.generate,
+            f"{', '.join(own)}: only with --generate or --from": own and not made,
+            f"{', '.join(of_sampler)}: only with --generate": of_sampler and self.map,
+            f"{', '.join(of_map)}: only with --from": of_map and self.generate,
             "generate: not with names or files": self.generate and self.fields,
+            "from: not with --generate, names or files": self.map
+            and (self.generate or self.fields),
             f"count: at least 1, not {self.count}": self.count < 1,
+            f"out: a name that ends in .yaml, not {self.out}": self.map
+            and self.out
+            and self.out.suffix not in (".yaml", ".yml"),
         }
         check_options("fields", wrong)
+
+    def _mapped(self) -> list[Field]:
+        """Return the field of the map, if there is one; print how it was read."""
+        if self.map is None:
+            return []
+        from mbn_marl.field import load_map
+
+        counts = {"robots": self.robots, "rois": self.rois, "seed": self.seed}
+        field, notes = load_map(self.map, metres_per_unit=self.metres_per_unit, **counts)
+        print("\n".join(notes))
+        return [field]
 
     def _make(self, family: str, k: int) -> Field:
         from mbn_marl.field import generate
@@ -87,17 +113,16 @@ class Fields:
         title = "fields (makespan, return: proved optima, released rewards, no wind)"
         TextTable("", headings, tuple(lines)).print(title)
 
-    def _write(self, fields: Sequence[Field], folder: Path) -> None:
+    def _write(self, fields: Sequence[Field], paths: Sequence[Path]) -> None:
         from mbn_marl.field import save_field
         from mbn_marl.files import check_free, claim_file
 
-        paths = [folder / f"{field.name}.yaml" for field in fields]
         for path in paths:
             check_free(path, force=self.force)
-        folder.mkdir(parents=True, exist_ok=True)
         for field, path in zip(fields, paths, strict=True):
+            path.parent.mkdir(parents=True, exist_ok=True)
             save_field(field, claim_file(path, force=self.force))
-        print(f"{len(paths)} written to {folder}")
+        print(f"{len(paths)} written to {self.out}")
 
     def _draw(self, fields: Sequence[Field], path: Path) -> None:
         from mbn_marl.files import claim_file

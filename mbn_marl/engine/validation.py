@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypeGuard, get_args
 
@@ -245,11 +246,16 @@ def field_problems(
 ) -> list[str]:
     """Return why this field does not fit this configuration.
 
-    Given starts may be those of an episode that drew a small safety distance.
+    Given starts may be those of an episode that drew a small safety distance. A field that is
+    smaller than an ROI is a warning.
     """
     lowest = config.with_drawn({name: ends.low for name, ends in config.drawn.items()})
     config = config.at_most() if given_starts is None else lowest
     problems = []
+    sides = np.ptp(field.vertices, axis=0)
+    if np.hypot(*sides) <= config.roi_radius:
+        small = f"{field.name}: {sides[0]:.3g} x {sides[1]:.3g} units, smaller than an ROI's radius"
+        warnings.warn(f"{small}; 'mbn fields --from' reads a map in degrees", stacklevel=2)
     room = int(field.polygon.area / (2 * max(config.safety_distance, 1.0)) ** 2)
     random = config.random_starts and n <= room
     if given_starts is None and n > len(field.starts) and not random:

@@ -32,6 +32,13 @@ def is_collection(document: object) -> TypeGuard[Mapping[str, Any]]:
     return all(map(is_field_set, document.values()))
 
 
+def is_wheeled(document: object) -> bool:
+    """Return whether ``document`` is of the authors' wheeled robots, or names of such."""
+    if not isinstance(document, Mapping):
+        return False
+    return {"screen", "robots"} <= document.keys() or any(map(is_wheeled, document.values()))
+
+
 def field_from_set(document: Mapping[str, Any], source: str, name: str) -> Field:
     """Return the field of one set, in arena units.
 

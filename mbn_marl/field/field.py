@@ -27,15 +27,16 @@ DEFAULT_ARENA: Point = (1000.0, 1000.0)
 class Field:
     """A polygon with holes, its ROIs and the robots' starts, in arena units.
 
-    The field is a closed set: it contains the boundaries of the outline and of the holes.
+    The field is a closed set: it contains the boundaries of the outline and of the holes, and ROIs
+    and starts that are outside by at most 1e-9 of its longer side count as on them.
     Fields compare and hash by value, and can be pickled.
 
     Args:
         vertices: corners of the outline in order, (k, 2) in units, in either direction, the first
             not repeated at the end; at least 3, at most 500 with those of the holes.
         rois: the regions of interest, (m, 2) in units, 1 to 24, inside the field.
-        starts: the robots' starts, (s, 2) in units, 1 to 64, inside the field, at least 10 units
-            apart. There can be up to s robots.
+        starts: the robots' starts, (s, 2) in units, 1 to 64, inside the field; in an environment at
+            least its ``safety_distance`` apart. There can be up to s robots.
         holes: obstacles, at most 64, each a list of corners (k, 2) in units; inside the outline,
             touching neither it nor another hole.
         arena: width and height in units; everything is in ``[0, width] x [0, height]``.

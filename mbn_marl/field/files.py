@@ -25,6 +25,15 @@ from mbn_marl.field.sampler import FieldSampler
 from mbn_marl.field.schema import FORMAT, SAMPLER_FORMAT, FieldFile
 from mbn_marl.files import replacing
 
+FILE_SUFFIXES = (".yaml", ".yml", ".json", ".geojson", ".wkt", ".ini")
+"""Names that end so are paths, not names of fields."""
+_MAP = re.compile(
+    rb"\W*((SRID=\d+;)?(MULTI)?(POLYGON|POINT)\b|GEOMETRYCOLLECTION\b|"
+    rb"\{[^{]*\"type\"\s*:\s*\"(Feature|FeatureCollection|(Multi)?Polygon|GeometryCollection)\")",
+    re.IGNORECASE,
+)
+"""The beginning of a map in WKT or GeoJSON."""
+
 
 def load_field(source: str | os.PathLike[str] | Field) -> Field:
     """Load the field with a catalogue name or from a file; return a :class:`Field` unchanged.
@@ -68,8 +77,8 @@ def load_fields(source: str | os.PathLike[str]) -> Field | FieldSampler:
     document = None
     with suppress(OSError, TypeError, ValueError):  # load_field says what is wrong
         if Path(source).is_file():
-            document = parse_yaml(_read(Path(source)), str(source))
-    if isinstance(document, Mapping) and document.get("format") == SAMPLER_FORMAT:
+            document = parse_yaml(read_bytes(Path(source)), str(source))
+    if _format_of(document) == SAMPLER_FORMAT:
         return _sampler_of_document(document, str(source))
     return load_field(source)
 
@@ -100,37 +109,52 @@ def _catalogue_field(name: str) -> Field:
 
 def _field_of_file(location: str) -> Field:
     """Load the field from the file at ``location``, which may end in ``#name``."""
-    path, wanted = location, None
-    try:
-        if not Path(path).exists() and "#" in path:
-            path, wanted = path.rsplit("#", 1)
-        data = _read(Path(path))
-    except FieldError:  # a ValueError, too
-        raise
-    except (OSError, ValueError) as error:
-        raise FieldError(location, [f"file: cannot be read: {error}"]) from None
+    path, wanted = split_location(location)
+    data = read_bytes(Path(path))
+    if _MAP.match(data):
+        say = f"a map (GeoJSON or WKT); 'mbn fields --from {path} -o FILE.yaml' makes a field of it"
+        raise FieldError(path, [f"format: {say}"])
+    if re.match(rb"\s*\[\w+\]\s*\n", data):  # as the authors' wheeled robots have
+        raise FieldError(path, [f"format: an INI file; allowed: {FORMAT}, in YAML or JSON"])
     document = parse_yaml(data, path)
-    name = _name_from(Path(path).stem)
+    name = name_from(Path(path).stem)
     if authors.is_collection(document):
         document, name = _chosen(document, wanted, path)
-    elif wanted is not None:
+    elif wanted is not None and (authors.is_field_set(document) or _format_of(document) == FORMAT):
         raise FieldError(path, [f"file: holds one field, there is no {wanted!r} to pick"])
     return _field_of_document(document, location, name)
 
 
-def _read(path: Path) -> bytes:
-    """Read a regular file, at most one byte more than a field file may have."""
+def split_location(location: str) -> tuple[str, str | None]:
+    """Return a file's path, and the name after ``#``, if there is one, of what is picked in it."""
+    if "#" in location and not os.path.lexists(location):
+        path, wanted = location.rsplit("#", 1)
+        return path, wanted
+    return location, None
+
+
+def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
+    """Read a regular file, at most one byte more than ``most``."""
     text = str(path)
-    if not path.exists():
-        is_path = os.sep in text or text.endswith((".yaml", ".yml", ".json"))
-        name = f"{unknown('field', text, catalogue_names())}, or a file's path"
-        if text in sampler_names():
-            name = f"{text} is a sampler of random fields; allowed: one field"
-        raise FieldError(text, ["file: does not exist" if is_path else name])
-    if not path.is_file():
-        raise FieldError(text, ["file: not a regular file"])
-    with path.open("rb") as stream:
-        return stream.read(MAX_BYTES + 1)
+    try:
+        if not path.exists():
+            is_path = os.sep in text or path.suffix in FILE_SUFFIXES
+            name = f"{unknown('field', text, catalogue_names())}, or a file's path"
+            if text in sampler_names():
+                name = f"{text} is a sampler of random fields; allowed: one field"
+            raise FieldError(text, ["file: does not exist" if is_path else name])
+        if not path.is_file():
+            raise FieldError(text, ["file: not a regular file"])
+        with path.open("rb") as stream:
+            return stream.read(most + 1)
+    except FieldError:  # a ValueError, too
+        raise
+    except (OSError, ValueError) as error:
+        raise FieldError(text, [f"file: cannot be read: {error}"]) from None
+
+
+def _format_of(document: object) -> object:
+    return document.get("format") if isinstance(document, Mapping) else None
 
 
 def _chosen(
@@ -139,7 +163,7 @@ def _chosen(
     if wanted is None and len(collection) == 1:
         (wanted,) = collection
     if wanted is not None and wanted in collection:
-        return collection[wanted], _name_from(wanted)
+        return collection[wanted], name_from(wanted)
     names = ", ".join(collection)
     problem = "holds several sets" if wanted is None else f"holds no set {wanted!r}"
     raise FieldError(path, [f"file: {problem}; pick one as 'path#name', name one of: {names}"])
@@ -159,10 +183,13 @@ def _field_of_document(document: object, source: str, name: str) -> Field:
     """Return the field of a parsed document; ``name`` is used if the document has none."""
     if authors.is_field_set(document):
         return authors.field_from_set(document, source, name)
-    if isinstance(document, Mapping) and document.get("format") == SAMPLER_FORMAT:
+    if _format_of(document) == SAMPLER_FORMAT:
         raise FieldError(source, [f"format: {SAMPLER_FORMAT}, of random fields; allowed: {FORMAT}"])
     if not isinstance(document, Mapping) or "format" not in document:
-        raise FieldError(source, [f"format: missing; a field file starts with 'format: {FORMAT}'"])
+        say = f"missing; a field file starts with 'format: {FORMAT}'"
+        if authors.is_wheeled(document):
+            say = f"the authors' wheeled robots; allowed: {FORMAT}, or the authors' field sets"
+        raise FieldError(source, [f"format: {say}"])
     problems = []
     given = {key: value for key, value in document.items() if value is not None}
     content = {"vertices": [], "rois": [], "starts": [], **given}
@@ -180,6 +207,6 @@ def _field_of_document(document: object, source: str, name: str) -> Field:
     return field
 
 
-def _name_from(text: str) -> str:
+def name_from(text: str) -> str:
     """Turn ``text`` into a valid field name."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", text).lstrip("_.-")[:MAX_NAME] or "custom"

@@ -6,6 +6,7 @@ from mbn_marl.config import NavigationConfig
 
 SAFETY_DISTANCE: float = NavigationConfig.model_fields["safety_distance"].default
 """Starts closer than this (in units) would be a collision at the reset."""
+ROI_RADIUS: float = NavigationConfig.model_fields["roi_radius"].default
 MAX_COORDINATE = 1e6
 """The longest side of an arena, in units: beyond it float32 positions are 1/8 apart or more."""
 MAX_VERTICES = 500  # corners of the outline and all holes together

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from itertools import accumulate
 from numbers import Integral, Real
@@ -22,7 +22,6 @@ from mbn_marl.field.field import DEFAULT_ARENA, Field
 from mbn_marl.field.limits import MAX_COORDINATE
 
 Family = Literal["convex", "concave", "corridors", "obstacles", "farm"]
-DEFAULT_SIZE = (110.0, 420.0)
 MAX_SEED, MAX_EPISODE = 2**63 - 1, 2**32 - 1
 """Numbers of worlds go as far as seeds."""
 
@@ -32,10 +31,18 @@ def least_size(robots: int, rois: int) -> float:
     return 10.0 * max(10, math.ceil(5.0 * math.sqrt(robots + rois / 3) - 2.0))
 
 
+def _least_of(known: Mapping[str, Any]) -> tuple[float, str]:
+    """Return the least size for the most robots and ROIs of a sampler, and their numbers."""
+    robots, rois = (known.get(name, (1, 1))[1] for name in ("robots", "rois"))
+    return least_size(robots, rois), f"{robots} robots and {rois} ROIs"
+
+
 def _range_of(kind: type, least: float, most: float, allowed: str) -> Callable[[Any], Any]:
     """Return what makes a range ``(low, high)`` of a number or a range."""
 
-    def read(value: object) -> tuple[Any, Any]:
+    def read(value: object) -> tuple[Any, Any] | None:
+        if value is None and kind is float:
+            return None  # a default that depends on the other arguments
         ends = (value, value) if isinstance(value, Real) else value
         if not (isinstance(ends, Sequence) and len(ends) == 2 and not isinstance(ends, str)):
             raise ValueError(f"Input should be {allowed}, or a range (low, high)")
@@ -74,7 +81,8 @@ class FieldSampler(Checked):
         rois: how many ROIs, 1 to 24, or a range.
         arena: width and height in units, at most 1e6.
         size: the longest side of a field's bounding box, units, or a range; at most the arena's
-            shorter side, and not too small for the most robots and ROIs.
+            shorter side, and not too small for the most robots and ROIs. ``None``: 110 to 420, or
+            more for many robots and ROIs, or less in a small arena.
         weights: how often a family is drawn, one number >= 0 for each; ``None``: equally often.
         seed: 0 to 2^63 - 1.
 
@@ -97,7 +105,7 @@ class FieldSampler(Checked):
         families: Sequence[str] = ("convex",),
         robots: int | Sequence[int] = 3,
         rois: int | Sequence[int] = 6,
-        size: float | Sequence[float] = DEFAULT_SIZE,
+        size: float | Sequence[float] | None = None,
         arena: Sequence[float] = DEFAULT_ARENA,
         weights: Sequence[float] | None = None,
         seed: int = 0,
@@ -116,17 +124,28 @@ class FieldSampler(Checked):
             raise ValueError("Input should name at least one family")
         return families
 
+    @field_validator("arena")
+    @classmethod
+    def _roomy(cls, arena: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+        least, team = _least_of(info.data)
+        if min(arena) < least:
+            raise ValueError(f"Input should have sides of at least {least:g}, the least for {team}")
+        return arena
+
     @field_validator("size")
     @classmethod
-    def _fitting(cls, size: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+    def _fitting(
+        cls, size: tuple[float, float] | None, info: ValidationInfo
+    ) -> tuple[float, float] | None:
         known = info.data
-        if "arena" in known and size[1] > min(known["arena"]):
-            raise ValueError(f"Input should be at most the arena's side, {min(known['arena']):g}")
-        if "robots" in known and "rois" in known:
-            robots, rois = known["robots"][1], known["rois"][1]
-            if size[0] < (least := least_size(robots, rois)):
-                team = f"{robots} robots and {rois} ROIs"
-                raise ValueError(f"Input should be at least {least:g}, the least for {team}")
+        side = min(known.get("arena", DEFAULT_ARENA))
+        least, team = _least_of(known)
+        if size is None:
+            return min(max(110.0, least), side), min(max(420.0, 3.5 * least), side)
+        if size[1] > side:
+            raise ValueError(f"Input should be at most the arena's side, {side:g}")
+        if size[0] < least:
+            raise ValueError(f"Input should be at least {least:g}, the least for {team}")
         return size
 
     @field_validator("weights")
@@ -260,7 +279,7 @@ def generate(
     *,
     robots: int | Sequence[int] = 3,
     rois: int | Sequence[int] = 6,
-    size: float | Sequence[float] = DEFAULT_SIZE,
+    size: float | Sequence[float] | None = None,
     arena: Sequence[float] = DEFAULT_ARENA,
 ) -> Field:
     """Return the random field of a family and a seed, on every processor the same.

@@ -65,7 +65,7 @@ class FieldFile(BaseModel):
         description="Regions of interest; the first is the visit code's most significant bit."
     )
     starts: SkipValidation[Annotated[list[_Point], Len(1, MAX_ROBOTS)]] = Described(
-        description="Starts of the robots, at least the safety distance of 10 units apart."
+        description="Starts of the robots, at least the safety distance (10 by default) apart."
     )
 
 

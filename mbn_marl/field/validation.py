@@ -1,13 +1,11 @@
 """The rules of a valid field: each one is a small generator of problems.
 
-The field is a closed set that contains its boundary and those of its holes. Points are tested with
-shapely's exact predicates, so a start on a slanted edge counts as inside only where its
-floating-point coordinates lie exactly on the edge.
+The field is a closed set that contains its boundary and those of its holes. In floating point a
+point on a slanted edge is seldom exactly on it, so points within ``ROUNDING`` count as inside.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from itertools import combinations
 
@@ -15,8 +13,9 @@ import numpy as np
 import shapely
 
 from mbn_marl.field.geometry import FieldPoints, Point, PointList
-from mbn_marl.field.limits import SAFETY_DISTANCE
 
+ROUNDING = 1e-9
+"""How far outside ROIs and starts may be, as a share of the outline's longer side."""
 Rings = list[tuple[PointList, shapely.Polygon | None]]
 """Rings with their polygons, ``None`` for one that is not simple."""
 
@@ -34,7 +33,6 @@ def find_problems(points: FieldPoints) -> list[str]:
     problems.extend(_misplaced_holes(outline[1], holes))
     for entries in (points.rois, points.starts):
         problems.extend(_outside_field(entries, outline[1], holes))
-    problems.extend(_crowded_starts(points.starts))
     return problems
 
 
@@ -100,21 +98,16 @@ def _misplaced_holes(outline: shapely.Polygon | None, holes: Rings) -> Iterator[
 def _outside_field(
     points: PointList, outline: shapely.Polygon | None, holes: Rings
 ) -> Iterator[str]:
+    left, low, right, high = outline.bounds if outline else (0.0, 0.0, 0.0, 0.0)
+    rounding = ROUNDING * max(right - left, high - low)
     for k, coordinates in enumerate(points.points):
         point = shapely.Point(coordinates)
-        if outline is not None and not shapely.covers(outline, point):
+        if outline is not None and outline.distance(point) > rounding:
             yield f"{points.place(k)}: {coordinates} is outside the field"
         for ring, hole in holes:
-            if hole is not None and shapely.contains(hole, point):
+            if (
+                hole is not None
+                and hole.contains(point)
+                and hole.exterior.distance(point) > rounding
+            ):
                 yield f"{points.place(k)}: {coordinates} is inside {ring.label}"
-
-
-def _crowded_starts(starts: PointList) -> Iterator[str]:
-    distinct = starts.distinct()
-    for (j, a), (k, b) in combinations(enumerate(distinct.points), 2):
-        distance = math.dist(a, b)
-        if distance < SAFETY_DISTANCE:
-            yield (
-                f"{distinct.place(k)}: {distance:.6g} units from {distinct.place(j)}, "
-                f"less than the safety distance {SAFETY_DISTANCE:g}"
-            )

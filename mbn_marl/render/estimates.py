@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError
 from mbn_marl.render import style
-
-END = 0.9
-"""Where the second panel of a profile begins: what is left to the best possible score."""
 
 _WIDTH = 4.6  # inches: about that of a phone
 
@@ -65,11 +63,14 @@ def chances_figure(lines: Mapping[str, Interval], title: str) -> Figure:
 def profiles_figure(
     profiles: Mapping[str, Band], thresholds: NDArray[Any], score: str, looks: Mapping[str, int]
 ) -> Figure:
-    """Draw performance profiles: the share of runs above each threshold, whole and its end.
+    """Draw performance profiles: the share of runs above each threshold.
+
+    The axis is logarithmic in what a threshold lacks of 1, since good runs differ there, and begins
+    where the first profile falls.
 
     Args:
         profiles: for each line its shares and the ends of their band, (k,) each.
-        thresholds: (k,), increasing, of the ``score``.
+        thresholds: (k,), increasing up to 1, of the ``score``.
         score: the name of the x axis.
         looks: the number of each line's style.
 
@@ -78,19 +79,28 @@ def profiles_figure(
     """
     if not profiles:
         raise MbnError("profiles: there is nothing to draw")
-    figure = Figure(figsize=(_WIDTH, 5.2), layout="constrained")
-    grid = figure.subplots(2, 1)
-    for axes, first in zip(grid, (thresholds[0], END), strict=True):
-        for name, (share, low, high) in profiles.items():
-            look = style.series(looks[name])
-            axes.step(thresholds, share, where="post", c=look.colour, ls=look.dash, label=name)
-            tint = {"step": "post", "color": look.colour, "alpha": 0.18, "lw": 0}
-            axes.fill_between(thresholds, low, high, **tint)
-        axes.set(xlim=(first, thresholds[-1]), ylim=(-0.02, 1.02), ylabel="share of runs above it")
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter(PercentFormatter(1.0))
-        axes.grid(True)
-    grid[1].set_xlabel(score)
-    handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(profiles), 3))
+    figure = Figure(figsize=(_WIDTH, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    lacks = 1.0 - thresholds[:-1]  # more than 1 has none
+    for name, band in profiles.items():
+        share, low, high = (values[:-1] for values in band)
+        look = style.series(looks[name])
+        axes.step(lacks, share, where="post", c=look.colour, ls=look.dash)
+        falls = np.flatnonzero(np.diff(share, append=0.0))
+        marks: dict[str, Any] = {"marker": look.marker, "ms": 4, "c": look.colour}
+        axes.plot(lacks[falls], share[falls], ls="none", **marks)
+        axes.plot([], [], ls=look.dash, label=name, **marks)
+        axes.fill_between(lacks, low, high, step="post", color=look.colour, alpha=0.18, lw=0)
+    shares = np.stack([share for share, _, _ in profiles.values()])
+    fallen = np.flatnonzero((shares[:, :-1] < shares[:, :1]).any(axis=0))
+    first = max(fallen[0] - 1, 0) if len(fallen) and fallen[0] < len(lacks) - 1 else 0
+    axes.set(xscale="log", xlim=(lacks[first], lacks[-1]), ylim=(-0.02, 1.02))
+    ticks = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+    shown = [lack for lack in ticks if lacks[-1] * 0.99 <= lack <= lacks[first]]
+    axes.set_xticks(shown, [f"{1.0 - lack:.1%}".replace(".0", "") for lack in shown])
+    axes.minorticks_off()
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set(xlabel=score, ylabel="share of runs above it")
+    axes.grid(True)
+    figure.legend(loc="outside lower center", ncols=min(len(profiles), 3), handlelength=3.2)
     return figure

@@ -50,7 +50,7 @@ def fields_figure(fields: Sequence[Field]) -> Figure:
     Raises:
         MbnError: there is no field.
     """
-    figure, grid = _panels("fields", len(fields), 5, _FIELD_WIDTH, 2.15)
+    figure, grid = _panels("fields", len(fields), 5, _FIELD_WIDTH, 2.4)
     for axes, field in zip(grid, fields, strict=True):
         maps.draw_field(axes, field, roi_radius=maps.ROI_RADIUS, numbered=False)
         maps.draw_robots(axes, field.starts, size=7.5)

@@ -66,7 +66,9 @@ def draw_field(
         colour = style.ROI_VISITED if seen else style.ROI_OPEN
         tint = (colour, 0.28 if seen else 0.05)
         axes.add_patch(Circle((x, y), roi_radius, fc=tint, ec=colour, lw=0.7, zorder=2))
-        axes.plot([x], [y], **_roi_marker(bool(seen)), zorder=2.5)
+        # Above a robot's disc and below its number, so that neither hides the other.
+        halo = [withStroke(linewidth=2.0, foreground=style.WHITE)]
+        axes.plot([x], [y], **_roi_marker(bool(seen)), zorder=4.2, path_effects=halo)
         if numbered:
             axes.annotate(
                 f"$w_{{{number}}}$",
@@ -96,16 +98,17 @@ def fit_square(axes: Axes, field: Field) -> tuple[NDArray[np.float64], float]:
 
 
 def replace_ticks(axes: Axes, field: Field) -> None:
-    """Show a square about the field, with a scale bar of round length instead of ticks."""
-    (left, bottom), side = fit_square(axes, field)
+    """Show a square about the field, and a scale bar of round length below instead of ticks."""
+    (left, _), side = fit_square(axes, field)
     decade = 10.0 ** np.floor(np.log10(side / 3.0))
     bar = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= side / 3.0)
     axes.set(xticks=[], yticks=[], xlabel="", ylabel="")
     axes.spines[:].set_visible(False)
-    start, height = left + 0.05 * side, bottom + 0.05 * side
-    axes.plot([start, start + bar], [height, height], color=style.OUTLINE, lw=2.0)
-    end, text = (start + bar, height), f"{bar:g} units"
-    axes.annotate(text, end, (3, 0), textcoords="offset points", va="center", fontsize=7)
+    below: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "clip_on": False}
+    axes.plot([left, left + bar], [-0.06, -0.06], color=style.OUTLINE, lw=2.0, **below)
+    place: dict[str, Any] = {"xycoords": below["transform"], "textcoords": "offset points"}
+    place |= {"va": "center", "fontsize": 7, "annotation_clip": False}
+    axes.annotate(f"{bar:g} units", (left + bar, -0.06), (3, 0), **place)
 
 
 def draw_trails(
@@ -152,7 +155,7 @@ def draw_robots(
             fontsize=0.68 * size,
             fontweight="bold",
             color=style.ink_on(colour),
-            zorder=4,
+            zorder=4.4,
         )
 
 
@@ -238,4 +241,4 @@ def _roi_marker(visited: bool) -> dict[str, Any]:
     """Return the look of an ROI: hollow until visited, then filled and ticked."""
     if visited:
         return {"marker": "$\\checkmark$", "ms": 7, "color": style.ROI_VISITED, "ls": "none"}
-    return {"marker": "o", "ms": 4, "mfc": style.WHITE, "color": style.ROI_OPEN, "ls": "none"}
+    return {"marker": "o", "ms": 4, "mfc": "none", "color": style.ROI_OPEN, "ls": "none"}

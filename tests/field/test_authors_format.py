@@ -106,7 +106,7 @@ def test_problems_use_the_words_of_the_file(tmp_path: Path) -> None:
         write(
             tmp_path,
             "grid_size: 50\ncolour: red\nfield: [[0, 0], [40, 0], [40, 60], [0, 0]]\n"
-            "init_positions: [[30, 10], [30, 10.5], [x, 1]]\n",
+            "init_positions: [[30, 10], [30, 10], [x, 1]]\n",
         )
     )
     assert [problem.split(": ")[0] for problem in problems] == [
@@ -118,6 +118,22 @@ def test_problems_use_the_words_of_the_file(tmp_path: Path) -> None:
         text = TAGGED.replace("grid_size: 50", f"grid_size: {grid}")
         (problem,) = problems_of(write(tmp_path, text))
         assert problem.startswith("grid_size: "), grid
+
+
+@pytest.mark.parametrize("pick", ["", "#env1", "#other"])
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("wheeled.json", '{"env1": {"screen": {"width": 9}, "robots": {}, "goals": {}}}'),
+        ("one.json", '{"screen": {"width": 9}, "robots": {}, "obstacles": []}'),
+        ("env1.ini", "[SCREEN]\nWIDTH = 400\n\n[ROBOTS]\nLENGTH = 20\n"),
+    ],
+)
+def test_their_wheeled_robots_are_another_format(
+    tmp_path: Path, name: str, text: str, pick: str
+) -> None:
+    (problem,) = problems_of(f"{write(tmp_path, text, name)}{pick}")
+    assert problem.startswith("format: ")
 
 
 def test_other_tags_run_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

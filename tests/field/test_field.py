@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mbn_marl.errors import FieldError
+from mbn_marl import parallel_env
+from mbn_marl.errors import ConfigError, FieldError
 from mbn_marl.field import Field, load_field, save_field
 from tests.support.field_cases import HOLE, SQUARE, circle, square
 
@@ -109,7 +111,6 @@ INVALID: dict[tuple[str, str], list[Any]] = {
     ("rois[2]", "rois[0]"): [[(90, 90), (80, 80), (90, 90)]],
     ("starts[1]", "starts[0]"): [[(10, 10), (10, 10)]],
     ("starts[1]", "holes[0]"): [[(10, 10), (50, 50)]],
-    ("starts[2]", "starts[0]"): [[(10, 10), (30, 10), (16, 18 - 1e-9)]],  # 6-8-10, but for 1e-9
     ("vertices", "vertices[0]-vertices[1] meets vertices[2]-vertices[3]"): [
         [SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]],
         [(0, 0), (100, 0), (50, 0), (50, 50)],  # a spike
@@ -178,14 +179,31 @@ class TestRules:
         assert len(field.starts) == 2
         assert len(square(rois=[(40.0, 50.0), (60.0, 60.0), (100.0, 0.0)]).rois) == 3
 
-    def test_a_point_one_float_outside_is_outside(self) -> None:
-        slanted = [(0.0, 0.0), (90.0, 30.0), (0.0, 60.0)]
-        below = (45.0, math.nextafter(15.0, 0.0))
-        (problem,) = problems_of(vertices=slanted, rois=[below], starts=[(1.0, 10.0)], holes=())
-        assert problem.startswith("rois[0]: ")
+    def test_points_that_rounding_puts_outside_are_on_the_border(self) -> None:
+        slanted, hole = (
+            [(10.1, 20.3), (333.3, 47.9), (280.7, 310.1)],
+            [(250, 100), (270, 99), (260, 80.3)],
+        )
+        for border in (shapely.LinearRing(slanted), shapely.LinearRing(hole)):
+            for share in np.linspace(0.0, 1.0, 100, endpoint=False):
+                x, y = shapely.get_coordinates(border.interpolate(share, normalized=True))[0]
+                assert len(Field(slanted, [(x, y)], [(x, y)], [hole]).rois) == 1
+        for away in ((170.0, 33.0), (260.0, 99.0)):
+            with pytest.raises(FieldError, match="rois"):
+                Field(slanted, [away], [(200, 100)], [hole])
 
-    def test_starts_at_the_safety_distance_are_valid(self) -> None:
-        assert len(square(starts=[(10, 10), (16, 18)]).starts) == 2
+    def test_the_configuration_knows_how_near_starts_may_be(self) -> None:
+        near = square(starts=[(10, 10), (16, 18 - 1e-9)])  # 6-8-10, but for 1e-9
+        with pytest.raises(ConfigError, match=r"safety_distance: 10.*starts 0 and 1"):
+            parallel_env(near)
+        parallel_env(near, safety_distance=9.9)
+        parallel_env(near, n_robots=1)
+        parallel_env(square(starts=[(10, 10), (16, 18)]))
+
+    def test_degrees_as_units_are_warned_of(self) -> None:
+        parcel = Field([(5.1, 52.1), (5.2, 52.1), (5.2, 52.2)], [(5.18, 52.15)], [(5.15, 52.12)])
+        with pytest.warns(UserWarning, match="smaller than an ROI"):
+            parallel_env(parcel)
 
     def test_all_problems_at_once(self) -> None:
         problems = problems_of(
@@ -200,7 +218,7 @@ class TestRules:
         places = sorted(problem.split(": ")[0] for problem in problems)
         assert places == [
             *("arena", "holes[1]", "holes[2]", "name", "optimal_makespan", "rois[1]", "rois[2]"),
-            *("rois[3].x", "starts[1]", "starts[2]", "vertices[4]"),
+            *("rois[3].x", "starts[2]", "vertices[4]"),
         ]
 
 

@@ -169,7 +169,7 @@ class TestFiles:
         problems = problems_of_file(
             tmp_path,
             "format: mbn-field/9\ncolour: red\nvertices: [[0, 0], [100, 0], [100, 100], [0, x]]\n"
-            "starts: [[10, 10], [11, 10]]\n",
+            "starts: [[10, 10], [10, 10]]\n",
         )
         places = [problem.split(": ")[0] for problem in problems]
         assert places == ["format", "colour", "vertices[3].y", "rois", "starts[1]"]

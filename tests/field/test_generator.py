@@ -301,8 +301,9 @@ class TestSampler:
                 (problem,) = caught.value.problems
                 assert problem.startswith(f"{place}: "), value
         for changes, least in (({"robots": 5}, "120"), ({"robots": 64, "rois": 24}, "410")):
-            with pytest.raises(ConfigError, match=f"size: .*{least}"):
-                FieldSampler(**changes)
+            for name, value in (("size", (110, 420)), ("arena", (100, 500))):
+                with pytest.raises(ConfigError, match=f"{name}: .*{least}"):
+                    FieldSampler(**{**changes, name: value})
         with pytest.raises(ConfigError, match="size: "):
             FieldSampler(size=500, arena=(900, 400))
 
@@ -315,6 +316,24 @@ class TestSampler:
         sampler = FieldSampler(size=(110.1, 120.0006), arena=(120.0006, 500.3))
         assert sampler.numbers()[:4].tolist() == [120_000, 500_300, 110_100, 120_000]
         assert sampler.numbers()[8:].tolist() == [2**30] * 5
+
+    @pytest.mark.parametrize(
+        ("given", "size"),
+        [
+            ({}, (110, 420)),
+            ({"robots": (2, 5)}, (120, 420)),
+            ({"robots": 64, "rois": 24}, (410, 1000)),
+            ({"robots": 64, "arena": (2000, 3000)}, (390, 1365)),
+            ({"arena": (300, 200)}, (110, 200)),
+            ({"arena": (100, 500)}, (100, 100)),
+        ],
+    )
+    def test_default_size_fits_team_and_arena(
+        self, given: dict[str, Any], size: tuple[float, float]
+    ) -> None:
+        sampler = FieldSampler(FAMILIES, **given)
+        assert sampler.size == size
+        assert len(sampler.field().starts) <= sampler.most_robots
 
     def test_the_least_size_is_enough(self) -> None:
         assert least_size(1, 1) == least_size(3, 6) == 100

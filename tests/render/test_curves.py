@@ -197,18 +197,23 @@ def test_the_axis_of_a_probability_spans_all_of_it_with_a_line_at_one_half() -> 
     assert list(line.get_xdata()) == [0.5, 0.5]
 
 
-def test_profiles_are_drawn_whole_and_near_the_end() -> None:
-    thresholds = np.array([0.0, 0.5, 0.95, 1.0])
-    share = np.array([1.0, 0.5, 0.25, 0.0])
+def test_profiles_begin_where_the_first_falls() -> None:
+    thresholds = np.array([0.0, 0.5, 0.9, 0.99, 1.0])
+    share = np.array([1.0, 1.0, 0.5, 0.25, 0.0])
     profiles = {"ppo": (share, share - 0.1, share + 0.1), "mappo": (share, share, share)}
     looks = {"ppo": 4, "mappo": 1}
     figure = estimates.profiles_figure(profiles, thresholds, "score", looks)
-    whole, end = figure.axes
-    assert (whole.get_xlim(), end.get_xlim()) == ((0.0, 1.0), (0.9, 1.0))
-    for axes in (whole, end):
-        assert axes.lines[0].get_xydata().tolist() == list(
-            map(list, zip(thresholds, share, strict=True))
-        )
-        assert [line.get_color() for line in axes.lines] == [style.series(k).colour for k in (4, 1)]
-        assert len(axes.collections) == 2
+    (axes,) = figure.axes
+    np.testing.assert_allclose(axes.get_xlim(), (0.5, 0.01))
+    labels = [text.get_text() for text in axes.get_xticklabels()]
+    assert labels == ["50%", "80%", "90%", "95%", "98%", "99%"]
+    for line, look in ((axes.lines[0], style.series(4)), (axes.lines[3], style.series(1))):
+        np.testing.assert_allclose(line.get_xdata(), 1.0 - thresholds[:-1])
+        assert list(line.get_ydata()) == list(share[:-1])
+        assert (line.get_color(), line.get_linestyle()) == (look.colour, look.dash)
+    assert len(axes.collections) == 2
     assert labels_of(figure) == ["ppo", "mappo"]
+    nothing = dict.fromkeys(profiles, (np.zeros(5),) * 3)
+    assert (
+        estimates.profiles_figure(nothing, thresholds, "score", looks).axes[0].get_xlim()[0] == 1.0
+    )

@@ -221,8 +221,14 @@ def test_many_fields_are_drawn_whole_each_with_its_bar() -> None:
         assert right - left == pytest.approx(top - bottom)
         for x, y in field.vertices:
             assert left < x < right and bottom < y < top
-        lengths = [np.ptp(line.get_xdata()) for line in axes.lines if len(line.get_xdata()) == 2]
-        assert lengths == pytest.approx([bar])
+        (line,) = [line for line in axes.lines if len(line.get_xdata()) == 2]
+        assert np.ptp(line.get_xdata()) == pytest.approx(bar)
+        lowest = axes.transAxes.transform((0.0, 0.0))[1]
+        assert (line.get_transform().transform(line.get_xydata())[:, 1] < lowest).all()
+        rois = [line for line in axes.lines if line.get_marker() == "o" and line.get_path_effects()]
+        discs = [line for line in axes.lines if line.get_markersize() > 7]
+        assert len(rois) == len(field.rois)
+        assert min(roi.zorder for roi in rois) > max(disc.zorder for disc in discs)
         assert axes.texts[-1].get_text() == f"{bar:g} units"
 
 
@@ -283,4 +289,4 @@ def test_series_in_a_row_differ_in_colour_dash_and_marker() -> None:
     for index in range(28):
         for aspect in zip(*looks[index : index + 3], strict=True):
             assert len(set(aspect)) == 3
-    assert len(set(looks[:24])) == 24
+    assert len({(look.dash, look.marker) for look in looks}) == 30  # so in grey print too

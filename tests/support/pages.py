@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import tomllib
@@ -79,6 +80,12 @@ def blocks_of(page: Path) -> list[Block]:
     ]
 
 
+def code_in_tables(page: Path) -> list[str]:
+    """The inline code in the cells of a page's tables, in order."""
+    rows = [line for line in page.read_text(encoding="utf-8").splitlines() if line[:1] == "|"]
+    return re.findall(r"`([^`]+)`", "\n".join(rows))
+
+
 def commands_of(block: Block) -> Iterator[list[str]]:
     """The command lines of a block for the shell, as words, without comments."""
     for line in block.text.replace("\\\n", " ").splitlines():
@@ -97,7 +104,9 @@ def write_file(block: Block, folder: Path) -> None:
 
 
 def write_own_files(folder: Path) -> None:
-    """Write what the reader is taken to have: a field, and an episode on it."""
+    """Write what the reader is taken to have: a map, a field, and an episode on it."""
+    ring = [[0, 0], [400, 0], [400, 300], [0, 300], [0, 0]]
+    (folder / "farm.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
     catalogue = (ROOT / "envs_catalog" / "field_03.yaml").read_text(encoding="utf-8")
     field = folder / "my_field.yaml"
     field.write_text(catalogue.replace("field_03", "my_field"), encoding="utf-8")

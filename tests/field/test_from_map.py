@@ -1,0 +1,204 @@
+"""Fields from maps: GeoJSON and WKT, degrees and metres, and what is mended."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.cli.main import main
+from mbn_marl.errors import FieldError
+from mbn_marl.field import Field, load_field, load_map
+from tests.support.field_cases import write
+
+FARM = [[0, 0], [400, 0], [400, 300], [0, 300]]
+POND = [[180, 140], [180, 180], [220, 180], [220, 140]]
+METRE = 360 / 40_007_863
+"""Degrees of latitude, on average."""
+
+
+def ring(points: list[list[float]], dx: float = 0.0, dy: float = 0.0) -> list[list[float]]:
+    """A closed ring, moved."""
+    return [[x + dx, y + dy] for x, y in [*points, points[0]]]
+
+
+def polygon(*rings: list[list[float]], **properties: Any) -> dict[str, Any]:
+    """A feature with a polygon."""
+    geometry = {"type": "Polygon", "coordinates": rings}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+def point(x: float, y: float, **properties: Any) -> dict[str, Any]:
+    """A feature with a point."""
+    geometry = {"type": "Point", "coordinates": [x, y, 7.5]}
+    return {"type": "Feature", "properties": properties or None, "geometry": geometry}
+
+
+POINTS = (point(50, 50, kind="roi"), point(350, 250, Kind="ROI"), point(30, 200, kind="start"))
+
+
+def read(folder: Path, *features: dict[str, Any], pick: str = "", **options: Any) -> Any:
+    """The field of a collection of features, and the notes as one text."""
+    text = json.dumps({"type": "FeatureCollection", "features": features})
+    path = write(folder, text, "my farm.geojson")
+    field, notes = load_map(f"{path}{pick}", **options)
+    return field, "\n".join(notes)
+
+
+def problem_of(folder: Path, *features: dict[str, Any], **options: Any) -> str:
+    with pytest.raises(FieldError) as caught:
+        read(folder, *features, **options)
+    (problem,) = caught.value.problems
+    return problem
+
+
+def test_metres_are_moved_to_the_origin(tmp_path: Path) -> None:
+    x, y = 412_300.25, 5_200_700.5
+    moved = [point(x + 50, y + 50, kind="roi"), point(x + 30, y + 200, kind="start")]
+    field, notes = read(tmp_path, polygon(ring(FARM, x, y), ring(POND, x, y)), *moved)
+    same = Field(FARM, [(50, 50)], [(30, 200)], [POND], name="my_farm")
+    assert field == same
+    assert "metres; the field is 400.0 x 300.0 m, a unit is 1 m" in notes
+    assert read(tmp_path, polygon(ring(FARM)), metres_per_unit=0.1)[0].arena == (4000, 3000)
+
+
+@pytest.mark.parametrize(("west", "south"), [(6.5, 51.9), (-58.0, -34.0), (179.999, -17.0)])
+def test_degrees_become_metres(tmp_path: Path, west: float, south: float) -> None:
+    across = METRE / np.cos(np.radians(south))
+    corners = [[(west + x * across + 180) % 360 - 180, south + y * METRE] for x, y in FARM]
+    field, notes = read(tmp_path, polygon([*corners, corners[0]]))
+    assert "degrees" in notes
+    np.testing.assert_allclose(field.vertices, FARM, rtol=0.01)
+
+
+WKT = "POLYGON ((0 0, 400 0, 400 300, 0 300, 0 0), (180 140, 180 180, 220 180, 220 140, 180 140))"
+
+
+@pytest.mark.parametrize(
+    ("text", "rois"),
+    [
+        (WKT, 8),
+        (f"SRID=32632;{WKT}\n".replace("POLYGON", "Polygon"), 8),
+        (WKT.replace("0 300, 0 0)", "0 300)"), 8),
+        (WKT.replace("(", "((", 1).replace("))", ")))").replace("POLY", "MULTIPOLY"), 8),
+        (f"\ufeff{WKT}\nPOINT (50 50)\nMULTIPOINT Z (350 250 1, 60 70 1)", 3),
+        (f"GEOMETRYCOLLECTION ({WKT}, POINT (50 50))", 1),
+    ],
+)
+def test_wkt(tmp_path: Path, text: str, rois: int) -> None:
+    path = write(tmp_path, text, "farm.wkt")
+    field, notes = load_map(path, robots=4, rois=8)
+    np.testing.assert_array_equal(field.vertices, FARM)
+    np.testing.assert_array_equal(field.holes, [POND])
+    assert (len(field.starts), len(field.rois)) == (4, rois)
+    assert any("closed" in note for note in notes) == (
+        "180 140))" not in text or ", 0 0)" not in text
+    )
+    with pytest.raises(FieldError, match="mbn fields --from"):
+        load_field(path)
+
+
+@pytest.mark.parametrize(
+    ("features", "note"),
+    [
+        ([polygon([*FARM, [0.004, 0.003], FARM[0]])], "1 repeated corners"),
+        ([polygon([*FARM[:2], FARM[1], *FARM[2:], FARM[0]])], "1 repeated corners"),
+        ([polygon(FARM)], "not closed"),
+        ([polygon(ring(FARM)[::-1])], "turned round"),
+        ([polygon(ring(FARM), ring(POND[:2]))], "has no area: left out"),
+        ([polygon([*FARM[:2], [500, 0], *FARM[1:], FARM[0]])], "mended"),  # a spike
+        ([polygon(ring(FARM)), point(50, 50), point(50, 50.001)], "repeated"),
+        ([polygon(ring(FARM)), point(-0.5, 50)], "moved to its border"),
+        ([polygon(ring(FARM)), point(50, 50, kind="tree")], "tree: left out"),
+        (
+            [{"type": "Feature", "properties": None, "geometry": None}, polygon(ring(FARM))],
+            "origin",
+        ),
+    ],
+)
+def test_what_is_mended_is_said(tmp_path: Path, features: Any, note: str) -> None:
+    field, notes = read(tmp_path, *features)
+    assert note in notes
+    assert field.polygon.area == pytest.approx(120_000, abs=1)
+    assert load_map(tmp_path / "my farm.geojson")[0] == field
+
+
+def test_many_corners_are_simplified(tmp_path: Path) -> None:
+    angles = np.linspace(0, 2 * np.pi, 3000, endpoint=False)
+    circle = (200 + 200 * np.stack([np.cos(angles), np.sin(angles)], 1)).tolist()
+    field, notes = read(tmp_path, polygon([*circle, circle[0]]))
+    assert 50 < len(field.vertices) <= 500
+    assert "3001 corners simplified" in notes
+    assert field.polygon.area == pytest.approx(np.pi * 200**2, rel=0.01)
+
+
+def test_polygons_are_picked_and_holes_are_cut_out(tmp_path: Path) -> None:
+    pond = polygon(ring(POND), kind="hole")
+    lake = polygon(ring(POND, 200, 0), kind="Hole")
+    farms = [polygon(ring(FARM), Name="A"), polygon(ring(FARM, 450), name="B"), pond, lake, *POINTS]
+    assert "A" in (problem := problem_of(tmp_path, *farms)) and "#NUMBER" in problem
+    for pick in ("#A", "#1"):
+        field, notes = read(tmp_path, *farms, pick=pick)
+        assert (field.name, len(field.holes), len(field.rois), len(field.starts)) == ("A", 1, 2, 1)
+        assert field.polygon.area == 120_000 - 40 * 40 - 20 * 40  # the lake is cut by the border
+    field, notes = read(tmp_path, *farms, pick="#B")
+    assert "left out" in notes
+    assert len(field.rois) == 6
+
+
+@pytest.mark.parametrize(
+    ("features", "problem"),
+    [
+        ([polygon(ring(FARM)), point(500, 50)], "features[1]: roi: 100 units outside"),
+        ([polygon(ring([[0, 0], [10, 0], [10, 10]]))], "smaller than an ROI"),
+        ([polygon(ring([[0, 0], [400, 300], [400, 0], [0, 300]]))], "in 2 pieces"),
+        ([polygon(ring([[0, 0], [400, 300], [200, 150]]))], "has no area"),
+        ([polygon([[0, 0], [400, "1"], [3, 4]])], "features[0]: point 1: "),
+        ([polygon([[0, 0], [400, float("nan")], [3, 4]])], "features[0]: point 1: "),
+        ([polygon([[0, 0], [4e8, 0], [4e8, 4e8]])], "too large"),
+        ([polygon()], "features[0]: coordinates: "),
+        ([point(1, 2)], "no polygon"),
+        ([{"type": "LineString"}], "features[0]: type: 'LineString'; allowed: Polygon"),
+        ([[1]], "features[0]: expected a GeoJSON object"),
+    ],
+)
+def test_bad_maps(tmp_path: Path, features: Any, problem: str) -> None:
+    assert problem in problem_of(tmp_path, *features)
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"a": 1}', "CIRCLE (1 2)", "[" * 10_000, "format: x"])
+def test_other_files_are_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(FieldError):
+        load_map(write(tmp_path, text, "some.json"))
+
+
+def test_placed_points_have_room_and_a_seed(tmp_path: Path) -> None:
+    field, _ = read(tmp_path, polygon(ring(FARM), ring(POND)), robots=64, rois=24, seed=3)
+    starts = field.starts
+    gaps = np.linalg.norm(starts[:, None] - starts, axis=2) + 1e9 * np.eye(64)
+    assert gaps.min() >= 12
+    assert read(tmp_path, polygon(ring(FARM), ring(POND)), robots=64, rois=24, seed=3)[0] == field
+    thin = [[0, 0], [400, 0], [400, 9]]
+    assert "no room" in problem_of(tmp_path, polygon(ring(thin)), rois=24, robots=64)
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    read(tmp_path, polygon(ring(FARM)), *POINTS)
+    words = ["fields", "--from", str(tmp_path / "my farm.geojson")]
+    out = tmp_path / "new" / "farm.yaml"
+    assert main([*words, "-o", str(out), "--metres-per-unit", "0.5"]) == 0
+    assert load_field(out).vertices.max() == 800
+    assert "a unit is 0.5 m" in capsys.readouterr().out
+    for more in (
+        ["-o", str(out)],
+        ["-o", "f"],
+        ["field_03"],
+        ["--count", "2"],
+        ["--generate", "farm"],
+    ):
+        assert main([*words, *more]) == 2
+    assert main(["fields", "--metres-per-unit", "2"]) == 2
+    assert main([*words, "--metres-per-unit", "0"]) == 2
