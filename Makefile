@@ -3,6 +3,7 @@
 # make test   lint, type-check, run the tests of every pull request
 # make docs   build the documentation site into build/docs, warnings as errors
 # make readme do what the README shows, with the wheel, in an empty folder
+# make unpinned install the planner's extra without constraints, and prove an optimum
 # make all    all of this, and what takes long: tests marked all, the judges of the engine without
 #             its compiler and on the newest Numba, the oldest versions allowed, every page's commands
 # make clean  remove what the others made, but not runs/
@@ -12,9 +13,10 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := python -m pytest -n 2 --dist worksteal
 JUDGES := tests/engine/test_golden.py tests/engine/test_oracle.py tests/adapters/test_forms.py
+PLAN := from mbn_marl.planning import plan; print(plan('field_03').makespan)
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 
-.PHONY: demo quick test ruff mypy pytest docs readme all clean
+.PHONY: demo quick test ruff mypy pytest docs readme unpinned all clean
 .DELETE_ON_ERROR:
 
 .venv/installed: pyproject.toml constraints.txt
@@ -50,7 +52,12 @@ docs: .venv/installed
 readme: .venv/installed
 	$(BIN)/python -m tests.newcomer README.md
 
-all: test docs readme
+unpinned:
+	$(PYTHON) -m venv --clear build/unpinned
+	build/unpinned/bin/pip install --quiet '.[plan]'
+	test "$$(build/unpinned/bin/python -c "$(PLAN)")" = 17
+
+all: test docs readme unpinned
 	$(BIN)/$(PYTEST) -m all
 	MBN_PLAIN_JIT=1 NUMBA_CACHE_DIR=build/plain_cache $(BIN)/$(PYTEST) $(JUDGES)
 	$(PYTHON) -m venv --clear build/newest

@@ -45,6 +45,8 @@ def load_policy(
     try:
         from baselines.zoo.sources import find_policy
     except ModuleNotFoundError as error:
-        error.add_note("pip install 'mbn_marl[baselines]' brings what policies need")
+        from mbn_marl.errors import install
+
+        error.add_note(f"{install('baselines')} brings what policies need")
         raise
     return find_policy(str(source), field, seed=seed, **settings)

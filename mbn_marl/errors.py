@@ -25,6 +25,11 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> str:
     return f"unknown {kind}{hint}; known: {', '.join(names) or 'none'}"
 
 
+def install(extra: str) -> str:
+    """Return the command that brings an extra; the package is on no index."""
+    return f"pip install '.[{extra}]' in a clone of mbn_marl"
+
+
 class ProblemsError(MbnError):
     """An error that lists every problem found, one line each, with its place.
 

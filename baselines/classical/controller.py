@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import copy
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,11 @@ from mbn_marl.engine.mdp.disturbances import OF_ACTIONS, OF_SIGHT
 from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.errors import MbnError, unknown
 from mbn_marl.field import Field
-from mbn_marl.planning import Plan, plan
-from mbn_marl.planning.greedy import Greedy
-from mbn_marl.planning.problem import Problem, make_problem
-from mbn_marl.planning.replanning import Replanner
-from mbn_marl.planning.tracking import Tracker
+
+if TYPE_CHECKING:  # the planner's packages are an extra
+    from mbn_marl.planning import Plan
+    from mbn_marl.planning.problem import Problem
+    from mbn_marl.planning.tracking import Tracker
 
 Flags = NDArray[np.bool_]
 
@@ -95,6 +95,11 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
     Raises:
         MbnError: there is no such policy, or the planner found no plan.
     """
+    from mbn_marl.planning import plan
+    from mbn_marl.planning.greedy import Greedy
+    from mbn_marl.planning.problem import make_problem
+    from mbn_marl.planning.replanning import Replanner
+
     if name not in CLASSICAL:
         raise MbnError(f"{name}: {unknown('policy', name, CLASSICAL)}")
     problem = make_problem(field, make_config(settings), closed_loop=name != "planner")
@@ -115,6 +120,9 @@ def make_tracker(found: Plan, settings: Mapping[str, Any]) -> Tracker:
     Raises:
         NoPlanError: no plan was found.
     """
+    from mbn_marl.planning.problem import make_problem
+    from mbn_marl.planning.tracking import Tracker
+
     if found.makespan is None:
         raise NoPlanError(f"{found.field.name}: no plan was found within the time limit")
     return Tracker(make_problem(found.field, make_config(settings)), found)

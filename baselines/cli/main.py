@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import Any
 
 from baselines.cli.options import WIDTH, UsageError, read_options
-from mbn_marl.errors import MbnError, unknown
+from mbn_marl.errors import MbnError, install, unknown
 from mbn_marl.version import __version__
 
 COMMANDS = {
@@ -43,6 +43,8 @@ MOVED = {"bench": "python -m benchmarks, in a checkout of the repository"}
 
 EXTRAS = {
     "ray": "ray",
+    **dict.fromkeys(("matplotlib", "pygame", "PIL", "imageio_ffmpeg"), "render"),
+    **dict.fromkeys(("highspy", "clarabel", "scipy"), "plan"),
     **dict.fromkeys(("mujoco", "coppeliasim_zmqremoteapi_client"), "sim3d"),
     **dict.fromkeys(("onnxruntime", "onnxscript"), "export"),
 }
@@ -83,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if package in ("", *OWN_PACKAGES):
             raise
         extra = EXTRAS.get(package, "baselines")
-        return _fail(f"{error}: pip install 'mbn_marl[{extra}]' brings it")
+        return _fail(f"{error}: {install(extra)} brings it")
     except KeyboardInterrupt as error:
         print(f"interrupted{': ' if error.args else ''}{error}", file=sys.stderr)
         return INTERRUPTED

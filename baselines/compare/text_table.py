@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from pandas import DataFrame
 from rich import box
 from rich.table import Table
 
 from baselines.console import console
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 DASH = "–"  # noqa: RUF001  (a dash, not a minus)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 
 from baselines.evaluation.fitting import LoadedPolicy, fitted
 from baselines.evaluation.intervals import mean_of_known
@@ -152,7 +152,11 @@ def roll_out(
 @contextmanager
 def sampling(seed: int) -> Iterator[None]:
     """Seed torch for sampled actions; put its generators back afterwards, a GPU's too."""
-    in_use = torch.cuda.is_initialized()  # type: ignore[no-untyped-call]
+    torch = sys.modules.get("torch")
+    if torch is None:  # no policy here samples from it
+        yield
+        return
+    in_use = torch.cuda.is_initialized()
     gpus = range(torch.cuda.device_count()) if in_use else ()
     with torch.random.fork_rng(gpus):
         torch.manual_seed(seed)

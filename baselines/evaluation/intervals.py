@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
 
 RETURN_THRESHOLD = 100_000.0
 """A mean return at or above this needs the success of nearly every episode (r_inf = 100 000)."""
@@ -55,6 +54,8 @@ def mean_interval(values: Sequence[float]) -> Interval:
         return Interval(mean, None, None)
     if np.ptp(sample) == 0.0:
         return Interval(mean, mean, mean)
+    from scipy import stats  # takes half a second
+
     bounds = stats.bootstrap(
         (sample,),
         np.mean,
@@ -73,6 +74,8 @@ def share_interval(outcomes: Sequence[bool]) -> Interval:
     """
     if not outcomes:
         raise ValueError("a share needs at least one outcome")
+    from scipy import stats
+
     test = stats.binomtest(sum(outcomes), len(outcomes))
     bounds = test.proportion_ci(method="wilson")
     return Interval(sum(outcomes) / len(outcomes), float(bounds.low), float(bounds.high))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from baselines.evaluation.lookahead import Lookahead
 from baselines.evaluation.policy import Origin, Policy, restart
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
-from mbn_marl.planning.problem import make_problem
-from mbn_marl.planning.shield import Shield
+
+if TYPE_CHECKING:  # the planner's packages are an extra
+    from mbn_marl.planning.shield import Shield
 
 
 def behind(shield: bool) -> str:
@@ -75,6 +76,9 @@ class Shielded:
 
     def _begin(self, world: int) -> Shield:
         """Return the shield of a world's new episode."""
+        from mbn_marl.planning.problem import make_problem
+        from mbn_marl.planning.shield import Shield
+
         engine = self.engine
         team = {"n_robots": None if engine.teams_vary else engine.n_robots}
         config = engine.config.model_copy(update={**team, "random_starts": False})

@@ -20,7 +20,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from baselines.runs.checksums import LIST, check, digests_of
@@ -109,6 +108,8 @@ def alone(folder: Path, command: str, hint: str = "", patience: float = 0) -> It
         RunError: another process holds it for longer than ``patience`` seconds; with its command,
             or else this one's, and ``hint``.
     """
+    from filelock import FileLock, Timeout
+
     place = folder / LOCK
     lock = FileLock(place, timeout=patience)
     try:

@@ -120,7 +120,7 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
         """Move all robots.
 
         Args:
-            action: finite numbers, of the action space's shape, clipped to [-1, 1].
+            action: finite numbers, ``(n, 2)``, or ``(2n,)`` if flat, clipped to [-1, 1].
 
         Returns:
             State ``(4n+1,)``, reward, terminated (success or collision), truncated

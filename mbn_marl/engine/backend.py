@@ -21,13 +21,13 @@ from mbn_marl.engine.mdp.failures import ABSENT, FAILED
 from mbn_marl.engine.mdp.rewards import COLLISION, RESTED, SUCCESS
 from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.engine.state import Array, Episode, Geometry, Memory, Output
-from mbn_marl.errors import ActionError, StepError
+from mbn_marl.errors import ActionError, StepError, install
 from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.layout import Tables
 
 CUDA_NEEDS = (
     "device: 'cuda' needs an NVIDIA GPU, a torch that can use it (see pytorch.org), "
-    "and numba-cuda: pip install 'mbn_marl[cuda]'"
+    f"and numba-cuda: {install('cuda')}"
 )
 
 

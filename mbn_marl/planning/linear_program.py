@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import highspy
@@ -113,9 +118,25 @@ class _Matrix:
         return np.asarray(np.bincount(self.index, weights[self.row] * self.value, width), float)
 
 
+@contextmanager
+def _printing_nothing() -> Iterator[None]:
+    """Discard what C code prints: HiGHS 1.16 prints a banner before any option can be set."""
+    sys.stdout.flush()
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        ctypes.CDLL(None).fflush(None)
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
 def make_solver() -> highspy.Highs:
     """Return a quiet simplex solver on one thread."""
-    highs = highspy.Highs()  # type: ignore[no-untyped-call]
+    with _printing_nothing():
+        highs = highspy.Highs()  # type: ignore[no-untyped-call]
     options: dict[str, bool | str | int] = {
         "output_flag": False,
         "presolve": "off",

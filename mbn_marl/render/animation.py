@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.errors import MbnError
+from mbn_marl.errors import MbnError, install
 from mbn_marl.files import replacing
 
 GIF_RATES, MP4_RATES = (0.01, 50.0), (0.01, 120.0)
@@ -148,7 +148,7 @@ def _load(name: str) -> Any:
     except ModuleNotFoundError as error:
         library = name.split(".")[0]
         raise ImportError(
-            f'animations need {library}: pip install "mbn_marl[render]"', name=library
+            f"animations need {library}: {install('render')}", name=library
         ) from error
 
 

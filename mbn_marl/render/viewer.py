@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.errors import ConfigError, DisplayError
+from mbn_marl.errors import ConfigError, DisplayError, install
 
 if TYPE_CHECKING:
     import pygame
@@ -105,7 +105,7 @@ class Viewer:
             if error.name != "pygame":
                 raise
             raise ImportError(
-                'rendering needs pygame-ce: pip install "mbn_marl[render]"', name="pygame"
+                f"rendering needs pygame-ce: {install('render')}", name="pygame"
             ) from error
         return Scene(self.size, self.own, self.keys)
 

@@ -10,7 +10,7 @@ from time import monotonic
 from types import ModuleType
 from typing import Any
 
-from mbn_marl.errors import ConfigError, SimulatorError
+from mbn_marl.errors import ConfigError, SimulatorError, install
 
 _HINT = "is CoppeliaSim running, with its ZMQ remote API server on this port?"
 _PROBE = 1.0  # seconds that finding out why nobody answers may take
@@ -145,7 +145,7 @@ def _client(host: str, port: int) -> tuple[_PatientSocket, Any]:
         from coppeliasim_zmqremoteapi_client import RemoteAPIClient
     except ModuleNotFoundError as error:
         raise ImportError(
-            'CoppeliaSim needs its remote API client: pip install "mbn_marl[sim3d]"',
+            f"CoppeliaSim needs its remote API client: {install('sim3d')}",
             name=error.name,
         ) from error
     main = vars(sys.modules["__main__"])

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.errors import ConfigError, MbnError, install
 from mbn_marl.render import style
 from mbn_marl.render.animation import Mp4Writer
 from mbn_marl.sim3d.scene import CAMERAS, LARGEST_PICTURE
@@ -149,7 +149,7 @@ def load_mujoco() -> Any:
         import mujoco
     except ModuleNotFoundError as error:
         raise ImportError(
-            'simulating vehicles needs MuJoCo: pip install "mbn_marl[sim3d]"', name="mujoco"
+            f"simulating vehicles needs MuJoCo: {install('sim3d')}", name="mujoco"
         ) from error
     if late:
         importlib.reload(sys.modules[mujoco.Renderer.__module__].gl_context)

@@ -54,8 +54,8 @@ def test_a_command_ends_with_a_code_and_a_line(
     for raised, code, parts in (
         (KeyboardInterrupt(), 130, ["interrupted"]),
         (KeyboardInterrupt("runs/a: --resume"), 130, ["interrupted: runs/a: --resume"]),
-        (missing("optuna"), 2, ["'optuna'", "pip install 'mbn_marl[baselines]'"]),
-        (missing("ray.tune"), 2, ["'ray.tune'", "pip install 'mbn_marl[ray]'"]),
+        (missing("optuna"), 2, ["'optuna'", ".[baselines]"]),
+        (missing("ray.tune"), 2, ["'ray.tune'", ".[ray]"]),
         (FileNotFoundError(2, "gone", "a.yaml"), 2, ["a.yaml: gone"]),
         (BrokenPipeError(32, "Broken pipe"), 2, ["Broken pipe"]),
     ):

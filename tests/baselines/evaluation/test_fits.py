@@ -121,8 +121,9 @@ def test_headings_that_a_policy_was_trained_with_have_to_be_shown(
 def test_flags_of_failed_robots_are_zero_where_none_can_fail(
     observes: Literal["observations", "state"],
 ) -> None:
-    failing: dict[str, Any] = {"failures": {"at": {1: 3}}}
-    engine, wanted = BatchEngine(HOME, 1), BatchEngine(HOME, 1, **failing)
+    turning: dict[str, Any] = {"dynamics": SHOWN["dynamics"]}
+    failing = turning | {"failures": SHOWN["failures"]}
+    engine, wanted = BatchEngine(HOME, 1, **turning), BatchEngine(HOME, 1, **failing)
     for one in (engine, wanted):
         one.reset()
         one.step(np.ones((1, 2, 2)))  # robot 1 fails two steps later
