@@ -95,6 +95,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def read_command(words: Sequence[str]) -> Any:
     """Return the command that ``words`` ask for, ready to ``run``; errors as ``read_options``."""
     name, *options = words
+    for word in words:
+        if any("\ud800" <= letter <= "\udfff" for letter in word):  # as Python has other bytes
+            raise UsageError(f"{word!a}: is not UTF-8; allowed: names in UTF-8")
     if name in MOVED:
         raise UsageError(f"{name}: now {MOVED[name]}")
     if name not in COMMANDS:

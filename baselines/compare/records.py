@@ -32,11 +32,16 @@ Number = Annotated[RealNumber, Range(ge=-MOST, le=MOST)]
 Positive = Annotated[RealNumber, Range(ge=0, le=MOST)]
 
 
-class Summary(BaseModel):
-    """What a comparison needs of the summary of final episodes, see ``Evaluation.summary``."""
+class Score(BaseModel):
+    """What every report needs of the summary of final episodes, see ``Evaluation.summary``."""
 
     return_mean: Number
     success_rate: Annotated[RealNumber, Range(ge=0, le=1)]
+
+
+class Summary(Score):
+    """What a comparison needs of it."""
+
     makespan: Positive | None
 
 
@@ -48,8 +53,14 @@ class Progress(BaseModel):
     return_mean: Number
 
 
+class Scores(BaseModel):
+    """What every report needs of the final evaluation."""
+
+    stochastic: Score
+
+
 class Final(BaseModel):
-    """What it needs of the final evaluation."""
+    """What a comparison needs of it."""
 
     env_steps: Count
     seconds: Positive
@@ -83,13 +94,16 @@ class RunRecord:
                 make_config(environment)
         if problems:
             raise RunError(f"{path} is not valid: {'; '.join(problems)}")
+        if finished or run.finished:
+            place = run.path / "evaluation.json"
+            validate(Final if finished else Scores, record.evaluation, place)
         if finished:
-            validate(Final, record.evaluation, run.path / "evaluation.json")
             for number, entry in enumerate(record.evaluations):
                 validate(Progress, entry, run.path / "evaluations.json", f"{number}.")
-            if not record.evaluations:
-                empty = "is empty: the run was never evaluated"
-                raise RunError(f"{run.path / 'evaluations.json'} {empty}")
+            steps = [entry["env_steps"] for entry in record.evaluations]
+            if not steps or steps != sorted(set(steps)):
+                wrong = "env_steps have to increase" if steps else "is empty: never evaluated"
+                raise RunError(f"{run.path / 'evaluations.json'}: {wrong}")
         return record
 
     @cached_property

@@ -18,6 +18,7 @@ from baselines.compare.records import RunRecord, find_records
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
 from baselines.runs.files import RunError, read_text, write_text
+from baselines.training.config import MOST
 from mbn_marl.field import catalogue_names
 from mbn_marl.files import replacing
 from mbn_marl.optimum import optimal_return
@@ -203,17 +204,21 @@ def read_progress(path: Path) -> DataFrame:
         RunError: naming the file, and the column or the line that is not as it should be.
     """
     text = read_text(path) if path.exists() else ",".join(COLUMNS)
-    table = pandas.read_csv(io.StringIO(text), dtype=str, keep_default_na=False)
+    try:
+        table = pandas.read_csv(io.StringIO(text), dtype=str, keep_default_na=False)
+    except ValueError as error:
+        raise RunError(f"{path} cannot be read: {error}") from None
     if missing := [name for name in COLUMNS if name not in table]:
         raise RunError(f"{path} has no column {', '.join(missing)}")
     words = table[COLUMNS]
     rows = words.apply(pandas.to_numeric, errors="coerce").astype(float)
     none = (rows.isna() & (words != "nan")).any(axis=1)
-    finite = np.isfinite(rows[RETURNS]).all(axis=1)
-    wrong = ~(rows.episodes == 0) & ~((rows.episodes > 0) & finite)
+    finite = (rows[RETURNS].abs() <= MOST).all(axis=1)
+    within = rows.env_steps.between(0, MOST) & rows.episodes.between(0, MOST)
+    wrong = ~within | ~((rows.episodes == 0) | finite)
     for bad, problem in (
         (none, "a number is missing or is none"),
-        (wrong, "episodes have to be 0 or more, with finite returns"),
+        (wrong, "env_steps and episodes have to be 0 or more, with finite returns"),
     ):
         if bad.any():
             line = int(bad.to_numpy().argmax())

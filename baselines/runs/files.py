@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.runs.checksums import LIST, check, digests_of
-from mbn_marl.errors import MbnError
+from mbn_marl.errors import DamageError, MbnError
 from mbn_marl.files import free_name, replacing
 
 NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
@@ -87,7 +87,7 @@ def reading(place: Path) -> Iterator[None]:
     try:
         yield
     except MbnError as error:
-        if str(place) in str(error):
+        if isinstance(error, DamageError) or str(place) in str(error):
             raise
         raise RunError(f"{place}: {error}") from None
     except WRONG_CONTENT as error:

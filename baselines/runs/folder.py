@@ -257,3 +257,10 @@ class RunFolder:
             elif columns != list(row):
                 raise ValueError(f"progress columns {list(row)} differ from {columns}")
             writer.writerow([f"{value:.6g}" if value % 1 else int(value) for value in row.values()])
+
+
+def saved_at(checkpoint: Path, env_steps: Any) -> int:
+    """The env-steps of a checkpoint; raise a ValueError if one of its files has others."""
+    if env_steps != int(checkpoint.name):
+        raise ValueError(f"env_steps {env_steps!r}; allowed: {int(checkpoint.name)}, its name")
+    return int(checkpoint.name)

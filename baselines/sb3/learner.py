@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import unwrap_vec_wrapper
 
 from baselines.algorithms import find_algorithm
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
-from baselines.runs.folder import RunFolder
+from baselines.runs.folder import RunFolder, saved_at
 from baselines.runs.rng_state import restore_generators, save_generators
 from baselines.sb3.config import SB3Config, algorithm_class, model_arguments
 from baselines.sb3.envs import ShrinkingRois, engines, make_env
@@ -174,6 +174,7 @@ class Learner:
                 raise ValueError(f"{REPLAY}: pos {buffer.pos}; allowed: below buffer_size")
         for name in COUNTED:
             setattr(model, name, int(counters[name]))
+        saved_at(checkpoint, self.env_steps)
         for name in LOGGED:
             getattr(model, name).extend(counters[name])
         model.action_space.np_random.bit_generator.state = counters["actions"]

@@ -20,6 +20,7 @@ from torchrl.objectives.value import MultiAgentGAE
 
 from baselines.evaluation.policy import load_trained
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
+from baselines.runs.folder import saved_at
 from baselines.runs.rng_state import restore_generators, save_generators
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
 from baselines.torchrl.config import MultiAgentPPOConfig
@@ -358,5 +359,5 @@ class Trainer:
                 own = self.teacher.save_state()
                 self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS, own))
             restore_generators(counters["generators"])  # last: a new collector tries the policy
-            env_steps = int(counters["env_steps"])
+            env_steps = saved_at(folder, counters["env_steps"])
         return env_steps

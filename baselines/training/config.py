@@ -143,6 +143,8 @@ def problems_of(request: Mapping[str, Any]) -> list[str]:
     if not (label is None or (isinstance(label, str) and LABEL.fullmatch(label))):
         allowed = "letters, digits, _ . + -, the first a letter or digit"
         problems.append(f"label: {label!r}; allowed: {allowed}")
+    if not isinstance(request.get("field"), str):
+        problems.append(f"field: must be a name or a path (got {request.get('field')!r})")
     for name in ("environment", "hyperparameters"):
         if not isinstance(value := request.get(name, {}), Mapping):
             problems.append(f"{name}: must be a mapping (got {value!r})")

@@ -13,7 +13,7 @@ from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate,
 from baselines.evaluation.intervals import passes
 from baselines.evaluation.policy import TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
-from baselines.runs.folder import RunFolder
+from baselines.runs.folder import RunFolder, saved_at
 from baselines.training.config import Task
 from baselines.training.loggers import Loggers
 from baselines.training.progress_bar import Listener, Report
@@ -96,7 +96,9 @@ class Recorder:
         place = (self.checkpoint or folder.path) / "recorder.json"
         with reading(place):
             state = read_json(place) if self.checkpoint else {}
-            self._last_row = int(state.get("env_steps", 0))
+            self._last_row = 0
+            if self.checkpoint:
+                self._last_row = saved_at(self.checkpoint, state["env_steps"])
             self._seconds = self._saved_at = float(state.get("seconds", 0.0))
             self._wall_seconds = float(state.get("wall_seconds", 0.0))
             self._evaluations: list[dict[str, Any]] = list(state.get("evaluations", []))

@@ -301,6 +301,9 @@ class BatchEngine(Readings):
             MbnError: it was an engine of other sizes or another sampler; this one is left as it
                 was.
         """
+        if not isinstance(saved, Mapping):
+            found = type(saved).__name__
+            raise MbnError(f"worlds: {found}; allowed: arrays by name, as of save_state()")
         theirs = saved.get("geometry.sampler")
         own = None if self.sampler is None else sampler_numbers(self.sampler)
         if not (own is None or theirs is None or np.array_equal(own, theirs)):

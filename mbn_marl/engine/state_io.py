@@ -195,7 +195,11 @@ def restore_worlds(backend: Backend, saved: Mapping[str, NDArray[Any]]) -> None:
         ProblemsError: an array is not one that these worlds could have; all problems are listed.
             Nothing has changed.
     """
-    given = {name: array for name, array in saved.items() if 0 not in getattr(array, "shape", ())}
+    given = {
+        name: np.asarray(array) if isinstance(array, np.ndarray) else array  # masked ones too
+        for name, array in saved.items()
+        if 0 not in getattr(array, "shape", ())
+    }
     if problems := problems_of(backend, given):
         raise ProblemsError("worlds", problems)
     if EDGES in given:

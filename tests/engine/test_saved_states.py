@@ -84,6 +84,14 @@ def test_values_out_of_range_are_named(name: str, array: str, edit: Any, place: 
     assert all(np.array_equal(kept[one], after[one], equal_nan=True) for one in kept)
 
 
+@pytest.mark.parametrize("value", [None, [1.0] * 15, 3, np.zeros(15), np.ma.masked_all((3, 5))])
+def test_what_is_no_array_of_the_engine_is_refused(value: Any) -> None:
+    engine = make("default")
+    for saved in (value, {}, {**engine.save_state(), "now.x": value}):
+        with pytest.raises(MbnError, match="worlds"):
+            engine.load_state(saved)
+
+
 @np.errstate(all="ignore")
 def edited(saved: dict[str, NDArray[Any]], rng: np.random.Generator) -> dict[str, Any]:
     """A copy with one to three random edits; numbers that do not fit wrap round."""

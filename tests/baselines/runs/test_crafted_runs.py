@@ -167,6 +167,7 @@ CRAFTED: list[tuple[str, str, Callable[[Any], Any]]] = [
     ("tqc", "counters.json", lambda a: a | {"num_timesteps": "x"}),
     ("mappo", "counters.json", lambda a: a | {"curriculum": {"first": "x"}}),
     ("mappo", "counters.json", lambda a: [a]),
+    ("mappo", "counters.json", lambda a: a | {"env_steps": -1}),
     ("mappo", "recorder.json", lambda a: a | {"progress_bytes": -5}),
     ("ppo", "recorder.json", lambda a: [a]),
     *((name, "counters.json", lambda a: past_the_key(a)) for name in ("mappo", "ppo")),
@@ -211,7 +212,7 @@ def fuzz(name: str, folder: Path, edits: int) -> None:
             key = str(rng.choice(sorted(content)))
             value = np.array(content[key]) if isinstance(content, dict) else content
             if value.dtype == object or value.dtype.kind == "U":
-                return {**content, key: rng.choice([-1, 10**18, 0])}
+                return {**content, key: int(rng.choice([-1, 10**18, 0]))}
             flat = value.reshape(-1)
             raw = flat.view(np.uint8)
             raw[rng.integers(max(raw.size, 1), size=min(raw.size, 8))] ^= np.uint8(0x90)
