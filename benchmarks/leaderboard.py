@@ -24,10 +24,14 @@ INTRODUCTION = """# Leaderboard
 
 Policies on the split `test` by protocol {version} of [the benchmark](../benchmark.md), which says
 what the columns are and how to enter one. `python -m benchmarks leaderboard` makes this page of
-`docs/results/leaderboard/*.json`. Tables are in the order of the gap in which failures count as
-T_max, the smallest first; `5-weather`, which has no bounds, in that of the steps so counted. Times
-were measured on different machines, some of them busy: rows differ by that too.
+`docs/results/leaderboard/*.json`, which have the other columns too. Tables are in the order of
+their first number, the smallest first: the gap in which failures count as T_max or, of `5-weather`,
+which has no bounds, the steps so counted. Times were measured on different machines, some of them
+busy: rows differ by that too.
 """
+COLUMNS = ("success_rate", "makespan", "decision_ms")
+"""Of the tables, after the one that orders them; the others are in the results' files."""
+NO_BREAK = "\N{NO-BREAK SPACE}"
 NOBODY = "No policy has been entered yet."
 
 
@@ -170,14 +174,20 @@ def _is_whole(found: Any, tiers: Sequence[Mapping[str, Any]]) -> bool:
 
 def _table(found: Mapping[str, Mapping[str, Any]]) -> TextTable:
     """Return a table with a line for each policy and way of acting, the best first."""
-    lines = []
+    ways = [one[way] for one in found.values() for way in WAYS if one.get(way)]
+    key = "gap_with_failures"
+    if not any(way[key] for way in ways):
+        key = "makespan_with_failures"  # the tier has no bounds
+    columns, lines = (key, *COLUMNS), []
     for name, one in found.items():
         for way in WAYS:
             if one.get(way):
-                shown = one[way]["gap_with_failures"] or one[way]["makespan_with_failures"]
-                words = (text.replace("\n", "<br>") for text in cells(one, way, "mean"))
-                lines.append((shown["mean"], (name, way, *words)))
+                words = cells(one, way, "mean", columns)
+                whole = (text.replace("\n", "<br>").replace(" ", NO_BREAK) for text in words)
+                line = (name, way, *whole)
+                lines.append((one[way][key]["mean"], line))
         if one.get("misfit"):
-            lines.append((float("inf"), (name, "does not fit", *cells({}, "mean", "mean"))))
+            line = (name, "does not fit", *cells({}, "mean", "mean", columns))
+            lines.append((float("inf"), line))
     ordered = tuple(line for _, line in sorted(lines))
-    return TextTable("", ("policy", "actions", *headings()), ordered, words=2)
+    return TextTable("", ("policy", "actions", *headings(columns)), ordered, words=2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -130,10 +130,11 @@ class Evaluate:
             episodes = {name: result.to_json() for name, result in results.items()}
             write_json(claim_file(self.json, force=self.force), {**heading, **episodes})
         if self.record is not None:
-            source = policy if self.field else f"{policy}, sampled actions"
+            source = title if self.field else f"{title}, sampled actions"
             recorded = record_evaluation(**how, source=source)
             for name, episode in recorded.items():
-                save_episode(episode, self.record / f"{name}.json")
+                named = replace(episode, source=f"{episode.source}, {name}")
+                save_episode(named, self.record / f"{name}.json")
             print(f"recorded: {', '.join(recorded)} in {self.record}")
 
     def _evaluate_in_wind(

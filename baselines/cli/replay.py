@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -35,7 +35,11 @@ class Replay:
         episodes = [load_episode(path) for path in self.episodes]
         for episode, path in zip(episodes, self.episodes, strict=True):
             check_episode(episode, str(path))
-        page = replay_page(episodes, self.title)
+        shown = [
+            replace(episode, source=f"{episode.source} ({path})")
+            for episode, path in zip(episodes, self.episodes, strict=True)
+        ]
+        page = replay_page(shown, self.title)
         with replacing(claim_file(self.out, force=self.force)) as temporary:
             temporary.write_text(page, encoding="utf-8")
         for episode in episodes:

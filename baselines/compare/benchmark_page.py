@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +40,12 @@ CAPTION = (
 )
 
 
-def cells(found: Mapping[str, Any], way: str, statistic: str) -> tuple[str, ...]:
+def cells(
+    found: Mapping[str, Any], way: str, statistic: str, columns: Iterable[str] = COLUMNS
+) -> tuple[str, ...]:
     """Return the cells of what was found in a tier or in all; dashes for nothing."""
     known = {**(found.get(way) or {}), **(found.get("times") or {})}
-    return tuple(cell(known.get(name), statistic, form) for name, (_, form) in COLUMNS.items())
+    return tuple(cell(known.get(name), statistic, COLUMNS[name][1]) for name in columns)
 
 
 def cell(one: Mapping[str, Any] | None, statistic: str, form: str) -> str:
@@ -56,9 +58,9 @@ def cell(one: Mapping[str, Any] | None, statistic: str, form: str) -> str:
     return form.format(one[statistic]) + interval
 
 
-def headings() -> tuple[str, ...]:
+def headings(columns: Iterable[str] = COLUMNS) -> tuple[str, ...]:
     """Return the headings of the :func:`cells`."""
-    return tuple(heading for heading, _ in COLUMNS.values())
+    return tuple(COLUMNS[name][0] for name in columns)
 
 
 def result_tables(record: Mapping[str, Any], statistic: str = "mean") -> dict[str, TextTable]:

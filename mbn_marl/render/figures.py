@@ -153,7 +153,8 @@ def overlay_panels(
     """
     figure, grid = _panels("panels", len(episodes), 5, _PAIR_WIDTH, _PAIR_WIDTH + _TITLES)
     for axes, (title, pair) in zip(grid, episodes.items(), strict=True):
-        outcomes = " / ".join(map(_short_outcome, pair))
+        words = zip(names, map(_short_outcome, pair), strict=True)
+        outcomes = ", ".join(f"{name}: {outcome}" for name, outcome in words)
         _draw_place(axes, pair[1], f"{title}\n{outcomes}", numbered=False)
         maps.fit_square(axes, pair[1].field)
         for last, dashed in zip(pair, (True, False), strict=True):
@@ -241,10 +242,10 @@ def _panels(
 
 
 def _draw_place(axes: Axes, last: Snapshot, title: str, *, numbered: bool) -> None:
-    """Draw the field, the title of two lines, and the wind beside the first of them."""
+    """Draw the field, the title of two lines, and the wind beside it, whose speed it may say."""
     radius = last.roi_radius
     maps.draw_field(axes, last.field, visited=last.visited, roi_radius=radius, numbered=numbered)
-    maps.draw_wind(axes, last.winds, height=20.5)
+    maps.draw_wind(axes, last.winds, height=20.5, named="wind " not in title)
     axes.set_title(title, loc="left", fontsize=9.0)
 
 

@@ -196,20 +196,25 @@ def mark_collision(
     return Line2D([], [], ms=8, mew=1.4, label="collision", **look)
 
 
-def draw_wind(axes: Axes, winds: ArrayLike, height: float = 9.5) -> None:
+def draw_wind(axes: Axes, winds: ArrayLike, height: float = 9.5, *, named: bool = True) -> None:
     """Draw the wind, or those of several steps, (2,) or (k, 2), over the top right corner, if any.
 
-    One is an arrow the way that it blows, with its speed. In gusts there is a line for each wind,
-    as long as it is strong, with the greatest speed. ``height`` is that above the corner, points.
+    One is an arrow the way that it blows, with its speed if it is ``named``. In gusts there is a
+    line for the strongest of each twelfth of a turn, as long as it is strong, with the greatest
+    speed. ``height`` is that above the corner, points.
     """
     winds = np.unique(np.atleast_2d(winds), axis=0)
     speeds = np.linalg.norm(winds, axis=1)
     if speeds.max() < style.CALM:
         return
+    if len(winds) > 1:
+        order = np.argsort(-speeds)
+        twelfths = np.round(6.0 / np.pi * np.arctan2(*winds[order].T[::-1])) % 12
+        winds = winds[order][np.unique(twelfths, return_index=True)[1]]
     corner = OffsetFrom(axes.patch, (1.0, 1.0), unit="points")
     place: dict[str, Any] = {"xycoords": corner, "textcoords": corner, "annotation_clip": False}
     middle, arms = np.array([-11.0, height]), 9.0 * winds / speeds.max()
-    if len(winds) == 1:
+    if len(speeds) == 1:
         ends = tuple(middle + arms[0]), tuple(middle - arms[0])
         axes.annotate("", *ends, arrowprops=_ARROW, **place)
     else:
@@ -221,8 +226,10 @@ def draw_wind(axes: Axes, winds: ArrayLike, height: float = 9.5) -> None:
         points += ScaledTranslation(1.0, 1.0, whole)
         how: dict[str, Any] = {"lw": 0.6, "color": style.WIND, "clip_on": False}
         axes.add_artist(Line2D(*lines.reshape(-1, 2).T, transform=points, **how))
+    if not named:
+        return
     look: dict[str, Any] = {"ha": "right", "va": "center", "color": style.WIND}
-    most = "" if len(winds) == 1 else _MOST
+    most = "" if len(speeds) == 1 else _MOST
     axes.annotate(f"wind {most}{speeds.max():.3g}", (-25.0, middle[1]), **look, **place)
 
 

@@ -118,6 +118,8 @@ def test_paths_over_each_other_have_points_and_crosses_too() -> None:
     turned = {"headings": np.array([0.5, np.nan]), "failed": np.array([False, True])}
     pair = snapshot(TRAILS), snapshot(TRAILS, **turned)
     (axes,) = figures.overlay_panels({"one": pair}, ("plane", "mujoco")).axes
+    title = axes.get_title(loc="left").split("\n")[1]
+    assert title.startswith("plane: ") and ", mujoco: " in title
     crosses = [line for line in axes.lines if line.get_marker() == "x"]
     assert [line.get_xydata().tolist() for line in crosses] == [TRAILS[-1:, 1].tolist()]
     noses = [line for line in axes.lines if not isinstance(line.get_marker(), str)]
@@ -169,7 +171,9 @@ def test_the_wind_arrow_points_the_way_the_wind_blows(wind: tuple[float, float])
 
 def test_the_wind_of_a_panel_stands_above_the_outcome() -> None:
     last = snapshot(TRAILS, winds=np.array([(0.3, 0.0)]))
-    figure = figures.trajectory_panels({"wind 0.3": last})
+    (axes,) = figures.trajectory_panels({"wind 0.3": last}).axes
+    assert not any("wind" in text.get_text() for text in axes.texts)  # the title says so
+    figure = figures.trajectory_panels({"one": last})
     FigureCanvasAgg(figure).draw()
     (axes,) = figure.axes
     (label,) = (text for text in axes.texts if text.get_text() == "wind 0.3")
@@ -179,8 +183,8 @@ def test_the_wind_of_a_panel_stands_above_the_outcome() -> None:
     assert label.get_window_extent().y0 >= (two_lines.y0 + two_lines.y1) / 2
 
 
-def test_gusts_are_a_line_each() -> None:
-    winds = [(0.3, 0.0), (-0.1, 0.0), (0.0, 0.2), (0.3, 0.0)]
+def test_gusts_are_a_line_for_each_direction() -> None:
+    winds = [(0.3, 0.0), (-0.1, 0.0), (0.0, 0.2), (0.3, 0.0), (0.2, 0.01), (-0.09, 0.02)]
     figure = figures.trajectory_figure(FIELD, TRAILS, wind=winds)
     FigureCanvasAgg(figure).draw()
     (axes,) = figure.axes
@@ -189,7 +193,7 @@ def test_gusts_are_a_line_each() -> None:
     (gusts,) = (line for line in axes.lines if not line.get_clip_on())
     ends = gusts.get_transform().transform(gusts.get_xydata()).reshape(-1, 3, 2)
     arms = (ends[:, 1] - ends[:, 0]) / figure.dpi * 72.0 / 9.0 * 0.3
-    assert arms == pytest.approx(np.array([(-0.1, 0.0), (0.0, 0.2), (0.3, 0.0)]), abs=1e-6)
+    assert arms == pytest.approx(np.array([(0.3, 0.0), (0.0, 0.2), (-0.1, 0.0)]), abs=1e-6)
 
 
 def test_one_wind_in_all_steps_is_an_arrow() -> None:

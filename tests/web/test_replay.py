@@ -17,6 +17,7 @@ from mbn_marl.errors import MbnError
 from mbn_marl.web.replay import replay_page
 from tests.support.chromium import Chromium, fact
 
+BOX = "getBoundingClientRect()"
 FRAMES = """new Promise((done) => {
   let count = 0, first;
   const frame = (now) => {
@@ -96,6 +97,12 @@ def test_the_page_loads_alone_and_without_a_word(page: Chromium) -> None:
     assert page.run("document.querySelectorAll('.panel').length") == 2
     titles = page.run("[...document.querySelectorAll('.panel h2')].map(h => h.textContent)")
     assert titles == ["short", "<b>long</b> & </script>"]
+    boxes = "[...document.querySelectorAll('.panel')].map(panel => ['.heading', '.track', '.ticks']"
+    boxes += ".map(name => panel.querySelector(name).getBoundingClientRect()))"
+    for heading, track, ticks in page.run(f"{boxes}.map(of => of.map(b => [b.top, b.bottom]))"):
+        assert (
+            heading[1] <= track[0] + 1 and track[1] <= ticks[0] + 1
+        )  # the cursor crosses no caption
 
 
 @pytest.mark.all

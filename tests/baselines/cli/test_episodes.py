@@ -40,7 +40,8 @@ def test_replay_writes_a_page_and_nothing_over_another(
     assert main(["replay", str(recorded), str(other), "-o", str(out)]) == 0
     assert "zoo:field_03: success" in capsys.readouterr().out
     text = out.read_text()
-    assert "waiting" in text and "://" not in text.replace("http://www.w3.org/2000/svg", "")
+    assert f"waiting ({other})" in text
+    assert "://" not in text.replace("http://www.w3.org/2000/svg", "")
     assert main(["replay", str(other), "-o", str(out)]) == 2
     assert "page.html" in capsys.readouterr().err
     assert out.read_text() == text
@@ -96,6 +97,9 @@ def test_evaluate_records_its_best_median_and_worst(tmp_path: Path) -> None:
     returns = sorted(json.loads(results.read_text())["stochastic"]["per_episode"]["returns"])
     found = [load_episode(out / f"{name}.json") for name in ("worst", "median", "best")]
     assert [one.team_return for one in found] == [returns[0], returns[2], returns[4]]
+    assert [one.source for one in found] == [
+        f"random, {name}" for name in ("worst", "median", "best")
+    ]
     assert main(command) == 2, "the folder is there already"
 
 
