@@ -1,4 +1,4 @@
-# make demo   train PPO, MAPPO and IPPO on field_03, print the comparison
+# make demo   train two centralised and two decentralised forms on field_03, print the comparison
 # make quick  lint, run the tests that take no seconds
 # make test   lint, type-check, run the tests of every pull request
 # make docs   build the documentation site into build/docs, warnings as errors
@@ -27,7 +27,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 	touch $@
 
 demo: .venv/installed
-	$(BIN)/mbn compare --algos ppo mappo ippo --fields field_03 --seeds 0 1 2 --steps 655360 \
+	$(BIN)/mbn compare --fields field_03 --seeds 0 1 2 --steps 655360 \
 		--out runs/demo --force
 
 ruff: .venv/installed

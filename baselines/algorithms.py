@@ -12,7 +12,7 @@ from typing import Any, Literal
 from mbn_marl.errors import MbnError, unknown
 
 Form = Literal["centralized", "decentralized"]
-Setting = Literal["A", "B", "C", "N"]
+Setting = Literal["A", "B", "C", "N", "J"]
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,16 @@ SETTINGS: Mapping[Setting, Protocol] = {
     "B": Protocol("the paper's: as A, with its Optuna values", 33, 5_000_000),
     "C": Protocol("the paper's: as A, from a policy trained on another field", 33, 5_000_000),
     "N": Protocol("normalised observation, scaled reward", 0, 655_360),
+    "J": Protocol("as N, with the observations and training aids of ppo-joint", 0, 655_360),
 }
+JOINT = ("ppo", "trpo")
+"""The algorithms with a setting J."""
+SPEEDS = {"a2c": 835.0, "ppo": 1039.0, "trpo": 1084.0, "ars": 4229.0, "crossq": 10.0, "tqc": 50.0}
+"""Env-steps a second of one core with one world, as docs/grid.md measured them."""
+SIDE_BY_SIDE = 9000.0
+"""Those of PPO's relatives with 128 worlds, from the demo's runs."""
+SLOW = ("crossq", "tqc")
+"""Algorithms whose gradient steps take the time, however many worlds there are."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +59,14 @@ class Algorithm:
     @property
     def settings(self) -> tuple[Setting, ...]:
         """The settings it can be trained under."""
-        paper = self.form == "centralized" and self.package == "sb3"
-        return tuple(SETTINGS) if paper else ("N",)
+        if self.form != "centralized" or self.package != "sb3":
+            return ("N",)
+        return tuple(one for one in SETTINGS if one != "J" or self.name in JOINT)
+
+    def speed(self, setting: Setting) -> float:
+        """About how many env-steps a second one core trains, evaluations excluded."""
+        alone = setting in ("A", "B", "C") or self.name in SLOW
+        return SPEEDS[self.name] if alone else SIDE_BY_SIDE
 
     def _module(self, name: str) -> ModuleType:
         return import_module(f"baselines.{self.package}.{name}")

@@ -13,6 +13,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, ClassVar
 
+from baselines.algorithms import SPEEDS
 from baselines.compare.text_table import TextTable
 from baselines.sweep.processes import LocalEngine
 from baselines.sweep.ray_cluster import RayEngine
@@ -27,10 +28,6 @@ from benchmarks.report import Advance, Benchmark, Findings, Measurement
 EMPTY, CELLS = 1000, 4  # cells that train nothing, and that train
 WORKERS = 2
 Job = tuple[str, str | None, float]  # a name, that of the job to wait for, and seconds
-SPEEDS = {"a2c": 835.0, "ppo": 1039.0, "trpo": 1084.0, "ars": 4229.0, "crossq": 10.0, "tqc": 50.0}
-"""Env-steps per second of training on one core of a machine of two (Intel Xeon): harmonic means
-over runs of 1 M env-steps by an earlier revision; CrossQ and TQC, which were not run to their end,
-as docs/results/paper.md has them."""
 CORES, MACHINES = 2, (1, 16, 256)  # cores of a machine, and how many machines
 CAPTION = (
     f"Machines have {CORES} cores and train as many runs at a time; runs begin in the order of the "

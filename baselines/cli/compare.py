@@ -92,6 +92,9 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Resul
     from baselines.runs.report_path import Place
     from baselines.training.progress_bar import progress_bars
 
+    hours = config.core_hours
+    spent = f"{hours:.1f} hours" if hours >= 1.0 else f"{60 * hours:.0f} minutes"
+    print(f"{len(config.runs())} runs of {config.steps:,} env-steps: about {spent} of one core")
     with progress_bars([run.name for run in config.runs()], config.steps) as show:
         results = train_all_runs(config, out, listener=show, **options)
     print_comparison(write_comparison(results, Place.of(out, PAGE)), console())

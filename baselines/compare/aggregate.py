@@ -60,6 +60,18 @@ def probability_of_improvement(ours: FloatArray, theirs: FloatArray) -> Estimate
     return Estimate(float(wins.mean()), *np.percentile(resampled / len(wins), ENDS).tolist())
 
 
+def difference_interval(ours: FloatArray, theirs: FloatArray) -> tuple[float, float]:
+    """The interval of the mean of ``ours`` less that of ``theirs``, whose seeds are drawn apart."""
+    rng = np.random.default_rng(0)
+    draws = [rng.integers(0, side.shape[1], (RESAMPLES, *side.shape)) for side in (ours, theirs)]
+    means = [
+        np.take_along_axis(side[None], drawn, axis=2).mean(axis=(1, 2))
+        for side, drawn in zip((ours, theirs), draws, strict=True)
+    ]
+    low, high = np.percentile(means[0] - means[1], ENDS)
+    return float(low), float(high)
+
+
 def performance_profile(scores: FloatArray, thresholds: FloatArray) -> Profile:
     """The share of runs that score more than each of ``thresholds`` (k,), with a pointwise band."""
     above = (scores[..., None] > thresholds).reshape(-1, thresholds.size)

@@ -29,8 +29,8 @@ def comparison_page(results: Results, comparison: Comparison, command: str) -> s
         Section("Commands", texts={"This page": command, f"The {len(runs)} runs": made}),
     ]
     summary = (
-        f"{len(runs)} runs: {', '.join(results.labels)} on {', '.join(results.fields)}, "
-        f"{results.seeds} each. Made by mbn_marl {__version__}."
+        f"{comparison.verdict} {len(runs)} runs: {', '.join(results.labels)} on "
+        f"{', '.join(results.fields)}, {results.seeds} each. Made by mbn_marl {__version__}."
     )
     return report_page("Comparison", summary, sections)
 

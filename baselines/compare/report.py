@@ -86,7 +86,10 @@ def _markdown(comparison: Comparison, pictures: Mapping[str, str], place: Place)
     if broken:
         broken = ["## Runs that diverged: their variants are left out", "\n".join(broken)]
     shown = [table.markdown(title) for title, table in tables.items()]
-    return "\n\n".join(["# Comparison", *broken, *shown, "## Figures", *images]) + "\n"
+    return (
+        "\n\n".join(["# Comparison", comparison.verdict, *broken, *shown, "## Figures", *images])
+        + "\n"
+    )
 
 
 def _draw_best(results: Results, field: str, out: Path) -> None:

@@ -10,8 +10,9 @@ from baselines.compare.summary import Comparison, Numbers
 from baselines.compare.text_table import TextTable
 
 UNKNOWN = "-"
+FORMS = "form: C, centralised, one policy moves the team; D, decentralised, each robot its own. "
 THRESHOLD = ("steps to\n100k", "s to\n100k")
-OF_AGGREGATES = (
+OF_AGGREGATES = FORMS + (
     "Scores are true returns as shares of the field's proved optimum. pass: runs whose final "
     "return is 100 000 or more, with 99 % of the sampled episodes and all with mean actions "
     "successful. IQM: interquartile mean of all runs, with its 95 % interval by stratified "
@@ -22,11 +23,10 @@ OF_IMPROVEMENT = (
     "How likely a run of the row has a higher return with sampled actions than a run of the column "
     "on the same field, mean over all fields; equal returns count half."
 )
-OF_FIELDS = (
+OF_FIELDS = FORMS + (
     "Fresh episodes with sampled actions, mean over seeds; the interval is the 95 % bootstrap over "
     "seeds. mean actions: the return without sampling. to 100k: until the first fresh evaluation "
-    "at 100 000 or more, mean of the runs that got there (how many did); seconds are of training "
-    "alone."
+    "at 100 000 or more, mean of the runs that got there (how many did)."
 )
 OF_GAPS = (
     "How far the mean return with sampled actions falls short of the proved optimum, with its 95 % "
@@ -35,7 +35,8 @@ OF_GAPS = (
 
 
 def print_comparison(comparison: Comparison, console: Console) -> None:
-    """Print every table, and below it what its columns mean."""
+    """Print the result, and every table with what its columns mean below."""
+    console.print(comparison.verdict, "\n", markup=False)
     for title, table in field_tables(comparison).items():
         console.print(table.rich(title))
     console.print(OF_FIELDS, "\n")
@@ -61,8 +62,8 @@ def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
 def field_tables(comparison: Comparison) -> dict[str, TextTable]:
     """A table for each field, by title, which begins with the field's name and a colon."""
     headings = (
-        *("algo", "return", "interval\n(x 1000)", "success", "make-\nspan", "of\noptimum"),
-        *("mean\nactions", *THRESHOLD),
+        *("algo", "form", "return", "interval\n(x 1000)", "success", "make-\nspan", "of\noptimum"),
+        *("mean\nactions", THRESHOLD[0]),
     )
     tables = {}
     for field, rows in _by_field(comparison.rows).items():
@@ -93,10 +94,11 @@ def _aggregates(comparison: Comparison) -> TextTable:
         f" Left out, without one proved optimum for all: {left_out}." if left_out else ""
     )
     gaps = ("gap", "gap,\nmean")
-    headings = ("algo", "pass", "IQM", "interval", *gaps, "success", *THRESHOLD)
+    headings = ("algo", "form", "pass", "IQM", "interval", *gaps, "success", *THRESHOLD)
     lines = tuple(
         (
             one["label"],
+            _letter(one),
             f"{one['passed']}/{one['seeds'] * one['fields']}",
             f"{one['iqm'].value:.1%}",
             _ends(0.01, *one["iqm"][1:]),
@@ -121,14 +123,19 @@ def _improvement(comparison: Comparison) -> TextTable:
 def _row_line(row: Numbers) -> tuple[str, ...]:
     return (
         row["label"],
+        _letter(row),
         f"{row['return_mean']:,.0f}",
         _ends(1000.0, row["return_low"], row["return_high"]),
         f"{row['success_rate']:.1%}",
         _shown(row["makespan"], "{:.1f}"),
         _shown(row["optimum_share"], "{:.1%}"),
         f"{row['deterministic_return']:,.0f}",
-        *_threshold(row, row["seeds"]),
+        _threshold(row, row["seeds"])[0],
     )
+
+
+def _letter(numbers: Numbers) -> str:
+    return str(numbers["form"])[0].upper()
 
 
 def _gap(row: Numbers) -> str:

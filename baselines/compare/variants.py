@@ -14,9 +14,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import to_jsonable_python
 from tyro.conf import arg
 
+from baselines.algorithms import find_algorithm
 from baselines.training.config import TrainConfig, default_label
 from baselines.training.hyperparameters import read_blocks, validate
 from mbn_marl.errors import ConfigError, collecting
+from mbn_marl.field import load_field
 
 
 class Variant(BaseModel):
@@ -33,7 +35,7 @@ class Variant(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     algorithm: str
-    setting: Literal["A", "B", "N"] = "N"
+    setting: Literal["A", "B", "N", "J"] = "N"
     label: str | None = None
     hyperparameters: dict[str, Any] = Field(default_factory=dict)
     environment: dict[str, Any] = Field(default_factory=dict)
@@ -80,16 +82,28 @@ def labelled(blocks: Mapping[str, Any], place: str) -> tuple[Variant, ...]:
     )
 
 
+LEAST_STEPS, STEPS_PER_VISITOR = 655_360, 100_000
+
+
+def proposed_steps(fields: Sequence[str]) -> int:
+    """Return a budget for these fields in env-steps; errors as :func:`load_field`."""
+    sizes = [len(field.starts) * len(field.rois) for field in map(load_field, fields)]
+    return max([LEAST_STEPS, *(STEPS_PER_VISITOR * size for size in sizes)])
+
+
 @dataclass(frozen=True)
 class CompareConfig:
     """A comparison, and the options of `mbn compare`.
 
     Attributes:
         variants: algorithms of `mbn train`, centralised and decentralised together; crossq:A is
-            crossq under setting A, crossq under N.
+            crossq under setting A, crossq under N. By default two centralised and two
+            decentralised ones with the same observations, training aids and budget; ppo:A is the
+            paper's PPO.
         fields: names of `mbn fields`, or paths of field files.
         seeds: one run per algorithm, field and seed.
-        steps: the budget of every run in env-steps.
+        steps: the budget of every run in env-steps; by default 100,000 for each robot and ROI of
+            the largest field, and at least 655,360.
         evaluate_every: env-steps between two fresh evaluations.
         episodes: stochastic episodes of an evaluation.
 
@@ -98,19 +112,25 @@ class CompareConfig:
     """
 
     variants: Annotated[tuple[Variant, ...], arg(name="algos", metavar="ALGO ...")] = (
-        Variant(algorithm="ppo"),
+        Variant(algorithm="ppo", setting="J"),
+        Variant(algorithm="ppo-joint"),
         Variant(algorithm="mappo"),
         Variant(algorithm="ippo"),
     )
     fields: tuple[str, ...] = ("field_03",)
     seeds: tuple[int, ...] = (0, 1, 2)
-    steps: int = 655_360
+    steps: int = None  # type: ignore[assignment]  # replaced by the fields' own
     evaluate_every: int = 32_768
     episodes: int = 100
 
     def __post_init__(self) -> None:
-        """Check everything before the first run starts."""
-        problems = []
+        """Check everything before the first run starts; fill in the budget."""
+        problems: list[str] = []
+        if self.steps is None:
+            with collecting(problems):
+                object.__setattr__(self, "steps", proposed_steps(self.fields))
+        if problems:
+            raise ConfigError("comparison", problems)
         lists: dict[str, Sequence[Any]] = {
             "algorithms": [variant.name for variant in self.variants],
             "fields": self.fields,
@@ -133,6 +153,12 @@ class CompareConfig:
     def runs(self) -> list[TrainConfig]:
         """Return the runs, seed by seed."""
         return [request() for request in self._requests()]
+
+    @property
+    def core_hours(self) -> float:
+        """About how many hours of one core training takes, evaluations excluded."""
+        speeds = [find_algorithm(run.algorithm).speed(run.setting) for run in self.runs()]
+        return sum(self.steps / speed for speed in speeds) / 3600
 
     def _requests(self) -> list[Callable[[], TrainConfig]]:
         budget = {name: getattr(self, name) for name in ("steps", "evaluate_every", "episodes")}

@@ -47,11 +47,11 @@ class TrainConfig:
             ippo with network=entities, take random_convex, random_shapes and sampler files too.
         setting: A: the paper's library defaults, raw observation and reward. B: its Optuna values.
             C: as A, from a policy trained on another field. N: normalised observation, scaled
-            reward.
+            reward. J (ppo, trpo): as N, with the observations and training aids of ppo-joint.
         seed: of networks, exploration and worlds, 0 to 2^32 - 1; by default 33 under A, B and C, 0
-            under N.
+            under N and J.
         steps: the budget in env-steps (an env-step moves every robot of one world once), rounded up
-            to whole updates; by default 5,000,000 under A, B and C, 655,360 under N.
+            to whole updates; by default 5,000,000 under A, B and C, 655,360 under N and J.
         evaluate_every: env-steps between two fresh evaluations; after each one a checkpoint is
             written.
         episodes: stochastic episodes of an evaluation.

@@ -1,0 +1,73 @@
+"""The result of a comparison in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from baselines.algorithms import find_algorithm
+from baselines.compare.aggregate import difference_interval
+from baselines.compare.records import RunRecord
+from baselines.compare.results import Results
+from baselines.evaluation.intervals import passes
+
+CERTAIN = 0.05
+
+
+def verdict(results: Results) -> str:
+    """Compare the best label of each form, or the two best of one form, in a sentence.
+
+    More runs that pass are better; if as many do, fewer steps with sampled actions are.
+    """
+    runs, seeds = len(results.fields) * results.seeds, results.seeds
+    order = sorted(results.labels, key=lambda label: _rank(results.of_label(label)))
+    if not any(map(_passed, map(results.of_label, order))):
+        budget = f"{results.of_label(order[0])[0].evaluation['env_steps']:,} env-steps"
+        return f"No run passes: the budget of {budget} is too small to compare."
+    if len(order) == 1:
+        return f"{_passed(results.of_label(order[0]))} of {runs} runs pass."
+    forms = {form_of(results, label): label for label in reversed(order)}
+    first, second = sorted(forms.values(), key=order.index) if len(forms) == 2 else order[:2]
+    ours, theirs = results.of_label(first), results.of_label(second)
+    names = [f"{label} ({form_of(results, label)})" for label in (first, second)]
+    passed = _passed(ours), _passed(theirs)
+    if passed != (runs, runs):
+        counts = f"{names[0]} passes in {passed[0]} of {runs} runs, {names[1]} in {passed[1]}"
+        table = np.array([[number, runs - number] for number in passed])
+        certain = stats.fisher_exact(table).pvalue < CERTAIN
+        return f"{counts}{'' if certain else ': too few runs to tell them apart'}."
+    if seeds == 1:
+        return f"{names[0]} and {names[1]} pass; with one seed no order can be told."
+    shape = len(results.fields), seeds
+    steps = [np.reshape([_steps(run) for run in side], shape) for side in (theirs, ours)]
+    low, high = difference_interval(*steps)
+    given = f"{seeds} seeds" + (f", {shape[0]} fields" if shape[0] > 1 else "")
+    if low <= 0.0 <= high:
+        ends = f"{low:.1f} .. {high:.1f} steps, {given}"
+        return f"{names[0]} and {names[1]} pass; no order can be told ({ends})."
+    faster, slower = names if low > 0.0 else names[::-1]
+    least, most = sorted((abs(low), abs(high)))
+    return f"{faster} is faster than {slower} by {least:.1f} .. {most:.1f} steps, {given}."
+
+
+def form_of(results: Results, label: str) -> str:
+    """Return whether a label is centralised or decentralised, as its algorithm is."""
+    return find_algorithm(results.of_label(label)[0].config["algorithm"]).form
+
+
+def _passed(runs: Sequence[RunRecord]) -> int:
+    finals = [run.evaluation for run in runs]
+    rates = [final["deterministic"]["success_rate"] for final in finals]
+    return sum(passes(one["stochastic"], rate) for one, rate in zip(finals, rates, strict=True))
+
+
+def _steps(run: RunRecord) -> float:
+    """The mean makespan with sampled actions; infinite without a success."""
+    steps: float | None = run.evaluation["stochastic"]["makespan"]
+    return np.inf if steps is None else steps
+
+
+def _rank(runs: Sequence[RunRecord]) -> tuple[int, float]:
+    return -_passed(runs), float(np.mean([_steps(run) for run in runs]))
