@@ -128,6 +128,7 @@ def test_slow_training_is_saved_between_evaluations(
 
 def test_a_checkpoint_that_fails_leaves_the_one_before(tmp_path: Path) -> None:
     run = RunFolder(tmp_path)
+    (tmp_path / "config.json").touch()
     with run.new_checkpoint(100) as folder:
         (folder / "part").write_text("whole")
     with pytest.raises(InterruptedError), run.new_checkpoint(200) as folder:
