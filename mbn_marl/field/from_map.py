@@ -160,8 +160,10 @@ def _shapes(node: Any, place: str, properties: dict[str, Any]) -> Iterator[_Shap
             for k, member in enumerate(members):
                 yield from _shapes(member, f"{dot}{key}[{k}]", properties)
         case "Feature":
-            given = node.get("properties")
-            known = {str(key).lower(): value for key, value in given.items()} if given else {}
+            given = node.get("properties") or {}
+            if not isinstance(given, dict):
+                raise _error(f"{at}: properties: expected names and values")
+            known = {str(key).lower(): value for key, value in given.items()}
             known = {"name": node.get("id"), **known}
             if node.get("geometry") is not None:
                 yield from _shapes(node["geometry"], place, known)

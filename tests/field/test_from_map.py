@@ -162,6 +162,7 @@ def test_polygons_are_picked_and_holes_are_cut_out(tmp_path: Path) -> None:
         ([polygon()], "features[0]: coordinates: "),
         ([point(1, 2)], "no polygon"),
         ([{"type": "LineString"}], "features[0]: type: 'LineString'; allowed: Polygon"),
+        ([{"type": "Feature", "properties": [1]}], "features[0]: properties: "),
         ([[1]], "features[0]: expected a GeoJSON object"),
     ],
 )
