@@ -93,11 +93,11 @@ def test_limits_of_black_death():
         observations, _, terminated, truncated, _ = step_all(env, env.possible_agents)
         assert all(terminated.values()) == all(truncated.values()) == (step == 4), "now lifted"
     assert not any(observation.any() for observation in observations.values())
-    varying = black_death_v3(parallel_env(FieldSampler(robots=(2, 3)), failed_agents="terminate"))
+    varying = black_death_v3(parallel_env(FieldSampler(robots=(2, 3)), max_steps=1))
     rows = pettingzoo_env_to_vec_env_v1(varying)
+    rows.reset(seed=0)
     with pytest.raises(AssertionError):
-        for seed in range(9):
-            rows.reset(seed=seed)
+        for _ in range(40):
             rows.step(np.zeros((3, 2)))
 
 
