@@ -42,9 +42,11 @@ class Benchmark:
         from baselines.console import console
         from baselines.evaluation.shielded import behind
         from baselines.runs.files import alone, claim_folder, write_text
+        from baselines.zoo.sources import check_known
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}
         check_options("benchmark", wrong)
+        check_known(self.source)
         tiers = load_tiers(self.split, self.tiers or load_protocol().tiers)
         policy = f"{self.source}{behind(self.shield)}"
         name = re.sub(r"[^\w.-]+", "-", policy).strip("-")
