@@ -25,7 +25,7 @@ class Benchmark:
     """Let robots do only what they could brake after, whatever the policy wants."""
     tiers: tuple[str, ...] = ()
     """Some of 1-convex, 2-sizes, 3-shapes, 4-crowds, 5-weather; by default all."""
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: Path | None = None
     """The folder to write: result.json, page.html, episodes; by default
     runs/benchmark-POLICY-SPLIT, or runs/benchmark-POLICY-shield-SPLIT."""
     force: bool = False

@@ -17,7 +17,7 @@ class Export:
 
     policy: Positional[Annotated[str, arg(metavar="POLICY")]]
     """The folder of a run, or zoo:NAME (see `mbn zoo`)."""
-    out: Annotated[Path, arg(aliases=["-o"])]
+    out: Path
     """The file to write: .onnx, .pt2 or .npz."""
     field: str | None = None
     """A name of `mbn fields`, or a field file; by default that of the run or of zoo:NAME."""

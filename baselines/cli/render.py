@@ -21,7 +21,7 @@ class Render(Subject):
 
     source: Positional[Annotated[str, arg(metavar="POLICY|FIELD|EPISODE")]]
     """As for `mbn evaluate`; or a field, with random actions; or an episode's file."""
-    out: Annotated[Path, arg(aliases=["-o"])]
+    out: Path
     """A .json for the episode itself (see `mbn replay`), .gif or .mp4 for an animation, .png, .pdf
     or .svg for its paths."""
     sampled: bool = False

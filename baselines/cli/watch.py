@@ -26,7 +26,7 @@ class _Window(Subject):
     """Steps a second."""
     episodes: int | None = None
     """Close the window after so many."""
-    save: Path | None = None
+    out: Path | None = None
     """Write the last episode to this .json file (see `mbn replay`)."""
     force: bool = False
     """If that file exists, move it aside."""
@@ -41,18 +41,18 @@ class _Window(Subject):
 
         how: dict[str, Any] = {"seed": self.seed, "alone": zoo_policy, **self.asked}
         actor = find_actor(self.source, self.field, **how)
-        if self.save is not None:
-            if self.save.suffix.lower() != ".json":
-                raise MbnError(f"{self.save}: the file name has to end in .json")
-            check_free(self.save, force=self.force)
+        if self.out is not None:
+            if self.out.suffix.lower() != ".json":
+                raise MbnError(f"{self.out}: the file name has to end in .json")
+            check_free(self.out, force=self.force)
         show = Show(not self.sampled, self.seed, self.speed, self.episodes)
         robot = self.robot if isinstance(self, Play) else None
         shown = watch(actor, show) if robot is None else play(actor, show, robot)
         for episode in shown:
             print(f"{episode.outcome}, {episode.steps} steps, return {episode.team_return:,.0f}")
-        if self.save is not None and shown:
-            save_episode(shown[-1], claim_file(self.save, force=self.force))
-            print(f"written to {self.save}")
+        if self.out is not None and shown:
+            save_episode(shown[-1], claim_file(self.out, force=self.force))
+            print(f"written to {self.out}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -96,10 +96,10 @@ def test_the_commands_save_what_was_shown(
     out = tmp_path / "watched.json"
     quick = ("--episodes", "1", "--speed", "5000")
     wind = ("--wind", "0.1", "30")
-    assert main(["watch", "field_03", *quick, *wind, "--save", str(out)]) == 0
+    assert main(["watch", "field_03", *quick, *wind, "-o", str(out)]) == 0
     episode = load_episode(out)
     assert episode.source == "zoo:field_03 in field_03" and episode.config.wind == (0.1, 30.0)
-    assert main(["play", "field_03", "--robot", "2", *quick, "--save", str(out)]) == 2
+    assert main(["play", "field_03", "--robot", "2", *quick, "-o", str(out)]) == 2
     assert "watched.json" in capsys.readouterr().err
     assert zoo_policy("nowhere") == "random"
 
@@ -115,7 +115,7 @@ def test_a_show_that_cannot_be_is_refused(
         ("watch field_03 --speed inf", "inf"),
         ("watch field_00", "field_00"),
         ("watch greddy", "did you mean greedy?"),
-        ("watch field_03 --save a.txt", ".json"),
+        ("watch field_03 -o a.txt", ".json"),
     ):
         assert place in refusal(words.split()), words
     small = Field([(0, 0), (50, 0), (0, 50)], rois=[(9, 9)], starts=[(20, 20)], name="small")
