@@ -29,7 +29,11 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> str:
 
 
 def install(extra: str) -> str:
-    """Return the command that brings an extra; the package is on no index."""
+    """Return the command that brings an extra; the package is on no index.
+
+    Args:
+        extra: its name in ``pyproject.toml``, such as ``"render"``.
+    """
     return f"pip install '.[{extra}]' in a clone of mbn_marl"
 
 

@@ -78,7 +78,9 @@ def test_python_in_tables_runs(page: Path) -> None:
         exec(f"import gymnasium, pettingzoo\nfrom mbn_marl import *\n{code}", {})
 
 
-def test_commands_in_tables_are_known() -> None:
+def test_commands_in_tables_are_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_own_files(tmp_path)
     for page in PAGES:
         for code in code_in_tables(page):
             words = code.split() if re.match(r"mbn |python -m ", code) else []

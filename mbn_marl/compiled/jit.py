@@ -33,6 +33,7 @@ COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapp
 
 ANNOUNCEMENT = "mbn_marl: compiling %s for these settings, once per machine: 5 to 30 seconds of CPU"
 DAMAGED = "mbn_marl: %s is damaged, so its code is compiled again: %s"
+NOT_USED = "mbn_marl: NUMBA_CACHE_DIR=%s cannot be written, so compiled code in it is not used"
 NOT_KEPT = "mbn_marl: %s cannot be written, so compiled code is not kept: %s"
 PLAIN = "MBN_PLAIN_JIT"
 """The environment variable that turns the compiler of ``part`` off, if it is set."""
@@ -278,8 +279,12 @@ def _digest(code: bytes) -> bytes:
 
 def _kept(dispatcher: Any, stamp: Any = None) -> Any:
     """Let a dispatcher keep its code on disk, if there is a folder that can be written."""
+    asked, found = numba.config.CACHE_DIR, ""  # type: ignore[attr-defined]
     with suppress(RuntimeError):  # there is none
         dispatcher._cache = CodeCache(dispatcher.py_func, stamp)
+        found = dispatcher._cache.cache_path
+    if asked and not found.startswith(asked):
+        _warn(NOT_USED, asked)
     return dispatcher
 
 

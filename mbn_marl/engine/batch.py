@@ -298,8 +298,8 @@ class BatchEngine(Readings):
             saved: what :meth:`save_state` gave: arrays of its shapes, such as (n, W), and units.
 
         Raises:
-            MbnError: it was an engine of other sizes or another sampler; this one is left as it
-                was.
+            ProblemsError: naming every array with another shape or type, or values out of range.
+            MbnError: it was an engine with another sampler. In both cases nothing has changed.
         """
         if not isinstance(saved, Mapping):
             found = type(saved).__name__

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from supersuit import black_death_v3
+from supersuit import black_death_v3, pettingzoo_env_to_vec_env_v1
 from torchrl.envs.utils import check_env_specs
 
-from mbn_marl import navigation_v0, parallel_env
+from mbn_marl import FieldSampler, navigation_v0, parallel_env
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, SharedPolicyVecEnv
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.errors import ActionError
@@ -84,6 +84,21 @@ def test_black_death_keeps_the_agents():
     assert set(observations) == set(env.possible_agents)
     assert not observations["robot_1"].any() and rewards["robot_1"] == 0
     assert observations["robot_0"].any()
+
+
+def test_limits_of_black_death():
+    env = black_death_v3(parallel_env(max_steps=3, **FAILING, failed_agents="terminate"))
+    env.reset()
+    for step in range(1, 5):
+        observations, _, terminated, truncated, _ = step_all(env, env.possible_agents)
+        assert all(terminated.values()) == all(truncated.values()) == (step == 4), "now lifted"
+    assert not any(observation.any() for observation in observations.values())
+    varying = black_death_v3(parallel_env(FieldSampler(robots=(2, 3)), max_steps=1))
+    rows = pettingzoo_env_to_vec_env_v1(varying)
+    rows.reset(seed=0)
+    with pytest.raises(AssertionError):
+        for _ in range(40):
+            rows.step(np.zeros((3, 2)))
 
 
 def test_torchrl_masks_them():

@@ -94,6 +94,11 @@ def test_code_that_cannot_be_kept_is_used(tmp_path: Path) -> None:
         assert probe(PACKAGE, tmp_path, f"{tmp_path}", largest=100) == ["3.5", "0"]
 
 
+def test_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    assert probe(PACKAGE, tmp_path / "file", f"NUMBA_CACHE_DIR={tmp_path}")[0] == "3.5"
+
+
 def test_only_what_python_calls_becomes_machine_code() -> None:
     @compiled
     def twice(x):

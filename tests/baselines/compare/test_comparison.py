@@ -130,7 +130,7 @@ def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
     text = out.getvalue()
     assert "field_03: 400 env-steps a run, 2 seeds each" in text
     line = next(line for line in text.splitlines() if "25.0..50.0" in line)
-    assert " ".join(line.split()) == "mappo 0/2 37.5% 25.0..50.0 62.50% 25.00% 75.0% 0k 1/2 3.0"
+    assert " ".join(line.split()) == "mappo D 0/2 37.5% 25.0..50.0 62.50% 25.00% 75.0% 0k 1/2 3.0"
     encoded = json.loads(json.dumps(comparison.to_json(), allow_nan=False))
     assert encoded["aggregates"][0]["iqm"] == {"value": 0.375, "low": 0.25, "high": 0.5}
     assert encoded["probability_of_improvement"]["other"]["mappo"]["value"] == 0.5
@@ -309,3 +309,37 @@ def test_words_stay_in_their_cells() -> None:
     signs = DataFrame({"label": ["=1+2", "+1", "-x", "@x", "plain"], "number": [-1.0, 2, 3, 4, 5]})
     rows = ["label,number", "'=1+2,-1.0", "'+1,2.0", "'-x,3.0", "'@x,4.0", "plain,5.0"]
     assert csv_text(signs).splitlines() == rows
+
+
+def recorded(passes: bool, makespan: float) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """What a run records that passes with this makespan, or fails."""
+    rate, mean = float(passes), 150_000.0 if passes else -80_000.0
+    kind = {"return_mean": mean, "success_rate": rate, "makespan": makespan if passes else None}
+    final = {"env_steps": 400, "seconds": 9.0, "stochastic": kind, "deterministic": kind}
+    return [{"env_steps": 400, "seconds": 4.0, "return_mean": mean}], final
+
+
+@pytest.mark.parametrize(
+    "joint, mappo, words",
+    [
+        ([0, 0], [0, 0], "No run passes: the budget of 400 env-steps is too small to compare."),
+        ([20], [30], "with one seed no order can be told"),
+        ([20, 26], [30, 20], "no order can be told (-"),
+        ([20, 21], [30, 31], "ppo-joint (centralized) is faster than mappo (decentralized) by 9."),
+        ([40, 41], [30, 31], "mappo (decentralized) is faster than ppo-joint (centralized) by 9."),
+        ([20, 0], [30, 31], "in 2 of 2 runs, ppo-joint (centralized) in 1: too few runs"),
+        ([0] * 4, [30] * 4, "mappo (decentralized) passes in 4 of 4 runs, ppo-joint"),
+        ([0] * 4, [30] * 4, "(centralized) in 0."),
+    ],
+)
+def test_the_result_in_words(
+    joint: list[int], mappo: list[int], words: str, tmp_path: Path
+) -> None:
+    runs = [
+        make_run(tmp_path, recorded=recorded(steps > 0, steps), algorithm=name, seed=seed)
+        for name, sides in (("ppo-joint", joint), ("mappo", mappo))
+        for seed, steps in enumerate(sides)
+    ]
+    comparison = summarise(Results.of(runs))
+    assert words in comparison.verdict
+    assert comparison.to_json()["verdict"] == comparison.verdict

@@ -6,11 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from baselines.compare.variants import parse_variant, read_variants
+from baselines.algorithms import find_algorithm
+from baselines.compare.variants import CompareConfig, parse_variant, read_variants
+from baselines.training.aids import TrainingAids
 from baselines.training.config import TrainConfig
+from baselines.training.hyperparameters import Hyperparameters
 from baselines.training.overrides import parse, words_of
-from mbn_marl import Uniform
+from baselines.training.train import prepare
+from mbn_marl import Field, Uniform
 from mbn_marl.errors import ConfigError
+from mbn_marl.field import save_field
+
+AIDS = TrainingAids.model_fields.keys() - Hyperparameters.model_fields.keys()
 
 
 def test_overrides_are_read_and_written() -> None:
@@ -63,3 +70,23 @@ def test_variants_in_a_file_have_labels(tmp_path: Path) -> None:
         read_variants(path)
     with pytest.raises(ConfigError, match="label: "):
         TrainConfig("ippo", "field_03", label="a/b")
+
+
+def test_the_default_compares_like_with_like() -> None:
+    config = CompareConfig()
+    tasks = {run.shown_as: prepare(run) for run in config.runs()}
+    forms = [find_algorithm(task.config.algorithm).form for task, _ in tasks.values()]
+    assert sorted(forms) == ["centralized"] * 2 + ["decentralized"] * 2
+    alike = [
+        (numbers.model_dump(include=AIDS), task.settings["observation"], task.config.steps)
+        for task, numbers in tasks.values()
+    ]
+    assert alike == [alike[0]] * 4
+    crowd = CompareConfig(fields=("field_03", "field_10"))
+    assert config.steps == 1_800_000 == crowd.steps
+    assert 0.1 < config.core_hours < 2 * crowd.core_hours
+
+
+def test_a_budget_is_as_small_as_the_field(tmp_path: Path) -> None:
+    save_field(Field([(0, 0), (90, 0), (90, 90)], [(80, 20)], [(40, 10)]), tmp_path / "one.yaml")
+    assert CompareConfig(fields=(str(tmp_path / "one.yaml"),)).steps == 655_360
