@@ -57,7 +57,11 @@ class Splits:
 
     def run(self, command: str) -> bool:
         """Make or verify the files; return whether nothing is wrong with them."""
-        wrong = [f"tier: {unknown('tier', tier, NAMES)}" for tier in self.tier if tier not in NAMES]
+        wrong = [
+            f"tier: {tier!r}: {unknown('tier', tier, NAMES)}"
+            for tier in self.tier
+            if tier not in NAMES
+        ]
         wrong += [f"count: at least 1, not {self.count}"] * (self.count < 1)
         wrong += [f"seconds: more than 0, not {self.seconds:g}"] * (not self.seconds > 0.0)
         if wrong:

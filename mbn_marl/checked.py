@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
@@ -150,7 +151,13 @@ def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
             continue  # an entry has a line of its own
         if problem["type"] == "extra_forbidden":
             *path, name = problem["loc"]
-            message = unknown("name", str(name), _level(model, path).model_fields)
+            known = _level(model, path).model_fields.items()  # without repr: not to be set by hand
+            message = unknown("name", str(name), [name for name, field in known if field.repr])
+        elif problem["type"] == "literal_error":
+            choices = re.findall(r"'(.*?)'", problem["ctx"]["expected"])
+            message = (
+                f"{problem['input']!r:.80}: {unknown('choice', str(problem['input']), choices)}"
+            )
         else:
             message = problem["msg"].removeprefix("Value error, ")
             if problem["type"] != "missing":  # else the input is all that is around it

@@ -20,8 +20,11 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> str:
         known: the names that there are.
     """
     names = list(known)
-    close = get_close_matches(name[:100], names, n=3, cutoff=0.7)
-    hint = f" (did you mean {' or '.join(close)}?)" if close else ""
+    ends = {one.rpartition(".")[2]: one for one in reversed(names)}  # gamma means model.gamma
+    close = get_close_matches(name[:100], dict.fromkeys([*ends, *names]), n=3, cutoff=0.7)
+    close = close or [one for one in names if name and one.startswith(name)]
+    meant = dict.fromkeys(ends.get(one, one) for one in close)
+    hint = f" (did you mean {' or '.join(meant)}?)" if meant else ""
     return f"unknown {kind}{hint}; known: {', '.join(names) or 'none'}"
 
 

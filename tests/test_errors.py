@@ -9,8 +9,8 @@ from baselines.sweep.spec import GridSpec
 from baselines.training.hyperparameters import validate
 from baselines.zoo.entries import open_run
 from mbn_marl.config import make_config
-from mbn_marl.errors import MbnError, unknown
-from mbn_marl.field import load_field
+from mbn_marl.errors import ConfigError, MbnError, unknown
+from mbn_marl.field import load_field, load_split
 
 GRID = {"store": "runs", "algorithms": ["ppo"], "seeds": [0], "budget": {"stepss": 1}}
 
@@ -19,6 +19,8 @@ def test_what_is_close_is_named_first() -> None:
     assert unknown("pet", "cta", ["dog", "cat"]) == "unknown pet; known: dog, cat"
     meant = "unknown pet (did you mean cat?); known: dog, cat"
     assert unknown("pet", "catt", ["dog", "cat"]) == meant
+    assert "did you mean model.gamma?" in unknown("name", "gama", ["model.gamma", "model"])
+    assert "did you mean 1-convex?" in unknown("tier", "1", ["1-convex", "2-sizes"])
     assert unknown("pet", "cat", []) == "unknown pet; known: none"
 
 
@@ -30,6 +32,10 @@ def test_every_lookup_by_name_says_what_may_be_meant() -> None:
         (lambda: make_config({"reward": "realeased"}), "reward: ", "released"),
         (lambda: make_config({"max_step": 5}), "max_step: ", "max_steps"),
         (lambda: make_config({"reward": {"name": "own", "medum": 5}}), "reward.medum: ", "medium"),
+        (lambda: make_config({"observation": "lidr"}), "observation: ", "lidar"),
+        (lambda: load_split("tset", "1-convex"), "'tset': ", "test"),
+        (lambda: find_algorithm("ppo").resolve({"gamma": 0.9}), "gamma: ", "model.gamma"),
+        (lambda: find_algorithm("mappo").resolve({"sharing": "ful"}), "sharing: ", "full"),
         (lambda: validate(GridSpec, GRID, "grid.yaml"), "budget.stepss: ", "steps"),
     ):
         with pytest.raises(MbnError) as caught:
@@ -38,3 +44,13 @@ def test_every_lookup_by_name_says_what_may_be_meant() -> None:
         assert f"did you mean {meant}" in str(caught.value)
     known = str(caught.value).split("known: ")[1]
     assert known == "steps, evaluate_every, episodes, stop_at", "only those of its level"
+
+
+@pytest.mark.parametrize("algorithm", ["crossq", "mappo"])
+def test_known_names_can_be_set(algorithm: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        find_algorithm(algorithm).resolve({"gamm": 1})
+    (problem,) = caught.value.problems
+    known = problem.split("known: ")[1].split(", ")
+    assert not {"source", "skipped"} & {*known} and "reward_scale" in known
+    assert ("action_repeat" in known) == (algorithm == "mappo")

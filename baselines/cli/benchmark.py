@@ -25,7 +25,7 @@ class Benchmark:
     """Let robots do only what they could brake after, whatever the policy wants."""
     tiers: tuple[str, ...] = ()
     """Some of 1-convex, 2-sizes, 3-shapes, 4-crowds, 5-weather; by default all."""
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: Path | None = None
     """The folder to write: result.json, page.html, episodes; by default
     runs/benchmark-POLICY-SPLIT, or runs/benchmark-POLICY-shield-SPLIT."""
     force: bool = False
@@ -42,9 +42,11 @@ class Benchmark:
         from baselines.console import console
         from baselines.evaluation.shielded import behind
         from baselines.runs.files import alone, claim_folder, write_text
+        from baselines.zoo.sources import check_known
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}
         check_options("benchmark", wrong)
+        check_known(self.source)
         tiers = load_tiers(self.split, self.tiers or load_protocol().tiers)
         policy = f"{self.source}{behind(self.shield)}"
         name = re.sub(r"[^\w.-]+", "-", policy).strip("-")

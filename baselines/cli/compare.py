@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 from tyro.constructors import PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from baselines.cli.options import REGISTRY, Reading, check_options
+from baselines.cli.options import CORES, REGISTRY, Reading, check_options
 from baselines.compare.variants import CompareConfig, Variant, parse_variant, read_variants
 from mbn_marl.errors import ConfigError
 
@@ -46,7 +45,7 @@ class Compare:
     config: Annotated[CompareConfig, arg(name="")]
     variants: Path | None = None
     """Instead of --algos: a YAML file of labelled variants, see docs/comparison.md."""
-    processes: int = os.cpu_count() or 1
+    processes: int = CORES
     """Runs at a time; each takes one core."""
     out: Path = Path("runs/comparison")
     """The folder to write: tables, figures, GIFs, and a run folder for every run."""

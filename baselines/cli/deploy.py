@@ -6,37 +6,26 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from tyro.conf import Positional, arg
+from typing import TYPE_CHECKING, Any, Literal
 
 from baselines.cli.options import check_options
-from mbn_marl.config import CONDITIONS, Condition
+from baselines.cli.subject import InWeather
+from mbn_marl.config import CONDITIONS
 
 if TYPE_CHECKING:
     from mbn_marl.sim3d import Deployment, Scale, Simulator
 
 
-@dataclass(frozen=True)
-class Deploy:
+@dataclass(frozen=True, kw_only=True)
+class Deploy(InWeather):
     """Deploy a policy on simulated vehicles, and print how it did."""
 
-    policy: Positional[Annotated[str, arg(metavar="POLICY")]]
-    """zoo, the zoo's own policy for each field; zoo:NAME; the folder of a run; greedy; planner, the
-    best plan, followed in closed loop; replan, which plans again; random; or module:callable, your
-    own."""
     field: tuple[str, ...] = ()
     """Names of `mbn fields`, or field files; by default that of the run or of zoo:NAME."""
     sim: Literal["mujoco", "coppeliasim", "plane"] = "mujoco"
     """The simulator of the vehicles; plane is the environment's own point mass."""
     vehicle: Literal["quadrotor", "balancer"] = "quadrotor"
     """In MuJoCo."""
-    condition: Condition | None = None
-    """A named condition, whose weather and failures replace the run's; by default as it was
-    trained."""
-    wind: tuple[float, float] | None = None
-    """Speed (units/step per step) and angle (degrees from +x) of the wind; by default as it was
-    trained."""
     wind_speeds: str | None = None
     """Wind speeds to deploy at, such as 0.1,0.2,..,0.5, weakest first; without --figure only up to
     the first failure."""
@@ -82,7 +71,7 @@ class Deploy:
             for simulator in simulators.values():
                 stack.enter_context(simulator)
             speed_limit = simulators[self.sim].speed_limit
-            pilots = find_pilots(self.policy, self.field, speed_limit, self.condition)
+            pilots = find_pilots(self.source, self.field, speed_limit, **self.asked)
             if self.video is not None:
                 claim_file(self.video, force=self.force)
             for actor in pilots:
@@ -98,8 +87,7 @@ class Deploy:
             "plane": "point masses in the plane",
             "coppeliasim": "quadcopters in CoppeliaSim",
         }
-        under = "" if self.condition is None else f", {self.condition}"
-        print_deployments(rows, title=f"{self.policy}, {names[self.sim]}{under}")
+        print_deployments(rows, title=f"{self.source}, {names[self.sim]}{self.weather}")
         if self.figure is not None:
             self._draw(flights, claim_file(self.figure, force=self.force))
         if self.json is not None:
@@ -127,8 +115,8 @@ class Deploy:
             "figure: allowed with --compare or --wind-speeds": self.figure
             and not (self.compare or self.wind_speeds),
             "wind: allowed without --wind-speeds": self.wind_speeds and self.wind,
-            f"wind: allowed without --condition {self.condition}, which has one": blown
-            and (self.wind_speeds or self.wind),
+            f"wind_speeds: allowed without --condition {self.condition}, which has wind": blown
+            and self.wind_speeds,
         }
         check_options("deployment", checks)
         if self.figure is not None:
@@ -137,7 +125,7 @@ class Deploy:
             check_free(output, force=self.force)
         if self.wind_speeds is not None:
             return parse_speeds(self.wind_speeds), self.wind_angle
-        return ([], 0.0) if self.wind is None else ([self.wind[0]], self.wind[1])
+        return [], 0.0
 
     def _simulators(self, scale: Scale) -> dict[str, Simulator]:
         """Return the simulator by name, and the plane before it to compare with."""

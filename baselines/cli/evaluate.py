@@ -6,28 +6,20 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
-
-from tyro.conf import Positional, arg
+from typing import Any
 
 from baselines.cli.options import check_options
-from mbn_marl.config import Condition
+from baselines.cli.subject import Subject
 from mbn_marl.optimum import optimality_gap
 
 ONE_EPISODE = "deterministic:\none episode"
 """In place of a number of episodes, where all are the same."""
 
 
-@dataclass(frozen=True)
-class Evaluate:
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(Subject):
     """Evaluate a policy on fresh episodes, with sampled and with mean actions."""
 
-    source: Positional[Annotated[str, arg(metavar="POLICY")]]
-    """The folder of a run; zoo:NAME, a policy of `mbn zoo`; greedy, earliest visit first; planner,
-    the best plan, followed in closed loop; replan, which plans again if the world leaves it;
-    random; module:callable, your own; or lookahead: before one of them, see docs/benchmark.md."""
-    field: str | None = None
-    """For policies that have none of their own: a name of `mbn fields`, or a field file."""
     episodes: int = 100
     """How many episodes."""
     seed: int | None = None
@@ -37,9 +29,6 @@ class Evaluate:
     record: Path | None = None
     """A new folder for the best, the median and the worst episode with sampled actions, as files
     for `mbn replay`."""
-    condition: Condition | None = None
-    """A named condition, whose weather and failures replace the run's; by default as it was
-    trained."""
     shield: bool = False
     """Let robots do only what they could brake after, whatever the policy wants."""
     wind_speeds: str | None = None
@@ -53,56 +42,46 @@ class Evaluate:
 
     def run(self, command_line: str) -> None:
         """Evaluate, print the summaries, and write the files that are asked for."""
-        from baselines.zoo.entries import PREFIX
-        from baselines.zoo.sources import takes_field
-
-        in_wind, asks = self.wind_speeds is not None, takes_field(self.source)
-        field = f"{self.source} has its own"
-        if asks:
-            field = f"needed, for example: mbn evaluate {self.source} --field field_03"
-        homeless = asks or self.source.startswith(PREFIX)
+        in_wind = self.wind_speeds is not None
+        homeless = self.field is not None or not Path(self.source).is_dir()
+        needed = "needed with --wind-speeds, unless POLICY is a run's folder in its field"
         wrong = {
             f"episodes: at least 1, not {self.episodes}": self.episodes < 1,
             "figure: allowed with --wind-speeds": self.figure is not None and not in_wind,
             "record: allowed without --wind-speeds": self.record is not None and in_wind,
-            "json, figure: of a policy without a run folder in wind, name both": in_wind
-            and homeless
-            and None in (self.json, self.figure),
+            f"json: {needed}": in_wind and homeless and self.json is None,
+            f"figure: {needed}": in_wind and homeless and self.figure is None,
             "condition: allowed without --wind-speeds": self.condition is not None and in_wind,
-            f"field: {field}": asks != (self.field is not None),
+            "wind: allowed without --wind-speeds": self.wind is not None and in_wind,
         }
         check_options("evaluation", wrong)
-        how, home = self._subject()
+        title, how = self._subject()
         if self.wind_speeds is None:
-            self._evaluate(how, command_line)
+            self._evaluate(title, how, command_line)
         else:
-            self._evaluate_in_wind(how, command_line, home, self.wind_speeds)
+            self._evaluate_in_wind(title, how, command_line, self.wind_speeds)
 
-    def _subject(self) -> tuple[dict[str, Any], Path]:
-        """Return the arguments of `evaluate`, and the folder that files go to by default."""
+    def _subject(self) -> tuple[str, dict[str, Any]]:
+        """Return who is evaluated, in words, and the arguments of `evaluate`."""
+        from baselines.demo.resolve import find_actor
         from baselines.evaluation.evaluate import EVALUATION_SEED
-        from baselines.evaluation.shielded import Shielded
+        from baselines.evaluation.shielded import Shielded, behind
         from baselines.zoo.entries import open_run
-        from baselines.zoo.sources import find_policy
+        from baselines.zoo.sources import is_trained
 
         seed = EVALUATION_SEED if self.seed is None else self.seed
-        loaded = find_policy(self.source, self.field, seed=seed, condition=self.condition)
-        policy = Shielded(loaded) if self.shield else loaded.policy
-        subject = {
-            **{"policy": policy, "field": loaded.field, "settings": loaded.settings},
+        actor = find_actor(self.source, self.field, seed=seed, **self.asked)
+        if is_trained(self.source) and (unfinished := open_run(self.source).unfinished):
+            print(unfinished)
+        return f"{actor.name}{behind(self.shield)}{self.weather}", {
+            "policy": Shielded(actor.policy) if self.shield else actor.policy,
+            **{"field": actor.field, "settings": actor.settings},
             **{"episodes": self.episodes, "seed": seed},
         }
-        if self.field is not None:
-            return subject, Path()
-        run = open_run(self.source)
-        if run.unfinished is not None:
-            print(run.unfinished)
-        return subject, run.path
 
-    def _evaluate(self, how: dict[str, Any], command_line: str) -> None:
+    def _evaluate(self, title: str, how: dict[str, Any], command_line: str) -> None:
         """Evaluate as the policy was trained, or under the condition."""
         from baselines.evaluation.evaluate import evaluate_both, is_one_episode, record_evaluation
-        from baselines.evaluation.shielded import behind
         from baselines.runs.files import claim_folder, write_json
         from mbn_marl.config import make_config
         from mbn_marl.episode import save_episode
@@ -117,8 +96,6 @@ class Evaluate:
         optimum = optimal_return(how["field"], make_config(how["settings"]))
         one = partial(is_one_episode, how["policy"], how["settings"])
         summaries = {name: result.summary() for name, result in results.items()}
-        policy = f"{self.source}{behind(self.shield)}"
-        title = policy if self.condition is None else f"{policy}, {self.condition}"
         print_evaluations(summaries.values(), title, optimum, one)
         if self.json is not None:
             gaps = {
@@ -138,26 +115,24 @@ class Evaluate:
             print(f"recorded: {', '.join(recorded)} in {self.record}")
 
     def _evaluate_in_wind(
-        self, how: dict[str, Any], command_line: str, home: Path, speeds: str
+        self, title: str, how: dict[str, Any], command_line: str, speeds: str
     ) -> None:
         """Evaluate at several wind speeds; write the episodes and the picture."""
-        from baselines.evaluation.shielded import behind
         from baselines.evaluation.wind import evaluate_in_wind, parse_speeds, write_panels
         from baselines.runs.files import write_json
         from mbn_marl.files import check_free, claim_file
         from mbn_marl.render.figures import check_name
 
         winds: dict[str, Any] = {"speeds": parse_speeds(speeds), "angle": self.wind_angle}
-        figure = check_name(self.figure or home / "wind.png")
-        results = self.json or home / "wind.json"
+        figure = check_name(self.figure or Path(self.source, "wind.png"))
+        results = self.json or Path(self.source, "wind.json")
         for output in (results, figure):
             check_free(output, force=self.force)
         rows, episodes = evaluate_in_wind(**how, **winds)
         written = {"command": command_line, "results": rows}
         write_json(claim_file(results, force=self.force), written)
         write_panels(episodes, claim_file(figure, force=self.force))
-        policy = f"{self.source}{behind(self.shield)}"
-        print_winds(rows, title=f"{policy}: wind at {self.wind_angle:g} degrees")
+        print_winds(rows, title=f"{title}: wind at {self.wind_angle:g} degrees")
         print(f"written: {results}, {figure}")
 
 

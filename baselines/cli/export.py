@@ -17,10 +17,10 @@ class Export:
 
     policy: Positional[Annotated[str, arg(metavar="POLICY")]]
     """The folder of a run, or zoo:NAME (see `mbn zoo`)."""
-    out: Annotated[Path, arg(aliases=["-o"])]
+    out: Path
     """The file to write: .onnx, .pt2 or .npz."""
     field: str | None = None
-    """For policies that have none of their own: a name of `mbn fields`, or a field file."""
+    """A name of `mbn fields`, or a field file; by default that of the run or of zoo:NAME."""
     force: bool = False
     """If the file exists, move it aside (to OUT.1, OUT.2, ...)."""
 
@@ -28,20 +28,15 @@ class Export:
         """Load the policy, write and check the file, and say what it needs."""
         from baselines import load_policy
         from baselines.evaluation.export import ALLOWED, export_policy, writer_of
-        from baselines.zoo.sources import goes_anywhere, takes_field
+        from baselines.zoo.sources import check_known, is_trained, needs_field
         from mbn_marl.config import make_config
 
         writer_of(self.out)
-        asks = goes_anywhere(self.policy)
-        network = asks or not takes_field(self.policy)
-        example = f"needed, for example: mbn export {self.policy} --field field_03 -o {self.out}"
-        field = example if asks else f"{self.policy} has its own"
-        wrong = {
-            f"{self.policy}: {ALLOWED}": not network,
-            f"field: {field}": network and asks != (self.field is not None),
-        }
-        check_options("export", wrong)
+        check_known(self.policy)
+        check_options("export", {f"{self.policy}: {ALLOWED}": not is_trained(self.policy)})
         policy = load_policy(self.policy, self.field)
+        if policy.field is None:
+            raise needs_field(self.policy)
         metadata, difference = export_policy(policy, self.out, force=self.force)
         config, clip = make_config(policy.settings), metadata["clip"]
         shape, returned = (", ".join(map(str, metadata[name])) for name in ("shape", "returns"))

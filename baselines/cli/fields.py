@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class Fields:
     """List fields: robots, ROIs, edges, area, proved optimum. Or make random ones, or a map's."""
 
-    fields: Positional[Annotated[tuple[str, ...], arg(metavar="FIELD")]] = ()
+    fields: Positional[Annotated[tuple[str, ...], arg(metavar="[FIELD ...]")]] = ()
     """Names or files; by default the whole catalogue."""
     generate: Annotated[tuple[str, ...], arg(metavar="FAMILY ...")] = ()
     """Random fields instead: of the families convex, concave, corridors, obstacles, farm."""
@@ -37,7 +37,7 @@ class Fields:
     """Of each random field, or of a map without ROIs."""
     size: tuple[float, float] | None = None
     """The longest side of random fields, from and to, units; by default 110 420, or more."""
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: Path | None = None
     """The folder to write random fields to, or the field file to make of a map."""
     figure: Path | None = None
     """Draw them in this file (.png, .pdf or .svg), side by side."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import check_options
+from baselines.cli.options import CORES, check_options
 
 if TYPE_CHECKING:
     from baselines.sweep.run import Sweep
@@ -30,7 +29,7 @@ class Grid:
     """The YAML file, after what to do with it if not to train."""
     engine: Literal["local", "ray"] = "local"
     """local: processes of this machine. ray: a Ray cluster that is there already."""
-    processes: int = os.cpu_count() or 1
+    processes: int = CORES
     """local: runs at a time; each takes one core."""
     address: str | None = None
     """ray: HOST:PORT of the cluster; by default $RAY_ADDRESS, or the cluster this machine is in."""

@@ -6,13 +6,14 @@ import ast
 import contextlib
 import inspect
 import io
+import os
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass, replace
 from itertools import pairwise
 from types import NoneType, UnionType
-from typing import Annotated, Any, TypeVar, Union, get_args, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro.conf import arg
@@ -25,18 +26,16 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.errors import ConfigError, MbnError, unknown
 
 Command = TypeVar("Command")
 Reading = PrimitiveConstructorSpec[Any]
 REGISTRY = ConstructorRegistry()
 WIDTH = 80
+CORES = os.cpu_count() or 1
+"""How many runs at a time there are by default; each takes one core."""
 SHORT = (
     (r"^Error parsing (\S+): ", r"\1: "),
-    (
-        r"^invalid choice '(.*)' for argument '(\S+)'. Expected one of (.*)",
-        r"\2: '\1'; allowed: \3",
-    ),
     (r"^Missing value for argument '(\S+)'. Expected (\d+) values", r"\1: needs \2 value(s)"),
     (r"^Unrecognized options", "unknown"),
 )
@@ -113,8 +112,10 @@ def _option(field: Field[Any], hint: Any, texts: dict[str, str]) -> StructFieldS
         default = tyro.MISSING if made is MISSING else made()
     if default is None and isinstance(hint, type):
         hint = hint | None
+    aliases = ["-o"] if field.name == "out" else None
     silent = any(default is nothing for nothing in (None, False, (), tyro.MISSING))
-    hint = Annotated[hint, arg(help_behavior_hint="" if silent else "(default: {})".format)]
+    shown = "" if silent else "(default: {})".format
+    hint = Annotated[hint, arg(aliases=aliases, help_behavior_hint=shown)]
     return StructFieldSpec(field.name, hint, default, texts.get(field.name))
 
 
@@ -163,6 +164,27 @@ def _several(info: PrimitiveTypeInfo) -> Reading | None:
         instance_from_str=lambda words: tuple(one.instance_from_str([word]) for word in words),
         is_instance=lambda values: isinstance(values, tuple),
         str_from_instance=lambda values: [one.str_from_instance(value)[0] for value in values],
+    )
+
+
+@REGISTRY.primitive_rule
+def _choice(info: PrimitiveTypeInfo) -> Reading | None:
+    """Read one of some words; another one is answered with those that may be meant."""
+    if get_origin(info.type) is not Literal:
+        return None
+    choices = get_args(info.type)
+
+    def read(words: list[str]) -> str:
+        if words[0] not in choices:
+            raise ValueError(f"{words[0]!r}: {unknown('choice', words[0], choices)}")
+        return words[0]
+
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=f"{{{','.join(choices)}}}",
+        instance_from_str=read,
+        is_instance=lambda value: value in choices,
+        str_from_instance=lambda value: [value],
     )
 
 

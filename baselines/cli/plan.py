@@ -29,7 +29,7 @@ class Plan:
     """Write a proved optimum into the field file, as its `optimal_makespan`."""
     time_limit: float = 60.0
     """Seconds after which the best interval so far is returned."""
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: Path | None = None
     """The folder to write; by default runs/plan-FIELD."""
     force: bool = False
     """If the folder or the file of --export exists, move it aside (to OUT.1, OUT.2, ...)."""

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import check_options
+from baselines.cli.subject import Subject
 
 if TYPE_CHECKING:
     from mbn_marl.episode import Episode
 
 
-@dataclass(frozen=True)
-class Render:
-    """Write an episode to a file: of the policy of a run, of random actions, or a recorded one."""
+@dataclass(frozen=True, kw_only=True)
+class Render(Subject):
+    """Write an episode to a file: of a policy, of random actions, or a recorded one."""
 
-    source: Positional[Annotated[str, arg(metavar="RUN|FIELD|EPISODE")]]
-    """The folder of a run, zoo:NAME (see `mbn zoo`), a name of `mbn fields`, a field file, or an
-    episode's file."""
-    out: Annotated[Path, arg(aliases=["-o"])]
+    source: Positional[Annotated[str, arg(metavar="POLICY|FIELD|EPISODE")]]
+    """As for `mbn evaluate`; or a field, with random actions; or an episode's file."""
+    out: Path
     """A .json for the episode itself (see `mbn replay`), .gif or .mp4 for an animation, .png, .pdf
     or .svg for its paths."""
     sampled: bool = False
@@ -50,19 +50,22 @@ class Render:
     def _episode(self) -> Episode:
         from baselines.demo.resolve import find_actor
         from baselines.evaluation.rollout import record_episode
+        from baselines.zoo.sources import RANDOM
         from mbn_marl.episode import check_episode, is_episode_file, load_episode
         from mbn_marl.episode.files import EXPECTED
         from mbn_marl.errors import FieldError
 
         if is_episode_file(self.source):
-            asked = (self.sampled, self.seed, self.steps) != (False, 0, None)
-            problem = f"sampled, seed, steps: not for {self.source}, which is recorded already"
+            names = ("field", "condition", "wind", "sampled", "seed", "steps")
+            asked = [name for name in names if getattr(self, name) != getattr(Render, name)]
+            problem = f"{', '.join(asked)}: not for {self.source}, which is recorded already"
             check_options("render", {problem: asked})
             episode = load_episode(self.source)
             check_episode(episode, self.source)
             return episode
         try:
-            actor = find_actor(self.source, seed=self.seed)
+            how: dict[str, Any] = {"seed": self.seed, "alone": lambda field: RANDOM, **self.asked}
+            actor = find_actor(self.source, self.field, **how)
         except FieldError as error:
             if not self.source.lower().endswith(".json"):
                 raise
@@ -72,5 +75,5 @@ class Render:
             deterministic=not self.sampled,
             seed=self.seed,
             limit=self.steps,
-            source=f"{actor.name}{', sampled actions' if self.sampled else ''}",
+            source=f"{actor.name}{self.weather}{', sampled actions' if self.sampled else ''}",
         )

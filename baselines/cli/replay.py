@@ -13,9 +13,9 @@ from tyro.conf import Positional, arg
 class Replay:
     """Write a self-contained HTML page that plays episodes side by side, without a server."""
 
-    episodes: Positional[Annotated[tuple[Path, ...], arg(metavar="EPISODE")]]
+    episodes: Positional[Annotated[tuple[Path, ...], arg(metavar="EPISODE ...")]]
     """Files of episodes, such as `mbn render RUN -o episode.json` writes."""
-    out: Annotated[Path, arg(aliases=["-o"])]
+    out: Path
     """The .html file to write."""
     title: str | None = None
     """Of the page; by default the fields' names."""

@@ -15,10 +15,10 @@ from baselines.cli.options import check_options
 class Report:
     """Report on runs: the paper's tables and figures with ours beside them, or a comparison."""
 
-    runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUNS")]]
+    runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUN ...")]]
     """Run folders, or folders that hold some; studies and what --force moved aside are left out
     there, with --paper comparisons too. With --paper also folders of earlier reports."""
-    out: Annotated[Path, arg(aliases=["-o"])]
+    out: Path
     """The folder to write, with the page paper.md or comparison.md in it; NAME.md for the page,
     beside its folder NAME; or NAME.html for a comparison on one self-contained page."""
     paper: bool = False
@@ -46,7 +46,7 @@ class Report:
             "kind: --paper or --comparison is needed, or an out that ends in .html": not page
             and self.paper == self.comparison,
             "study and notes: allowed with --paper": not self.paper and (self.study or self.notes),
-            "RUNS: at least one folder is needed": not self.runs,
+            "RUN: at least one folder is needed": not self.runs,
         }
         check_options("report", wrong)
         screen = console()

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import check_options
+from baselines.cli.options import CORES, check_options
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Transfer:
     """Env-steps between two fresh evaluations; after each one a checkpoint is written."""
     episodes: int = 100
     """Episodes of an evaluation."""
-    processes: int = 1
+    processes: int = CORES
     """Runs at a time; each takes one core. All others begin when the source is finished."""
     out: Path = Path("runs")
     """The folder of all runs: ALGO-A-SOURCE-seedSEED and ALGO-C-FIELD-seedSEED."""

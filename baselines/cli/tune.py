@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import check_options
+from baselines.cli.options import CORES, check_options
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Tune:
     """Of the sampler and of every training."""
     num_envs: int = 1
     """Worlds stepped side by side."""
-    processes: int = 1
+    processes: int = CORES
     """local: trials at a time; each takes one core."""
     database: str | None = None
     """The URL of a database that keeps the trials, such as postgresql://HOST/NAME or

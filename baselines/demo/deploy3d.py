@@ -10,8 +10,7 @@ from baselines.classical.controller import CLASSICAL
 from baselines.demo.resolve import Actor, find_actor
 from baselines.evaluation.fitting import fitted
 from baselines.evaluation.policy import restart
-from baselines.zoo.sources import LOOKAHEAD, takes_field
-from mbn_marl.config import Condition
+from baselines.zoo.sources import LOOKAHEAD
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
 from mbn_marl.sim3d import Deployment, Scale, Simulator, deploy
@@ -21,7 +20,7 @@ def find_pilots(
     policy: str,
     fields: Sequence[str],
     speed_limit: float | None = None,
-    condition: Condition | None = None,
+    **asked: Any,
 ) -> list[Actor]:
     """Find who acts in each of some fields.
 
@@ -30,7 +29,7 @@ def find_pilots(
             ``"replan"``, ``"random"``, ``module:callable``.
         fields: names or files; without any, a run's or a zoo policy's own.
         speed_limit: of the vehicles, units/step: classical policies plan with it.
-        condition: whose weather and failures replace those that the policy brings.
+        **asked: settings that replace those that the policy brings.
 
     Raises:
         ConfigError: a policy that needs a field has none, or one looks ahead.
@@ -39,14 +38,9 @@ def find_pilots(
     if policy.startswith(LOOKAHEAD):
         problem = f"policy: {policy} plans for the plane; allowed: one without {LOOKAHEAD}"
         raise ConfigError("deployment", [problem])
-    if not fields:
-        if takes_field(policy):
-            problem = f"field: {policy} has none of its own; name one or more"
-            raise ConfigError("deployment", [problem])
-        return [find_actor(policy, condition=condition)]
     limited = policy in CLASSICAL and speed_limit is not None
-    settings = {"v_clip": speed_limit} if limited else {}
-    return [find_actor(name, policy, condition=condition, **settings) for name in fields]
+    asked |= {"v_clip": speed_limit} if limited else {}
+    return [find_actor(policy, name, **asked) for name in fields or (None,)]
 
 
 def summarise(deployment: Deployment, scale: Scale) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
 from pathlib import Path
 from pkgutil import resolve_name
@@ -134,8 +134,8 @@ def load(
     values = {**block, **overrides, **({} if num_envs is None else {"num_envs": num_envs})}
     if isinstance(block.get("model"), dict) and isinstance(overrides.get("model"), dict):
         values["model"] = {**block["model"], **overrides["model"]}
-    config = validate(SB3Config, values, place)
     accepted = accepted_arguments(algorithm)
+    config = _validated(algorithm, values, place, accepted)
     kept = {name: value for name, value in config.model.items() if name in accepted}
     foreign = {name: value for name, value in config.model.items() if name not in accepted}
     problems = [
@@ -156,6 +156,24 @@ def load(
         raise ConfigError(place, problems)
     skipped = {**config.skipped, **foreign}
     return config.model_copy(update={"model": kept, "skipped": skipped})
+
+
+def _validated(
+    algorithm: str, values: Mapping[str, Any], place: str, accepted: Iterable[str]
+) -> SB3Config:
+    """Return the values as a configuration, or say which names the algorithm has."""
+    fields = SB3Config.model_fields
+    offered = [name for name in fields if algorithm in OFFERED.get(name, CLASSES)]
+    known = [name for name in offered if fields[name].repr]
+    known += [f"model.{name}" for name in sorted(accepted)]
+    problems = [f"{name}: {unknown('name', name, known)}" for name in values if name not in fields]
+    try:
+        config = validate(SB3Config, {n: v for n, v in values.items() if n in fields}, place)
+    except ConfigError as error:
+        raise ConfigError(place, [*problems, *error.problems]) from None
+    if problems:
+        raise ConfigError(place, problems)
+    return config
 
 
 def accepted_arguments(algorithm: str) -> dict[str, Any]:

@@ -24,9 +24,9 @@ class Hyperparameters(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    source: str = ""
+    source: str = Field("", repr=False)
     environment: dict[str, Any] = Field(default_factory=dict)
-    skipped: dict[str, Any] = Field(default_factory=dict)
+    skipped: dict[str, Any] = Field(default_factory=dict, repr=False)
 
 
 Model = TypeVar("Model", bound=BaseModel)

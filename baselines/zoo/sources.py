@@ -14,7 +14,7 @@ from baselines.runs.files import RunError
 from baselines.zoo.entries import PREFIX, open_run
 from baselines.zoo.own import FORM, is_own, load_own
 from mbn_marl.errors import ConfigError, unknown
-from mbn_marl.field import Field, FieldSampler, load_field
+from mbn_marl.field import Field, catalogue_names, load_field
 
 RANDOM = "random"
 LOOKAHEAD = "lookahead:"
@@ -28,33 +28,35 @@ def is_trained(source: str) -> bool:
     return source.startswith(PREFIX) or Path(source).is_dir()
 
 
-def goes_anywhere(source: str) -> bool:
-    """Return whether a source is a policy that was trained on random fields.
+def is_policy(source: str) -> bool:
+    """Return whether a source reads as that of a policy; else it is a field, or unknown."""
+    named = source in (RANDOM, ZOO, *CLASSICAL) or source.startswith(LOOKAHEAD)
+    return named or is_own(source) or is_trained(source)
+
+
+def check_known(source: str) -> None:
+    """Check that a source is that of a policy.
 
     Raises:
-        MbnError: there is no such entry of the zoo, or the folder is that of no run.
+        RunError: it is none; listing those that there are.
+        MbnError: the zoo has no such policy.
     """
-    return is_trained(source) and isinstance(open_run(source).fields, FieldSampler)
-
-
-def takes_field(source: str) -> bool:
-    """Return whether a source is for any field, or ``module:callable``.
-
-    Raises:
-        MbnError: as :func:`goes_anywhere`.
-    """
-    given = source in (RANDOM, ZOO, *CLASSICAL) or source.startswith(LOOKAHEAD)
-    return given or _is_own(source) or goes_anywhere(source)
-
-
-def _is_own(source: str) -> bool:
-    return is_own(source) and not is_trained(source)
+    base = source.removeprefix(LOOKAHEAD)
+    if not is_policy(base):
+        others = f"{PREFIX}NAME", f"{LOOKAHEAD}POLICY", FORM, "the folder of a run"
+        problem = unknown("policy", base, (*CLASSICAL, RANDOM, ZOO, *others))
+        if base in catalogue_names():
+            problem = f"is a field; name a policy, for example: greedy --field {base}"
+        raise RunError(f"{source}: {problem}")
+    if base.startswith(PREFIX):
+        open_run(base)
 
 
 def find_policy(
     source: str, field: str | Path | Field | None = None, *, seed: int = 0, **settings: Any
 ) -> LoadedPolicy:
     """Find a policy; see :func:`baselines.load_policy`."""
+    check_known(source)
     if source.startswith(LOOKAHEAD):
         if (base := source.removeprefix(LOOKAHEAD)) in ("", RANDOM):
             raise ConfigError(
@@ -62,26 +64,28 @@ def find_policy(
             )
         found = find_policy(base, field, seed=seed, **settings)
         if found.field is None:
-            raise ConfigError("policy", [f"field: {source} looks ahead in one; name it"])
+            raise needs_field(source)
         return LoadedPolicy(source, Lookahead(found), found.settings, found.field)
     place = None if field is None else load_field(field)
     condition = settings.pop("condition", None)
     if place is None and source in (ZOO, *CLASSICAL):
-        raise ConfigError("policy", [f"field: {source} has none of its own; name one"])
+        raise needs_field(source)
     if source in CLASSICAL and place is not None:
         wanted = under({}, condition, **settings)
         return LoadedPolicy(source, make_classical(source, place, wanted), wanted, place)
     if source == RANDOM:
         wanted = under({}, condition, **settings)
         return LoadedPolicy(source, RandomPolicy(seed), wanted, place)
-    if _is_own(source):
+    if is_own(source) and not is_trained(source):
         own = load_own(source, place)
         return LoadedPolicy(source, own, under(own.settings, condition, **settings), place)
-    if not (source == ZOO or is_trained(source)):
-        known = (*CLASSICAL, RANDOM, ZOO, f"{PREFIX}NAME", f"{LOOKAHEAD}POLICY", FORM)
-        raise RunError(f"{source} is not a run folder: {unknown('policy', source, known)}")
     run = open_run(source if place is None or source != ZOO else f"{PREFIX}{place.name}")
     wanted = under(run.config["environment"], condition, **settings)
     if place is None and isinstance(home := run.fields, Field):
         place = home
     return LoadedPolicy(source, load_trained(run), wanted, place)
+
+
+def needs_field(source: str) -> ConfigError:
+    """Return the error of a policy that has no field."""
+    return ConfigError("policy", [f"field: {source} has none; name one, such as --field field_03"])

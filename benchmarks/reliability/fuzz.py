@@ -197,7 +197,7 @@ COMMANDS = (
     "plan field_03 --time-limit --noise --episodes --export --out",
     "render zoo:field_03 -o --steps --seed --sampled --force",
     "replay episode.json -o --title --force",
-    "watch field_03 --policy --wind --speed --episodes --save",
+    "watch field_03 --field --wind --speed --episodes --out",
     "zoo --add --out",
     "nonsense --help",
 )

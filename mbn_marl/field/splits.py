@@ -97,7 +97,7 @@ def load_split(
     """
     given = {"split": (split, SEEDS), "tier": (tier, NAMES)}
     problems = [
-        f"{name}: {unknown(name, str(value), known)}"
+        f"{name}: {value!r}: {unknown(name, str(value), known)}"
         for name, (value, known) in given.items()
         if value not in [*known]
     ]

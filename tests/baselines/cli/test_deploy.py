@@ -118,7 +118,7 @@ replay broken.json -o old.html
 plan field_03 --export old.npz --out file
 report nowhere -o old.html
 report nowhere --paper -o old.md
-watch nowhere --save old.json
+watch nowhere -o old.json
 """
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -47,7 +48,7 @@ class Options:
     """Several."""
     limit: int | None = None
     """At most."""
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: Path | None = None
     """Where."""
     quiet: bool = False
     """Say nothing."""
@@ -85,7 +86,10 @@ def test_a_wrong_option_is_one_line_that_names_it() -> None:
         ("x --wind 1 c", "--wind"),
         ("x --wind 1", "--wind"),
         ("x --steps", "--steps"),
-        ("x --kind wide", "--kind"),
+        (
+            "x --kind shrt",
+            "--kind: 'shrt': unknown choice (did you mean short?); known: short, long",
+        ),
         ("x --limt 3", "did you mean --limit"),
         ("x --ot 3", "did you mean --out"),
         ("x y", "y"),
@@ -108,6 +112,19 @@ def test_help_is_plain(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--steps INT How many steps are taken, all in all and on the whole" in words
     assert "(default: 5)" in words and "(default: 0 0.5)" in words
     assert "--limit INT At most. -o PATH, --out PATH Where. --quiet Say nothing." in words
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_options_mean_one_thing_in_all_commands(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([name, "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert ("--out" in text) == ("-o PATH, --out PATH" in text)
+    if "--processes" in text:
+        assert "each takes one core" in text and f"(default: {os.cpu_count()})" in text
+    repeated = {"fields": "[FIELD ...]", "replay": "EPISODE ...", "report": "RUN ..."}
+    assert repeated.get(name, "") in text.split("positional arguments")[0]
 
 
 def test_the_help_of_every_command_is_whole(capsys: pytest.CaptureFixture[str]) -> None:

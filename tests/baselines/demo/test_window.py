@@ -59,7 +59,7 @@ def still(max_steps: int = 6) -> Actor:
 
 
 def test_watching_shows_whole_episodes() -> None:
-    (episode,) = watch(find_actor("field_03", "zoo:field_03"), FAST)
+    (episode,) = watch(find_actor("zoo:field_03"), FAST)
     assert (episode.outcome, episode.steps) == ("success", 17)
     assert not pygame.display.get_init(), "the window is closed"
 
@@ -96,12 +96,12 @@ def test_the_commands_save_what_was_shown(
     out = tmp_path / "watched.json"
     quick = ("--episodes", "1", "--speed", "5000")
     wind = ("--wind", "0.1", "30")
-    assert main(["watch", "field_03", *quick, *wind, "--save", str(out)]) == 0
+    assert main(["watch", "field_03", *quick, *wind, "-o", str(out)]) == 0
     episode = load_episode(out)
     assert episode.source == "zoo:field_03 in field_03" and episode.config.wind == (0.1, 30.0)
-    assert main(["play", "field_03", "--robot", "2", *quick, "--save", str(out)]) == 2
+    assert main(["play", "field_03", "--robot", "2", *quick, "-o", str(out)]) == 2
     assert "watched.json" in capsys.readouterr().err
-    assert zoo_policy("nowhere") is None
+    assert zoo_policy("nowhere") == "random"
 
 
 def test_a_show_that_cannot_be_is_refused(
@@ -114,15 +114,15 @@ def test_a_show_that_cannot_be_is_refused(
         ("watch field_03 --speed 0", "0"),
         ("watch field_03 --speed inf", "inf"),
         ("watch field_00", "field_00"),
-        ("watch zoo:field_03 --policy random", "zoo:field_03"),
-        ("watch field_03 --save a.txt", ".json"),
+        ("watch greddy", "did you mean greedy?"),
+        ("watch field_03 -o a.txt", ".json"),
     ):
         assert place in refusal(words.split()), words
     small = Field([(0, 0), (50, 0), (0, 50)], rois=[(9, 9)], starts=[(20, 20)], name="small")
     path = tmp_path / "small.yaml"
     save_field(small, path)
     with pytest.raises(ConfigError, match=r"robots: .*\n.*ROIs: "):
-        find_actor(str(path), "zoo:field_03")
+        find_actor("zoo:field_03", str(path))
     for name in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     assert "display" in refusal(["watch", "field_03"])

@@ -171,7 +171,6 @@ def test_what_cannot_be_exported_is_named(
         ("greedy -o policy.pt", "policy.pt: "),
         ("gredy -o policy.npz", "gredy"),
         ("zoo:generalist -o policy.npz", "field: "),
-        ("zoo:field_07 -o a.npz --field field_03", "field: zoo:field_07"),
         ("zoo:field_07 -o policy.pt", "policy.pt: "),
         ("zoo:field_07 -o taken.npz", "taken.npz"),
     ):

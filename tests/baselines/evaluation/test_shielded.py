@@ -125,7 +125,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     words = ["evaluate", "random", "--field", "field_03", "--episodes", "2", "--shield"]
     out = tmp_path / "out.json"
     assert main([*words, "--json", str(out)]) == 0
-    assert "random + shield" in capsys.readouterr().out
+    assert "random in field_03 + shield" in capsys.readouterr().out
     found = json.loads(out.read_text())
     assert found["shield"] is True
     assert found["stochastic"]["collision_rate"] == 0.0
