@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import sys
 from collections.abc import Collection, Iterable, Iterator
 from copy import copy
@@ -14,6 +15,7 @@ from rich.progress import Progress, ProgressColumn, Task
 from rich.table import Column, Table
 
 UNBOUNDED = 100_000
+NARROWEST = 20
 
 
 class WholeCells(Console):
@@ -85,5 +87,10 @@ def _fits(table: Table, console: Console) -> bool:
 
 
 def console() -> Console:
-    """Return a console on the standard output; in a pipe or a file it wraps nothing."""
-    return WholeCells(width=None if sys.stdout.isatty() else UNBOUNDED)
+    """Return a console on the standard output.
+
+    In a pipe or a file it is as wide as COLUMNS says; without it, or below 20, it wraps nothing.
+    """
+    columns = os.environ.get("COLUMNS", "")
+    known = sys.stdout.isatty() or (columns.isdecimal() and int(columns) >= NARROWEST)
+    return WholeCells(width=None if known else UNBOUNDED)

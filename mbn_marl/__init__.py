@@ -62,8 +62,8 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """Return the names of the module, with those that are not loaded yet."""
-    return sorted({*globals(), *_HOMES})
+    """Return the public names, loaded or not."""
+    return [*__all__, "__version__"]
 
 
 register_environments()

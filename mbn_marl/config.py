@@ -5,12 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from itertools import cycle, islice
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from mbn_marl.checked import Checked, Flag, RealNumber, Uniform, WholeNumber, or_drawn, or_each
 from mbn_marl.errors import ConfigError, unknown
+
+__all__ = [
+    *("CONDITIONS", "LIMITS", "MAX_ROBOTS", "MAX_ROIS", "NUMBERS", "REWARD_PROFILES"),
+    *("Condition", "Dynamics", "Failures", "FixedSettings", "NavigationConfig", "Observation"),
+    *("RewardProfile", "Settings", "TeamDynamics", "expand", "make_config"),
+]
 
 MAX_ROBOTS = 64
 MAX_ROIS = 24
@@ -29,6 +35,8 @@ Steering = Annotated[RealNumber, Field(ge=LEAST, le=1.5)]
 Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
 TeamDynamics = Literal[Dynamics, "mixed"]
 Observation = Literal["relative", "state", "local", "lidar", "lidar_local", "entities"]
+WITHOUT_RADIUS = ("relative", "state")
+"""Observations that do not depend on the sensing radius."""
 MIXED: tuple[Dynamics, ...] = ("point_mass", "unicycle", "bicycle")
 """The dynamics of a ``"mixed"`` team's robots, in turn."""
 
@@ -144,7 +152,7 @@ class NavigationConfig(Checked):
         assignment: only with ``"entities"``: who visits which ROI when; ``"fresh"``: as of now.
         one_hot: append the robot's index as a one-hot vector to its observation.
         sensing_radius: how far ``"local"``, ``"lidar"`` and ``"lidar_local"`` see, and the rays of
-            ``"entities"``, in units.
+            ``"entities"``, in units; with other observations nothing else than 100 is allowed.
         wind: ``(v_a, beta_a)``: units/step per step, degrees from +x; both may be drawn.
         gust: standard deviation of gusts along each axis, units/step per step; may be drawn.
         gust_time: correlation time of the gusts, steps, > 0; may be drawn.
@@ -227,6 +235,15 @@ class NavigationConfig(Checked):
     def _seen(cls, value: bool | str, info: ValidationInfo) -> bool | str:
         if value and info.data.get("observation", "entities") != "entities":
             raise ValueError("allowed with observation='entities' only")
+        return value
+
+    @field_validator("sensing_radius")
+    @classmethod
+    def _sensing(cls, value: float, info: ValidationInfo) -> float:
+        default = cls.model_fields["sensing_radius"].default
+        if value != default and info.data.get("observation") in WITHOUT_RADIUS:
+            allowed = [one for one in get_args(Observation) if one not in WITHOUT_RADIUS]
+            raise ValueError(f"allowed with observation {', '.join(allowed)} only")
         return value
 
     def of_each(self, name: str, n: int) -> tuple[Any, ...]:

@@ -26,6 +26,7 @@ COMMANDS = {
     "grid": "grid:Grid",
     "tune": "tune:Tune",
     "report": "report:Report",
+    "runs": "runs:Runs",
     "plan": "plan:Plan",
     "render": "render:Render",
     "replay": "replay:Replay",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +14,7 @@ from tyro.conf import Positional, arg
 from baselines.cli.options import check_options
 
 if TYPE_CHECKING:
+    from mbn_marl.field import Field
     from mbn_marl.planning import Plan as FoundPlan
 
 
@@ -53,12 +56,20 @@ class Plan:
         field = load_field(self.field)
         settings: dict[str, Any] = {"n_robots": self.n_robots, "wind": self.wind}
         make_problem(field, make_config(settings))  # says what is wrong before anything is moved
+        folder = self.out or Path(f"runs/plan-{field.name}")
+        if self.write and not (self.force or self.export):
+            makespan = proved_makespan(folder, field, settings)
+            if makespan is not None:
+                write_optimum(Path(self.field), makespan)
+                print(f"written to {self.field}: optimal_makespan: {makespan}, as in {folder}")
+                return
         if self.export is not None:
             check_free(self.export, force=self.force)
-        folder = claim_folder(self.out or Path(f"runs/plan-{field.name}"), force=self.force)
+        claim_folder(folder, force=self.force)
         found = plan(field, time_limit=self.time_limit, **settings)
         print_plan(found)
-        write_json(folder / "plan.json", {"command": command_line, **found.to_json()})
+        numbers = {"command": command_line, "settings": settings, **found.to_json()}
+        write_json(folder / "plan.json", numbers)
         names = ["plan.json"]
         if found.makespan is not None:
             names += _write_plan(found, folder, settings)
@@ -93,7 +104,7 @@ class Plan:
         if self.write and not found.optimal:
             raise MbnError(f"{path} is left as it is, since this plan is not proved optimal")
         if self.write:
-            write_optimum(path, found)
+            write_optimum(path, found.makespan)
             print(f"written to {path}: {line}")
         elif path.is_file() and usual and found.optimal and found.field.optimal_makespan is None:
             print(f"to keep it, add this line to {path} (--write does): {line}")
@@ -111,21 +122,36 @@ class Plan:
         print(f"written to {path}: {steps} steps, {share} of {self.episodes} episodes succeed")
 
 
-def write_optimum(path: Path, found: FoundPlan) -> None:
+def proved_makespan(folder: Path, field: Field, settings: Mapping[str, Any]) -> int | None:
+    """Return the proved optimum in a plan's folder, if that plan is of this field and settings."""
+    from baselines.runs.files import read_json
+
+    path = folder / "plan.json"
+    found = read_json(path) if path.is_file() else None
+    if not isinstance(found, dict) or found.get("optimal") is not True:
+        return None
+    wanted = json.loads(json.dumps({"field": field.to_dict(), "settings": settings}))
+    if any(found.get(name) != value for name, value in wanted.items()):
+        return None
+    makespan = found.get("makespan")
+    return makespan if isinstance(makespan, int) else None
+
+
+def write_optimum(path: Path, makespan: int | None) -> None:
     """Write a proved optimum into a field file, which has to be a block of YAML."""
     from mbn_marl.errors import ConfigError, FieldError
     from mbn_marl.field import load_field
     from mbn_marl.files import replacing
 
     text = path.read_text(encoding="utf-8")
-    line = f"optimal_makespan: {found.makespan}"
+    line = f"optimal_makespan: {makespan}"
     new, count = re.subn(r"^optimal_makespan:[ \t]*[\w~]*", line, text, count=1, flags=re.MULTILINE)
     if not count:
         new = f"{text.removesuffix(chr(10))}\n{line}\n"
     try:
         with replacing(path) as temporary:
             temporary.write_text(new, encoding="utf-8")
-            if load_field(temporary).optimal_makespan != found.makespan:
+            if load_field(temporary).optimal_makespan != makespan:
                 raise FieldError(str(path), ["another field"])
     except FieldError:
         problem = f"write: this file has no lines of YAML to add to; add {line} yourself"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic import Field as Range
@@ -27,9 +27,19 @@ NEEDED = ("algorithm", "setting", "field", "seed")
 """Entries that the configuration of every run must have."""
 CONFIG = ("steps", "evaluate_every", "episodes", "environment", "hyperparameters")
 """Those that a comparison needs besides."""
+Content = TypeVar("Content", bound=BaseModel)
 Count = Annotated[WholeNumber, Range(ge=0, le=MOST)]
 Number = Annotated[RealNumber, Range(ge=-MOST, le=MOST)]
 Positive = Annotated[RealNumber, Range(ge=0, le=MOST)]
+
+
+class Listed(BaseModel):
+    """What a list of runs needs of the configuration."""
+
+    algorithm: str
+    field: str
+    seed: Count
+    steps: Count
 
 
 class Score(BaseModel):
@@ -139,10 +149,10 @@ class RunRecord:
         return float(value)
 
 
-def validate(model: type[BaseModel], content: Any, path: Path, place: str = "") -> None:
+def validate(model: type[Content], content: Any, path: Path, place: str = "") -> Content:
     """Check the content of a file of a run; raise a RunError that names each wrong entry."""
     try:
-        model.model_validate(content)
+        return model.model_validate(content)
     except ValidationError as error:
         problems = "; ".join(place + problem for problem in describe(error, model))
         raise RunError(f"{path} is not valid: {problems}") from None

@@ -38,8 +38,13 @@ class Results:
     broken: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, records: Sequence[RunRecord], broken: Mapping[str, str] | None = None) -> Results:
-        """Put finished runs together.
+    def of(
+        cls,
+        records: Sequence[RunRecord],
+        broken: Mapping[str, str] | None = None,
+        order: Sequence[str] = (),
+    ) -> Results:
+        """Put finished runs together, their labels in an ``order``, or that of their algorithms.
 
         Raises:
             ConfigError: naming everything that keeps them from being compared.
@@ -47,6 +52,7 @@ class Results:
         if not records:
             raise ConfigError("comparison", ["runs: there is none"])
         looks = ordered({one.label: one.config["algorithm"] for one in records})
+        looks = {label: looks[label] for label in [*order, *looks] if label in looks}
         fields = tuple(sorted({one.field.name for one in records}))
         cells: dict[tuple[str, str], list[RunRecord]] = {
             place: [] for place in itertools.product(looks, fields)

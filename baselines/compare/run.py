@@ -71,7 +71,9 @@ def train_all_runs(
     errors = {name: one.error or "" for name, one in broken.items()}
     if not whole:
         raise RunError("nothing is left to compare:\n" + "\n".join(errors.values()))
-    return Results.of([RunRecord.read(RunFolder.open(out / run.name)) for run in whole], errors)
+    records = [RunRecord.read(RunFolder.open(out / run.name)) for run in whole]
+    named = [variant.label for variant in config.variants if variant.label is not None]
+    return Results.of(records, errors, named)
 
 
 def _check_same(config: CompareConfig, out: Path) -> None:

@@ -49,6 +49,9 @@ class OneWorld:
         self._own_field = None if engine.sampler else engine.field
         self._is_given = False
 
+    def __repr__(self) -> str:
+        return repr(self.engine).replace(type(self.engine).__name__, type(self).__name__, 1)
+
     @property
     def optimal_return(self) -> float | None:
         """The proved best team return, see :func:`mbn_marl.optimum.optimal_return`."""

@@ -252,6 +252,9 @@ class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
     Each action is checked at once, so that the robot that caused an error can act again.
     """
 
+    def __repr__(self) -> str:
+        return repr(self.env).replace(type(self.env).__name__, type(self).__name__, 1)
+
     def step(self, action: Action | None) -> None:
         """Submit the ``action`` of ``agent_selection``: two numbers ``(2,)``, clipped to [-1, 1].
 

@@ -94,6 +94,9 @@ class NavigationVecEnv(VecEnv):
         super().__init__(rows, observation_space, action_space)
         self.metadata: dict[str, Any] = {**self.metadata, "render_fps": RENDER_FPS}
 
+    def __repr__(self) -> str:
+        return repr(self.engine).replace(type(self.engine).__name__, type(self).__name__, 1)
+
     @abstractmethod
     def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
         """Return the rows of a world, and the observation and action space of a row."""

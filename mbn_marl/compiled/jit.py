@@ -31,7 +31,10 @@ if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Compiled code runs without the GIL, divides as NumPy does, and is not for C to call."""
 
-ANNOUNCEMENT = "mbn_marl: compiling %s for these settings, once per machine: 5 to 30 seconds of CPU"
+ANNOUNCEMENT = (
+    "mbn_marl: compiling %s for these settings, once per machine: about 5 to 30 seconds of CPU. "
+    "Other observations and conditions compile once each; `mbn warmup` does it ahead"
+)
 DAMAGED = "mbn_marl: %s is damaged, so its code is compiled again: %s"
 NOT_USED = "mbn_marl: NUMBA_CACHE_DIR=%s cannot be written, so compiled code in it is not used"
 NOT_KEPT = "mbn_marl: %s cannot be written, so compiled code is not kept: %s"

@@ -65,6 +65,15 @@ class Readings:
     _backend: Backend
     _set_fields: dict[int, tuple[int, Field]]
 
+    def __repr__(self) -> str:
+        names = [*dict.fromkeys(field.name for field in self.fields)] or ["random fields"]
+        where = ", ".join(names) if len(names) <= 3 else f"{len(names)} fields"
+        most = "up to " if self.teams_vary else ""
+        return (
+            f"<{type(self).__name__} {where}: {most}{self.n_robots} robots, {self.n_rois} ROIs, "
+            f"observation {self.config.observation!r} ({self.obs_size}), worlds {self.num_worlds}>"
+        )
+
     @property
     def field(self) -> Field:
         """The field of world 0."""

@@ -71,6 +71,8 @@ def check_setup(
     if isinstance(source, FieldSampler):
         problems += _sampler_problems(source, config, n, starts)
     else:
+        if _positive(num_worlds) and len(source) > num_worlds:
+            problems.append(f"field: {len(source)} fields; allowed: up to {num_worlds}, the worlds")
         problems += _fields_problems(source, config, n, starts)
     if problems:
         raise ConfigError("configuration", problems)

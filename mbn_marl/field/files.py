@@ -141,7 +141,10 @@ def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
             is_path = os.sep in text or path.suffix in FILE_SUFFIXES
             name = f"{unknown('field', text, catalogue_names())}, or a file's path"
             if text in sampler_names():
-                name = f"{text} is a sampler of random fields; allowed: one field"
+                name = (
+                    f"{text} is a sampler of random fields; allowed: one field, or where samplers "
+                )
+                name += f"are, the FieldSampler mbn_marl.field.load_fields({text!r})"
             raise FieldError(text, ["file: does not exist" if is_path else name])
         if not path.is_file():
             raise FieldError(text, ["file: not a regular file"])

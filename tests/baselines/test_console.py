@@ -44,17 +44,19 @@ def printed(width: int) -> list[list[str]]:
     return [line.split() for line in out.getvalue().splitlines() if line.strip()]
 
 
-def test_a_pipe_gets_a_table_in_its_natural_width(
+def test_a_pipe_gets_a_table_in_its_natural_width_or_that_of_columns(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("FORCE_COLOR", "1")
     table = Table(*LABELS)
     table.add_row(*["-1,972,196"] * len(LABELS))
-    console().print(table)
-    printed = capsys.readouterr().out
-    assert all(label in printed for label in LABELS)
-    assert printed.count("-1,972,196") == len(LABELS)
+    for columns, fits in (("", False), ("1", False), ("80", True)):
+        monkeypatch.setenv("COLUMNS", columns)
+        console().print(table)
+        printed = capsys.readouterr().out
+        assert all(label in printed for label in LABELS)
+        assert printed.count("-1,972,196") >= len(LABELS)
+        assert (len(printed.splitlines()[0]) <= 80) == fits
 
 
 @pytest.mark.all

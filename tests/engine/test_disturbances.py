@@ -23,7 +23,7 @@ from mbn_marl.errors import ConfigError
 from mbn_marl.planning import plan
 from mbn_marl.planning.problem import make_problem
 from tests.support import disturbances as expected
-from tests.support.configurations import EVERYTHING, SIGHTS, entries
+from tests.support.configurations import EVERYTHING, SIGHTS, entries, seeing
 
 pytestmark = pytest.mark.slow
 
@@ -216,7 +216,7 @@ def test_what_is_seen_stays_in_the_space(observation: str) -> None:
 @pytest.mark.parametrize("observation", SIGHTS)
 def test_what_drops_out_is_nought(observation: str) -> None:
     field = Field(vertices=SQUARE.vertices, rois=[(200.0, 150.0)], starts=SQUARE.starts)
-    settings = {"position_noise": 0.0, "sensing_radius": 500.0, **SIGHTS[observation]}
+    settings = {"position_noise": 0.0, **seeing(observation, 500.0)}
     engine = engine_of(field=field, autoreset=False, dropout=1.0, **settings)
     engine.reset(seed=1)
     engine.step(np.zeros((2, 2, 2)))

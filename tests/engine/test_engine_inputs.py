@@ -9,8 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbn_marl import BatchEngine, Field, FieldSampler, Uniform, load_field, parallel_env
-from mbn_marl.config import NavigationConfig, RewardProfile, make_config
+from mbn_marl import (
+    BatchEngine,
+    Field,
+    FieldSampler,
+    Uniform,
+    centralized_env,
+    load_field,
+    parallel_env,
+    raw_env,
+)
+from mbn_marl.adapters.sb3 import CentralizedVecEnv
+from mbn_marl.config import WITHOUT_RADIUS, NavigationConfig, RewardProfile, make_config
 from mbn_marl.engine.mdp.revisits import ODD_LINES
 from mbn_marl.engine.readings import METRICS
 from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
@@ -196,6 +206,7 @@ BAD_SETTINGS: list[tuple[dict[str, Any], set[str]]] = [
     ({"reward_sharing": "all"}, {"reward_sharing"}),
     ({"observation": "pixels"}, {"observation"}),
     ({"assignment": True}, {"assignment"}),
+    *(({"sensing_radius": 60, "observation": o}, {"sensing_radius"}) for o in WITHOUT_RADIUS),
     ({"dtype": "float16"}, {"dtype"}),
     ({"max_steps": 0}, {"max_steps"}),
     ({"n_robots": 0}, {"n_robots"}),
@@ -245,6 +256,8 @@ def test_bad_fields() -> None:
         ("field_99", FieldError, "field_99"),
         ([field, other], ConfigError, "arena"),
         ([], ConfigError, "field"),
+        ([FIELD] * 4097, ConfigError, "field: 4097 fields; allowed: up to 4096"),
+        ("random_convex", FieldError, r"mbn_marl\.field\.load_fields"),
     ):
         with pytest.raises(error, match=place):
             BatchEngine(given)
@@ -333,3 +346,12 @@ def test_a_model_lists_all_its_problems(model: Any) -> None:
 def test_a_profile_is_made_of_a_dictionary() -> None:
     assert RewardProfile(name="mine", medium=3).medium == 3.0
     assert make_config({"reward": {"name": "mine"}}).reward == RewardProfile(name="mine")
+
+
+@pytest.mark.parametrize("make", [parallel_env, raw_env, centralized_env, CentralizedVecEnv])
+def test_what_is_printed_says_what_it_is(make: Callable[..., object]) -> None:
+    name = type(make(FIELD)).__name__
+    rest = "field_03: 3 robots, 6 ROIs, observation 'relative' (30), worlds "
+    assert repr(make(FIELD)).startswith(f"<{name} {rest}")
+    assert repr(BatchEngine([FIELD, "field_05"], 2)).startswith("<BatchEngine field_03, field_05: ")
+    assert "random fields: up to 4 robots" in repr(parallel_env(FieldSampler(robots=(2, 4))))

@@ -15,7 +15,7 @@ from mbn_marl.engine.tracked_world import TrackedWorld
 from mbn_marl.errors import ConfigError
 from mbn_marl.optimum import optimal_return
 from mbn_marl.planning.problem import make_problem
-from tests.support.configurations import EVERYTHING, SIGHTS, entries
+from tests.support.configurations import EVERYTHING, SIGHTS, entries, seeing
 from tests.support.disturbances import FAILURES, key_of, uniform
 
 pytestmark = pytest.mark.slow
@@ -234,7 +234,7 @@ def test_a_vanished_robot_stays_in_the_memory_where_it_vanished() -> None:
 def test_every_observation_shows_who_has_failed(observation: str) -> None:
     for kind in ("brake", "vanish"):
         failing = Failures(at={0: 2}, kind=kind)
-        settings = {**SIGHTS[observation], "sensing_radius": 1000.0}
+        settings = seeing(observation, 1000.0)
         engine = started(failures=failing, **settings)
         go(engine, FORWARD, FORWARD)
         first, last = entries(engine, 0), entries(engine, 2)

@@ -21,7 +21,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 from mbn_marl import Failures, Uniform
-from mbn_marl.config import CONDITIONS
+from mbn_marl.config import CONDITIONS, WITHOUT_RADIUS
 from mbn_marl.field import FieldSampler
 from mbn_marl.field.layout import FAMILIES
 
@@ -41,6 +41,14 @@ SIGHTS: dict[str, dict[str, Any]] = {
     "entities": {"observation": "entities", "assignment": True, "dtype": "float32"},
 }
 """Settings beside ``EVERYTHING`` for each observation."""
+
+
+def seeing(observation: str, radius: float) -> dict[str, Any]:
+    """The settings of an observation, with a sensing radius if it has one."""
+    has_one = observation not in WITHOUT_RADIUS
+    return SIGHTS[observation] | ({"sensing_radius": radius} if has_one else {})
+
+
 STORM: dict[str, Any] = {
     **{"observation": "entities", "assignment": True, **CONDITIONS["storm"]},
     **{"dynamics": "mixed", "mass": Uniform(0.8, 1.5), "tau": Uniform(0.8, 1.2)},

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mbn_marl import Field
 from mbn_marl.checked import Uniform
-from mbn_marl.config import RewardProfile
+from mbn_marl.config import WITHOUT_RADIUS, RewardProfile
 from tests.support.oracle import Oracle
 
 BEHAVIOURS = ("seek", "uniform", "lattice", "push", "still")
@@ -76,6 +76,8 @@ def worlds(draw: st.DrawFn, n: int, **settings: Any) -> World:
         "one_hot": [False, True],
     }
     drawn = {name: draw(st.sampled_from(values)) for name, values in choices.items()}
+    if settings.get("observation", "relative") in WITHOUT_RADIUS:
+        del drawn["sensing_radius"]
     one = st.sampled_from(BEHAVIOURS)
     behaviours = draw(
         st.one_of(one.map(lambda all_: [all_] * n), st.lists(one, min_size=n, max_size=n))

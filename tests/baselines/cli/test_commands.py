@@ -18,6 +18,7 @@ import pytest
 
 from baselines.cli.main import main, read_command
 from tests.baselines.conftest import Refusal
+from tests.support.records import make_run
 
 CATALOGUE = Path(__file__).parents[3] / "envs_catalog"
 TINY = ("--steps", "1", "--evaluate-every", "4096", "--episodes", "2")
@@ -146,3 +147,30 @@ def test_a_stopped_comparison_leaves_no_process_behind(tmp_path: Path) -> None:
         wait_for(nobody_is_left)
     finally:
         process.kill()
+
+
+def test_runs_are_listed_with_their_state(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal: Refusal
+) -> None:
+    names = ("finished", "going", "begun", "damaged")
+    paths = {name: make_run(tmp_path, label=name, seed=7).run.path for name in names}
+    for name in ("going", "begun"):
+        (paths[name] / "evaluation.json").unlink()
+    (paths["going"] / "checkpoints" / "000000000300").mkdir(parents=True)
+    (paths["begun"] / "evaluations.json").write_text("[]")
+    (paths["damaged"] / "evaluation.json").write_text('{"stochastic": {"success_rate": 5}}')
+    (paths["going"] / "evaluations.json").write_text(
+        '[{"success_rate": 0.25, "makespan": null, "return_mean": 1.0}]'
+    )
+    assert main(["runs", str(tmp_path)]) == 0
+    lines = {
+        line.split()[0].split("/")[-1].split("-")[0]: line
+        for line in capsys.readouterr().out.splitlines()
+        if "-field_03-7-" in line
+    }
+    end = {name: line.split(maxsplit=1)[1].split() for name, line in lines.items()}
+    assert end["finished"] == ["mappo", "field_03", "7", "finished", "50.0%", "20.0"]
+    assert end["going"] == ["mappo", "field_03", "7", "300", "of", "400", "env-steps", "25.0%", "-"]
+    assert end["begun"] == ["mappo", "field_03", "7", "begun", "-", "-"]
+    assert "success_rate" in lines["damaged"]
+    assert "nowhere" in refusal(["runs", "nowhere"])

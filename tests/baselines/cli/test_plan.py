@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -23,8 +21,7 @@ def test_comments_and_layout_stay(line: str, tmp_path: Path) -> None:
     path = tmp_path / "field_03.yaml"
     rest = CATALOGUE.read_text().replace("optimal_makespan: 17\n", line) + "# the end\n"
     path.write_text(rest)
-    found: Any = SimpleNamespace(field=load_field(path), makespan=17)
-    write_optimum(path, found)
+    write_optimum(path, 17)
     assert load_field(path).optimal_makespan == 17
     kept = path.read_text().splitlines()
     assert [one for one in rest.splitlines() if one not in kept] == line.splitlines()
@@ -36,9 +33,8 @@ def test_a_file_without_lines_of_yaml_is_refused(tmp_path: Path) -> None:
     lists = "vertices: [[0, 0], [90, 0], [90, 90]], rois: [[50, 20]], starts: [[40, 10]]"
     path.write_text(f"{{format: mbn-field/1, {lists}}}")
     before = path.read_text()
-    found: Any = SimpleNamespace(field=load_field(path), makespan=5)
     with pytest.raises(ConfigError, match=r"own\.yaml"):
-        write_optimum(path, found)
+        write_optimum(path, 5)
     assert path.read_text() == before
 
 
@@ -56,3 +52,18 @@ def test_a_plan_that_is_not_proved_is_kept_but_not_in_the_field(
 def test_an_optimum_that_is_not_written(refusal: Refusal) -> None:
     for words in (["field_03"], [str(CATALOGUE), "--wind", "0.1", "0"]):
         assert "write: " in refusal(["plan", *words, "--write"])
+
+
+@pytest.mark.slow
+def test_an_optimum_is_written_from_the_plan_that_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refusal: Refusal
+) -> None:
+    path, out = tmp_path / "own.yaml", ["--out", str(tmp_path / "plan")]
+    path.write_text(CATALOGUE.read_text().replace("optimal_makespan: 17\n", ""))
+    assert main(["plan", str(path), *out]) == 0
+    other = tmp_path / "other.yaml"
+    other.write_text(path.read_text().replace("field_03", "other"))
+    monkeypatch.setattr("mbn_marl.planning.plan", None)  # nothing is planned again
+    assert "already exists" in refusal(["plan", str(other), "--write", *out])
+    assert main(["plan", str(path), "--write", *out]) == 0
+    assert load_field(path).optimal_makespan == 17

@@ -46,6 +46,7 @@ def test_order_and_looks_do_not_depend_on_the_order_of_the_runs(tmp_path: Path) 
     assert list(found.looks.items()) == list(back.looks.items())
     assert (found.labels, found.fields) == (("ppo", "mappo"), ("field_01", "field_03"))
     assert summarise(found).to_json() == summarise(back).to_json()
+    assert Results.of(runs, order=["mappo", "ppo"]).labels == ("mappo", "ppo")
 
 
 def test_a_comparison_by_hand(tmp_path: Path) -> None:
