@@ -96,7 +96,7 @@ def measure_engine(budget: Budget) -> list[Measurement]:
     name = "BatchEngine.step against the plain loop"
     rows.append(Measurement(name, times, "x", 1000.0, note=of_loop))
     for scenario, peers in vmas.items():
-        ratio, note = None, "needs vmas: pip install 'mbn-marl[bench]'"
+        ratio, note = None, "needs vmas, in the extra bench"
         if peers:
             best = rates[[case.name for case in peers]].idxmax()
             ratio = (timings[best] / step).median()

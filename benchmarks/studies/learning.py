@@ -96,12 +96,6 @@ class Plan(BaseModel):
     targets: bool = False
     variants: dict[str, dict[str, Any]]
 
-    @classmethod
-    def read(cls, path: Path) -> Plan:
-        """Read a study; raise a ConfigError that names all that is not valid."""
-        values: Any = safe_yaml.parse_yaml(path.read_bytes(), str(path))
-        return validate(cls, values, str(path))
-
 
 @dataclass(frozen=True)
 class Study(Benchmark):
@@ -131,7 +125,9 @@ class Study(Benchmark):
     def plan(self) -> Plan:
         """Return the study, with the options in it."""
         given = {name: getattr(self, name) for name in ("fields", "seeds", "steps")}
-        plan = Plan.read(Path(__file__).with_name(f"{self.study}.yaml"))
+        path = Path(__file__).with_name(f"{self.study}.yaml")
+        values: Any = safe_yaml.parse_yaml(path.read_bytes(), str(path))
+        plan = validate(Plan, values, str(path))
         return plan.model_copy(update={name: value for name, value in given.items() if value})
 
     def config(self) -> CompareConfig:

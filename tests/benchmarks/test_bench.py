@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pandas as pd
@@ -213,12 +210,3 @@ def test_without_a_gpu_there_is_an_error(
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     assert main(["gpu", "--out", str(tmp_path / "gpu")]) == 2
     assert "cuda" in capsys.readouterr().err
-
-
-def test_the_plain_loop_is_found_whatever_else_is_called_tests(tmp_path: Path) -> None:
-    (tmp_path / "tests").mkdir()
-    (tmp_path / "tests" / "__init__.py").touch()
-    code = "from benchmarks.speed.peers import plain_case; plain_case().run(3)"
-    root = str(Path(__file__).parents[2])
-    environment = {**os.environ, "PYTHONPATH": root}
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, check=True)
