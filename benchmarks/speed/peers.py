@@ -5,6 +5,7 @@ VMAS and MPE2 do not reset during the timing, which is to their advantage.
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
@@ -12,7 +13,6 @@ import numpy as np
 
 from benchmarks.speed.timing import SETS, Case, cycling_case, random_case
 from mbn_marl import load_field
-from tests.support.oracle import Oracle
 
 ROBOTS = 3
 VMAS_WORLDS = (1024, 4096, 16_384, 65_536)
@@ -24,8 +24,7 @@ def plain_case() -> Case:
     One world of the tests' oracle does what the engine does in a step: revisit memory, rewards and
     their terms, an observation for each robot, and metrics and a reset when an episode ends.
     """
-    field: Any = load_field("field_01")
-    oracle = Oracle(field)
+    oracle = import_module("tests.support.oracle").Oracle(load_field("field_01"))
 
     def step(actions: Any) -> None:
         outcome = oracle.step(actions.tolist())
