@@ -51,8 +51,6 @@ class MultiAgentPPOConfig(TrainingAids):
             but imitate and the critic waits (DAgger: the learner acts, the teacher says how).
         final_gain: what mean actions are multiplied by after the last update. Full force is the
             fastest, but while noise adds to them, larger means gain little.
-        search_generations: of the search for a faster episode after training, which takes env-steps
-            beyond the budget (:mod:`baselines.training.search`); 0 for none.
     """
 
     actor: Actor
@@ -79,7 +77,6 @@ class MultiAgentPPOConfig(TrainingAids):
     teacher_weight: tuple[NonNegative, NonNegative]
     imitation_until: Share
     final_gain: Positive
-    search_generations: Annotated[int, Field(ge=0)]
 
     @field_validator("teacher")
     @classmethod

@@ -74,17 +74,14 @@ class TeamMLP(nn.Module):
             self.weights.append(nn.Parameter(weight))
             self.biases.append(nn.Parameter(torch.zeros(networks, 1, outputs)))
 
-    def hidden(self, rows: torch.Tensor) -> torch.Tensor:
-        """Inputs (k, rows, size) of the last layer for ``rows`` (..., n, inputs)."""
-        networks = len(self.weights[0])
-        flow = rows.reshape(-1, networks, rows.shape[-1]).transpose(0, 1)
-        for weight, bias in list(zip(self.weights, self.biases, strict=True))[:-1]:
-            flow = torch.baddbmm(bias, flow, weight).tanh_()
-        return flow
-
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
         """Outputs (..., n, outputs) of ``rows`` (..., n, inputs); n is k, or any if k is 1."""
-        flow = torch.baddbmm(self.biases[-1], self.hidden(rows), self.weights[-1])
+        networks = len(self.weights[0])
+        flow = rows.reshape(-1, networks, rows.shape[-1]).transpose(0, 1)
+        *hidden, (last, bias) = zip(self.weights, self.biases, strict=True)
+        for weight, shift in hidden:
+            flow = torch.baddbmm(shift, flow, weight).tanh_()
+        flow = torch.baddbmm(bias, flow, last)
         return flow.transpose(0, 1).reshape(*rows.shape[:-1], -1)
 
 
@@ -190,24 +187,15 @@ class GaussianPolicy(TensorDictModuleBase):
             self.mean, axes = SetActor(shape.tokens, shape.hidden), 1  # the axes are alike
         self.log_std = nn.Parameter(torch.full((n if self._joint else networks, axes), log_std))
 
-    @property
-    def last_layer(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Weights (k, inputs, outputs) and biases (k, 1, outputs) of the mean actions."""
-        assert isinstance(self.mean, TeamMLP)
-        return self.mean.weights[-1], self.mean.biases[-1]
-
     @torch.no_grad()
     def amplify(self, gain: float) -> None:
         """Multiply the mean actions by ``gain``, in the weights of the last layer."""
-        last = self.mean.head.parameters() if isinstance(self.mean, SetActor) else self.last_layer
+        if isinstance(self.mean, SetActor):
+            last = list(self.mean.head.parameters())
+        else:
+            last = [self.mean.weights[-1], self.mean.biases[-1]]
         for values in last:
-            values *= gain
-
-    def features(self, observations: torch.Tensor) -> torch.Tensor:
-        """Inputs (k, rows, inputs) of the last layer for observations (..., n, obs_size)."""
-        normalized = self.norm.normalize(observations)
-        assert isinstance(self.mean, TeamMLP)
-        return self.mean.hidden(joined(normalized) if self._joint else normalized)
+            values.mul_(gain)
 
     def means(self, normalized: torch.Tensor) -> torch.Tensor:
         """Mean actions (..., n, 2) for normalised observations (..., n, obs_size)."""

@@ -31,13 +31,12 @@ from baselines.torchrl.teacher import Teacher, check_teacher
 from baselines.training.aids import RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
-from baselines.training.search import LastLayerSearch
 from baselines.zoo.entries import open_run
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, collecting
-from mbn_marl.field import Field, FieldSampler
+from mbn_marl.field import FieldSampler
 
 NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
 WORLDS, COUNTERS = "worlds.npz", "counters.json"
@@ -58,13 +57,8 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
         ConfigError: they do not.
     """
     settings, drawn = make_config(task.settings), isinstance(task.field, FieldSampler)
-    sets, by_chance = hyperparameters.network == "entities", settings.is_random or drawn
+    sets = hyperparameters.network == "entities"
     wrong = {
-        "search_generations": (
-            by_chance or sets,
-            0,
-            "where starts, fields or disturbances are by chance, or with network entities",
-        ),
         "scattered": (drawn, 0.0, "on random fields"),
         "imitation_until": (hyperparameters.teacher is None, 0.0, "without a teacher"),
         "shaping": (not sets, 0.0, "with network mlp"),
@@ -231,12 +225,6 @@ class Trainer:
                 self.recorder.save_checkpoint(env_steps, policy, save)
         if not self.recorder.passed:  # a policy that passed stays as it is
             self.network.amplify(config.final_gain)
-        if config.search_generations and isinstance(self.task.field, Field):
-            settings, seed = self.task.settings, self.task.config.seed
-            self.network.cpu()  # where the search and its worlds are
-            search = LastLayerSearch(self.network, self.task.field, settings, seed)
-            search.run(config.search_generations)
-            env_steps += search.env_steps
         self.recorder.finish(env_steps, policy)
 
     def _count_episodes(self, rollout: TensorDictBase) -> None:

@@ -1,1 +1,1 @@
-"""The benchmarks of learning: comparisons, and a search for the best policies."""
+"""The benchmarks of learning."""

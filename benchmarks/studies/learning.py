@@ -34,7 +34,6 @@ StudyName = Literal[
     "failing",
     "forms",
     "learning",
-    "records",
     "reward",
     "sensing",
     "sets",

@@ -57,7 +57,7 @@ class Tracker:
         positions: FloatArray,
         velocities: FloatArray,
         visited: NDArray[np.bool_],
-        failed: NDArray[np.bool_] | None = None,
+        failed: NDArray[np.bool_],
     ) -> NDArray[np.float32]:
         """Return actions (n, 2) in [-1, 1]; arguments as for :meth:`Greedy.act`."""
         problem, k = self.problem, self.step
