@@ -24,7 +24,6 @@ def load_policy(
             ``"module:callable"``, your own: it is called with the field, or ``None``, and returns
             an object with ``act(observations, deterministic=True)`` and, if it likes,
             ``settings``, ``observes`` and ``reset(worlds)``, or a function of the observations.
-            ``"lookahead:"`` before any of them: it tries its episode in the engine first.
         field: a catalogue name, a file or a :class:`~mbn_marl.Field`; ``None``: that of the run
             or of the zoo's policy. Greedy, planner and replan need one; the latter two plan in it,
             for up to 60 seconds.

@@ -1,4 +1,4 @@
-"""``python -m benchmarks SUBJECT``: speed, learning, planning and reliability, against targets."""
+"""``python -m benchmarks SUBJECT``: the measurements and studies of the pages of results."""
 
 from __future__ import annotations
 
@@ -15,21 +15,11 @@ PROGRAM = "python -m benchmarks"
 
 SUBJECTS = {
     "speed": ("speed.measure", "Speed", "engine and adapters, against a plain loop and peers"),
-    "features": ("speed.features", "Features", "the engine with dynamics, failures, disturbances"),
     "conditions": ("conditions", "Conditions", "the zoo and classical policies, every condition"),
     "study": ("studies.learning", "Study", "comparisons of learning, benchmarks/studies/*.yaml"),
-    "population": ("studies.population", "Population", "the best policies within a time"),
-    "planning": ("planning", "Planning", "proofs and plans for the ten fields and random ones"),
-    "fields": ("fields", "Fields", "random fields: how fast they are made, whether all are valid"),
     "splits": ("splits", "Splits", "the frozen fields of a benchmark: made, proved, verified"),
     "leaderboard": ("leaderboard", "Leaderboard", "the page of the committed results"),
-    "grid": ("grid", "GridCosts", "what the schedulers of `mbn grid` cost"),
-    "capacity": ("grid", "Capacity", "how long the paper's grid takes on many machines"),
     "gpu": ("gpu", "Gpu", "the engine on CUDA"),
-    "kills": ("reliability.runs", "Kills", "trainings killed at random moments and resumed"),
-    "corruption": ("reliability.runs", "Corruption", "damaged files"),
-    "endurance": ("reliability.endurance", "Endurance", "a billion env-steps with resets"),
-    "fuzz": ("reliability.fuzz", "Fuzz", "input that nobody meant"),
 }
 """For each subject its module, its class, and what it measures."""
 USAGE = "usage: python -m benchmarks SUBJECT [options]    (SUBJECT --help lists the options)\n\n"
@@ -39,7 +29,7 @@ USAGE += "\n".join(f"  {name:<12}{about}" for name, (*_, about) in SUBJECTS.item
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a benchmark with ``arguments``, by default those of the process; return the exit code.
 
-    It is 0, 1 for a broken promise of reliability, 2 for wrong input, 130 after Ctrl-C.
+    It is 0, 1 for frozen fields that are not as written, 2 for wrong input, 130 after Ctrl-C.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     if not words or words[0] in ("-h", "--help"):

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from baselines.compare.text_table import TextTable
-from benchmarks.report import Advance, Benchmark, Findings, Measurement, number
+from benchmarks.report import Benchmark, Findings, Measurement, measurement_table, number
 from mbn_marl import BatchEngine
 from mbn_marl.errors import MbnError
 
@@ -29,7 +29,6 @@ class Gpu(Benchmark):
     """Check the engine on CUDA against the CPU's, and measure how fast it steps."""
 
     name: ClassVar[str] = "gpu"
-    stages: ClassVar[int] = 1
 
     field: str = "field_01"
     """The catalogue's field."""
@@ -42,40 +41,37 @@ class Gpu(Benchmark):
     check_steps: int = 300
     """How many steps are compared with the CPU's."""
 
-    def measure(self, advance: Advance) -> Findings:
+    def measure(self) -> Findings:
         """Check, then measure every size that fits into the device's memory."""
         check_against_the_cpu(self)
         copy, facts = copy_rate(), kernel_facts(self)
         sizes: list[dict[str, float]] = []
-        fits = f"all sizes up to {2**self.most} worlds fit into the device's memory"
+        note = f"all sizes up to {2**self.most} worlds fit into the device's memory"
         for power in range(self.least, self.most + 1):
             try:
                 sizes.append(measure(self, 2**power, copy))
             except torch.cuda.OutOfMemoryError:
-                fits = f"{2**power} worlds do not fit into the device's memory"
+                note = f"{2**power} worlds do not fit into the device's memory"
                 break
             torch.cuda.empty_cache()
-        advance()
         best = max(size["graph_rate"] for size in sizes)
         ratio = max(size["ratio_to_copy"] for size in sizes)
+        rows = [
+            Measurement("steps of a CUDA graph", best / 1e6, "M env-steps/s", TARGET_RATE),
+            Measurement("necessary bytes, of a copy's rate", ratio, "", TARGET_RATIO),
+            Measurement("copy, read and written", copy / 1e9, "GB/s"),
+            *(Measurement(name.replace("_", " "), value, "") for name, value in facts.items()),
+        ]
         device = torch.cuda.get_device_name()
+        equal = f"equal to the CPU over {self.check_steps} steps of {2**self.least} worlds"
         lines = tuple(tuple(map(number, size.values())) for size in sizes)
         headings = ("worlds", "eager, env-steps/s", "graph, env-steps/s", "GB/s", "of a copy")
-        return Findings(
-            f"{device}, {self.field}, random actions",
-            [
-                Measurement("steps of a CUDA graph", best / 1e6, "M env-steps/s", TARGET_RATE),
-                Measurement("necessary bytes, of a copy's rate", ratio, "", TARGET_RATIO),
-                Measurement("copy, read and written", copy / 1e9, "GB/s"),
-            ],
-            tables={"batch sizes": TextTable("", headings, lines)},
-            remarks=[
-                f"equal to the CPU over {self.check_steps} steps of {2**self.least} worlds",
-                fits,
-                *(f"{name.replace('_', ' ')}: {value}" for name, value in facts.items()),
-            ],
-            details={"device": device, "kernel": facts, "sizes": sizes},
-        )
+        tables = {
+            f"{device}, {self.field}, random actions": measurement_table(rows, equal),
+            "batch sizes": TextTable(note, headings, lines),
+        }
+        values = {"rows": [row.to_json() for row in rows], "device": device, "sizes": sizes}
+        return Findings(tables, values)
 
 
 def seconds(work: Callable[[], object], times: int) -> float:

@@ -1,4 +1,4 @@
-"""Run a benchmark in a folder of its own; print and write what it measured."""
+"""Run a benchmark, print its tables, and write its figures as JSON into a folder."""
 
 from __future__ import annotations
 
@@ -6,22 +6,17 @@ import math
 import os
 import platform
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, ClassVar
-
-from rich.console import Console
-from rich.progress import Progress
 
 from baselines.compare.text_table import TextTable
 from baselines.console import console
 from baselines.runs.files import claim_folder, write_json
 from baselines.runs.provenance import versions
 
-Advance = Callable[[], object]
-"""Called after each stage of a benchmark."""
 STAT, CPU = Path("/proc/stat"), Path("/proc/cpuinfo")
 ALLOWED = 0.1  # cores that others may use before a result is doubtful
 
@@ -72,14 +67,10 @@ def measurement_table(rows: Sequence[Measurement], caption: str = "") -> TextTab
 
 @dataclass(frozen=True)
 class Findings:
-    """Everything that a benchmark found."""
+    """The results of a benchmark: tables to print, by title, and JSON values to write."""
 
-    title: str
-    measurements: Sequence[Measurement]
-    tables: Mapping[str, TextTable] = field(default_factory=dict)  # by title, printed below
-    remarks: Sequence[str] = ()  # lines below the tables
-    details: Mapping[str, Any] = field(default_factory=dict)  # JSON values to write, too
-    draw: Callable[[Path], None] | None = None  # writes a figure
+    tables: dict[str, TextTable]
+    values: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -87,7 +78,6 @@ class Benchmark:
     """A benchmark that writes a folder; the fields are its options."""
 
     name: ClassVar[str]
-    stages: ClassVar[int]
 
     out: Path | None = None
     """The folder to write; by default runs/bench-SUBJECT."""
@@ -99,83 +89,49 @@ class Benchmark:
         """Return the folder to write."""
         return self.out or Path(f"runs/bench-{self.name}")
 
-    def measure(self, advance: Advance) -> Findings:
-        """Measure; call ``advance`` after each of ``stages`` stages."""
+    def measure(self) -> Findings:
+        """Measure."""
         raise NotImplementedError
 
     def run(self, command: str) -> bool:
-        """Measure with a progress bar, print the tables, write JSON and the figure."""
+        """Measure, print the tables and a warning if others disturbed, write JSON."""
         folder = claim_folder(self.folder, force=self.force)
-        screen, began, others = console(), perf_counter(), OtherLoad()
-        with Progress(console=screen, transient=True) as progress:
-            task = progress.add_task(f"measuring {self.name}", total=self.stages)
-            found = self.measure(lambda: progress.advance(task))
-        record: dict[str, Any] = {"command": command, "machine": describe_machine()}
-        record |= {"seconds": perf_counter() - began, "other_cores": others.cores()}
-        record |= {"load_average": os.getloadavg()}
-        print_findings(found, record, screen)
-        rows = [line.to_json() for line in found.measurements]
-        write_json(folder / f"{self.name}.json", {**record, "rows": rows, **found.details})
-        if found.draw is not None:
-            found.draw(folder / f"{self.name}.png")
-        screen.print(f"written to {folder}: {', '.join(sorted(p.name for p in folder.iterdir()))}")
+        began, before = perf_counter(), other_seconds()
+        found = self.measure()
+        seconds, after = perf_counter() - began, other_seconds()
+        others = None if before is None or after is None else max(0.0, after - before) / seconds
+        machine = describe_machine()
+        for title, table in found.tables.items():
+            table.print(title)
+        load = ", ".join(f"{average:.2f}" for average in os.getloadavg())
+        screen = console()
+        screen.print(f"{machine['processor']}, {machine['cores']} cores; {seconds:.0f} s in all")
+        screen.print(f"load average {load}; written to {folder}")
+        if others is not None and others > ALLOWED:
+            screen.print(
+                f"[bold red]not valid[/]: other processes used {others:.2f} cores meanwhile, which "
+                "bends ratios too; run it again on an idle machine"
+            )
+        record = {"command": command, "machine": machine, "seconds": seconds, "other_cores": others}
+        write_json(folder / f"{self.name}.json", {**record, **found.values})
         return True
 
 
-def print_findings(found: Findings, record: Mapping[str, Any], screen: Console) -> None:
-    """Print the machine, the tables, and whether others disturbed the measurement."""
-    machine = record["machine"]
-    packages = (f"{name} {known}" for name, known in machine["packages"].items() if known)
-    screen.print(
-        f"{machine['processor']}, {machine['cores']} cores, {machine['memory_gib']:.0f} GiB; "
-        f"{machine['platform']}; Python {machine['python']}, {', '.join(packages)}\n",
-        highlight=False,
-    )
-    tables = {found.title: measurement_table(found.measurements), **found.tables}
-    for title, table in tables.items():
-        screen.print(table.rich(title) if table.lines else title)
-    load = ", ".join(f"{average:.2f}" for average in record["load_average"])
-    spent = f"{record['seconds']:.0f} s in all; load average {load} (1, 5 and 15 minutes)"
-    screen.print(*found.remarks, spent, sep="\n", highlight=False)
-    others = record["other_cores"]
-    if others is not None and others > ALLOWED:
-        screen.print(
-            f"[bold red]not valid[/]: other processes used {others:.2f} cores meanwhile, which "
-            "bends ratios too; run it again on an idle machine",
-            highlight=False,
-        )
-
-
-class OtherLoad:
-    """Cores that other processes have used since this object was made."""
-
-    def __init__(self) -> None:
-        self._start, self._others = perf_counter(), _others()
-
-    def cores(self) -> float | None:
-        """Return the mean number of them, or ``None`` where the system does not tell."""
-        now = _others()
-        if now is None or self._others is None:
-            return None
-        return max(0.0, (now - self._others) / (perf_counter() - self._start))
-
-
-def _others() -> float | None:
-    """Seconds that cores have worked (or were withheld) but not for us or our ended children."""
+def other_seconds() -> float | None:
+    """Return the cores' seconds spent on others; ``None`` where the system does not count."""
     if not STAT.exists():
         return None
     words = STAT.read_text(encoding="utf-8").splitlines()[0].split()
     user, nice, system, _idle, _waiting, *stolen = map(int, words[1:9])  # the rest counts twice
     busy = user + nice + system + sum(stolen)
-    return busy / os.sysconf("SC_CLK_TCK") - sum(os.times()[:4])
+    return busy / os.sysconf("SC_CLK_TCK") - sum(os.times()[:4])  # ours, and our ended children's
 
 
 def describe_machine() -> dict[str, Any]:
-    """Return processor, usable cores, memory (GiB), and the versions of everything measured."""
+    """Return processor, usable cores, and the versions of everything measured."""
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     text = CPU.read_text(encoding="utf-8") if CPU.exists() else ""
     model = re.search(r"^model name\s*: *(.+)", text, re.MULTILINE)
     name = model[1] if model else platform.processor() or platform.machine()
-    return {"processor": name, "cores": cores, "memory_gib": memory, **versions("vmas", "mpe2")}
+    return {"processor": name, "cores": cores, **versions("vmas", "mpe2")}

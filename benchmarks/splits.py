@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.progress import Progress
 
 from baselines.compare.text_table import TextTable
-from baselines.console import console
 from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
 from baselines.runs.provenance import versions
 from mbn_marl.config import NavigationConfig
@@ -103,22 +101,19 @@ class Splits:
                 problem = f"{', '.join(differing)}: not of version {VERSION}; move it aside"
                 raise ConfigError(str(path), [problem])
         record |= {"command": command, "versions": versions()}
-        with Progress(console=console(), transient=True) as progress:
-            task = progress.add_task(path.stem, total=self.count)
-            while len(record["instances"]) < self.count:
-                number, began = record["candidates"], time.process_time()
-                known = {one["geometry"]: one["candidate"] for one in record["instances"]}
-                found = self._try(FieldSampler(**begun["sampler"]), number, known)
-                if isinstance(found, str):
-                    record["rejected"].append({"candidate": number, "reason": found})
-                else:
-                    instance, plans[str(number)] = found
-                    record["instances"].append(instance)
-                    write_arrays(path.with_suffix(".npz"), plans, compress=True)
-                record["candidates"] = number + 1
-                record["processor_seconds"] += time.process_time() - began
-                write_json(path, record)
-                progress.update(task, completed=len(record["instances"]))
+        while len(record["instances"]) < self.count:
+            number, began = record["candidates"], time.process_time()
+            known = {one["geometry"]: one["candidate"] for one in record["instances"]}
+            found = self._try(FieldSampler(**begun["sampler"]), number, known)
+            if isinstance(found, str):
+                record["rejected"].append({"candidate": number, "reason": found})
+            else:
+                instance, plans[str(number)] = found
+                record["instances"].append(instance)
+                write_arrays(path.with_suffix(".npz"), plans, compress=True)
+            record["candidates"] = number + 1
+            record["processor_seconds"] += time.process_time() - began
+            write_json(path, record)
 
     def _try(
         self, sampler: FieldSampler, number: int, known: Mapping[str, int]

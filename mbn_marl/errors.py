@@ -23,7 +23,7 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> str:
     ends = {one.rpartition(".")[2]: one for one in reversed(names)}  # gamma means model.gamma
     close = get_close_matches(name[:100], [*dict.fromkeys([*ends, *names])], n=3, cutoff=0.7)
     close = close or [one for one in names if name and one.startswith(name)]
-    meant = dict.fromkeys(ends.get(one, one) for one in close)
+    meant = dict.fromkeys([ends.get(one, one) for one in close])
     hint = f" (did you mean {' or '.join(meant)}?)" if meant else ""
     return f"unknown {kind}{hint}; known: {', '.join(names) or 'none'}"
 

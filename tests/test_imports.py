@@ -15,8 +15,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LAYERS = [
-    {"mbn_marl.errors", "mbn_marl.version", "mbn_marl.compiled"},
-    {"mbn_marl.checked", "mbn_marl.files"},
+    {"mbn_marl.errors", "mbn_marl.version"},
+    {"mbn_marl.compiled", "mbn_marl.checked", "mbn_marl.files"},
     {"mbn_marl.config"},
     {"mbn_marl.field"},
     {"mbn_marl.optimum"},

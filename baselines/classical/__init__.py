@@ -1,1 +1,1 @@
-"""Policies without learning (greedy, planner), demonstrations, behaviour cloning."""
+"""Policies without learning: greedy, planner, replan."""

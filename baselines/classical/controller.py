@@ -17,9 +17,7 @@ from mbn_marl.errors import MbnError, unknown
 from mbn_marl.field import Field
 
 if TYPE_CHECKING:  # the planner's packages are an extra
-    from mbn_marl.planning import Plan
     from mbn_marl.planning.problem import Problem
-    from mbn_marl.planning.tracking import Tracker
 
 Flags = NDArray[np.bool_]
 
@@ -93,12 +91,13 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
     """Return one of :data:`CLASSICAL` for a field.
 
     Raises:
-        MbnError: there is no such policy, or the planner found no plan.
+        MbnError: there is no such policy, or (:class:`NoPlanError`) the planner found no plan.
     """
     from mbn_marl.planning import plan
     from mbn_marl.planning.greedy import Greedy
     from mbn_marl.planning.problem import make_problem
     from mbn_marl.planning.replanning import Replanner
+    from mbn_marl.planning.tracking import Tracker
 
     if name not in CLASSICAL:
         raise MbnError(f"{name}: {unknown('policy', name, CLASSICAL)}")
@@ -107,22 +106,10 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
         return ControllerPolicy(problem, lambda: Greedy(problem))
     if name == "planner":
         found = plan(field, **settings)
-        return ControllerPolicy(problem, lambda: make_tracker(found, settings))
+        if found.makespan is None:
+            raise NoPlanError(f"{field.name}: no plan was found within the time limit")
+        return ControllerPolicy(problem, lambda: Tracker(problem, found))
     config = problem.config
     seen = {name: getattr(config, name) for name in NavigationConfig.model_fields}
     first = plan(field, **{k: v for k, v in seen.items() if k not in UNSEEN})
     return ControllerPolicy(problem, lambda: Replanner(problem, first))
-
-
-def make_tracker(found: Plan, settings: Mapping[str, Any]) -> Tracker:
-    """Return a tracker that follows a plan for one episode, under the settings it was made for.
-
-    Raises:
-        NoPlanError: no plan was found.
-    """
-    from mbn_marl.planning.problem import make_problem
-    from mbn_marl.planning.tracking import Tracker
-
-    if found.makespan is None:
-        raise NoPlanError(f"{found.field.name}: no plan was found within the time limit")
-    return Tracker(make_problem(found.field, make_config(settings)), found)

@@ -18,7 +18,7 @@ class Benchmark:
 
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
     """zoo:NAME, a policy of `mbn zoo`; the folder of a run; greedy, planner, replan or random;
-    module:callable, your own; or lookahead: before one of them, see docs/benchmark.md."""
+    or module:callable, your own."""
     split: Literal["test", "validation"] = "test"
     """Which fields: those to choose by are of validation."""
     shield: bool = False

@@ -92,7 +92,7 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Resul
     from baselines.training.progress_bar import progress_bars
 
     hours = config.core_hours
-    spent = f"{hours:.1f} hours" if hours >= 1.0 else f"{60 * hours:.0f} minutes"
+    spent = f"{hours:.1f} hours" if hours >= 1.0 else f"{60 * hours + 0.5:.0f} minutes"
     print(f"{len(config.runs())} runs of {config.steps:,} env-steps: about {spent} of one core")
     with progress_bars([run.name for run in config.runs()], config.steps) as show:
         results = train_all_runs(config, out, listener=show, **options)

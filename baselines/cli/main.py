@@ -39,9 +39,6 @@ COMMANDS = {
 }
 """The module of each command, and its class; none imports anything heavy itself."""
 
-MOVED = {"bench": "python -m benchmarks, in a checkout of the repository"}
-"""Where commands went that are no longer here."""
-
 EXTRAS = {
     "ray": "ray",
     **dict.fromkeys(("matplotlib", "pygame", "PIL", "imageio_ffmpeg"), "render"),
@@ -99,8 +96,6 @@ def read_command(words: Sequence[str]) -> Any:
     for word in words:
         if any("\ud800" <= letter <= "\udfff" for letter in word):  # as Python has other bytes
             raise UsageError(f"{word!a}: is not UTF-8; allowed: names in UTF-8")
-    if name in MOVED:
-        raise UsageError(f"{name}: now {MOVED[name]}")
     if name not in COMMANDS:
         raise UsageError(f"{name}: {unknown('command', name, COMMANDS)}")
     return read_options(_command(name), options, f"mbn {name}")

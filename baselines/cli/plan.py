@@ -1,4 +1,4 @@
-"""``mbn plan``: the proved optimum of a field, its plan, and demonstrations of it."""
+"""``mbn plan``: the proved optimum of a field and its plan."""
 
 from __future__ import annotations
 
@@ -35,20 +35,13 @@ class Plan:
     out: Path | None = None
     """The folder to write; by default runs/plan-FIELD."""
     force: bool = False
-    """If the folder or the file of --export exists, move it aside (to OUT.1, OUT.2, ...)."""
-    export: Path | None = None
-    """Write demonstrations to this .npz file: the plan, followed in closed loop."""
-    episodes: int = 1
-    """With --export: how many episodes."""
-    noise: float = 0.0
-    """With --export: standard deviation of what is added to the actions that are taken."""
+    """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
         """Plan, print, and write the files."""
         from baselines.runs.files import claim_folder, write_json
         from mbn_marl.config import make_config
         from mbn_marl.field import load_field
-        from mbn_marl.files import check_free
         from mbn_marl.planning import plan
         from mbn_marl.planning.problem import make_problem
 
@@ -57,14 +50,12 @@ class Plan:
         settings: dict[str, Any] = {"n_robots": self.n_robots, "wind": self.wind}
         make_problem(field, make_config(settings))  # says what is wrong before anything is moved
         folder = self.out or Path(f"runs/plan-{field.name}")
-        if self.write and not (self.force or self.export):
+        if self.write and not self.force:
             makespan = proved_makespan(folder, field, settings)
             if makespan is not None:
                 write_optimum(Path(self.field), makespan)
                 print(f"written to {self.field}: optimal_makespan: {makespan}, as in {folder}")
                 return
-        if self.export is not None:
-            check_free(self.export, force=self.force)
         claim_folder(folder, force=self.force)
         found = plan(field, time_limit=self.time_limit, **settings)
         print_plan(found)
@@ -74,8 +65,6 @@ class Plan:
         if found.makespan is not None:
             names += _write_plan(found, folder, settings)
         print(f"written to {folder}: {', '.join(names)}")
-        if self.export is not None:
-            self._export(found, settings, self.export)
         self._keep_optimum(found)
 
     def _check(self) -> None:
@@ -83,12 +72,6 @@ class Plan:
         task = self.n_robots is not None or any(self.wind)
         wrong = {
             f"time_limit: more than 0 seconds, not {self.time_limit}": not self.time_limit > 0.0,
-            f"episodes: at least 1, not {self.episodes}": self.episodes < 1,
-            f"noise: 0 or more, not {self.noise}": not self.noise >= 0.0,
-            "episodes, noise: for --export": self.export is None
-            and (self.episodes, self.noise) != (1, 0.0),
-            f"export: allowed: a name that ends in .npz, not {self.export}": self.export is not None
-            and self.export.suffix != ".npz",
             f"write: allowed with a field file of yours, not {self.field}": self.write
             and not Path(self.field).is_file(),
             "write: allowed without --n-robots and --wind": self.write and task,
@@ -108,18 +91,6 @@ class Plan:
             print(f"written to {path}: {line}")
         elif path.is_file() and usual and found.optimal and found.field.optimal_makespan is None:
             print(f"to keep it, add this line to {path} (--write does): {line}")
-
-    def _export(self, found: FoundPlan, settings: dict[str, Any], path: Path) -> None:
-        """Write the demonstrations."""
-        from baselines.classical.demonstrations import record_demonstrations
-        from baselines.runs.files import write_arrays
-        from mbn_marl.files import claim_file
-
-        arrays = record_demonstrations(found, settings, episodes=self.episodes, noise=self.noise)
-        write_arrays(claim_file(path, force=self.force), arrays, compress=True)
-        steps, good = len(arrays["actions"]), arrays["successes"]
-        share = sum(good[arrays["episodes"] == k][0] for k in range(self.episodes))
-        print(f"written to {path}: {steps} steps, {share} of {self.episodes} episodes succeed")
 
 
 def proved_makespan(folder: Path, field: Field, settings: Mapping[str, Any]) -> int | None:

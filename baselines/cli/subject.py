@@ -17,8 +17,7 @@ class InWeather:
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
     """The folder of a run; zoo:NAME, a policy of `mbn zoo`; zoo, that of the field; greedy,
     earliest visit first; planner, the best plan, followed in closed loop; replan, which plans again
-    if the world leaves it; random; module:callable, your own; or lookahead: before one of them, see
-    docs/benchmark.md."""
+    if the world leaves it; random; or module:callable, your own."""
     condition: Condition | None = None
     """A named condition, whose weather and failures replace the policy's; by default as it was
     trained."""

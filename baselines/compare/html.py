@@ -28,11 +28,8 @@ def comparison_page(results: Results, comparison: Comparison, command: str) -> s
         *(_field_section(results, comparison, field) for field in results.fields),
         Section("Commands", texts={"This page": command, f"The {len(runs)} runs": made}),
     ]
-    summary = (
-        f"{comparison.verdict} {len(runs)} runs: {', '.join(results.labels)} on "
-        f"{', '.join(results.fields)}, {results.seeds} each. Made by mbn_marl {__version__}."
-    )
-    return report_page("Comparison", summary, sections)
+    summary = f"{comparison.verdict} {len(runs)} runs, by mbn_marl {__version__}."
+    return report_page(comparison.question, summary, sections)
 
 
 def _field_section(results: Results, comparison: Comparison, field: str) -> Section:

@@ -87,7 +87,9 @@ def _markdown(comparison: Comparison, pictures: Mapping[str, str], place: Place)
         broken = ["## Runs that diverged: their variants are left out", "\n".join(broken)]
     shown = [table.markdown(title) for title, table in tables.items()]
     return (
-        "\n\n".join(["# Comparison", comparison.verdict, *broken, *shown, "## Figures", *images])
+        "\n\n".join(
+            [f"# {comparison.question}", comparison.verdict, *broken, *shown, "## Figures", *images]
+        )
         + "\n"
     )
 

@@ -21,7 +21,7 @@ from baselines.compare.aggregate import (
 from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
 from baselines.compare.text_table import csv_text
-from baselines.compare.verdict import verdict
+from baselines.compare.verdict import question, verdict
 from baselines.evaluation.intervals import RETURN_THRESHOLD, mean_interval, mean_of_known, passes
 
 THRESHOLDS = np.concatenate([np.arange(90) / 100, np.arange(900, 1001) / 1000])
@@ -43,6 +43,7 @@ class Comparison:
     excluded.
 
     Attributes:
+        question: what is compared, on which fields, at which budget.
         verdict: the result in a sentence.
         looks: the labels in order, with the numbers of their looks in figures.
         rows: every label on every field, field by field: besides, the mean return over seeds with
@@ -58,6 +59,7 @@ class Comparison:
         broken: the error of each run that diverged, by its name; its label is left out.
     """
 
+    question: str
     verdict: str
     looks: Mapping[str, int]
     rows: Sequence[Numbers]
@@ -70,6 +72,7 @@ class Comparison:
         """Everything as JSON values."""
         values: dict[str, Any] = _plain(
             {
+                "question": self.question,
                 "verdict": self.verdict,
                 "rows": self.rows,
                 "aggregates": self.aggregates,
@@ -90,6 +93,7 @@ def summarise(results: Results) -> Comparison:
     """Summarise results over seeds, and over fields."""
     labels, proved = results.labels, results.optima
     return Comparison(
+        question=question(results),
         verdict=verdict(results),
         looks=results.looks,
         rows=[_row(results.cells[label, field]) for field in results.fields for label in labels],

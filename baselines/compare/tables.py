@@ -36,6 +36,7 @@ OF_GAPS = (
 
 def print_comparison(comparison: Comparison, console: Console) -> None:
     """Print the result, and every table with what its columns mean below."""
+    console.print(comparison.question, markup=False)
     console.print(comparison.verdict, "\n", markup=False)
     for title, table in field_tables(comparison).items():
         console.print(table.rich(title))

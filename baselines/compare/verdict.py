@@ -52,6 +52,18 @@ def verdict(results: Results) -> str:
     return f"{faster} is faster than {slower} by {least:.1f} .. {most:.1f} steps, {given}."
 
 
+def question(results: Results) -> str:
+    """Return who is compared, where, at which budget."""
+    sides: dict[str, list[str]] = {}
+    for label in results.labels:
+        sides.setdefault(form_of(results, label), []).append(label)
+    forms = " or ".join(f"{form} ({', '.join(labels)})" for form, labels in sorted(sides.items()))
+    steps = max(run.evaluation["env_steps"] for runs in results.cells.values() for run in runs)
+    plural = "s" if results.seeds > 1 else ""
+    where = f"{', '.join(results.fields)}, {steps:,} env-steps a run, {results.seeds} seed{plural}"
+    return f"{forms[0].upper()}{forms[1:]} on {where} each?"
+
+
 def form_of(results: Results, label: str) -> str:
     """Return whether a label is centralised or decentralised, as its algorithm is."""
     return find_algorithm(results.of_label(label)[0].config["algorithm"]).form

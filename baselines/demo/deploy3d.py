@@ -10,9 +10,7 @@ from baselines.classical.controller import CLASSICAL
 from baselines.demo.resolve import Actor, find_actor
 from baselines.evaluation.fitting import fitted
 from baselines.evaluation.policy import restart
-from baselines.zoo.sources import LOOKAHEAD
 from mbn_marl.engine import BatchEngine
-from mbn_marl.errors import ConfigError
 from mbn_marl.sim3d import Deployment, Scale, Simulator, deploy
 
 
@@ -32,12 +30,9 @@ def find_pilots(
         **asked: settings that replace those that the policy brings.
 
     Raises:
-        ConfigError: a policy that needs a field has none, or one looks ahead.
+        ConfigError: a policy that needs a field has none.
         MbnError: a field, or a policy for it, is not there.
     """
-    if policy.startswith(LOOKAHEAD):
-        problem = f"policy: {policy} plans for the plane; allowed: one without {LOOKAHEAD}"
-        raise ConfigError("deployment", [problem])
     limited = policy in CLASSICAL and speed_limit is not None
     asked |= {"v_clip": speed_limit} if limited else {}
     return [find_actor(policy, name, **asked) for name in fields or (None,)]

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from baselines.evaluation.fitting import LoadedPolicy
-from baselines.evaluation.lookahead import Lookahead
 from baselines.evaluation.policy import Origin, Policy, restart
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
@@ -29,15 +28,10 @@ class Shielded:
 
     Args:
         policy: the policy, loaded or not.
-
-    Raises:
-        ConfigError: the policy looks ahead.
     """
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy.policy if isinstance(policy, LoadedPolicy) else policy
-        if isinstance(self.policy, Lookahead):
-            raise ConfigError("shield", ["policy: it follows a plan by the step; allowed: others"])
         self.observes: Literal["observations", "state"] = policy.observes
         self.origin: Origin | None = getattr(self.policy, "origin", None)
         self.samples: bool = getattr(self.policy, "samples", True)

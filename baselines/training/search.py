@@ -19,7 +19,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.evaluation.lookahead import missing
 from mbn_marl.engine import BatchEngine
 from mbn_marl.field import Field
 from mbn_marl.optimum import optimal_return
@@ -55,7 +54,7 @@ class Trial(NamedTuple):
     success: NDArray[np.bool_]
     returns: NDArray[np.float64]  # the team's true return
     steps: NDArray[np.int32]
-    missing: NDArray[np.float64]  # units, see lookahead.missing; inf if terminated
+    missing: NDArray[np.float64]  # units, see missing(); inf if terminated
 
 
 class LastLayerSearch:
@@ -150,3 +149,20 @@ class LastLayerSearch:
         features = self._actors.features(torch.from_numpy(seen))
         rows = features.view(len(features), WORLDS, -1, features.shape[-1])
         return torch.add(rows @ weights, biases).transpose(0, 1).reshape(*seen.shape[:2], 2)
+
+
+def missing(engine: BatchEngine) -> NDArray[np.float64]:
+    """Return how far each world of an engine with one field is from success, (W,) units.
+
+    It is the sum over ROIs not visited of the distance to the nearest robot, and the arena's
+    diagonal for every wall hit.
+    """
+    state = engine.state().astype(np.float64)
+    positions = state[:, : 2 * engine.n_robots].reshape(len(state), -1, 1, 2)
+    distance = np.linalg.norm(positions - engine.field.rois, axis=-1).min(axis=1)
+    bits = np.arange(engine.n_rois)[::-1]
+    left = (state[:, -1:].astype(np.int64) >> bits & 1) == 0
+    hits = engine.metrics(("wall_hits",))["wall_hits"].sum(axis=1)
+    far: NDArray[np.float64] = (distance * left).sum(axis=1)
+    far += hits * math.hypot(*engine.field.arena)
+    return far

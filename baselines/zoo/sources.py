@@ -8,7 +8,6 @@ from typing import Any
 from baselines.classical.controller import CLASSICAL, make_classical
 from baselines.evaluation.evaluate import under
 from baselines.evaluation.fitting import LoadedPolicy
-from baselines.evaluation.lookahead import Lookahead
 from baselines.evaluation.policy import RandomPolicy, load_trained
 from baselines.runs.files import RunError
 from baselines.zoo.entries import PREFIX, open_run
@@ -17,8 +16,6 @@ from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import Field, catalogue_names, load_field
 
 RANDOM = "random"
-LOOKAHEAD = "lookahead:"
-"""Before a source: the policy looks ahead."""
 ZOO = PREFIX.rstrip(":")
 """The zoo's own policy for each field."""
 
@@ -30,8 +27,7 @@ def is_trained(source: str) -> bool:
 
 def is_policy(source: str) -> bool:
     """Return whether a source reads as that of a policy; else it is a field, or unknown."""
-    named = source in (RANDOM, ZOO, *CLASSICAL) or source.startswith(LOOKAHEAD)
-    return named or is_own(source) or is_trained(source)
+    return source in (RANDOM, ZOO, *CLASSICAL) or is_own(source) or is_trained(source)
 
 
 def check_known(source: str) -> None:
@@ -41,15 +37,14 @@ def check_known(source: str) -> None:
         RunError: it is none; listing those that there are.
         MbnError: the zoo has no such policy.
     """
-    base = source.removeprefix(LOOKAHEAD)
-    if not is_policy(base):
-        others = f"{PREFIX}NAME", f"{LOOKAHEAD}POLICY", FORM, "the folder of a run"
-        problem = unknown("policy", base, (*CLASSICAL, RANDOM, ZOO, *others))
-        if base in catalogue_names():
-            problem = f"is a field; name a policy, for example: greedy --field {base}"
+    if not is_policy(source):
+        others = f"{PREFIX}NAME", FORM, "the folder of a run"
+        problem = unknown("policy", source, (*CLASSICAL, RANDOM, ZOO, *others))
+        if source in catalogue_names():
+            problem = f"is a field; name a policy, for example: greedy --field {source}"
         raise RunError(f"{source}: {problem}")
-    if base.startswith(PREFIX):
-        open_run(base)
+    if source.startswith(PREFIX):
+        open_run(source)
 
 
 def find_policy(
@@ -57,15 +52,6 @@ def find_policy(
 ) -> LoadedPolicy:
     """Find a policy; see :func:`baselines.load_policy`."""
     check_known(source)
-    if source.startswith(LOOKAHEAD):
-        if (base := source.removeprefix(LOOKAHEAD)) in ("", RANDOM):
-            raise ConfigError(
-                "policy", [f"{source!r}; allowed after {LOOKAHEAD} a policy, but random"]
-            )
-        found = find_policy(base, field, seed=seed, **settings)
-        if found.field is None:
-            raise needs_field(source)
-        return LoadedPolicy(source, Lookahead(found), found.settings, found.field)
     place = None if field is None else load_field(field)
     condition = settings.pop("condition", None)
     if place is None and source in (ZOO, *CLASSICAL):

@@ -37,7 +37,7 @@ def measure_pettingzoo(budget: timing.Budget) -> list[Measurement]:
 
     mpe2 = mpe2_cases()
     timings, walls = timing.interleaved([timing.cycling_case("own", sets, step), *mpe2], budget)
-    own, times, note = timings["own"], None, "needs mpe2: pip install 'mbn-marl[bench]'"
+    own, times, note = timings["own"], None, "needs mpe2, in the extra bench"
     if mpe2:
         other = timings[mpe2[0].name]
         times, note = (other / own).median(), f"MPE2: {other.median() * 1e6:.0f} us"

@@ -6,34 +6,25 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import chain
-from pathlib import Path
 from time import perf_counter
 from typing import Any, ClassVar
 
-import matplotlib
 import torch
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator, ScalarFormatter
 
-from benchmarks.report import Advance, Benchmark, Findings, Measurement, describe_machine
+from benchmarks.report import Benchmark, Findings, Measurement, measurement_table
 from benchmarks.speed.adapters import FIELD, measure_pettingzoo, measure_sb3, measure_torchrl
-from benchmarks.speed.features import SAMPLERS
 from benchmarks.speed.peers import plain_case, vmas_cases
-from benchmarks.speed.sizes import SIZES, Curve, curves_table, measure_sizes
 from benchmarks.speed.timing import Budget, engine_case, interleaved
-from mbn_marl import BatchEngine
+from mbn_marl import BatchEngine, FieldSampler
 from mbn_marl.field import catalogue_names
-from mbn_marl.files import replacing
-from mbn_marl.render import style
+from mbn_marl.field.layout import FAMILIES
 
-WIDE_RANGE = 30.0  # a curve that grows by more than this is drawn on logarithmic axes
 MILLION, RATE = 1e6, "M env-steps/s"
 SCENARIOS = "simple_spread", "navigation"
 """The tasks of VMAS that are measured; the second is like ours."""
+MIXED = FieldSampler(FAMILIES, robots=(2, 7), rois=(3, 10), size=(160, 420), seed=1)
 FIRST_STEP = """
 from mbn_marl import parallel_env
 env = parallel_env("field_03")
@@ -47,29 +38,16 @@ class Speed(Benchmark):
     """Measure the engine and its adapters against the plain loop and the peers installed."""
 
     name: ClassVar[str] = "speed"
-    stages: ClassVar[int] = 5 + len(SIZES)
     budget: ClassVar[Budget] = Budget()
 
-    def measure(self, advance: Advance) -> Findings:
-        """Measure the rates and the cost against sizes."""
-        budget = self.budget
+    def measure(self) -> Findings:
+        """Measure the engine, its adapters, and the start of a process."""
         torch.set_num_threads(1)  # an engine with several threads would undo it
-        startup = measure_startup() if budget.startup else []
-        advance()
-        rows = measure_engine(budget)
-        advance()
-        for measure in (measure_pettingzoo, measure_torchrl, measure_sb3):
-            rows += measure(budget)
-            advance()
-        curves = measure_sizes(budget, advance)
-        return Findings(
-            "CPU time of one thread; 3 robots, 6 ROIs, field_01, random actions, float32",
-            rows + startup,
-            tables={"cost against sizes: ns per world-step": curves_table(curves)},
-            remarks=[f"{curve.quantity}: {curve.growth}" for curve in curves],
-            details={"curves": [asdict(curve) for curve in curves]},
-            draw=lambda path: write_figure(rows, curves, path),
-        )
+        startup = measure_startup() if self.budget.startup else []
+        parts = (measure_engine, measure_pettingzoo, measure_torchrl, measure_sb3)
+        rows = [*chain.from_iterable(part(self.budget) for part in parts), *startup]
+        title = "CPU time of one thread; 3 robots, 6 ROIs, field_01, random actions, float32"
+        return Findings({title: measurement_table(rows)}, {"rows": [row.to_json() for row in rows]})
 
 
 def measure_startup() -> list[Measurement]:
@@ -92,12 +70,12 @@ def measure_engine(budget: Budget) -> list[Measurement]:
     All cases, the plain loop and VMAS (where installed) take turns.
     """
     some, many = budget.worlds, budget.many_worlds
-    *_, (mixed, (sampler, _)) = SAMPLERS.items()
+    mixed = "drawn fields of all families, 2 to 7 robots, 3 to 10 ROIs"
     batches: dict[str, tuple[Any, int, float | None]] = {
         f"BatchEngine.step, {some:,} worlds": (FIELD, some, 11.0),
         f"BatchEngine.step, {many:,} worlds": (FIELD, many, 7.5),
         f"the ten fields in one batch, {some:,} worlds": (catalogue_names(), some, None),
-        f"{mixed}, {some:,} worlds": (sampler, some, 1.9),
+        f"{mixed}, {some:,} worlds": (MIXED, some, 1.9),
     }
     cases = [
         engine_case(name, BatchEngine(fields, worlds, threads=1), budget.warm_up)
@@ -118,7 +96,7 @@ def measure_engine(budget: Budget) -> list[Measurement]:
     name = "BatchEngine.step against the plain loop"
     rows.append(Measurement(name, times, "x", 1000.0, note=of_loop))
     for scenario, peers in vmas.items():
-        ratio, note = None, "needs vmas: pip install 'mbn-marl[bench]'"
+        ratio, note = None, "needs vmas, in the extra bench"
         if peers:
             best = rates[[case.name for case in peers]].idxmax()
             ratio = (timings[best] / step).median()
@@ -126,49 +104,3 @@ def measure_engine(budget: Budget) -> list[Measurement]:
         name = f"BatchEngine.step against VMAS {scenario}"
         rows.append(Measurement(name, ratio, "x", 5.0, note=note))
     return rows
-
-
-def write_figure(rows: Sequence[Measurement], curves: Sequence[Curve], path: Path) -> None:
-    """Draw rates with their targets, and a panel for each curve."""
-    with matplotlib.rc_context(style.MATPLOTLIB):
-        figure = Figure(figsize=(10.0, 6.0), layout="constrained")
-        grid = figure.add_gridspec(2, 1)
-        above, below = (figure.add_subfigure(grid[row]) for row in (0, 1))
-        axes = above.subplots()
-        rated = [row for row in rows if row.unit == RATE]
-        rates = {",\n".join(row.name.rsplit(", ", 1)): row.value or 0.0 for row in rated}
-        _draw_bars(axes, rates, style.BLUE, "million env-steps/s; line: target")
-        for place, row in enumerate(reversed(rated), start=1):
-            if row.target is not None:
-                axes.plot([row.target] * 2, [place - 0.4, place + 0.4], color=style.VERMILLION)
-        panels = below.subplots(1, len(curves))
-        for index, (panel, curve) in enumerate(zip(panels, curves, strict=True)):
-            _draw_curve(panel, curve, style.series(index))
-        machine = describe_machine()
-        figure.suptitle(f"{machine['processor']}, {machine['cores']} cores")
-        with replacing(path) as temporary:
-            figure.savefig(temporary)
-
-
-def _draw_bars(axes: Axes, values: Mapping[str, float], colour: str, label: str) -> None:
-    places = range(len(values), 0, -1)
-    axes.barh(places, [*values.values()], 0.6, color=colour)
-    axes.set_yticks(places, [*values])
-    axes.set_xlabel(label)
-    axes.grid(True, axis="x")
-
-
-def _draw_curve(axes: Axes, curve: Curve, look: style.SeriesStyle) -> None:
-    axes.plot(curve.sizes, curve.nanoseconds, color=look.colour, marker=look.marker, ms=4)
-    axes.set_xscale("log", base=2)
-    if max(curve.nanoseconds) > WIDE_RANGE * min(curve.nanoseconds):
-        axes.set_yscale("log")
-    else:
-        axes.set_ylim(bottom=0.0)
-    axes.set_xticks(curve.sizes)
-    axes.xaxis.set_major_formatter(ScalarFormatter())
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel(curve.quantity)
-    axes.set_ylabel("ns per world-step")
-    axes.set_title(curve.growth, fontsize=8.0)
-    axes.grid(True)

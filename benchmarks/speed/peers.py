@@ -5,10 +5,8 @@ VMAS and MPE2 do not reset during the timing, which is to their advantage.
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,10 +14,7 @@ import numpy as np
 from benchmarks.speed.timing import SETS, Case, cycling_case, random_case
 from mbn_marl import load_field
 
-ROOT = Path(__file__).parents[2]
 ROBOTS = 3
-PARTS = ("tokens", "disturbances", "scores", "vehicles", "draws", "wall_senses")
-"""The modules that the oracle imports."""
 VMAS_WORLDS = (1024, 4096, 16_384, 65_536)
 
 
@@ -29,7 +24,7 @@ def plain_case() -> Case:
     One world of the tests' oracle does what the engine does in a step: revisit memory, rewards and
     their terms, an observation for each robot, and metrics and a reset when an episode ends.
     """
-    oracle = oracle_module().Oracle(load_field("field_01"))
+    oracle = import_module("tests.support.oracle").Oracle(load_field("field_01"))
 
     def step(actions: Any) -> None:
         outcome = oracle.step(actions.tolist())
@@ -40,18 +35,6 @@ def plain_case() -> Case:
             oracle.observe(robot)
 
     return random_case("plain loop", (oracle.n, 2), step, 1.0)
-
-
-def oracle_module() -> Any:
-    """Import the oracle by the place of its file, whatever else is called ``tests``."""
-    for name in (*PARTS, "oracle"):  # which imports the others
-        full = f"tests.support.{name}"
-        if full not in sys.modules:
-            spec = importlib.util.spec_from_file_location(full, ROOT / f"tests/support/{name}.py")
-            assert spec is not None and spec.loader is not None
-            sys.modules[full] = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(sys.modules[full])
-    return sys.modules[full]
 
 
 def vmas_cases(scenario: str) -> list[Case]:

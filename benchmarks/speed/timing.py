@@ -26,7 +26,6 @@ class Budget:
     warm_up: int = 1000  # steps before; as many as an episode has at most: episodes of all ages
     worlds: int = 4096
     many_worlds: int = 16_384  # of a large batch
-    sized_worlds: int = 1024  # of the batches that show the cost against a size
     startup: bool = True  # also start fresh processes, with an empty cache and with a filled one
 
 

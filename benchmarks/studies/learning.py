@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
+import heapq
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -18,14 +18,12 @@ from tyro.conf import Positional
 
 from baselines.cli.compare import train_and_compare
 from baselines.compare.records import RunRecord
-from baselines.compare.results import Results
 from baselines.compare.text_table import TextTable
 from baselines.compare.variants import CompareConfig, labelled
 from baselines.evaluation import intervals as statistics
 from baselines.paper import published
 from baselines.runs.files import write_json, write_text
 from baselines.training.hyperparameters import validate
-from benchmarks.grid import makespan
 from benchmarks.report import Benchmark, Measurement, measurement_table
 from mbn_marl.field import catalogue_names, safe_yaml
 
@@ -85,7 +83,7 @@ class Plan(BaseModel):
         seeds: one run for each variant, field and seed; 100 and up, where nothing was tuned.
         steps: env-steps of every run.
         evaluate_every: env-steps between two fresh evaluations.
-        targets: whether to hold the first variant against the targets of the recorded setting.
+        targets: whether to hold the one variant against the targets of the recorded setting.
         variants: by label, the values of :class:`~baselines.compare.variants.Variant`.
     """
 
@@ -97,12 +95,6 @@ class Plan(BaseModel):
     evaluate_every: int = 65_536
     targets: bool = False
     variants: dict[str, dict[str, Any]]
-
-    @classmethod
-    def read(cls, path: Path) -> Plan:
-        """Read a study; raise a ConfigError that names all that is not valid."""
-        values: Any = safe_yaml.parse_yaml(path.read_bytes(), str(path))
-        return validate(cls, values, str(path))
 
 
 @dataclass(frozen=True)
@@ -133,7 +125,9 @@ class Study(Benchmark):
     def plan(self) -> Plan:
         """Return the study, with the options in it."""
         given = {name: getattr(self, name) for name in ("fields", "seeds", "steps")}
-        plan = Plan.read(Path(__file__).with_name(f"{self.study}.yaml"))
+        path = Path(__file__).with_name(f"{self.study}.yaml")
+        values: Any = safe_yaml.parse_yaml(path.read_bytes(), str(path))
+        plan = validate(Plan, values, str(path))
         return plan.model_copy(update={name: value for name, value in given.items() if value})
 
     def config(self) -> CompareConfig:
@@ -148,49 +142,67 @@ class Study(Benchmark):
         results = train_and_compare(self.config(), self.folder, command=command, **options)
         print(f"written to {self.folder}: comparison.md, comparison.json, figures, runs")
         if self.plan.targets:
-            rows = target_rows(results, self.processes)
+            runs = run_table(results.of_label(results.labels[0]))
+            rows = target_rows(runs, self.processes)
             measurement_table(rows, CAPTION).print("targets")
-            write_targets(results, rows, self.folder)
+            write_targets(runs, rows, self.folder)
         return True
 
 
-def target_rows(results: Results, processes: int) -> list[Measurement]:
-    """Return the targets of the first label, for ``processes`` runs at a time."""
-    setting = results.labels[0]
-    records = results.of_label(setting)
-    runs = run_table(records)
+def target_rows(runs: pd.DataFrame, processes: int) -> list[Measurement]:
+    """Return the targets, for ``processes`` runs at a time."""
     lines = field_table(runs)
     near = lines.deterministic_median >= (1 - NEAR) * lines.optimum
-    number = runs.groupby("field").cumcount()  # of a run in its cell
-    by_seed = [
-        makespan([(str(place), None, time) for place, time in seconds.items()], processes)
-        for _, seconds in runs.seconds.groupby(number)
-    ]
-    worst, until_all = float(runs.env_steps.max()), float(median(by_seed))
-    wall = sum(record.final("wall_seconds") for record in records) / processes
+    best, title = lines.deterministic_best, "fields, best return"
+    by_seed = runs.groupby(runs.groupby("field").cumcount()).seconds  # of a run on its field
+    until_all = float(median(makespan(seconds, processes) for _, seconds in by_seed))
+    worst, wall = float(runs.env_steps.max()), float(runs.wall_seconds.sum()) / processes
     fields, note = len(lines), f"{processes} at a time"
-    all_pass = f"{setting}: until {fields} fields pass, one seed each, wall time"
+    all_pass = f"until {fields} fields pass, one seed each, wall time"
     return [
-        count_row(f"{setting}: final policies that pass", runs.passed, 1.0),
-        Measurement(f"{setting}: until a run passes, worst run", worst, "env-steps", BUDGET, False),
+        count_row("final policies that pass", runs.passed, 1.0),
+        Measurement("until a run passes, worst run", worst, "env-steps", BUDGET, False),
         Measurement(all_pass, until_all, "s", 16 * fields, False, f"{note}, median over seeds"),
-        count_row(f"{setting}: fields, median return within 0.25 % of the optimum", near, 1.0),
-        *best_rows(setting, lines),
-        Measurement(f"{setting}: wall time of all runs", wall, "s", 180.0 * fields, False, note),
+        count_row("fields, median return within 0.25 % of the optimum", near, 1.0),
+        count_row(f"{title} at or above the paper's", best >= lines.paper_best, 1.0),
+        count_row(f"{title} is the proved optimum", best == lines.optimum, 0.9),
+        Measurement("wall time of all runs", wall, "s", 180.0 * fields, False, note),
     ]
 
 
-def write_targets(results: Results, rows: Sequence[Measurement], out: Path) -> None:
+def makespan(seconds: Iterable[float], workers: int) -> float:
+    """Return the seconds that ``workers`` take for jobs, begun in this order."""
+    busy_until = [0.0] * workers
+    for job in seconds:
+        heapq.heapreplace(busy_until, busy_until[0] + job)
+    return max(busy_until)
+
+
+def count_row(name: str, met: Sequence[bool], share: float) -> Measurement:
+    """Count how many are met, with the share that is aimed at."""
+    least = math.ceil(share * len(met) - 1e-9)
+    return Measurement(name, int(sum(met)), f"of {len(met)}", least)
+
+
+def write_targets(runs: pd.DataFrame, rows: Sequence[Measurement], out: Path) -> None:
     """Write ``learning.md`` and ``learning.json`` into the folder ``out``."""
-    lines = field_table(run_table(itertools.chain.from_iterable(results.cells.values())))
-    below = 1.0 - lines.deterministic_median / lines.optimum
-    passed = lines.passed.astype(str) + "/" + lines.runs.astype(str)
-    shown = lines.assign(below=below, **{"pass": passed})
-    tables = {
-        label: shown_table(shown[shown.label == label], COLUMNS, FIELD_CAPTION)
-        for label in results.labels
-    }
-    write_study(out / "learning.md", rows, lines, tables)
+    lines = field_table(runs)
+    fields = json.loads(lines.to_json(orient="records", double_precision=15))  # never is null
+    targets = [row.to_json() for row in rows]
+    write_json(out / "learning.json", {"targets": targets, "fields": fields})
+    lines["below"] = 1.0 - lines.deterministic_median / lines.optimum
+    lines["pass"] = lines.passed.astype(str) + "/" + lines.runs.astype(str)
+    lines = lines.astype(object).where(lines.ne(math.inf) & lines.notna(), None)
+    cells = tuple(
+        tuple(
+            "-" if line[name] is None else form.format(line[name])
+            for name, form in COLUMNS.values()
+        )
+        for line in lines.to_dict("records")
+    )
+    tables = measurement_table(rows, CAPTION), TextTable(FIELD_CAPTION, tuple(COLUMNS), cells)
+    parts = ["# Learning", tables[0].markdown("Targets"), tables[1].markdown("Fields")]
+    write_text(out / "learning.md", "\n\n".join(parts) + "\n")
 
 
 def first_pass(record: RunRecord) -> tuple[float, float]:
@@ -225,12 +237,11 @@ def run_table(records: Iterable[RunRecord]) -> pd.DataFrame:
         mean_success = record.final("deterministic", "success_rate")
         rows.append(
             {
-                "label": record.label,
                 "field": record.field.name,
-                "run": record.run.path.name,
                 "passed": statistics.passes(sampled, mean_success),
                 "env_steps": env_steps,
                 "seconds": seconds,
+                "wall_seconds": record.final("wall_seconds"),
                 "return_mean": sampled["return_mean"],
                 "success_rate": sampled["success_rate"],
                 "deterministic": record.final("deterministic", "return_mean"),
@@ -243,8 +254,8 @@ def run_table(records: Iterable[RunRecord]) -> pd.DataFrame:
 
 
 def field_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each label and field: sums, medians and bests over seeds."""
-    lines = runs.groupby(["label", "field"], sort=False).agg(
+    """Return a row for each field: sums, medians and bests over seeds."""
+    lines = runs.groupby("field", sort=False).agg(
         runs=("passed", "size"),
         passed=("passed", "sum"),  # final policies
         env_steps=("env_steps", "median"),
@@ -258,46 +269,3 @@ def field_table(runs: pd.DataFrame) -> pd.DataFrame:
         paper_best=("paper_best", "first"),
     )
     return lines.reset_index()
-
-
-def best_rows(label: str, lines: pd.DataFrame) -> list[Measurement]:
-    """Compare the best return of each field with the paper's and with the optimum."""
-    best, title = lines.deterministic_best, f"{label}: fields, best return"
-    return [
-        count_row(f"{title} at or above the paper's", best >= lines.paper_best, 1.0),
-        count_row(f"{title} is the proved optimum", best == lines.optimum, 0.9),
-    ]
-
-
-def count_row(name: str, met: Sequence[bool], share: float) -> Measurement:
-    """Count how many are met, with the share that is aimed at."""
-    least = math.ceil(share * len(met) - 1e-9)
-    return Measurement(name, int(sum(met)), f"of {len(met)}", least)
-
-
-def shown_table(
-    lines: pd.DataFrame, columns: Mapping[str, tuple[str, str]], caption: str, words: int = 1
-) -> TextTable:
-    """Return a table with columns by heading: the name in ``lines``, and how a value is shown."""
-
-    def shown(value: Any, form: str) -> str:
-        unknown = isinstance(value, float) and not math.isfinite(value)
-        return "-" if unknown else form.format(value)
-
-    rows = (
-        tuple(shown(line[name], form) for name, form in columns.values())
-        for line in lines.to_dict("records")
-    )
-    return TextTable(caption, tuple(columns), tuple(rows), words)
-
-
-def write_study(
-    path: Path, rows: Sequence[Measurement], lines: pd.DataFrame, tables: Mapping[str, TextTable]
-) -> None:
-    """Write the targets and what the fields reached: tables in ``path``, all in JSON beside it."""
-    fields = json.loads(lines.to_json(orient="records", double_precision=15))  # never is null
-    targets = [row.to_json() for row in rows]
-    write_json(path.with_suffix(".json"), {"targets": targets, "fields": fields})
-    parts = {"Targets": measurement_table(rows, CAPTION), **tables}
-    pages = [f"# {path.stem.capitalize()}", *(part.markdown(name) for name, part in parts.items())]
-    write_text(path, "\n\n".join(pages) + "\n")

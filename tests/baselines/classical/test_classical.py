@@ -1,4 +1,4 @@
-"""Policies without learning, demonstrations of the planner, and their commands."""
+"""Policies without learning, and their commands."""
 
 from __future__ import annotations
 
@@ -126,8 +126,6 @@ def test_mbn_plan_prints_draws_and_saves(
         assert main(["plan", "field_03", *wrong, "-o", str(out), "--force"]) == 2
         assert wrong[0][2:].replace("-", "_") in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == before
-    assert main(["plan", "field_03", "--episodes", "2"]) == 2
-    assert "--export" in capsys.readouterr().err
 
 
 def test_mbn_evaluate_takes_classical_policies(

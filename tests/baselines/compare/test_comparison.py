@@ -155,7 +155,7 @@ def test_a_comparison_is_printed_whole_in_80_columns(tmp_path: Path) -> None:
     # Means over the two seeds, and the bounds that one seed alone gives.
     bounds = ("-2,472,196", "-20,221,960", "-20722.0..-19722.0", "-1,972,196", "- 0/2")
     assert words.issuperset((long, *bounds))
-    assert sum(long in line for line in lines) == 6, "once a block"
+    assert sum(long in line for line in lines) == 7, "once a block, and in the question"
     assert max(map(len, lines)) <= 80
 
 
@@ -344,3 +344,5 @@ def test_the_result_in_words(
     comparison = summarise(Results.of(runs))
     assert words in comparison.verdict
     assert comparison.to_json()["verdict"] == comparison.verdict
+    asked = "Centralized (ppo-joint) or decentralized (mappo) on field_03, 400 env-steps a run, "
+    assert comparison.question.startswith(asked)

@@ -1,1 +1,0 @@
-"""The promises of ``docs/reliability.md``, measured; exit code 1 if one is broken."""
