@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pandas import DataFrame, MultiIndex
 from scipy.stats import kendalltau
 
-from baselines.algorithms import SETTINGS
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
@@ -52,14 +51,14 @@ def reached(trainings: Trainings) -> TextTable:
         return f"{hits} of {len(runs)}" + (f", soonest {_short(runs.reach.min())}" if hits else "")
 
     table = _words(trainings.runs, CELL[:2], cell)
-    table = table.reindex(trainings.algorithms, columns=list(SETTINGS)).fillna(MISSING)
+    table = table.reindex(trainings.algorithms, columns=list(published.REPORTED)).fillna(MISSING)
     lines = tuple((published.display_name(name), *cells) for name, *cells in table.itertuples())
     caption = (
         f"Runs whose moving mean of 100 training episodes reached {RETURN_THRESHOLD:,.0f}, once so "
         "many had ended, of all runs of that algorithm and setting on any field, and the env-steps "
         "of the soonest. In the paper only CrossQ does so under A within 500k env-steps."
     )
-    headings = (f"{setting}{marked(setting)}" for setting in SETTINGS)
+    headings = (f"{setting}{marked(setting)}" for setting in published.REPORTED)
     return TextTable(caption, ("algorithm", *headings), lines)
 
 
@@ -97,7 +96,7 @@ def _ranking_line(setting: str, table: PaperTable) -> tuple[str, ...]:
 def _per_cell(trainings: Trainings, caption: str, shown: Callable[[DataFrame], str]) -> TextTable:
     """A line for every algorithm and setting, a column for every field."""
     fields = trainings.field_names
-    index = MultiIndex.from_product([trainings.algorithms, SETTINGS])
+    index = MultiIndex.from_product([trainings.algorithms, published.REPORTED])
     table = _words(trainings.runs, CELL, shown).reindex(index, columns=fields)
     papers = index.get_level_values(0).isin(published.ALGORITHMS)
     table = table[papers | table.notna().any(axis=1)].fillna(MISSING)

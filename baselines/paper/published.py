@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from baselines.algorithms import Setting
+
 ALGORITHM_UNIT = 1e6
 """One unit of the paper's numbers per algorithm, in reward units; those per field are in reward."""
 
@@ -20,6 +22,8 @@ SOURCE: str = _FILE["source"]
 ALGORITHMS: dict[str, str] = {name.lower(): name for name in _FILE["algorithms"]}
 """The paper's algorithms in its order: our name -> the paper's."""
 SETTINGS: list[str] = list(_FILE["environments"])
+REPORTED: list[Setting] = ["A", "B", "C", "N"]
+"""The paper's settings, and ours beside them."""
 FIELDS: list[str] = list(_FILE["environments"]["A"])
 
 

@@ -21,7 +21,7 @@ from baselines.runs.report_path import Place
 from mbn_marl.render.figures import save
 
 TABLES = ("algorithms.csv", "algorithms.tex", "fields.csv", "fields.tex")
-OTHERS = [setting for setting in SETTINGS if setting != "A"]
+OTHERS = [setting for setting in published.REPORTED if setting != "A"]
 """Settings that are compared with A."""
 
 
@@ -47,7 +47,10 @@ def write_report(
     trainings = find_trainings(paths, note)
     tables = paper_tables(trainings)
     drawn = {
-        **{f"curves_{name}": figures.learning_curves(trainings, name) for name in SETTINGS},
+        **{
+            f"curves_{name}": figures.learning_curves(trainings, name)
+            for name in published.REPORTED
+        },
         **{f"A_against_{name}": figures.against(trainings, "A", name) for name in OTHERS},
         "optuna": None if study is None else figures.draw_study(study),
         "fields": figures.overview(),
@@ -92,7 +95,7 @@ def _page(
         notes=preface,
         source=published.SOURCE,
         command=command,
-        settings="\n".join(f"- **{name}**: {_meaning(name)}." for name in SETTINGS),
+        settings="\n".join(f"- **{name}**: {_meaning(name)}." for name in published.REPORTED),
         missing=MISSING,
         dash=DASH,
         tables=links(TABLES),
@@ -103,7 +106,8 @@ def _page(
         reached=glance.reached(trainings).markdown(),
         success=glance.success(trainings).markdown(),
         curves=join(
-            picture(f"curves_{name}", f"Setting {name}: {_meaning(name)}") for name in SETTINGS
+            picture(f"curves_{name}", f"Setting {name}: {_meaning(name)}")
+            for name in published.REPORTED
         ),
         against=join(picture(f"A_against_{name}", f"Setting A against {name}") for name in OTHERS),
         study=picture("optuna", "History of the study and importance of each hyperparameter"),

@@ -10,7 +10,6 @@ import numpy as np
 import pandas
 from pandas import DataFrame, MultiIndex, Series
 
-from baselines.algorithms import SETTINGS
 from baselines.compare.text_table import DASH, TextTable, csv_text
 from baselines.paper import published
 from baselines.paper.published import STATISTICS
@@ -88,7 +87,7 @@ FIELDS = Kind(
 
 COLUMNS = [
     (setting, source)
-    for setting in SETTINGS
+    for setting in published.REPORTED
     for source in ("paper", "here")
     if source == "here" or setting in published.SETTINGS
 ]

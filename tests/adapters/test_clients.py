@@ -120,5 +120,5 @@ def test_without_a_registry_of_pettingzoo_gymnasiums_is_filled(monkeypatch) -> N
     monkeypatch.delattr(pettingzoo, "register")
     monkeypatch.setattr(gymnasium.envs.registration, "registry", registry := {})
     registration.register_environments()
-    assert len(registry) == len(catalogue_names()) * len(CONDITIONS)
+    assert len(registry) == len(catalogue_names()) * (len(CONDITIONS) + 1)
     assert gymnasium.make(ID).unwrapped.engine.field.name == "field_03"

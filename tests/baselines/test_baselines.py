@@ -19,6 +19,7 @@ from baselines.torchrl.networks import GaussianPolicy, TeamShape
 from baselines.torchrl.policy import TeamPolicy
 from baselines.training.run_logger import EpisodeWindow
 from mbn_marl.config import NavigationConfig
+from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field
 from mbn_marl.optimum import optimal_return
@@ -117,6 +118,22 @@ def test_evaluation_of_a_policy_that_never_gets_there() -> None:
     assert result.returns == [-620.0, -620.0]
     assert result.summary()["makespan"] is None
     assert result.summary()["success_rate"] == 0.0
+
+
+def test_the_seed_of_an_evaluation_decides_its_worlds() -> None:
+    settings = {"random_starts": True, "max_steps": 4}
+    first = [
+        evaluate(ConstantPolicy(0.0, 0.0), SQUARE, settings, episodes=2, seed=seed, record=(0,))
+        .recorded[0]
+        .snapshot(0)
+        .positions
+        for seed in (1, 2)
+    ]
+    engines = [BatchEngine(SQUARE, 2, seed=seed, **settings) for seed in (1, 2)]
+    for engine, positions in zip(engines, first, strict=True):
+        engine.reset()
+        np.testing.assert_array_equal(positions, engine.snapshot().positions)
+    assert not np.array_equal(*first)
 
 
 def test_evaluations_are_reproducible_and_leave_torch_alone() -> None:

@@ -18,7 +18,7 @@ from benchmarks.speed.timing import Budget, Case, Timings, interleaved
 from mbn_marl.config import Condition
 from mbn_marl.errors import ConfigError
 
-TINY = Budget(rounds=2, seconds=0.0, warm_up=3, worlds=8, many_worlds=16, startup=False)
+TINY = Budget(rounds=2, seconds=0.0, warm_up=3, worlds=10, many_worlds=16, startup=False)
 
 
 @pytest.fixture(scope="module")

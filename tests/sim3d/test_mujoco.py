@@ -238,7 +238,7 @@ def test_an_unknown_vehicle_names_the_known_ones() -> None:
 
 def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(ImportError, match=r"mbn_marl\[sim3d\]"):
+    with pytest.raises(ImportError, match=r"\.\[sim3d\]"):
         MujocoSimulator()
 
 

@@ -150,7 +150,10 @@ def test_a_stopped_comparison_leaves_no_process_behind(tmp_path: Path) -> None:
 
 
 def test_runs_are_listed_with_their_state(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal: Refusal
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    refusal: Refusal,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     names = ("finished", "going", "begun", "damaged")
     paths = {name: make_run(tmp_path, label=name, seed=7).run.path for name in names}
@@ -162,7 +165,9 @@ def test_runs_are_listed_with_their_state(
     (paths["going"] / "evaluations.json").write_text(
         '[{"success_rate": 0.25, "makespan": null, "return_mean": 1.0}]'
     )
-    assert main(["runs", str(tmp_path)]) == 0
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert main(["runs", "."]) == 0
     lines = {
         line.split()[0].split("/")[-1].split("-")[0]: line
         for line in capsys.readouterr().out.splitlines()

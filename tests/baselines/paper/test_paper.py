@@ -304,7 +304,7 @@ def test_wrong_input_is_refused_by_place(tmp_path: Path, refusal: Refusal) -> No
     (tmp_path / "empty").mkdir()
     (tmp_path / "latin.md").write_bytes("très".encode("latin-1"))
     for words, place in (
-        ("", "RUNS: "),
+        ("", "RUN: "),
         ("runs", "kind: "),
         ("--paper nowhere", "nowhere"),
         ("--paper empty", "empty"),
