@@ -72,7 +72,11 @@ CALLS = re.compile(
 )
 
 
-@pytest.mark.parametrize("page", [README, ROOT / "docs" / "clients.md"], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [README, ROOT / "docs" / "tasks.md", ROOT / "docs" / "clients.md"],
+    ids=lambda page: page.stem,
+)
 def test_python_in_tables_runs(page: Path) -> None:
     for code in filter(CALLS.match, code_in_tables(page)):
         exec(f"import gymnasium, pettingzoo\nfrom mbn_marl import *\n{code}", {})
