@@ -33,7 +33,7 @@ Reading = PrimitiveConstructorSpec[Any]
 REGISTRY = ConstructorRegistry()
 WIDTH = 80
 CORES = os.cpu_count() or 1
-"""How many runs at a time there are by default; each takes one core."""
+"""The default number of runs at a time; each takes one core."""
 SHORT = (
     (r"^Error parsing (\S+): ", r"\1: "),
     (r"^Missing value for argument '(\S+)'. Expected (\d+) values", r"\1: needs \2 value(s)"),

@@ -32,7 +32,7 @@ class InWeather:
 
     @property
     def weather(self) -> str:
-        """What follows the policy's name in titles: the condition and the wind."""
+        """The end of titles, after the policy's name: the condition and the wind."""
         named = "" if self.condition is None else f", {self.condition}"
         return named + (
             "" if self.wind is None else ", wind {:g} at {:g} degrees".format(*self.wind)

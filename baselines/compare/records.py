@@ -34,7 +34,7 @@ Positive = Annotated[RealNumber, Range(ge=0, le=MOST)]
 
 
 class Listed(BaseModel):
-    """What a list of runs needs of the configuration."""
+    """The part of a configuration that a list of runs reads."""
 
     algorithm: str
     field: str
@@ -43,20 +43,20 @@ class Listed(BaseModel):
 
 
 class Score(BaseModel):
-    """What every report needs of the summary of final episodes, see ``Evaluation.summary``."""
+    """The part of ``Evaluation.summary`` that every report reads."""
 
     return_mean: Number
     success_rate: Annotated[RealNumber, Range(ge=0, le=1)]
 
 
 class Summary(Score):
-    """What a comparison needs of it."""
+    """The part of it that a comparison reads."""
 
     makespan: Positive | None
 
 
 class Progress(BaseModel):
-    """What it needs of a fresh evaluation on the way."""
+    """The part of a fresh evaluation on the way that a comparison reads."""
 
     env_steps: Count
     seconds: Positive
@@ -64,13 +64,13 @@ class Progress(BaseModel):
 
 
 class Scores(BaseModel):
-    """What every report needs of the final evaluation."""
+    """The part of the final evaluation that every report reads."""
 
     stochastic: Score
 
 
 class Final(BaseModel):
-    """What a comparison needs of it."""
+    """The part of the final evaluation that a comparison reads."""
 
     env_steps: Count
     seconds: Positive

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from baselines.algorithms import find_algorithm
+from baselines.algorithms import Algorithm, find_algorithm
 from baselines.compare.aggregate import difference_interval
 from baselines.compare.records import RunRecord
 from baselines.compare.results import Results
@@ -19,7 +19,8 @@ CERTAIN = 0.05
 def verdict(results: Results) -> str:
     """Compare the best label of each form, or the two best of one form, in a sentence.
 
-    More runs that pass are better; if as many do, fewer steps with sampled actions are.
+    More runs that pass are better; if as many do, fewer steps with sampled actions are. If one
+    library has both forms, only its labels are compared: the library would be a second difference.
     """
     runs, seeds = len(results.fields) * results.seeds, results.seeds
     order = sorted(results.labels, key=lambda label: _rank(results.of_label(label)))
@@ -28,6 +29,7 @@ def verdict(results: Results) -> str:
         return f"No run passes: the budget of {budget} is too small to compare."
     if len(order) == 1:
         return f"{_passed(results.of_label(order[0]))} of {runs} runs pass."
+    order = _of_one_library(results, order)
     forms = {form_of(results, label): label for label in reversed(order)}
     first, second = sorted(forms.values(), key=order.index) if len(forms) == 2 else order[:2]
     ours, theirs = results.of_label(first), results.of_label(second)
@@ -66,7 +68,21 @@ def question(results: Results) -> str:
 
 def form_of(results: Results, label: str) -> str:
     """Return whether a label is centralised or decentralised, as its algorithm is."""
-    return find_algorithm(results.of_label(label)[0].config["algorithm"]).form
+    return _algorithm(results, label).form
+
+
+def _of_one_library(results: Results, order: list[str]) -> list[str]:
+    """Return the labels of the first library that has both forms; without one, all labels."""
+    for first in order:
+        package = _algorithm(results, first).package
+        labels = [label for label in order if _algorithm(results, label).package == package]
+        if len({form_of(results, label) for label in labels}) == 2:
+            return labels
+    return order
+
+
+def _algorithm(results: Results, label: str) -> Algorithm:
+    return find_algorithm(results.of_label(label)[0].config["algorithm"])
 
 
 def _passed(runs: Sequence[RunRecord]) -> int:

@@ -17,7 +17,7 @@ WORLDS_PER_THREAD = 256
 
 
 _threaded, _forked = Event(), Event()
-"""Whether this process has used threads, and whether one that it was forked from had."""
+"""Set once this process has used threads; set in a child forked after that."""
 
 
 def _after_fork() -> None:
