@@ -10,7 +10,7 @@ from baselines.compare.summary import Comparison, Numbers
 from baselines.compare.text_table import TextTable
 
 UNKNOWN = "-"
-FORMS = "form: C, centralised, one policy moves the team; D, decentralised, each robot its own. "
+FORMS = "C: centralised, one policy moves the team; D: decentralised, each robot its own. "
 THRESHOLD = ("steps to\n100k", "s to\n100k")
 OF_AGGREGATES = FORMS + (
     "Scores are true returns as shares of the field's proved optimum. pass: runs whose final "
@@ -63,7 +63,15 @@ def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
 def field_tables(comparison: Comparison) -> dict[str, TextTable]:
     """A table for each field, by title, which begins with the field's name and a colon."""
     headings = (
-        *("algo", "form", "return", "interval\n(x 1000)", "success", "make-\nspan", "of\noptimum"),
+        *(
+            "algo",
+            "C/D",
+            "return",
+            "interval\n(x 1000)",
+            "success",
+            "make-\nspan",
+            "of\nopti-\nmum",
+        ),
         *("mean\nactions", THRESHOLD[0]),
     )
     tables = {}
@@ -95,7 +103,7 @@ def _aggregates(comparison: Comparison) -> TextTable:
         f" Left out, without one proved optimum for all: {left_out}." if left_out else ""
     )
     gaps = ("gap", "gap,\nmean")
-    headings = ("algo", "form", "pass", "IQM", "interval", *gaps, "success", *THRESHOLD)
+    headings = ("algo", "C/D", "pass", "IQM", "interval", *gaps, "success", *THRESHOLD)
     lines = tuple(
         (
             one["label"],
