@@ -17,7 +17,6 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
-    "docs.extensions.docstrings",
     "docs.extensions.mathml",
     "docs.extensions.tables",
 ]
