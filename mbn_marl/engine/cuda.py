@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import warnings
+from functools import partial
 from typing import Any
 
 import torch
@@ -12,10 +13,15 @@ from numba.core.errors import NumbaPerformanceWarning
 from numpy.typing import NDArray
 
 from mbn_marl.engine import cuda_kernels as kernels
-from mbn_marl.engine.backend import CUDA_NEEDS, Backend, BackendSpec
+from mbn_marl.engine.backend import Backend, BackendSpec
 from mbn_marl.engine.constants import constants_of
-from mbn_marl.engine.state import Episode, Geometry
-from mbn_marl.errors import ActionError, ConfigError
+from mbn_marl.engine.state import share_bits
+from mbn_marl.errors import ActionError, ConfigError, install
+
+NEEDS = (
+    "device: 'cuda' needs an NVIDIA GPU, a torch that can use it (see pytorch.org), "
+    f"and numba-cuda: {install('cuda')}"
+)
 
 
 class Device:
@@ -23,7 +29,7 @@ class Device:
 
     def __init__(self) -> None:
         if problem := _missing():
-            raise ConfigError("configuration", [f"{CUDA_NEEDS}; {problem}"])
+            raise ConfigError("configuration", [f"{NEEDS}; {problem}"])
         self.torch = torch.device("cuda", torch.cuda.current_device())
         self._launchers: dict[tuple[Any, int, int, int], Any] = {}
 
@@ -58,6 +64,13 @@ def _missing() -> str | None:
     return None if found else "numba-cuda finds no GPU"
 
 
+def _mapped(function: Any, arrays: Any) -> Any:
+    """Return the named tuple of arrays, or of such tuples, with the function's results."""
+    if not isinstance(arrays, tuple):
+        return function(arrays)
+    return type(arrays)(*(_mapped(function, array) for array in arrays))
+
+
 class CudaBackend(Backend):
     """The worlds of an engine in torch tensors.
 
@@ -73,9 +86,8 @@ class CudaBackend(Backend):
         with Device().torch as place:
             self._make_worlds(spec)
             self._fault = torch.tensor([int(kernels.NO_FAULT)])
-            tables: Any = (torch.as_tensor(table, device=place) for table in spec.geometry)
-            self.geometry = Geometry(*tables)
-        self._connect()
+            self.geometry = _mapped(partial(torch.as_tensor, device=place), spec.geometry)
+        self.connect()
 
     def reset(self, mask: Any) -> None:
         """Begin a new episode in the masked worlds, or in all, unless there is a fault to raise."""
@@ -133,7 +145,7 @@ class CudaBackend(Backend):
         copy: NDArray[Any] = array.cpu().numpy().copy()
         return copy
 
-    def _given(self, name: str, value: Any, allowed: str) -> torch.Tensor:
+    def given(self, name: str, value: Any, allowed: str) -> torch.Tensor:
         place = self._device.torch
         if isinstance(value, torch.Tensor) and value.device == place:
             return value.detach().contiguous()
@@ -153,18 +165,18 @@ class CudaBackend(Backend):
 
     # -- the kernels -------------------------------------------------------------------------------
 
-    def _empty(self, shape: tuple[int, ...], dtype: torch.dtype) -> torch.Tensor:
+    def empty(self, shape: tuple[int, ...], dtype: torch.dtype) -> torch.Tensor:
         return torch.empty(shape, dtype=dtype, device=self._device.torch)
 
-    def _write_infos(self, rows: torch.Tensor) -> None:
+    def write_infos(self, rows: torch.Tensor) -> None:
         arguments = (self._constants, *self._arrays, self._final, self._output, self._rows(rows))
         self._run(kernels.plain_kernel(kernels.infos), *arguments)
 
-    def _write_states(self, episode: Episode, rows: torch.Tensor) -> None:
-        arrays = self._final if episode is self.final else self._arrays[2]
+    def write_states(self, final: bool, rows: torch.Tensor) -> None:
+        arrays = self._final if final else self._arrays[2]
         self._run(kernels.plain_kernel(kernels.states), arrays, self._rows(rows))
 
-    def _write_draw(self, rows: torch.Tensor) -> None:
+    def write_draw(self, rows: torch.Tensor) -> None:
         arguments = self._constants, self._arrays[1], self._rows(rows)
         self._run(kernels.plain_kernel(kernels.draw), *arguments)
 
@@ -180,14 +192,12 @@ class CudaBackend(Backend):
         blocks = -(-self.spec.num_worlds // threads)
         self._device.launch(kernel, blocks, threads, *arguments)
 
-    def _connect(self) -> None:
+    def connect(self) -> None:
         """Make the kernels' views of the tensors, once: that takes longer than a launch."""
-        super()._connect()
+        self.memory = share_bits(self.memory, self.now, torch)
         self._device = Device()
 
-        def arrays(tensors: Any) -> Any:
-            return type(tensors)(*map(self._device.array, tensors))
-
+        arrays = partial(_mapped, self._device.array)
         self._arrays = arrays(self.geometry), arrays(self.memory), arrays(self.now)
         self._final, self._output = arrays(self.final), arrays(self.output)
         self._faults = self._device.array(self._fault)

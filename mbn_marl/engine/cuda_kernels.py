@@ -23,13 +23,14 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from mbn_marl.compiled.jit import compiled, generated, returning_views
 from mbn_marl.compiled.scalars import column
+from mbn_marl.engine.arguments import Worlds
 from mbn_marl.engine.constants import AUTORESET_MODES
 from mbn_marl.engine.kernels import draw_world, is_final, put_infos
 from mbn_marl.engine.mdp.assignment import assign
-from mbn_marl.engine.mdp.observations import describe, put_state
+from mbn_marl.engine.mdp.observations import put_state, write_observation
+from mbn_marl.engine.mdp.paths import Paths
 from mbn_marl.engine.reset import (
     ENDED,
-    MOTION,
     RESTARTS,
     clear_output,
     copy_episode,
@@ -38,6 +39,7 @@ from mbn_marl.engine.reset import (
 )
 from mbn_marl.engine.state import Episode, Geometry, Memory, Output
 from mbn_marl.engine.step import close_step, move_robots, score_step, scratch_of
+from mbn_marl.field.layout import Tables
 
 DISABLED = AUTORESET_MODES.index("disabled")
 NOT_FINITE, WAITING, LEFT_OUT = 1, 2, 3
@@ -98,27 +100,19 @@ def _view_of(kind: Any, index: str, given: tuple[str, ...] = (), **places: str) 
 
 
 TABLE, ROWS = "[:, :, w:end]", "[:, w:end]"
+MOTION = ("x", "y", "vx", "vy", "visited", "steps")
 RESULTS = ("rewards", "team_rewards", "terminated", "truncated", "events", "outcomes")
-geometry_of = _view_of(
-    Geometry,
-    ":, w:end",
+"""The parts of an episode, and those of the output, that a step keeps in registers."""
+field_of = _view_of(
+    *(Tables, ":, w:end"),
     edges=TABLE,
     rois=TABLE,
     starts=TABLE,
     codes="[w:end]",
-    waypoints=TABLE,
-    legs=TABLE,
-    robots="",
-    kinds="",
-    fail_at="",
-    ranges="",
-    rays="",
-    scales="",
     robots_in="[w:end]",
-    sampler="",
-    kept="[w:end]",
 )
-memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="", seen=ROWS)
+paths_of = _view_of(Paths, ":, w:end", waypoints=TABLE, legs=TABLE)
+memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="", sensed=ROWS)
 episode_of = _view_of(Episode, ":, w:end", MOTION, team_return="[w:end]", codes="[w:end]")
 output_of = _view_of(Output, "w:end", RESULTS)
 
@@ -136,25 +130,22 @@ def save_output(one, out, w):
 
 
 @cuda.jit(device=True)
-def write_observations(p, g, mem, ep, w, is_world, tile, rows):
-    """Write the observations of the block's worlds to ``rows``; this thread's is ``w`` of ``ep``.
+def write_observations(worlds, w, is_world, tile):
+    """Write the observations of the block's worlds; this thread's is world ``w`` of ``worlds``.
 
     A robot's observation is made in this thread's column of ``tile`` (size, threads + 1), in shared
     memory, and the block then writes all columns together, entry next to entry.
     """
-    thread, threads = cuda.threadIdx.x, cuda.blockDim.x
+    p, g, mem, ep, _, out, _ = worlds
+    rows, thread, threads = out.observations, cuda.threadIdx.x, cuda.blockDim.x
     first = cuda.blockIdx.x * threads
     size = rows.shape[2]
     count = min(threads, rows.shape[0] - first)
     if is_world:
-        assign(p, g, mem.plan, ep.status, ep, w, w + ONE)
+        assign(p, g, mem, ep, w, w + ONE)
     for i in range(rows.shape[1]):
         if is_world:
-            mine = tile[:, thread : thread + 1]
-            describe(
-                *(p, g, mem.key, mem.seen, mem.plan, ep.status, g.rays, g.scales, ep),
-                *(w, w + ONE, i, mine),
-            )
+            write_observation(p, g, mem, ep, i, w, w + ONE, tile[:, thread : thread + 1])
         cuda.syncthreads()
         world, entry = thread // size, thread % size
         while world < count:
@@ -189,44 +180,42 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
         rewards = cuda.local.array((1, n), real)
         reals = cuda.local.array((10, 1), real)
         flags = cuda.local.array((5, 1), np.bool_)
-        seen = cuda.local.array(1, np.int32)
+        crossings = cuda.local.array(1, np.int32)
         keys = cuda.local.array((2, n, 1), np.uint64)
         end = w + ONE
         one = episode_of(now, w, end, x, y, vx, vy, visited, steps)
-        f = column(g, w)
-        own = geometry_of(g, f, f + ONE)
+        f = column(g.field, w)
+        field, paths = field_of(g.field, f, f + ONE), paths_of(g.paths, f, f + ONE)
+        own = Geometry(field, paths, g.team, g.sampler)
         memory = memory_of(mem, w, end, x.view(bits), y.view(bits))
         given = output_of(out, w, end, rewards, reals[9], flags[3], flags[4], events, outcomes)
-        to = scratch_of(reals, seen, flags, keys, mine)
+        to = scratch_of(reals, crossings, flags, keys, mine)
+        worlds = Worlds(p, own, memory, one, final, given, to)
         if is_world:
-            copy_motion(now, w, one, ZERO, n, 0)
+            copy_motion(now, w, one, ZERO, n)
             fault, change = fault_of(p, mem, call, w), 0
             if fault != 0:
                 cuda.atomic.min(call.fault, 0, np.int64(w) * KINDS + fault)
             if (fault != 0) | (not call.active[w]):
                 clear_output(p, given, ZERO)
             else:
-                told = call.actions[w:end]
-                move_robots(p, own, memory, one.status, one, given, to, told, ZERO, ONE)
-                score_step(p, own, memory, one.status, one, given, to, ZERO, ONE)
+                move_robots(worlds, call.actions[w:end], ZERO, ONE)
+                score_step(worlds, ZERO, ONE)
                 change = close_step(p, memory, given, ZERO)
             if change == ENDED | RESTARTS:
-                assign(p, own, memory.plan, one.status, one, ZERO, ONE)
+                assign(p, own, memory, one, ZERO, ONE)
                 for i in range(n):
-                    describe(
-                        *(p, own, memory.key, memory.seen, memory.plan, one.status),
-                        *(own.rays, own.scales, one, ZERO, ONE, i, mine),
-                    )
+                    write_observation(p, own, memory, one, i, ZERO, ONE, mine)
                     for entry in range(obs_size):
                         given.final_observations[0, i, entry] = mine[entry, 0]
-            copy_motion(one, ZERO, now, w, n, 0)
+            copy_motion(one, ZERO, now, w, n)
             save_output(given, out, w)
             if change == ENDED | RESTARTS:
                 copy_episode(now, w, final, w, n, p.headings)
             if change & RESTARTS:
                 reset_world(p, g, mem, now, w)
-                copy_motion(now, w, one, ZERO, n, 0)
-        write_observations(p, own, memory, one, ZERO, is_world, tile, out.observations)
+                copy_motion(now, w, one, ZERO, n)
+        write_observations(Worlds(p, own, memory, one, final, out, to), ZERO, is_world, tile)
 
     return step
 
@@ -243,7 +232,7 @@ def make_reset(obs_size: int) -> Callable[..., None]:
             reset_world(p, g, mem, now, w)
             mem.pending[w] = False
             clear_output(p, out, w)
-        write_observations(p, g, mem, now, w, is_world, tile, out.observations)
+        write_observations(Worlds(p, g, mem, now, now, out, tile), w, is_world, tile)
 
     return reset
 

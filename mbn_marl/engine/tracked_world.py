@@ -16,15 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from mbn_marl.compiled.jit import compiled, entry_point
 from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.engine import step
+from mbn_marl.engine.arguments import worlds_of
 from mbn_marl.engine.batch import BatchEngine
-from mbn_marl.engine.cpu import CpuBackend
-from mbn_marl.engine.mdp.disturbances import arrived_actions
-from mbn_marl.engine.mdp.drawn import limits_in
-from mbn_marl.engine.mdp.dynamics import V_CLIP, keep_heading, limits_of
-from mbn_marl.engine.mdp.failures import has_failed, is_absent, move_or_fail
+from mbn_marl.engine.mdp.disturbances import disturbs_actions, send_all
+from mbn_marl.engine.mdp.drawn_numbers import V_CLIP, limits_in, limits_of
+from mbn_marl.engine.mdp.dynamics import keep_heading
+from mbn_marl.engine.mdp.failures import move_or_fail, works
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
-from mbn_marl.engine.store import parts_of
 from mbn_marl.errors import ActionError, ConfigError, StepError
 
 LO, HI = np.uint64(0), np.uint64(1)
@@ -73,15 +72,15 @@ class TrackedWorld:
         single = engine.num_worlds == 1 and engine.autoreset == "disabled"
         limit = np.inf if speed_limit is None else speed_limit
         problems = [] if limit > 0.0 else [f"speed_limit: {limit}; allowed: None, or above 0"]
-        if not (single and isinstance(backend, CpuBackend)):
+        if not (single and engine.device == "cpu"):
             allowed = "allowed: one world on the CPU, autoreset disabled"
             wrong = f"engine: {engine.num_worlds} worlds on {engine.device}; {allowed}"
             raise ConfigError("tracked world", [*problems, wrong])
         if problems:
             raise ConfigError("tracked world", problems)
         self.engine, self._backend = engine, backend
-        self._robots = backend.geometry.robots.copy()
-        self._robots[V_CLIP] = np.minimum(self._robots[V_CLIP], limit)
+        self._limits = backend.geometry.team.limits.copy()
+        self._limits[V_CLIP] = np.minimum(self._limits[V_CLIP], limit)
         self._allowed = np.ones(engine.n_robots, np.bool_)
 
     def command(self, actions: ArrayLike) -> Command:
@@ -97,12 +96,12 @@ class TrackedWorld:
         if not self.engine.running[0]:
             raise StepError("the episode has not begun, or has ended; allowed: reset() first")
         allowed = f"{(self.engine.n_robots, 2)} (robots, axes)"
-        given = self._backend._given("actions", actions, allowed)
+        given = self._backend.given("actions", actions, allowed)
         forces = self._backend.checked_actions(given[None])
         velocities = np.empty((1, self.engine.n_robots, 2), self.engine.dtype)
-        chooser = self._backend.store_with(self._robots)
+        chooser = self._backend.arguments_with(self._limits)
         choose_velocities(chooser, forces, velocities, self._allowed)
-        return Command(velocities[0], self._allowed.copy(), self._backend.failed(0))
+        return Command(velocities[0], self._allowed.copy(), self.engine.failed[0])
 
     def measure(self, positions: ArrayLike, velocities: ArrayLike) -> None:
         """The second half: the robots came to ``positions``; the outcome is in the engine.
@@ -128,61 +127,64 @@ class TrackedWorld:
             if array.shape != shape or not np.isfinite(array).all():
                 raise ActionError(f"{name}: shape {array.shape[1:]}, or not finite; {allowed}")
             measured.append(np.ascontiguousarray(array))
-        take_positions(self._backend.store, *measured, self._allowed)
+        take_positions(self._backend.arguments, *measured, self._allowed)
         self._backend.recount()
 
 
 @compiled
-def put_velocities(store, actions, velocities, allowed):
+def put_velocities(arguments, actions, velocities, allowed):
     """See :func:`choose_velocities`."""
-    p, g, mem, now, _, _, to = parts_of(store)
-    keys, drawn = mem.key, now.drawn
-    taken = arrived_actions(p, drawn, keys, now.queue, mem.acted, now.steps, actions, LO, HI)
+    worlds = worlds_of(arguments)
+    p, g, mem, now, _, _, to = worlds
+    taken = actions
+    if disturbs_actions(now):
+        send_all(p, mem, now, actions, LO, HI)
+        taken = mem.acted
     for i in range(now.x.shape[0]):
-        move_or_fail(p, g, mem, now.status, now, to, taken, i, LO, HI)
+        move_or_fail(worlds, taken, i, LO, HI)
         step.test_containment(g, to, LO, HI)
-        keep_heading(g.kinds, now, to, i, LO, HI)
-        inside = to.seen[0] != 0
+        keep_heading(g, now, to, i, LO, HI)
+        inside = to.crossings[0] != 0
         allowed[i] = inside
         velocities[0, i, 0] = select(inside, to.vx[0], p.zero)
         velocities[0, i, 1] = select(inside, to.vy[0], p.zero)
 
 
 @entry_point
-def choose_velocities(store, actions, velocities, allowed):
+def choose_velocities(arguments, actions, velocities, allowed):
     """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
-    put_velocities(store, actions, velocities, allowed)
+    put_velocities(arguments, actions, velocities, allowed)
 
 
 @compiled
-def put_positions(store, positions, velocities, allowed):
+def put_positions(arguments, positions, velocities, allowed):
     """See :func:`take_positions`."""
-    p, g, mem, now, _, out, to = parts_of(store)
+    worlds = worlds_of(arguments)
+    p, g, mem, now, _, out, to = worlds
     n = now.x.shape[0]
     for i in range(n):
         to.x[0], to.y[0] = positions[0, i, 0], positions[0, i, 1]
-        _, _, v_clip = limits_in(limits_of(g, i), now.drawn, i, LO)
+        _, _, v_clip = limits_in(limits_of(g, i), now, i, LO)
         to.vx[0] = clip(velocities[0, i, 0], -v_clip, v_clip)
         to.vy[0] = clip(velocities[0, i, 1], -v_clip, v_clip)
         step.test_containment(g, to, LO, HI)
-        resting = has_failed(now.status, i, LO) | is_absent(now.status, i, LO)
-        stayed = allowed[i] & (to.seen[0] != 0) | resting
-        to.seen[0] = INSIDE
+        stayed = allowed[i] & (to.crossings[0] != 0) | (not works(now, i, LO))
+        to.crossings[0] = INSIDE
         step.stop_at_walls(p, now, out, to, i, LO, HI)
         now.wall_hits[i, 0] += 0 if stayed else 1
         out.events[i, 0] |= 0 if stayed else WALL
-        step.mark_visits(p, g, now.status, now, out, i, LO, HI)
+        step.mark_visits(p, g, now, out, i, LO, HI)
     if p.rules == RELEASED:
-        step.record_positions(mem, now.status, now, LO, HI)
+        step.record_positions(mem, now, LO, HI)
         for i in range(n):
-            step.hash_positions(mem, now.status, now, out, to, i, LO, HI)
-    step.pass_time(p, now.drawn, mem.key, now.gust, now.steps, LO, HI)
+            step.hash_positions(mem, now, out, to, i, LO, HI)
+    step.pass_time(p, mem, now, LO, HI)
     observe(p, g, mem, now, LO, HI, to.tile, out.observations)
-    step.score_step(p, g, mem, now.status, now, out, to, LO, HI)
-    return step.autoreset(store, LO, HI)
+    step.score_step(worlds, LO, HI)
+    return step.autoreset(arguments, LO, HI)
 
 
 @entry_point
-def take_positions(store, positions, velocities, allowed):
+def take_positions(arguments, positions, velocities, allowed):
     """Steps 3 to 8 for robots that came to ``positions`` with ``velocities``, (1, n, 2)."""
-    return put_positions(store, positions, velocities, allowed)
+    return put_positions(arguments, positions, velocities, allowed)

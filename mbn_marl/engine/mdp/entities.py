@@ -12,14 +12,21 @@ import math
 
 import numpy as np
 
+from mbn_marl.compiled.features import Feature
 from mbn_marl.compiled.jit import compiled
 from mbn_marl.compiled.scalars import clip, column, select
 from mbn_marl.engine.mdp import lidar
-from mbn_marl.engine.mdp.assignment import STRAIGHT, tour, turn_of, way_to
-from mbn_marl.engine.mdp.drawn import numbers_of
-from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading, put_own_motion
+from mbn_marl.engine.mdp.assignment import STRAIGHT, Tours, assigns, turn_of, way_to
+from mbn_marl.engine.mdp.drawn_numbers import numbers_of
 from mbn_marl.engine.mdp.failures import blank_gone, put_flag, works
-from mbn_marl.engine.mdp.sight import drop, is_seen, spot
+from mbn_marl.engine.mdp.shared_entries import (
+    Row,
+    flag_row,
+    heading_rows,
+    put_heading,
+    put_own_motion,
+)
+from mbn_marl.engine.mdp.sight import drop, is_sensed, roi_place
 
 SCALES = np.array([15.0, 100.0])
 """NEAR and FAR: the lengths that become 1/2, units."""
@@ -64,6 +71,12 @@ def _offset_rows(thing: str) -> list[Row]:
     ]
 
 
+@Feature
+def shows_entities(g):
+    """Whether the observation is this one."""
+    return g.team.scales.ndim == 1
+
+
 @compiled
 def soft(length, scale):
     """``d / (|d| + scale)``: 1/2 at the scale, below 1 everywhere."""
@@ -104,124 +117,126 @@ def put_direction(p, scales, dx, dy, tile, k, entry):
 
 
 @compiled
-def put_tours(p, scales, plan, n, lo, hi, i, tile, k):
-    """How far robot i would go, and the robot that goes farthest."""
-    for w in range(lo, hi):
-        tile[k, w - lo] = soft(tour(plan, i, w), scales[1])
-        tile[k + 1, w - lo] = p.zero
-    for j in range(n):
-        for w in range(lo, hi):
-            tile[k + 1, w - lo] = max(tile[k + 1, w - lo], soft(tour(plan, j, w), scales[1]))
+def put_tours(view, k):
+    """How far the observer would go, and the robot that goes farthest."""
+    plan, scale, tile, lo = view.mem.plan, view.g.team.scales[1], view.tile, view.lo
+    for w in range(lo, view.hi):
+        tile[k, w - lo] = soft(plan[w, view.i], scale)
+        tile[k + 1, w - lo] = view.p.zero
+    for j in range(view.ep.x.shape[0]):
+        for w in range(lo, view.hi):
+            tile[k + 1, w - lo] = max(tile[k + 1, w - lo], soft(plan[w, j], scale))
 
 
 @compiled
-def put_robot(p, scales, drawn, ep, lo, hi, i, j, tile, k):
-    """Robot j, as robot i sees it; how many entries there are by then."""
-    for w in range(lo, hi):
-        dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
-        dvx, dvy = ep.vx[j, w] - ep.vx[i, w], ep.vy[j, w] - ep.vy[i, w]
-        nearest = closest(dx, dy, dvx, dvy, STEPS_AHEAD * numbers_of(p, drawn, w).tau)
+def put_robot(view, j, k):
+    """Robot j, as seen by the observer; how many entries there are by then."""
+    p, robots, scales, tile = view.p, view.robots, view.g.team.scales, view.tile
+    i, lo = view.i, view.lo
+    for w in range(lo, view.hi):
+        dx, dy = robots.x[j, w] - robots.x[i, w], robots.y[j, w] - robots.y[i, w]
+        dvx, dvy = robots.vx[j, w] - robots.vx[i, w], robots.vy[j, w] - robots.vy[i, w]
+        nearest = closest(dx, dy, dvx, dvy, STEPS_AHEAD * numbers_of(p, view.ep, w).tau)
         tile[k, w - lo] = p.one
         put_offset(scales, dx, dy, tile, k + 1, w - lo)
         tile[k + 5, w - lo] = dvx * p.per_speed_range
         tile[k + 6, w - lo] = dvy * p.per_speed_range
         tile[k + 7, w - lo] = soft(norm(dx, dy), scales[0])
         tile[k + 8, w - lo] = soft(nearest, scales[0])
-    if p.headings > 0:
-        put_heading(ep, lo, hi, j, tile, k + 9)
-        return k + 11
-    return k + 9
+    return k + 9 + put_heading(view, j, k + 9)
 
 
 @compiled
-def put_place(p, g, places, seen, status, scales, ep, lo, hi, i, j, tile, k):
-    """ROI j, as robot i sees it; how many entries there are by then."""
-    for w in range(lo, hi):
-        f = column(g, w)
-        dx = spot(places.rois, 0, j, f, w) - ep.x[i, w]
-        dy = spot(places.rois, 1, j, f, w) - ep.y[i, w]
+def put_place(view, j, k):
+    """ROI j, as seen by the observer; how many entries there are by then."""
+    p, robots, scales, tile = view.p, view.robots, view.g.team.scales, view.tile
+    i, lo = view.i, view.lo
+    for w in range(lo, view.hi):
+        f = column(view.g.field, w)
+        dx = roi_place(view, 0, j, f, w) - robots.x[i, w]
+        dy = roi_place(view, 1, j, f, w) - robots.y[i, w]
         tile[k, w - lo] = p.one
         put_direction(p, scales, dx, dy, tile, k + 1, w - lo)
         tile[k + 7, w - lo] = soft(norm(dx, dy), scales[1])
         tile[k + 8, w - lo] = p.one
-    for other in range(ep.x.shape[0]):
+    for other in range(view.ep.x.shape[0]):
         if other != i:
-            for w in range(lo, hi):
-                f = column(g, w)
-                dx = spot(places.rois, 0, j, f, w) - ep.x[other, w]
-                dy = spot(places.rois, 1, j, f, w) - ep.y[other, w]
-                counts = works(status, other, w) & is_seen(seen, other, w)
+            for w in range(lo, view.hi):
+                f = column(view.g.field, w)
+                dx = roi_place(view, 0, j, f, w) - robots.x[other, w]
+                dy = roi_place(view, 1, j, f, w) - robots.y[other, w]
+                counts = works(view.ep, other, w) & is_sensed(view.mem, other, w)
                 away = select(counts, soft(norm(dx, dy), scales[1]), p.one)
                 tile[k + 8, w - lo] = min(tile[k + 8, w - lo], away)
     return k + 9
 
 
 @compiled
-def put_failed(g, status, lo, hi, i, tile, k):
-    """Write as entry k whether robot i has failed, if robots can fail; how many entries."""
-    if g.fail_at.shape[0] == 0:  # robots are only absent
+def put_failed(view, j, k):
+    """Write as entry k whether robot j has failed, if robots can fail; how many entries."""
+    if view.g.team.fail_at.shape[0] == 0:  # robots are only absent
         return 0
-    return put_flag(status, lo, hi, i, tile, k)
+    return put_flag(view.ep, view.lo, view.hi, j, view.tile, k)
 
 
 @compiled
-def put_plan(p, g, scales, plan, ep, lo, hi, i, j, tile, k):
+def put_plan(view, j, k):
     """Write the assignment of ROI j, from entry k + 9 on, and a way around a corner to it."""
-    n, m = ep.x.shape[0], g.rois.shape[1]
-    for w in range(lo, hi):
-        _, first = way_to(plan, n, m, i, j, w)
-        tile[k + 9, w - lo] = turn_of(plan, n, m, i, j, w)
+    p, robots, tile, i, lo = view.p, view.robots, view.tile, view.i, view.lo
+    waypoints, scales = view.g.paths.waypoints, view.g.team.scales
+    n, m = view.ep.x.shape[0], view.g.field.rois.shape[1]
+    for w in range(lo, view.hi):
+        tours = Tours(view.g, view.mem.plan, view.ep, n, m, w)
+        way, first = way_to(tours, i, j)
+        tile[k + 9, w - lo] = turn_of(tours, i, j)
         tile[k + 10, w - lo] = p.one if first == STRAIGHT else p.zero
-    waypoints, xs, ys = g.waypoints, ep.x, ep.y
-    if waypoints.shape[1] > 0:
-        for w in range(lo, hi):
-            way, first = way_to(plan, n, m, i, j, w)
-            if first >= 0:
-                f = column(g, w)
-                dx, dy = waypoints[0, first, f] - xs[i, w], waypoints[1, first, f] - ys[i, w]
-                put_direction(p, scales, dx, dy, tile, k + 1, w - lo)
-                tile[k + 7, w - lo] = soft(way, scales[1])
+        if first >= 0:
+            f = column(view.g.field, w)
+            dx, dy = (
+                waypoints[0, first, f] - robots.x[i, w],
+                waypoints[1, first, f] - robots.y[i, w],
+            )
+            put_direction(p, scales, dx, dy, tile, k + 1, w - lo)
+            tile[k + 7, w - lo] = soft(way, scales[1])
 
 
 @compiled
-def blank_visited(p, g, ep, lo, hi, j, tile, k, end):
+def blank_visited(view, j, k, end):
     """Blank the entries k to end - 1, about ROI j, where it is not left."""
-    for w in range(lo, hi):
-        left = p.one if (ep.visited[w] & g.roi_bits[j, column(g, w)]) == 0 else p.zero
+    p, field, visited, lo = view.p, view.g.field, view.ep.visited, view.lo
+    for w in range(lo, view.hi):
+        left = p.one if (visited[w] & field.roi_bits[j, column(field, w)]) == 0 else p.zero
         for entry in range(k, end):
-            tile[entry, w - lo] *= left
+            view.tile[entry, w - lo] *= left
 
 
 @compiled
-def put_entities(p, g, places, seen, plan, status, rays, scales, ep, robots, lo, hi, i, tile):
-    """The entries of ``entities`` for robot i; how many.
-
-    ``places`` and ``robots`` are the ROIs and the robots as it sees them.
-    """
-    n, m = ep.x.shape[0], g.rois.shape[1]
-    k = put_own_motion(p, robots, lo, hi, i, tile, 0)
-    k += put_failed(g, status, lo, hi, i, tile, k)
-    k = lidar.put_walls(p, g, rays, ep, lo, hi, i, tile, k)
-    if plan.ndim == 2:
-        put_tours(p, scales, plan, n, lo, hi, i, tile, k)
+def put_entities(view):
+    """The entries of ``entities``; how many there are."""
+    n, scale, lo = view.ep.x.shape[0], view.g.team.scales[1], view.lo
+    k = put_own_motion(view, 0)
+    k += put_failed(view, view.i, k)
+    k = lidar.put_walls(view, k)
+    if assigns(view.mem):
+        put_tours(view, k)
         k += 2
     for j in range(n):
-        if j != i:
+        if j != view.i:
             first = k
-            k = put_robot(p, scales, ep.drawn, robots, lo, hi, i, j, tile, k)
-            k += put_failed(g, status, lo, hi, j, tile, k)
-            if plan.ndim == 2:
-                for w in range(lo, hi):
-                    tile[k, w - lo] = soft(tour(plan, j, w), scales[1])
+            k = put_robot(view, j, k)
+            k += put_failed(view, j, k)
+            if assigns(view.mem):
+                for w in range(lo, view.hi):
+                    view.tile[k, w - lo] = soft(view.mem.plan[w, j], scale)
                 k += 1
-            drop(seen, j, lo, hi, tile, first, k)
-            blank_gone(p, status, lo, hi, j, tile, first, k)
-    for j in range(m):
+            drop(view, j, first, k)
+            blank_gone(view, j, first, k)
+    for j in range(view.g.field.rois.shape[1]):
         first = k
-        k = put_place(p, g, places, seen, status, scales, robots, lo, hi, i, j, tile, k)
-        if plan.ndim == 2:
-            put_plan(p, g, scales, plan, robots, lo, hi, i, j, tile, first)
+        k = put_place(view, j, k)
+        if assigns(view.mem):
+            put_plan(view, j, first)
             k += 2
-        drop(seen, n + j, lo, hi, tile, first, k)
-        blank_visited(p, g, ep, lo, hi, j, tile, first, k)
+        drop(view, n + j, first, k)
+        blank_visited(view, j, first, k)
     return k

@@ -13,13 +13,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mbn_marl.compiled.features import Feature
 from mbn_marl.compiled.jit import compiled
 from mbn_marl.compiled.scalars import HALF, MANY, clip, column, select
-from mbn_marl.engine.mdp.containment import cross_edge
-from mbn_marl.engine.mdp.drawn import limits_in, numbers_of
-from mbn_marl.engine.mdp.dynamics import has_heading, limits_of, part_along
-from mbn_marl.engine.mdp.entries import Row
-from mbn_marl.engine.mdp.sight import spot
+from mbn_marl.engine.mdp.drawn_numbers import limits_in, limits_of, numbers_of
+from mbn_marl.engine.mdp.dynamics import has_heading, part_along
+from mbn_marl.engine.mdp.events import cross_edge
+from mbn_marl.engine.mdp.shared_entries import Row
+from mbn_marl.engine.mdp.sight import roi_place
 
 FAR = np.float32(np.inf)
 ROUNDING = np.float32(1e-6)
@@ -41,6 +42,12 @@ def wall_rows() -> list[Row]:
     return [*rows, ("brake_inside", 0.0, 1.0, "flag"), ("wall_distance", 0.0, 1.0, "sensing radii")]
 
 
+@Feature
+def has_rays(g):
+    """Whether robots sense the walls."""
+    return g.team.rays.ndim == 2
+
+
 @compiled
 def cross(ax, ay, bx, by):
     """The cross product of a and b: positive if b points to the left of a."""
@@ -48,9 +55,9 @@ def cross(ax, ay, bx, by):
 
 
 @compiled
-def slack(p, rays):
+def slack(p, g):
     """By how much, in sensing radii, rounding may have put a robot beyond a wall."""
-    return max(p.arena_x, p.arena_y) * ROUNDING / rays[0, 0]
+    return max(p.arena_x, p.arena_y) * ROUNDING / g.team.rays[0, 0]
 
 
 @compiled
@@ -94,49 +101,56 @@ def braking_path(p, tau, velocity, brake, wind, beyond):
 
 
 @compiled
-def put_near(p, rays, ep, lo, hi, i, j, tile, k):
-    """``lidar``: how near robot j is: 1 here, 0 from the sensing radius on."""
-    per_radius = p.one / rays[0, 0]
-    for w in range(lo, hi):
-        dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
+def put_near(view, j, k):
+    """How near robot j is: 1 here, 0 from the sensing radius on."""
+    p, robots, i, lo = view.p, view.robots, view.i, view.lo
+    per_radius = p.one / view.g.team.rays[0, 0]
+    for w in range(lo, view.hi):
+        dx, dy = robots.x[j, w] - robots.x[i, w], robots.y[j, w] - robots.y[i, w]
         distance = math.sqrt(dx * dx + dy * dy)
-        tile[k, w - lo] = max(p.one - distance * per_radius, p.zero)
+        view.tile[k, w - lo] = max(p.one - distance * per_radius, p.zero)
 
 
 @compiled
-def put_direction(p, g, ep, lo, hi, i, j, tile, k):
-    """``lidar``: where ROI j lies, ``d / (|d| + 1 unit)``, and whether the team has visited it."""
-    for w in range(lo, hi):
-        f = column(g, w)
-        dx = spot(g.rois, 0, j, f, w) - ep.x[i, w]
-        dy = spot(g.rois, 1, j, f, w) - ep.y[i, w]
-        length = math.sqrt(dx * dx + dy * dy) + p.one
+def put_direction(view, j, k):
+    """Where ROI j lies, ``d / (|d| + 1 unit)``, and whether the team has visited it."""
+    robots, tile, i, lo = view.robots, view.tile, view.i, view.lo
+    for w in range(lo, view.hi):
+        f = column(view.g.field, w)
+        dx = roi_place(view, 0, j, f, w) - robots.x[i, w]
+        dy = roi_place(view, 1, j, f, w) - robots.y[i, w]
+        length = math.sqrt(dx * dx + dy * dy) + view.p.one
         tile[k + 2, w - lo] = tile[k, w - lo]
         tile[k, w - lo] = dx / length
         tile[k + 1, w - lo] = dy / length
 
 
 @compiled
-def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
-    """``lidar``: how far robot i can go in each of the directions, up to the sensing radius.
+def edge_from(view, e, w):
+    """The ends a and b of an edge as offsets from the observer, and the edge b - a."""
+    edges, f = view.g.field.edges, column(view.g.field, w)
+    x, y = view.ep.x[view.i, w], view.ep.y[view.i, w]
+    ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
+    return ax - x, ay - y, bx - x, by - y, bx - ax, by - ay
 
-    Each half of the directions is the other one turned back.
-    """
-    half, behind = rays.shape[1] // 2, slack(p, rays)
+
+@compiled
+def put_rays(view, k):
+    """How far the observer can go in each of the directions, up to the sensing radius."""
+    p, rays, tile, lo = view.p, view.g.team.rays, view.tile, view.lo
+    half, behind = rays.shape[1] // 2, slack(p, view.g)
     for ray in range(half):
+        # The other half of the directions is this one turned back: one pass does for both.
         row, back, dx, dy = k + ray, k + ray + half, rays[0, ray], rays[1, ray]
-        for w in range(lo, hi):
+        for w in range(lo, view.hi):
             tile[row, w - lo] = p.one
             tile[back, w - lo] = p.one
-        for e in range(g.edges.shape[1]):
-            for w in range(lo, hi):
-                f = column(g, w)
-                ax, ay = g.edges[0, e, f], g.edges[1, e, f]
-                bx, by = g.edges[2, e, f], g.edges[3, e, f]
-                x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
+        for e in range(view.g.field.edges.shape[1]):
+            for w in range(lo, view.hi):
+                ax, ay, bx, by, ex, ey = edge_from(view, e, w)
                 turn = cross(dx, dy, ex, ey)
-                a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
-                along = cross(ax - x, ay - y, ex, ey) * (p.one / turn)
+                a_side, b_side = cross(dx, dy, ax, ay), cross(dx, dy, bx, by)
+                along = cross(ax, ay, ex, ey) * (p.one / turn)
                 there = reading(p, behind, a_side, b_side, turn, along)
                 opposite = reading(p, behind, -a_side, -b_side, -turn, -along)
                 tile[row, w - lo] = min(tile[row, w - lo], there)
@@ -144,37 +158,35 @@ def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
 
 
 @compiled
-def put_margins(p, g, rays, ep, lo, hi, i, tile, k):
-    """``lidar``: when robot i would reach the wall, and how far the nearest wall is."""
-    per_radius, behind = p.one / rays[0, 0], slack(p, rays)
+def put_margins(view, k):
+    """When the observer would reach the wall, and, two entries on, how far the nearest one is."""
+    p, g, ep, tile, i, lo = view.p, view.g, view.ep, view.tile, view.i, view.lo
+    per_radius, behind = p.one / g.team.rays[0, 0], slack(p, g)
     per_time = p.top_speed * per_radius
-    for w in range(lo, hi):
+    for w in range(lo, view.hi):
         tile[k, w - lo] = p.one
         tile[k + 2, w - lo] = FAR
-    for e in range(g.edges.shape[1]):
-        for w in range(lo, hi):
-            f = column(g, w)
-            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
-            bx, by = g.edges[2, e, f], g.edges[3, e, f]
-            x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
+    for e in range(g.field.edges.shape[1]):
+        for w in range(lo, view.hi):
+            ax, ay, bx, by, ex, ey = edge_from(view, e, w)
             dx, dy = ep.vx[i, w], ep.vy[i, w]
             turn = cross(dx, dy, ex, ey)
-            a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
-            along = cross(ax - x, ay - y, ex, ey) * (per_time / turn)
-            square = distance_squared(p, ax - x, ay - y, ex, ey)
-            seen = reading(p, behind, a_side, b_side, turn, along)
-            tile[k, w - lo] = min(tile[k, w - lo], seen)
-            tile[k + 2, w - lo] = min(tile[k + 2, w - lo], square)
-    for w in range(lo, hi):
+            a_side, b_side = cross(dx, dy, ax, ay), cross(dx, dy, bx, by)
+            along = cross(ax, ay, ex, ey) * (per_time / turn)
+            time = reading(p, behind, a_side, b_side, turn, along)
+            tile[k, w - lo] = min(tile[k, w - lo], time)
+            tile[k + 2, w - lo] = min(tile[k + 2, w - lo], distance_squared(p, ax, ay, ex, ey))
+    for w in range(lo, view.hi):
         distance = math.sqrt(tile[k + 2, w - lo]) * per_radius
         tile[k + 2, w - lo] = min(distance, p.one)
 
 
 @compiled
-def place_of_rest(p, q, kinds, ep, brake, i, w):
-    """Where robot i would stop if it braked from now on: along its heading, if it has one."""
+def place_of_rest(view, q, brake, w):
+    """Where the observer would stop if it braked from now on: along its heading, if it has one."""
+    p, ep, i = view.p, view.ep, view.i
     x, y, vx, vy = ep.x[i, w], ep.y[i, w], ep.vx[i, w], ep.vy[i, w]
-    if kinds.ndim == 1 and has_heading(kinds[i]):
+    if has_heading(view.g, i):
         cos, sin = ep.cos[i, w], ep.sin[i, w]
         wind, beyond = part_along(q.wind_x, q.wind_y, cos, sin), p.arena_x + p.arena_y
         path = braking_path(p, q.tau, part_along(vx, vy, cos, sin), brake, wind, beyond)
@@ -185,32 +197,29 @@ def place_of_rest(p, q, kinds, ep, brake, i, w):
 
 
 @compiled
-def put_brake(p, g, kinds, ep, lo, hi, i, tile, k):
-    """``lidar``: whether robot i would stop in the field if it braked from now on.
-
-    The entry holds the bits of ``cross_edge`` until all edges have been seen.
-    """
-    limits, drawn = limits_of(g, i), ep.drawn
-    for w in range(lo, hi):
+def put_brake(view, k):
+    """Whether the observer would stop in the field if it braked from now on."""
+    p, ep, edges, tile, i, lo = view.p, view.ep, view.g.field.edges, view.tile, view.i, view.lo
+    limits = limits_of(view.g, i)
+    for w in range(lo, view.hi):
         tile[k, w - lo] = p.zero
-    for e in range(g.edges.shape[1]):
-        for w in range(lo, hi):
-            f = column(g, w)
-            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
-            bx, by = g.edges[2, e, f], g.edges[3, e, f]
-            mass, f_max, _ = limits_in(limits, drawn, i, w)
-            q = numbers_of(p, drawn, w)
-            x, y = place_of_rest(p, q, kinds, ep, f_max / mass, i, w)
+    # The entry holds the bits of ``cross_edge`` until the pass over all edges is done.
+    for e in range(edges.shape[1]):
+        for w in range(lo, view.hi):
+            f = column(view.g.field, w)
+            ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
+            mass, f_max, _ = limits_in(limits, ep, i, w)
+            x, y = place_of_rest(view, numbers_of(p, ep, w), f_max / mass, w)
             tile[k, w - lo] = cross_edge(np.int32(tile[k, w - lo]), x, y, ax, ay, bx, by)
-    for w in range(lo, hi):
+    for w in range(lo, view.hi):
         tile[k, w - lo] = min(tile[k, w - lo], p.one)
 
 
 @compiled
-def put_walls(p, g, rays, ep, lo, hi, i, tile, k):
+def put_walls(view, k):
     """The entries about the walls; how many entries there are by then."""
-    put_rays(p, g, rays, ep, lo, hi, i, tile, k)
-    k += rays.shape[1]
-    put_margins(p, g, rays, ep, lo, hi, i, tile, k)
-    put_brake(p, g, g.kinds, ep, lo, hi, i, tile, k + 1)
+    put_rays(view, k)
+    k += view.g.team.rays.shape[1]
+    put_margins(view, k)
+    put_brake(view, k + 1)
     return k + 3

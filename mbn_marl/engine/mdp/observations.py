@@ -21,11 +21,19 @@ from mbn_marl.engine.intrinsics import SIDE, transpose
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import assign
 from mbn_marl.engine.mdp.dynamics import count_headings
-from mbn_marl.engine.mdp.entities import entity_rows, put_entities
-from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading, put_own_motion
+from mbn_marl.engine.mdp.entities import entity_rows, put_entities, shows_entities
+from mbn_marl.engine.mdp.events import visit_code, within
 from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
-from mbn_marl.engine.mdp.sight import drop, look, seen_places, seen_robots, spot
-from mbn_marl.engine.mdp.visits import visit_code, within
+from mbn_marl.engine.mdp.lidar import has_rays
+from mbn_marl.engine.mdp.shared_entries import (
+    Row,
+    View,
+    flag_row,
+    heading_rows,
+    put_heading,
+    put_own_motion,
+)
+from mbn_marl.engine.mdp.sight import disturbs_sight, drop, look, roi_place, sensed_robots
 
 RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL, ENTITIES = range(6)
 OBSERVATIONS = {
@@ -148,174 +156,179 @@ def put_state(ep, lo, hi, tile):
             tile[k, w - lo] = ep.heading[i, w]
         k += 1
     for i in range(ep.x.shape[0]):
-        k += put_flag(ep.status, lo, hi, i, tile, k)
+        k += put_flag(ep, lo, hi, i, tile, k)
     for w in range(lo, hi):
         tile[k, w - lo] = visit_code(ep.visited[w], ep.codes[w])
 
 
 @compiled
-def put_own_state(p, g, seen, status, ep, lo, hi, i, tile):
-    """The entries of ``state`` for robot i: the paper's vector with it first; how many."""
-    k = put_motion(ep, lo, hi, i, tile)
-    if p.headings > 0:
-        for place in range(p.headings):
-            put_heading(ep, lo, hi, nth_robot(place, i), tile, k)
-            k += 2
-    for place in range(ep.x.shape[0]):
-        for first in range(2 * place, k, 2 * ep.x.shape[0]):
-            drop(seen, nth_robot(place, i), lo, hi, tile, first, first + 2)
-    if status.ndim == 2:
-        for place in range(status.shape[0]):
-            k += put_flag(status, lo, hi, nth_robot(place, i), tile, k)
+def put_own_state(view):
+    """The entries of ``state``: the paper's vector with the observer first; how many."""
+    ep, i, lo, hi, tile = view.ep, view.i, view.lo, view.hi, view.tile
+    n = ep.x.shape[0]
+    k = put_motion(view.robots, lo, hi, i, tile)
+    for place in range(view.p.headings):
+        k += put_heading(view, nth_robot(place, i), k)
+    for place in range(n):
+        for first in range(2 * place, k, 2 * n):
+            drop(view, nth_robot(place, i), first, first + 2)
+    for place in range(n):
+        k += put_flag(ep, lo, hi, nth_robot(place, i), tile, k)
     for w in range(lo, hi):
-        tile[k, w - lo] = visit_code(ep.visited[w], g.codes[column(g, w)])
+        f = column(view.g.field, w)
+        tile[k, w - lo] = visit_code(ep.visited[w], view.g.field.codes[f])
     return k + 1
 
 
 @compiled
-def put_own(p, ep, lo, hi, i, tile):
-    """Robot i's own position, velocity and heading, the first entries; how many there are."""
-    for w in range(lo, hi):
-        tile[0, w - lo] = (ep.x[i, w] - p.half_arena_x) * p.per_half_arena_x
-        tile[1, w - lo] = (ep.y[i, w] - p.half_arena_y) * p.per_half_arena_y
-    return put_own_motion(p, ep, lo, hi, i, tile, 2)
+def put_own(view):
+    """The observer's own position, velocity and heading; how many entries there are."""
+    p, robots, i, lo = view.p, view.robots, view.i, view.lo
+    for w in range(lo, view.hi):
+        view.tile[0, w - lo] = (robots.x[i, w] - p.half_arena_x) * p.per_half_arena_x
+        view.tile[1, w - lo] = (robots.y[i, w] - p.half_arena_y) * p.per_half_arena_y
+    return put_own_motion(view, 2)
 
 
 @compiled
-def put_other(p, ep, lo, hi, i, j, tile, k):
-    """Where robot j is and how it moves, as robot i sees it."""
-    for w in range(lo, hi):
-        tile[k, w - lo] = (ep.x[j, w] - ep.x[i, w]) * p.per_arena_x
-        tile[k + 1, w - lo] = (ep.y[j, w] - ep.y[i, w]) * p.per_arena_y
-        tile[k + 2, w - lo] = (ep.vx[j, w] - ep.vx[i, w]) * p.per_speed_range
-        tile[k + 3, w - lo] = (ep.vy[j, w] - ep.vy[i, w]) * p.per_speed_range
-    if p.headings > 0:
-        put_heading(ep, lo, hi, j, tile, k + 4)
+def put_other(view, j, k):
+    """Where robot j is and how it moves, as seen by the observer."""
+    p, robots, tile, i, lo = view.p, view.robots, view.tile, view.i, view.lo
+    for w in range(lo, view.hi):
+        tile[k, w - lo] = (robots.x[j, w] - robots.x[i, w]) * p.per_arena_x
+        tile[k + 1, w - lo] = (robots.y[j, w] - robots.y[i, w]) * p.per_arena_y
+        tile[k + 2, w - lo] = (robots.vx[j, w] - robots.vx[i, w]) * p.per_speed_range
+        tile[k + 3, w - lo] = (robots.vy[j, w] - robots.vy[i, w]) * p.per_speed_range
+    put_heading(view, j, k + 4)
 
 
 @compiled
-def put_roi(p, g, ep, lo, hi, i, j, tile, k):
-    """Where ROI j is, as robot i sees it, and whether the team has visited it."""
-    for w in range(lo, hi):
-        f = column(g, w)
-        tile[k, w - lo] = (spot(g.rois, 0, j, f, w) - ep.x[i, w]) * p.per_arena_x
-        tile[k + 1, w - lo] = (spot(g.rois, 1, j, f, w) - ep.y[i, w]) * p.per_arena_y
-        tile[k + 2, w - lo] = p.one if (ep.visited[w] & g.roi_bits[j, f]) != 0 else p.zero
+def put_roi(view, j, k):
+    """Where ROI j is, as seen by the observer, and whether the team has visited it."""
+    p, field, robots, tile, i, lo = view.p, view.g.field, view.robots, view.tile, view.i, view.lo
+    for w in range(lo, view.hi):
+        f = column(field, w)
+        tile[k, w - lo] = (roi_place(view, 0, j, f, w) - robots.x[i, w]) * p.per_arena_x
+        tile[k + 1, w - lo] = (roi_place(view, 1, j, f, w) - robots.y[i, w]) * p.per_arena_y
+        tile[k + 2, w - lo] = p.one if (robots.visited[w] & field.roi_bits[j, f]) != 0 else p.zero
 
 
 @compiled
-def hide_other(p, ep, lo, hi, i, j, tile, k, end, flag):
+def hide_other(view, j, k, end, flag):
     """Hide robot j, in entries k to end - 1, where it is far; the flag before them says so."""
+    p, robots, tile, i, lo = view.p, view.robots, view.tile, view.i, view.lo
     for entry in range(k - flag, end):
-        for w in range(lo, hi):
-            dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
-            seen = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
-            tile[entry, w - lo] = seen * select(entry < k, p.one, tile[entry, w - lo])
+        for w in range(lo, view.hi):
+            dx, dy = robots.x[j, w] - robots.x[i, w], robots.y[j, w] - robots.y[i, w]
+            near = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
+            tile[entry, w - lo] = near * select(entry < k, p.one, tile[entry, w - lo])
 
 
 @compiled
-def hide_roi(p, g, ep, lo, hi, i, j, tile, k, end, flag):
+def hide_roi(view, j, k, end, flag):
     """Hide ROI j, in entries k to end - 1, where it is far; its visit bit, after them, stays."""
+    p, robots, tile, i, lo = view.p, view.robots, view.tile, view.i, view.lo
     for entry in range(k - flag, end):
-        for w in range(lo, hi):
-            f = column(g, w)
-            dx = spot(g.rois, 0, j, f, w) - ep.x[i, w]
-            dy = spot(g.rois, 1, j, f, w) - ep.y[i, w]
-            seen = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
-            tile[entry, w - lo] = seen * select(entry < k, p.one, tile[entry, w - lo])
+        for w in range(lo, view.hi):
+            f = column(view.g.field, w)
+            dx = roi_place(view, 0, j, f, w) - robots.x[i, w]
+            dy = roi_place(view, 1, j, f, w) - robots.y[i, w]
+            near = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
+            tile[entry, w - lo] = near * select(entry < k, p.one, tile[entry, w - lo])
 
 
 @compiled
-def put_relative(p, g, seen, status, ep, lo, hi, i, tile):
-    """The entries of ``relative`` and ``local`` for robot i; how many there are."""
-    local, n = p.observation == LOCAL, ep.x.shape[0]
+def end_other(view, j, first, end):
+    """Blank the entries of robot j where it is not sensed or gone; add its flag; where they end."""
+    drop(view, j, first, end)
+    blank_gone(view, j, first, end)
+    return end + put_flag(view.ep, view.lo, view.hi, j, view.tile, end)
+
+
+@compiled
+def put_relative(view):
+    """The entries of ``relative`` and ``local``; how many there are."""
+    local, n = view.p.observation == LOCAL, view.ep.x.shape[0]
     flag = 1 if local else 0
-    k = body = put_own(p, ep, lo, hi, i, tile)
-    k += put_flag(status, lo, hi, i, tile, k)
+    k = body = put_own(view)
+    k += put_flag(view.ep, view.lo, view.hi, view.i, view.tile, k)
     for j in range(n):
-        if j != i:
-            put_other(p, ep, lo, hi, i, j, tile, k + flag)
+        if j != view.i:
+            put_other(view, j, k + flag)
             if local:
-                hide_other(p, ep, lo, hi, i, j, tile, k + 1, k + 1 + body, True)
-            drop(seen, j, lo, hi, tile, k, k + flag + body)
-            first, k = k, k + flag + body
-            blank_gone(p, status, lo, hi, j, tile, first, k)
-            k += put_flag(status, lo, hi, j, tile, k)
-    for j in range(g.roi_bits.shape[0]):
-        put_roi(p, g, ep, lo, hi, i, j, tile, k + flag)
+                hide_other(view, j, k + 1, k + 1 + body, True)
+            k = end_other(view, j, k, k + flag + body)
+    for j in range(view.g.field.roi_bits.shape[0]):
+        put_roi(view, j, k + flag)
         if local:
-            hide_roi(p, g, ep, lo, hi, i, j, tile, k + 1, k + 3, True)
-        drop(seen, n + j, lo, hi, tile, k, k + flag + 2)
+            hide_roi(view, j, k + 1, k + 3, True)
+        drop(view, n + j, k, k + flag + 2)
         k += flag + 3
     return k
 
 
 @compiled
-def put_centred(p, g, ep, lo, hi, i, tile):
+def put_centred(view):
     """As ``put_own``, with the place about the centre of the field's bounding box."""
-    count = put_own(p, ep, lo, hi, i, tile)
-    for w in range(lo, hi):
-        f = column(g, w)
-        x, y = ep.x[i, w] - g.boxes[0, f], ep.y[i, w] - g.boxes[1, f]
-        tile[0, w - lo] = clip((x + (x - g.boxes[2, f])) * p.per_arena_x, -p.one, p.one)
-        tile[1, w - lo] = clip((y + (y - g.boxes[3, f])) * p.per_arena_y, -p.one, p.one)
+    p, robots, boxes, i, lo = view.p, view.robots, view.g.field.boxes, view.i, view.lo
+    count = put_own(view)
+    for w in range(lo, view.hi):
+        f = column(view.g.field, w)
+        x, y = robots.x[i, w] - boxes[0, f], robots.y[i, w] - boxes[1, f]
+        view.tile[0, w - lo] = clip((x + (x - boxes[2, f])) * p.per_arena_x, -p.one, p.one)
+        view.tile[1, w - lo] = clip((y + (y - boxes[3, f])) * p.per_arena_y, -p.one, p.one)
     return count
 
 
 @compiled
-def put_lidar(p, g, seen, status, rays, ep, lo, hi, i, tile):
-    """The entries of ``lidar`` and ``lidar_local`` for robot i but the walls; how many."""
-    local, n = p.observation == LIDAR_LOCAL, ep.x.shape[0]
-    k = body = put_centred(p, g, ep, lo, hi, i, tile)
-    k += put_flag(status, lo, hi, i, tile, k)
+def put_lidar(view):
+    """The entries of ``lidar`` and ``lidar_local`` but the walls; how many there are."""
+    local, n = view.p.observation == LIDAR_LOCAL, view.ep.x.shape[0]
+    k = body = put_centred(view)
+    k += put_flag(view.ep, view.lo, view.hi, view.i, view.tile, k)
     for j in range(n):
-        if j != i:
-            put_other(p, ep, lo, hi, i, j, tile, k)
-            lidar.put_near(p, rays, ep, lo, hi, i, j, tile, k + body)
+        if j != view.i:
+            put_other(view, j, k)
+            lidar.put_near(view, j, k + body)
             if local:
-                hide_other(p, ep, lo, hi, i, j, tile, k, k + body, False)
-            drop(seen, j, lo, hi, tile, k, k + body + 1)
-            first, k = k, k + body + 1
-            blank_gone(p, status, lo, hi, j, tile, first, k)
-            k += put_flag(status, lo, hi, j, tile, k)
-    for j in range(g.roi_bits.shape[0]):
-        put_roi(p, g, ep, lo, hi, i, j, tile, k)
-        lidar.put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)
+                hide_other(view, j, k, k + body, False)
+            k = end_other(view, j, k, k + body + 1)
+    for j in range(view.g.field.roi_bits.shape[0]):
+        put_roi(view, j, k)
+        lidar.put_direction(view, j, k + 2)
         if local:
-            hide_roi(p, g, ep, lo, hi, i, j, tile, k, k + 4, False)
-        drop(seen, n + j, lo, hi, tile, k, k + 4)
+            hide_roi(view, j, k, k + 4, False)
+        drop(view, n + j, k, k + 4)
         k += 5
     return k
 
 
 @compiled
-def describe(p, g, keys, seen, plan, status, rays, scales, ep, lo, hi, i, tile):
-    """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side.
+def put_entries(view):
+    """Write an observation but its one-hot entries; how many entries there are."""
+    if shows_entities(view.g):
+        return put_entities(view)
+    if has_rays(view.g):
+        return lidar.put_walls(view, put_lidar(view))
+    if view.p.observation == STATE:
+        return put_own_state(view)
+    return put_relative(view)
 
-    ``keys``, ``seen`` and ``plan`` are those of the memory, ``status`` is that of ``ep``, ``rays``
-    and ``scales`` are those of ``g``. Conditions on their types leave the code of noise, of
-    failures, of lidar and of entities, which takes seconds to compile, to those who use it.
-    """
-    n, places, robots = ep.x.shape[0], g, ep
-    if seen.ndim == 2:
-        look(p, g, keys, seen, ep, lo, hi, i)
-        places, robots = seen_places(seen, g, n), seen_robots(seen, ep, g.roi_bits.shape[0])
-    if scales.ndim == 1:
-        k = put_entities(
-            *(p, g, places, seen, plan, status, rays, scales, ep, robots, lo, hi, i, tile)
-        )
-    elif rays.ndim == 2:
-        k = put_lidar(p, places, seen, status, rays, robots, lo, hi, i, tile)
-        k = lidar.put_walls(p, g, rays, ep, lo, hi, i, tile, k)
-    elif p.observation == STATE:
-        k = put_own_state(p, places, seen, status, robots, lo, hi, i, tile)
-    else:
-        k = put_relative(p, places, seen, status, robots, lo, hi, i, tile)
+
+@compiled
+def write_observation(p, g, mem, ep, i, lo, hi, tile):
+    """Write what robot i observes to ``tile`` (size, at least hi - lo), worlds side by side."""
+    robots = ep
+    if disturbs_sight(mem):
+        look(p, g, mem, ep, i, lo, hi)
+        robots = sensed_robots(mem, ep, g.field.roi_bits.shape[0])
+    view = View(p, g, mem, ep, robots, i, lo, hi, tile)
+    k = put_entries(view)
     if p.one_hot:
-        for j in range(n):
+        for j in range(ep.x.shape[0]):
             for w in range(lo, hi):
                 tile[k + j, w - lo] = p.one if i == j else p.zero
-    blank_absent(p, status, lo, hi, i, tile)
+    blank_absent(view)
 
 
 @compiled
@@ -339,14 +352,10 @@ def turn_over(tile, lo, hi, i, rows):
 
 @compiled
 def observe(p, g, mem, ep, lo, hi, tile, rows):
-    """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size).
-
-    They are made entry by entry in ``tile`` (size, at least hi - lo), where worlds lie side by
-    side, and then turned over: faster than writing each entry to its far-apart places at once.
-    """
-    keys, seen, plan, status = mem.key, mem.seen, mem.plan, ep.status
-    rays, scales = g.rays, g.scales
-    assign(p, g, plan, status, ep, lo, hi)
+    """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size)."""
+    assign(p, g, mem, ep, lo, hi)
+    # An entry of all worlds at once is one vector loop, but its places in ``rows`` are far apart.
+    # So entries are made in ``tile``, where worlds lie side by side, and then turned over.
     for i in range(ep.x.shape[0]):
-        describe(p, g, keys, seen, plan, status, rays, scales, ep, lo, hi, i, tile)
+        write_observation(p, g, mem, ep, i, lo, hi, tile)
         turn_over(tile, lo, hi, np.uint64(i), rows)

@@ -16,7 +16,7 @@ import numpy as np
 
 from mbn_marl.compiled.jit import compiled, generated
 from mbn_marl.compiled.scalars import is_set, select
-from mbn_marl.engine.mdp.failures import ABSENT, FAILED, WORKS, count, is_absent
+from mbn_marl.engine.mdp.failures import ABSENT, FAILED, WORKS, count_status, is_absent, may_rest
 
 RELEASED, FORMAL = 0, 1
 RULES = {"released": RELEASED, "formal": FORMAL}
@@ -82,7 +82,7 @@ def team_terms(p, weights, outcome):
 
 
 def _total_of(names: tuple[str, ...]) -> Any:
-    """``total(terms)``: the sum of these terms, from the first to the last, without a loop."""
+    """``total(terms)``: the sum of these terms, from the first to the last."""
     terms = " + ".join(f"terms[{k}]" for k in range(len(names)))
     return generated("total", f"def total(terms):\n    return {terms}\n")
 
@@ -94,6 +94,7 @@ def _part_of(names: tuple[str, ...]) -> Any:
     return generated("part", source, select=select)
 
 
+# Generated, so that a new term needs no edit here; without loops, which would not vectorise.
 total_own, total_team, total = map(_total_of, (OWN_TERMS, TEAM_TERMS, REWARD_TERMS))
 part_own, part_team = map(_part_of, (OWN_TERMS, TEAM_TERMS))
 
@@ -108,29 +109,29 @@ def team_reward(p, outcome, own):
 
 
 @compiled
-def earned(p, status, event, outcome, i, w):
+def earned(p, ep, event, outcome, i, w):
     """``own_terms`` of robot i of world w; none of them unless it works."""
     own = own_terms(p, event, outcome)
-    if status.ndim == 2:
-        return part_own(p, own, status[i, w] != WORKS, p.one)
+    if may_rest(ep):
+        return part_own(p, own, ep.status[i, w] != WORKS, p.one)
     return own
 
 
 @compiled
-def share_of(p, status, outcome, i, w):
+def share_of(p, ep, outcome, i, w):
     """Robot i's part of ``team_terms``: that of one of n, or of the robots that work."""
-    if status.ndim == 2:
-        there, failed = status.shape[0] - count(status, ABSENT, w), count(status, FAILED, w)
+    if may_rest(ep):
+        there = ep.status.shape[0] - count_status(ep, ABSENT, w)
+        failed = count_status(ep, FAILED, w)
         some_work = failed < there
         parts = p.one * np.float32(there - select(some_work, failed, 0))
-        team = team_terms(p, p.whole, outcome)
-        none = is_absent(status, i, w) | ((status[i, w] == FAILED) & some_work)
-        return part_team(p, team, none, parts)
+        none = is_absent(ep, i, w) | ((ep.status[i, w] == FAILED) & some_work)
+        return part_team(p, team_terms(p, p.whole, outcome), none, parts)
     return team_terms(p, p.share, outcome)
 
 
 @compiled
-def with_share(p, status, own, outcome, i, w):
+def with_share(p, ep, own, outcome, i, w):
     """The terms of robot i's reward ``r_i``, as ``REWARD_TERMS``, from its own terms."""
-    team = share_of(p, status, outcome, i, w)
+    team = share_of(p, ep, outcome, i, w)
     return (own[0] + team[0], own[1] + team[1], *own[SHARED:], *team[SHARED:])

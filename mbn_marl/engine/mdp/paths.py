@@ -1,4 +1,4 @@
-"""Ways around corners, for the assignment (mdp.md, "Entities").
+"""Shortest paths around corners, for the assignment (mdp.md, "Entities").
 
 A field's waypoints lie off the corners at which it is not convex. The lengths of the shortest ways
 between them and the ROIs are made when the field is put into a world; a robot adds the first leg. A
@@ -16,7 +16,8 @@ import numpy as np
 
 from mbn_marl.compiled.jit import compiled, entry_point
 from mbn_marl.compiled.scalars import count_bits
-from mbn_marl.engine.mdp.containment import in_field
+from mbn_marl.engine.mdp.events import in_field
+from mbn_marl.field.layout import Tables
 
 CLEARANCE = np.float32(3.0)
 """How far waypoints are from their corners, units."""
@@ -31,27 +32,16 @@ EDGES, WAYPOINTS = range(2)
 """The rows of ``ways_in``."""
 
 
-class Ways(NamedTuple):
-    """The ways in each of F fields with m ROIs, as ``engine.state.Geometry`` has them."""
+class Paths(NamedTuple):
+    """The paths in each of F fields with m ROIs."""
 
-    waypoints: Any  # (2, C, F) real, units
+    waypoints: Any  # (2, C, F) real, units; C is 0 if nothing is assigned
     legs: Any  # (m + C, m + C, F) real: from each ROI, then each waypoint, to each; units
     ways_in: Any  # (2, F) int32: how many edges and waypoints are there, the first ones
 
 
-class Places(NamedTuple):
-    """The tables that ways are computed from, and those that they are written to."""
-
-    edges: Any
-    rois: Any
-    codes: Any
-    waypoints: Any
-    legs: Any
-    ways_in: Any
-
-
 @compiled
-def length(dx, dy):
+def path_length(dx, dy):
     """How far it is: forces and speed limits are per axis, so the longer side takes the time.
 
     The shorter one tells ways apart that take the same.
@@ -102,27 +92,28 @@ def unit(edges, e, f):
 
 
 @compiled
-def place_waypoint(g, edges, waypoints, f, before, e, count):
+def place_waypoint(field, paths, f, before, e, count):
     """Place a waypoint off the corner where two edges meet, unless the field is convex there.
 
     The field is to the left of the edges, so it is not convex where they turn right. There are
     ``count`` waypoints; return how many there are then.
     """
+    edges, waypoints = field.edges, paths.waypoints
     (ux, uy), (vx, vy) = unit(edges, before, f), unit(edges, e, f)
     if (ux * vy - uy * vx < -BLUNT) & (count < waypoints.shape[1]):
         dx, dy = (ux - vx) - (uy + vy), (uy - vy) + (ux + vx)  # the bisector, never 0
         scale = CLEARANCE / math.sqrt(dx * dx + dy * dy)
         x, y = edges[0, e, f] + scale * dx, edges[1, e, f] + scale * dy
-        if in_field(g, f, x, y):
+        if in_field(field, f, x, y):
             waypoints[0, count, f], waypoints[1, count, f] = x, y
             return count + 1
     return count
 
 
 @compiled
-def place_waypoints(g, edges, waypoints, f, count):
+def place_waypoints(field, paths, f, count):
     """Place the waypoints of the field in column f, with ``count`` edges; how many they are."""
-    first, last, placed = 0, 0, 0
+    edges, first, last, placed = field.edges, 0, 0, 0
     for e in range(count):
         if e == first:  # of a ring
             last = e
@@ -132,36 +123,36 @@ def place_waypoints(g, edges, waypoints, f, count):
             ):
                 last += 1
         before = last if e == first else e - 1
-        placed = place_waypoint(g, edges, waypoints, f, before, e, placed)
+        placed = place_waypoint(field, paths, f, before, e, placed)
         if e == last:
             first = e + 1
     return placed
 
 
 @compiled
-def place_of(rois, waypoints, node, f):
+def place_of(field, paths, node, f):
     """Where a ROI is, or a waypoint after all ROIs."""
-    m = rois.shape[1]
+    m = field.rois.shape[1]
     if node < m:
-        return rois[0, node, f], rois[1, node, f]
-    return waypoints[0, node - m, f], waypoints[1, node - m, f]
+        return field.rois[0, node, f], field.rois[1, node, f]
+    return paths.waypoints[0, node - m, f], paths.waypoints[1, node - m, f]
 
 
 @compiled
-def measure_ways(edges, rois, waypoints, legs, f, own, count, placed):
+def measure_legs(field, paths, f, own, count, placed):
     """Find the shortest ways between ROIs and waypoints: by legs in straight sight (Floyd).
 
     ``own`` is how many ROIs the field has, of ``count`` edges and ``placed`` waypoints.
     """
-    m = rois.shape[1]
+    m, legs = field.rois.shape[1], paths.legs
     for a in range(m + placed):
         for b in range(a, m + placed):
-            ax, ay = place_of(rois, waypoints, a, f)
-            bx, by = place_of(rois, waypoints, b, f)
+            ax, ay = place_of(field, paths, a, f)
+            bx, by = place_of(field, paths, b, f)
             legs[a, b, f] = legs[b, a, f] = NEVER
             known = ((a < own) | (a >= m)) & ((b < own) | (b >= m))
-            if known and in_sight(edges, count, f, ax, ay, bx, by):
-                legs[a, b, f] = legs[b, a, f] = length(bx - ax, by - ay)
+            if known and in_sight(field.edges, count, f, ax, ay, bx, by):
+                legs[a, b, f] = legs[b, a, f] = path_length(bx - ax, by - ay)
     for c in range(m, m + placed):
         for a in range(m + placed):
             first = legs[a, c, f]
@@ -171,53 +162,46 @@ def measure_ways(edges, rois, waypoints, legs, f, own, count, placed):
 
 
 @compiled
-def lay_ways(g, f):
-    """Make the ways of the field in column f."""
-    edges, rois, waypoints, legs, ways_in = g.edges, g.rois, g.waypoints, g.legs, g.ways_in
-    if waypoints.shape[1] > 0:
-        count, own = count_edges(edges, f), count_bits(g.codes[f])
-        placed = place_waypoints(g, edges, waypoints, f, count)
-        ways_in[EDGES, f], ways_in[WAYPOINTS, f] = count, placed
+def find_paths(field, paths, f):
+    """Find the paths of the field in column f."""
+    if paths.waypoints.shape[1] > 0:
+        count, own = count_edges(field.edges, f), count_bits(field.codes[f])
+        placed = place_waypoints(field, paths, f, count)
+        paths.ways_in[EDGES, f], paths.ways_in[WAYPOINTS, f] = count, placed
         if placed > 0:
-            measure_ways(edges, rois, waypoints, legs, f, own, count, placed)
+            measure_legs(field, paths, f, own, count, placed)
 
 
 @entry_point
-def lay_all(places):
-    """Make the ways of all fields."""
-    for f in range(places.codes.shape[0]):
-        lay_ways(places, np.uint64(f))
+def find_all(field, paths):
+    """Find the paths of all fields."""
+    for f in range(field.codes.shape[0]):
+        find_paths(field, paths, np.uint64(f))
 
 
-def no_ways(waypoints: int, m: int, count: int, real: Any) -> Ways:
-    """Tables without ways for ``count`` fields with m ROIs, with room for so many waypoints."""
+def no_paths(waypoints: int, m: int, count: int, real: Any) -> Paths:
+    """Tables without paths for ``count`` fields with m ROIs, with room for so many waypoints."""
     nodes = m + waypoints if waypoints else 0
-    return Ways(
+    return Paths(
         waypoints=np.zeros((2, waypoints, count), real),
         legs=np.zeros((nodes, nodes, count), real),
         ways_in=np.zeros((2, count), np.int32),
     )
 
 
-def make_ways(edges: Any, rois: Any, codes: Any) -> Ways:
-    """The ways in given fields, with room for the most waypoints that one has.
-
-    Args:
-        edges: (4, E, F), as ``engine.state.Geometry`` has them.
-        rois: (2, m, F), likewise.
-        codes: (F,), likewise.
-    """
-    m = rois.shape[1]
-    ways = no_ways(edges.shape[1], m, len(codes), edges.dtype)
-    lay_all(Places(edges, rois, codes, *ways))
-    most = int(ways.ways_in[WAYPOINTS].max(initial=0))
+def make_paths(field: Tables) -> Paths:
+    """The paths in given fields, with room for the most waypoints that one has."""
+    m = field.rois.shape[1]
+    paths = no_paths(field.edges.shape[1], m, len(field.codes), field.edges.dtype)
+    find_all(field, paths)
+    most = int(paths.ways_in[WAYPOINTS].max(initial=0))
     nodes = m + most if most else 0
-    waypoints, legs = ways.waypoints[:, :most], ways.legs[:nodes, :nodes]
+    waypoints, legs = paths.waypoints[:, :most], paths.legs[:nodes, :nodes]
     # Arrays with gaps would be other types to compile for.
-    return Ways(np.ascontiguousarray(waypoints), np.ascontiguousarray(legs), ways.ways_in)
+    return Paths(np.ascontiguousarray(waypoints), np.ascontiguousarray(legs), paths.ways_in)
 
 
 @compiled
-def count_waypoints(ways_in, waypoints, f):
+def count_waypoints(paths, f):
     """How many waypoints the field in column f has; without any, all is in straight sight."""
-    return ways_in[WAYPOINTS, f] if waypoints.shape[1] > 0 else 0
+    return paths.ways_in[WAYPOINTS, f] if paths.waypoints.shape[1] > 0 else 0

@@ -1,8 +1,7 @@
 """Numbers of the configuration that each episode draws (mdp.md, "Drawn numbers").
 
 ``Episode.drawn`` has them for each world: what they are made into, then the numbers themselves.
-Where nothing is drawn it has three dimensions and no entries, and its code is left out when it is
-compiled: ``numbers_of`` and ``limits_in`` then return the constants.
+Where nothing is drawn, ``numbers_of`` and ``limits_in`` return the constants.
 
 Source: this package.
 """
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.checked import Uniform
 from mbn_marl.compiled.elementary import cosine, exponential, sine, turned
+from mbn_marl.compiled.features import Feature
 from mbn_marl.compiled.jit import compiled, generated
 from mbn_marl.compiled.rng import FOR_NUMBERS, stream_of, uniform
 from mbn_marl.config import LIMITS, MAX_ROBOTS, NUMBERS, NavigationConfig
@@ -32,8 +32,10 @@ WIND_X, WIND_Y, GUST_KEPT, GUST_ADDED, SAFETY, ROI, ROBOT, STEP = range(len(MADE
 SPEED, ANGLE, GUST, GUST_TIME = map(SINGLE.index, ("wind_speed", "wind_angle", *NUMBERS[:2]))
 DISTANCE, RADIUS = SINGLE.index("safety_distance"), SINGLE.index("roi_radius")
 FIRST, FIRST_LIMIT = len(MADE), len(MADE) + len(SINGLE)
+MASS, F_MAX, V_CLIP = range(len(LIMITS))
+"""The rows of ``Team.limits``."""
 LOW, WIDTH, COUNTER = range(3)
-"""The rows of ``Geometry.ranges``, whose columns are the numbers of ``SINGLE`` and each robot's."""
+"""The rows of ``Team.ranges``, whose columns are the numbers of ``SINGLE`` and each robot's."""
 FAILING = 1000
 """The counter of the draw of the robot that fails; its step's is the next."""
 RADIANS = math.pi / 180.0
@@ -66,14 +68,22 @@ def _row(name: str) -> int:
     return MADE.index(name) if name in MADE else FIRST + SINGLE.index(name)
 
 
-_DRAWN = ", ".join(f"drawn[{_row(name)}, w]" for name in Numbers._fields)
+@Feature
+def draws_numbers(ep):
+    """Whether episodes draw numbers."""
+    return ep.drawn.ndim == 2
+
+
+_DRAWN = ", ".join(f"ep.drawn[{_row(name)}, w]" for name in Numbers._fields)
 _FIXED = ", ".join(f"p.{name}" for name in Numbers._fields)
+# Seventeen names, twice: written by a loop over them.
 numbers_of = generated(
     "numbers_of",
-    "def numbers_of(p, drawn, w):\n"
-    f"    if drawn.ndim == 2:\n        return Numbers({_DRAWN})\n"
+    "def numbers_of(p, ep, w):\n"
+    f"    if draws_numbers(ep):\n        return Numbers({_DRAWN})\n"
     f"    return Numbers({_FIXED})\n",
     Numbers=Numbers,
+    draws_numbers=draws_numbers,
 )
 """The numbers of world w: its own, or the constants ``p`` where nothing is drawn."""
 
@@ -126,15 +136,22 @@ def rows_of_drawn(config: NavigationConfig, n: int) -> dict[str, int]:
 
 
 @compiled
-def limits_in(limits, drawn, i, w):
-    """Mass, force and speed limit of robot i in world w, from those of all worlds.
+def limits_of(g, i):
+    """The mass, the force and the speed limit of robot i: read before a loop, kept in registers."""
+    return g.team.limits[MASS, i], g.team.limits[F_MAX, i], g.team.limits[V_CLIP, i]
+
+
+@compiled
+def limits_in(limits, ep, i, w):
+    """Mass, force and speed limit of robot i in world w, from ``limits_of`` it.
 
     A speed limit that is drawn is at most that of all worlds.
     """
-    if drawn.ndim == 2:
-        n = (drawn.shape[0] - FIRST_LIMIT) // len(LIMITS)
+    if draws_numbers(ep):
+        n = (ep.drawn.shape[0] - FIRST_LIMIT) // len(LIMITS)
         first = FIRST_LIMIT + i
-        return drawn[first, w], drawn[first + n, w], min(drawn[first + 2 * n, w], limits[2])
+        top = min(ep.drawn[first + 2 * n, w], limits[V_CLIP])
+        return ep.drawn[first, w], ep.drawn[first + n, w], top
     return limits
 
 
@@ -166,17 +183,18 @@ def choose_failing(p, drawn, key, team, w):
 
 
 @compiled
-def is_failing_step(drawn, i, step, w):
+def is_failing_step(ep, i, step, w):
     """Return whether this is the step, from 1 on, that was drawn for robot i to fail in."""
-    if drawn.ndim == 2:
-        return (drawn[STEP, w] == step) & (drawn[ROBOT, w] == i)
+    if draws_numbers(ep):
+        return (ep.drawn[STEP, w] == step) & (ep.drawn[ROBOT, w] == i)
     return False
 
 
 @compiled
-def draw_numbers(p, ranges, drawn, episode_key, team, w):
+def draw_numbers(p, g, ep, episode_key, team, w):
     """Draw the numbers of the episode that world w begins with ``team`` robots."""
-    if drawn.ndim == 2:
+    ranges, drawn = g.team.ranges, ep.drawn
+    if draws_numbers(ep):
         key = stream_of(episode_key, FOR_NUMBERS)
         for k in range(ranges.shape[1]):
             drawn[FIRST + k, w] = draw(ranges, key, k)
