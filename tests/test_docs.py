@@ -170,7 +170,7 @@ def test_the_code_of_the_equations_exists() -> None:
     assert len(named) > 15
     for module, name in named:
         of_the_paper = importlib.util.find_spec(f"mbn_marl.engine.mdp.{module}") is not None
-        package = "mbn_marl.engine.mdp" if of_the_paper else "mbn_marl.compiled"
+        package = "mbn_marl.engine.mdp" if of_the_paper else "mbn_marl.jit"
         assert hasattr(importlib.import_module(f"{package}.{module}"), name), (module, name)
 
 
