@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.compiled.jit import address_of
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import kernels, state
 from mbn_marl.engine.arguments import Arguments
@@ -18,6 +17,7 @@ from mbn_marl.engine.step import make_scratch
 from mbn_marl.engine.tables import with_room
 from mbn_marl.engine.validation import as_array
 from mbn_marl.errors import ActionError, StepError
+from mbn_marl.jit.compile import address_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,6 @@ from numba import cuda
 from numba.core import config
 from numba.core.compiler_lock import global_compiler_lock
 
-from mbn_marl.compiled.jit import compiled, generated, returning_views
-from mbn_marl.compiled.scalars import column
 from mbn_marl.engine.arguments import Worlds
 from mbn_marl.engine.constants import AUTORESET_MODES
 from mbn_marl.engine.kernels import draw_world, is_final, put_infos
@@ -40,6 +38,8 @@ from mbn_marl.engine.reset import (
 from mbn_marl.engine.state import Episode, Geometry, Memory, Output
 from mbn_marl.engine.step import close_step, move_robots, score_step, scratch_of
 from mbn_marl.field.layout import Tables
+from mbn_marl.jit.compile import compiled, generated, returning_views
+from mbn_marl.jit.functions import column
 
 DISABLED = AUTORESET_MODES.index("disabled")
 NOT_FINITE, WAITING, LEFT_OUT = 1, 2, 3
@@ -175,8 +175,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
         vx = cuda.local.array((n, 1), real)
         vy = cuda.local.array((n, 1), real)
         visited, steps = cuda.local.array(1, np.int32), cuda.local.array(1, np.int32)
-        events = cuda.local.array((n, 1), np.int32)
-        outcomes = cuda.local.array(1, np.int32)
+        events, outcomes = cuda.local.array((n, 1), np.int32), cuda.local.array(1, np.int32)
         rewards = cuda.local.array((1, n), real)
         reals = cuda.local.array((10, 1), real)
         flags = cuda.local.array((5, 1), np.bool_)

@@ -10,18 +10,18 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from mbn_marl.compiled.jit import address_of, compiled, entry_point, parallel_entry_point
-from mbn_marl.compiled.rng import FOR_ACTIONS, stream_key, uniform, world_number
-from mbn_marl.compiled.scalars import count_bits, is_set
 from mbn_marl.engine import step
 from mbn_marl.engine.arguments import Arguments, with_scratch, worlds_of
-from mbn_marl.engine.intrinsics import call_step
 from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
 from mbn_marl.engine.mdp.events import visit_code
 from mbn_marl.engine.mdp.failures import has_failed, is_absent
 from mbn_marl.engine.mdp.observations import observe, put_state
 from mbn_marl.engine.reset import clear_output, reset_world
+from mbn_marl.jit.compile import address_of, compiled, entry_point, parallel_entry_point
+from mbn_marl.jit.functions import count_bits, is_set
+from mbn_marl.jit.intrinsics import call_step
+from mbn_marl.jit.random_numbers import FOR_ACTIONS, stream_key, uniform, world_number
 
 FIRST, NEXT = np.uint64(0), np.uint64(1)
 WORLDS_PER_THREAD = 256

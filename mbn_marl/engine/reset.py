@@ -4,17 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.rng import (
-    FOR_FIELDS,
-    FOR_STARTS,
-    episode_key,
-    stream_key,
-    stream_of,
-    uniform,
-    world_number,
-)
-from mbn_marl.compiled.scalars import column
 from mbn_marl.engine.mdp.assignment import assigns
 from mbn_marl.engine.mdp.disturbances import begin_disturbances, disturbs_actions, has_gusts
 from mbn_marl.engine.mdp.drawn_numbers import draw_numbers, draws_numbers, numbers_of
@@ -26,6 +15,17 @@ from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES, clear_filter, j
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
 from mbn_marl.engine.state import draws_fields
 from mbn_marl.field.families import make_field
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.functions import column
+from mbn_marl.jit.random_numbers import (
+    FOR_FIELDS,
+    FOR_STARTS,
+    episode_key,
+    stream_key,
+    stream_of,
+    uniform,
+    world_number,
+)
 
 DRAWS_PER_ROBOT = 1000
 """How many random starts are tried for a robot before the field's own starts are used instead."""

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.compiled.features import Feature
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.mdp.assignment import plan_size
 from mbn_marl.engine.mdp.disturbances import DISTURBANCES, OF_ACTIONS, OF_SIGHT, any_on
@@ -26,6 +25,7 @@ from mbn_marl.engine.mdp.paths import Paths
 from mbn_marl.engine.mdp.revisits import ODD_LINES, filter_size
 from mbn_marl.engine.mdp.sight import count_sensed
 from mbn_marl.field.layout import Tables
+from mbn_marl.jit.features import Feature
 
 Array = NDArray[Any]
 

@@ -17,10 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled, entry_point, returning_views
-from mbn_marl.compiled.scalars import clip, column, is_set, select
 from mbn_marl.engine.arguments import call_reset, worlds_of
-from mbn_marl.engine.intrinsics import prefetch
 from mbn_marl.engine.mdp import revisits, rewards
 from mbn_marl.engine.mdp.disturbances import change_gust, disturbs_actions, send_all
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
@@ -38,6 +35,9 @@ from mbn_marl.engine.mdp.failures import is_absent, is_gone, may_rest, move_or_f
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED
 from mbn_marl.engine.reset import ENDED, RESTARTS, clear_output, copy_episode
+from mbn_marl.jit.compile import compiled, entry_point, returning_views
+from mbn_marl.jit.functions import clip, column, is_set, select
+from mbn_marl.jit.intrinsics import prefetch
 
 BLOCK = 256
 """Worlds per block."""

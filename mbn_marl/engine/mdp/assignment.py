@@ -17,9 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.compiled.features import Feature
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import column, count_bits
 from mbn_marl.engine.mdp.failures import is_absent, works
 from mbn_marl.engine.mdp.paths import (
     CLOSE,
@@ -30,6 +27,9 @@ from mbn_marl.engine.mdp.paths import (
     in_sight,
     path_length,
 )
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.features import Feature
+from mbn_marl.jit.functions import column, count_bits
 
 Floats = NDArray[np.floating[Any]]
 

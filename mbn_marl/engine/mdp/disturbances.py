@@ -12,13 +12,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from mbn_marl.compiled.elementary import exponential
-from mbn_marl.compiled.features import Feature
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.rng import FOR_GUSTS, FOR_SENDING, normal, stream_of, uniform
-from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.config import MAX_ROBOTS, NavigationConfig
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.features import Feature
+from mbn_marl.jit.functions import clip, exponential, select
+from mbn_marl.jit.random_numbers import FOR_GUSTS, FOR_SENDING, normal, stream_of, uniform
 
 OF_ACTIONS = ("action_noise", "action_loss", "action_delay")
 OF_ROBOTS = ("gust", *OF_ACTIONS)

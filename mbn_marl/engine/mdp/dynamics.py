@@ -13,12 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbn_marl.compiled.elementary import cosine, length, sine, tangent, turned
-from mbn_marl.compiled.features import Feature
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.engine.mdp.disturbances import add_wind, wind_along
 from mbn_marl.engine.mdp.drawn_numbers import limits_in, limits_of, numbers_of
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.features import Feature
+from mbn_marl.jit.functions import clip, cosine, length, select, sine, tangent, turned
 
 POINT_MASS, HOLONOMIC, UNICYCLE, BICYCLE = range(4)
 DYNAMICS = {

@@ -12,9 +12,6 @@ import math
 
 import numpy as np
 
-from mbn_marl.compiled.features import Feature
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import clip, column, select
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import STRAIGHT, Tours, assigns, turn_of, way_to
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
@@ -27,6 +24,9 @@ from mbn_marl.engine.mdp.shared_entries import (
     put_own_motion,
 )
 from mbn_marl.engine.mdp.sight import drop, is_sensed, roi_place
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.features import Feature
+from mbn_marl.jit.functions import clip, column, select
 
 SCALES = np.array([15.0, 100.0])
 """NEAR and FAR: the lengths that become 1/2, units."""

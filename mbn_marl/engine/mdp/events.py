@@ -6,8 +6,8 @@ are those of the released code.
 
 from __future__ import annotations
 
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import column
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.functions import column
 
 EDGE_CROSSED = 1
 ON_EDGE = 2

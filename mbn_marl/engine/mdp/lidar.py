@@ -13,14 +13,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.compiled.features import Feature
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import HALF, MANY, clip, column, select
 from mbn_marl.engine.mdp.drawn_numbers import limits_in, limits_of, numbers_of
 from mbn_marl.engine.mdp.dynamics import has_heading, part_along
 from mbn_marl.engine.mdp.events import cross_edge
 from mbn_marl.engine.mdp.shared_entries import Row
 from mbn_marl.engine.mdp.sight import roi_place
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.features import Feature
+from mbn_marl.jit.functions import HALF, MANY, clip, column, select
 
 FAR = np.float32(np.inf)
 ROUNDING = np.float32(1e-6)

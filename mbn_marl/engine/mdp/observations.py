@@ -14,10 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import FIRST, clip, column, select
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.intrinsics import SIDE, transpose
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import assign
 from mbn_marl.engine.mdp.dynamics import count_headings
@@ -34,6 +31,9 @@ from mbn_marl.engine.mdp.shared_entries import (
     put_own_motion,
 )
 from mbn_marl.engine.mdp.sight import disturbs_sight, drop, look, roi_place, sensed_robots
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.functions import FIRST, clip, column, select
+from mbn_marl.jit.intrinsics import SIDE, transpose
 
 RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL, ENTITIES = range(6)
 OBSERVATIONS = {

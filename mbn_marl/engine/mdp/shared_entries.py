@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from mbn_marl.compiled.jit import compiled
+from mbn_marl.jit.compile import compiled
 
 Row = tuple[str, float, float, str]
 """An entry: its name, bounds and unit."""
