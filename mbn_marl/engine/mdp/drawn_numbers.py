@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.checked import Uniform
-from mbn_marl.config import LIMITS, MAX_ROBOTS, NUMBERS, NavigationConfig
+from mbn_marl.config import LIMITS, MAX_ROBOTS, NUMBERS, NavigationConfig, Uniform
 from mbn_marl.jit.compile import compiled, generated
 from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import cosine, exponential, sine, turned
