@@ -51,17 +51,9 @@ register_model(ArgumentsType)(models.OpaqueModel)
 
 
 class Arguments:
-    """References to an engine's arrays, grouped as in ``state``.
+    """References to an engine's arrays: ``parts`` are those of ``Worlds`` between the ends.
 
-    Args:
-        record: of the constants, see ``constants.make_record``.
-        parts: named tuples of arrays, which are not copied.
-        scratch: one for each range of worlds that is stepped on another thread.
-
-    Attributes:
-        resets: whether ``call_reset`` can be called.
-        step_address: that of ``step_worlds``, for threads; 0 before the first step.
-        address: where the tables begin: a row for each scratch.
+    There is a scratch for each range of worlds that is stepped on another thread.
     """
 
     def __init__(self, record: NDArray[Any], parts: Sequence[Any], scratch: Sequence[Any]) -> None:
@@ -73,13 +65,11 @@ class Arguments:
         self._numba_type_ = ArgumentsType((constants, *map(typeof, (*parts, scratch[0]))))
 
     def reset_by(self, address: int) -> None:
-        """Let ``call_reset`` call the machine code at this address."""
         self._tables[:, 0] = address
         self.resets = True
 
 
 def _words_of(part: Any) -> Iterator[int]:
-    """Yield Numba's description of an array, or of those in a tuple."""
     if isinstance(part, tuple):
         for one in part:
             yield from _words_of(one)
@@ -89,7 +79,6 @@ def _words_of(part: Any) -> Iterator[int]:
 
 
 def _kind_of_constants(constants: Constants) -> types.NamedTuple:
-    """The type of the constants."""
     off = {
         name for group in SETTLED if not any(getattr(constants, k) for k in group) for name in group
     }
@@ -131,7 +120,6 @@ def _worlds_of(typing: Any, kind: ArgumentsType) -> Any:
 
 
 def _with_scratch(typing: Any, kind: ArgumentsType, k: Any) -> Any:
-    """Return the arguments with the ``k``-th scratch."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         tables = builder.bitcast(arguments[0], _table_of(context, kind).as_pointer())

@@ -22,49 +22,26 @@ from mbn_marl.jit.compile import address_of
 
 @dataclass(frozen=True, eq=False)
 class BackendSpec:
-    """The settings and tables that a backend is made from.
+    """The settings and tables that a backend is made from."""
 
-    Attributes:
-        config: with the team size filled in.
-        num_worlds: W.
-        obs_size: entries of a robot's observation.
-        autoreset: the mode's name.
-        threads: of the CPU.
-        seed: key of the random numbers.
-        geometry: NumPy tables of the field, or of each world's.
-        constants: the MDP's, (1,) record.
-        arena: width and height, units.
-        teams_vary: whether robots may be absent.
-    """
-
-    config: NavigationConfig
+    config: NavigationConfig  # with the team size filled in
     num_worlds: int
     obs_size: int
     autoreset: str
     threads: int | None
     seed: int
-    geometry: Geometry
-    constants: NDArray[Any]
+    geometry: Geometry  # in NumPy arrays
+    constants: NDArray[Any]  # (1,) record
     arena: tuple[float, float]
     teams_vary: bool
 
     @property
     def actions_shape(self) -> tuple[int, int, int]:
-        """The shape of an action, (W, n, 2)."""
         return self.num_worlds, self.geometry.team.limits.shape[1], 2
 
 
 class Backend:
-    """The worlds in NumPy arrays, on the CPU; ``cuda`` has another one.
-
-    Attributes:
-        spec: what it was made from.
-        geometry: the tables of the present fields.
-        now: the present episode of each world.
-        final: the last finished ones (autoreset same-step).
-        memory: what outlives or supports an episode.
-        output: what the last step or reset returned.
-    """
+    """The worlds in NumPy arrays, on the CPU; ``cuda.CudaBackend`` has them in torch's."""
 
     xp: ModuleType = np
     derived: tuple[str, ...] = ("arguments", "cuts")
@@ -77,7 +54,6 @@ class Backend:
         self.connect()
 
     def _make_worlds(self, spec: BackendSpec) -> None:
-        """Make all arrays, on the default device of ``xp``."""
         (worlds, n, _), config, xp = spec.actions_shape, spec.config, self.xp
         m = spec.geometry.field.rois.shape[1]
         self.spec, self.real = spec, getattr(xp, config.dtype)
@@ -99,7 +75,6 @@ class Backend:
         self.recount()
 
     def step(self, actions: Any, active: Any) -> None:
-        """Step the worlds; before that, raise what is wrong with the arguments."""
         forces = self.checked_actions(actions)
         parked = None
         if self._count_waiting or active is not None:
@@ -116,7 +91,6 @@ class Backend:
             self._restore(parked, *kept)
 
     def _checked_parked(self, active: Any) -> NDArray[np.intp]:
-        """The ended worlds that this step leaves out, or an error naming the first offender."""
         waiting, moving = self._waits(), self._checked_mask("active", active)
         for world in np.flatnonzero(moving & waiting):
             raise self._waiting(int(world))
@@ -125,7 +99,6 @@ class Backend:
         return np.flatnonzero(~moving)
 
     def _restore(self, parked: NDArray[np.intp], kept: list[Array], plan: Array) -> None:
-        """Undo the step for worlds that were left out of it."""
         for array, columns in zip(self.now, kept, strict=True):
             array[..., parked] = columns
         self.memory.plan[parked] = plan
@@ -135,7 +108,6 @@ class Backend:
         self.recount()
 
     def _waits(self) -> NDArray[np.bool_]:
-        """Which worlds cannot be stepped before a reset."""
         if self.spec.autoreset == "disabled":
             return self.memory.pending
         return self.memory.episode < 0
@@ -148,7 +120,6 @@ class Backend:
         """Raise what a step has found wrong and could not raise itself; here there is nothing."""
 
     def make_room(self, edges: int, waypoints: int) -> None:
-        """Make room for so many edges and waypoints, where there is less."""
         larger = with_room(self.geometry, edges, waypoints, self.xp)
         if larger is not self.geometry:
             self.geometry = larger
@@ -157,11 +128,9 @@ class Backend:
     # -- arrays ------------------------------------------------------------------------------------
 
     def empty(self, shape: tuple[int, ...], dtype: Any) -> Any:
-        """An array on the device, to be written."""
         return np.empty(shape, dtype)
 
     def host(self, array: Any) -> NDArray[Any]:
-        """A NumPy copy of an array of this backend."""
         return np.array(array)
 
     def write_infos(self, rows: Any) -> None:
@@ -179,11 +148,7 @@ class Backend:
     # -- what is given -----------------------------------------------------------------------------
 
     def checked_actions(self, actions: Any) -> Any:
-        """Return the actions in the engine's precision.
-
-        Raises:
-            ActionError: wrong shape, not numeric, or found not to be finite.
-        """
+        """Return the actions in the engine's precision, or raise an ``ActionError``."""
         allowed = self._allowed_actions
         given = self.given("actions", actions, allowed)
         if given.shape != self._actions.shape:
@@ -193,7 +158,6 @@ class Backend:
         return self._in_precision(given)
 
     def _checked_mask(self, name: str, mask: Any) -> Any:
-        """Return a mask of the worlds; ``None`` is that of all."""
         if mask is None:
             return self._everyone
         worlds = self.spec.num_worlds
@@ -205,19 +169,16 @@ class Backend:
         return given
 
     def _waiting(self, world: int, place: str = "") -> StepError:
-        """The error of a step of a world that waits for a reset."""
         why = "has ended" if self.memory.episode[world] >= 0 else "was never reset"
         return StepError(f"{place}world {world} {why}; allowed: reset() or reset_worlds() first")
 
     @staticmethod
     def _left_out(world: int, place: str = "") -> StepError:
-        """The error of a step without a world that is in an episode."""
         return StepError(
             f"{place}world {world} is left out of the step; allowed: only ended worlds"
         )
 
     def given(self, name: str, value: Any, allowed: str) -> Any:
-        """An argument as an array of this backend, or an error that says what is allowed."""
         try:
             return as_array(value)
         except (TypeError, ValueError) as error:
@@ -227,7 +188,6 @@ class Backend:
         return given.dtype.kind in "fiu"
 
     def _in_precision(self, given: Any) -> Any:
-        """Actions of the right shape in the engine's precision."""
         if given.dtype.kind == "f" and not self._all_finite(given):
             world, robot = np.argwhere(~np.isfinite(given).all(axis=2))[0]
             raise ActionError(
@@ -246,7 +206,6 @@ class Backend:
     # -- copies ------------------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Make what refers to the arrays."""
         self.memory = state.share_bits(self.memory, self.now, self.xp)
         self.cuts = kernels.cuts_of(self.spec.num_worlds, self.spec.threads)
         self.arguments = self.arguments_with(self.geometry.team.limits)
@@ -265,6 +224,5 @@ class Backend:
         return {name: vars(self)[name] for name in vars(self) if name not in self.derived}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        """Make a copy that continues exactly as the original would."""
         vars(self).update(kept)
         self.connect()

@@ -205,9 +205,6 @@ class BatchEngine:
 
         Returns:
             Observations, (W, n, obs_size) float32; :attr:`observation_table` has their units.
-
-        Raises:
-            ConfigError: seed or episode are not allowed.
         """
         if problems := validation.reset_problems(seed, episode):
             raise ConfigError("reset", problems)
@@ -229,9 +226,6 @@ class BatchEngine:
 
         Returns:
             The observations of all worlds, (W, n, obs_size) float32.
-
-        Raises:
-            ActionError: the mask has another shape or type.
         """
         self._backend.reset(mask)
         self._tell_reset(mask)
@@ -288,9 +282,6 @@ class BatchEngine:
         One that a sampler has drawn is read from the engine's tables, to a thousandth of a unit;
         its name has the world's number and the episode's. Before the first reset, it is that of the
         first episode.
-
-        Raises:
-            IndexError: no such world.
         """
         self._check_world(world)
         number, given = self._set_fields.get(world, (-1, None))
@@ -323,11 +314,6 @@ class BatchEngine:
             field: of the same arena, with at most ``n_rois`` ROIs and a start for each robot.
             world: its index.
             starts: where the robots start, (n, 2) units, instead of the field's own starts.
-
-        Raises:
-            ConfigError: the field does not fit; all problems are listed. Or several worlds share
-                their only field.
-            IndexError: no such world.
         """
         self._check_world(world)
         given = validation.as_starts(starts)
@@ -354,9 +340,6 @@ class BatchEngine:
 
         Args:
             sampler: its fields are at most as large as those of the first one.
-
-        Raises:
-            ConfigError: they are not, or the engine has fixed fields; all problems are listed.
         """
         problems = validation.set_sampler_problems(sampler, self._sizes, self.teams_vary)
         if self.sampler is None:
@@ -426,9 +409,6 @@ class BatchEngine:
             ``path_length`` (W, n) float64, units; ``impulse`` (W, n) float64: ``|sum over steps of
             u tau|``, mass x units/step; ``failed`` (W, n) bool; ``return_`` (W, n) float64: what
             each agent was given.
-
-        Raises:
-            ConfigError: a name is none of ``METRICS``, or one stands for several; all are listed.
         """
         wrong = [name for name in names if name not in METRICS]
         problems = [f"{name!r}: {unknown('measure', str(name), METRICS)}" for name in wrong]
@@ -581,11 +561,7 @@ class BatchEngine:
         return found
 
     def snapshot(self, world: int = 0) -> Snapshot:
-        """A copy of everything that a picture of the world with index ``world`` needs.
-
-        Raises:
-            IndexError: no such world.
-        """
+        """A copy of everything that a picture of the world with index ``world`` needs."""
         field, backend, f = self.field_of(world), self._backend, self._column(world)
         backend.raise_fault()
         now, config, host = backend.now, self.config_in(world), backend.host

@@ -34,15 +34,12 @@ class Device:
         self._launchers: dict[tuple[Any, int, int, int], Any] = {}
 
     def array(self, tensor: torch.Tensor) -> Any:
-        """The tensor's memory as a Numba array."""
         return cuda.as_cuda_array(tensor.detach(), sync=False)
 
     def is_capturing(self) -> bool:
-        """Return whether what is launched now becomes part of a CUDA graph."""
         return torch.cuda.is_current_stream_capturing()
 
     def launch(self, kernel: Any, blocks: int, threads: int, *arguments: Any) -> None:
-        """Launch a kernel on torch's current stream."""
         stream = torch.cuda.current_stream(self.torch).cuda_stream
         key = kernel, blocks, threads, stream
         if key not in self._launchers:
@@ -53,7 +50,6 @@ class Device:
 
 
 def _missing() -> str | None:
-    """Return why this machine cannot run the kernels, if so."""
     if kernels.SIMULATED:
         return "NUMBA_ENABLE_CUDASIM is set, which leaves no GPU"
     if not torch.cuda.is_available():
@@ -102,7 +98,6 @@ class CudaBackend(Backend):
         )
 
     def step(self, actions: Any, active: Any) -> None:
-        """Step the worlds; those with a fault rest."""
         n, size = self.spec.actions_shape[1], self.spec.obs_size
         moving = self._checked_mask("active", active)
         self._run(
@@ -137,11 +132,9 @@ class CudaBackend(Backend):
         raise error(world, "an earlier step: ")
 
     def recount(self) -> None:
-        """Forget the faults of worlds that were replaced."""
         self._fault.fill_(int(kernels.NO_FAULT))
 
     def host(self, array: Any) -> NDArray[Any]:
-        """A NumPy copy; waits for the device."""
         copy: NDArray[Any] = array.cpu().numpy().copy()
         return copy
 

@@ -21,7 +21,6 @@ from numba import cuda
 from numba.core import config
 from numba.core.compiler_lock import global_compiler_lock
 
-from mbn_marl.engine.arguments import Worlds
 from mbn_marl.engine.constants import AUTORESET_MODES
 from mbn_marl.engine.kernels import draw_world, is_final, put_infos
 from mbn_marl.engine.mdp.assignment import assign
@@ -36,7 +35,7 @@ from mbn_marl.engine.reset import (
     reset_world,
 )
 from mbn_marl.engine.state import Episode, Geometry, Memory, Output
-from mbn_marl.engine.step import close_step, move_robots, score_step, scratch_of
+from mbn_marl.engine.step import Written, close_step, move_robots, score_step, scratch_of
 from mbn_marl.field.layout import Tables
 from mbn_marl.jit.compile import compiled, generated, returning_views
 from mbn_marl.jit.functions import column
@@ -70,13 +69,11 @@ def threads_per_block(obs_size: int) -> int:
 
 @compiled
 def is_waiting(p, mem, w):
-    """Return whether world w cannot be stepped before a reset."""
     return mem.pending[w] if p.autoreset == DISABLED else mem.episode[w] < 0
 
 
 @compiled
 def fault_of(p, mem, call, w):
-    """Return why world w cannot be stepped, or 0."""
     for i in range(call.actions.shape[1]):
         for axis in range(2):
             if not math.isfinite(call.actions[w, i, axis]):
@@ -119,7 +116,6 @@ output_of = _view_of(Output, "w:end", RESULTS)
 
 @compiled
 def save_output(one, out, w):
-    """Write what the step of world w made, but for the observations."""
     for i in range(one.events.shape[0]):
         out.rewards[w, i] = one.rewards[0, i]
         out.events[i, w] = one.events[i, 0]
@@ -130,14 +126,13 @@ def save_output(one, out, w):
 
 
 @cuda.jit(device=True)
-def write_observations(worlds, w, is_world, tile):
-    """Write the observations of the block's worlds; this thread's is world ``w`` of ``worlds``.
+def write_observations(p, g, mem, ep, w, is_world, tile, rows):
+    """Write the observations of the block's worlds; this thread's is ``w`` of ``ep``.
 
     A robot's observation is made in this thread's column of ``tile`` (size, threads + 1), in shared
     memory, and the block then writes all columns together, entry next to entry.
     """
-    p, g, mem, ep, _, out, _ = worlds
-    rows, thread, threads = out.observations, cuda.threadIdx.x, cuda.blockDim.x
+    thread, threads = cuda.threadIdx.x, cuda.blockDim.x
     first = cuda.blockIdx.x * threads
     size = rows.shape[2]
     count = min(threads, rows.shape[0] - first)
@@ -189,7 +184,6 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
         memory = memory_of(mem, w, end, x.view(bits), y.view(bits))
         given = output_of(out, w, end, rewards, reals[9], flags[3], flags[4], events, outcomes)
         to = scratch_of(reals, crossings, flags, keys, mine)
-        worlds = Worlds(p, own, memory, one, final, given, to)
         if is_world:
             copy_motion(now, w, one, ZERO, n)
             fault, change = fault_of(p, mem, call, w), 0
@@ -198,8 +192,11 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
             if (fault != 0) | (not call.active[w]):
                 clear_output(p, given, ZERO)
             else:
-                move_robots(worlds, call.actions[w:end], ZERO, ONE)
-                score_step(worlds, ZERO, ONE)
+                move_robots(
+                    *(p, own, memory, one, Written(given, to)),
+                    *(call.actions[w:end], ZERO, ONE),
+                )
+                score_step(p, own, memory, one, given, to, ZERO, ONE)
                 change = close_step(p, memory, given, ZERO)
             if change == ENDED | RESTARTS:
                 assign(p, own, memory, one, ZERO, ONE)
@@ -214,7 +211,7 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
             if change & RESTARTS:
                 reset_world(p, g, mem, now, w)
                 copy_motion(now, w, one, ZERO, n)
-        write_observations(Worlds(p, own, memory, one, final, out, to), ZERO, is_world, tile)
+        write_observations(p, own, memory, one, ZERO, is_world, tile, out.observations)
 
     return step
 
@@ -231,7 +228,7 @@ def make_reset(obs_size: int) -> Callable[..., None]:
             reset_world(p, g, mem, now, w)
             mem.pending[w] = False
             clear_output(p, out, w)
-        write_observations(Worlds(p, g, mem, now, now, out, tile), w, is_world, tile)
+        write_observations(p, g, mem, now, w, is_world, tile, out.observations)
 
     return reset
 
@@ -269,13 +266,11 @@ def step_kernel(n: int, obs_size: int, dtype: str) -> Any:
 
 @cache
 def reset_kernel(obs_size: int) -> Any:
-    """The reset, shared likewise."""
     return exact(make_reset(obs_size))
 
 
 @cache
 def plain_kernel(function: Callable[..., None]) -> Any:
-    """Any of the other kernels of this module, compiled for the types of each call."""
     return exact(function)
 
 

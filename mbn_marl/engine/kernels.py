@@ -15,7 +15,7 @@ from mbn_marl.engine.arguments import Arguments, with_scratch, worlds_of
 from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
 from mbn_marl.engine.mdp.events import visit_code
-from mbn_marl.engine.mdp.failures import has_failed, is_absent
+from mbn_marl.engine.mdp.failures import ABSENT, FAILED, status_of
 from mbn_marl.engine.mdp.observations import observe, put_state
 from mbn_marl.engine.reset import clear_output, reset_world
 from mbn_marl.jit.compile import address_of, compiled, entry_point, parallel_entry_point
@@ -58,15 +58,15 @@ def step_ranges(address, arguments, actions, cuts):
     return ended
 
 
-# Numba compiles a rule faster than an entry point, so each entry point only calls one.
+@entry_point
+def reset_worlds(arguments, mask, lo, hi, asked):
+    """Begin a new episode in the worlds from ``lo`` to ``hi - 1`` that ``mask`` marks.
 
-
-@compiled
-def reset_masked(arguments, mask, lo, hi, asked):
-    """See :func:`reset_worlds`."""
+    Unless this was ``asked`` for, the outputs of the last step stay.
+    """
     p, g, mem, now, _, out, to = worlds_of(arguments)
-    for w in range(lo, hi):
-        if mask[w - lo]:
+    for w in range(np.uint64(lo), np.uint64(hi)):
+        if mask[w - np.uint64(lo)]:
             reset_world(p, g, mem, now, w)
             if asked:
                 mem.pending[w] = False
@@ -75,17 +75,8 @@ def reset_masked(arguments, mask, lo, hi, asked):
 
 
 @entry_point
-def reset_worlds(arguments, mask, lo, hi, asked):
-    """Begin a new episode in the worlds from ``lo`` to ``hi - 1`` that ``mask`` marks.
-
-    Unless this was ``asked`` for, the outputs of the last step stay.
-    """
-    reset_masked(arguments, mask, np.uint64(lo), np.uint64(hi), asked)
-
-
-@compiled
-def rest_masked(arguments, mask):
-    """See :func:`rest_worlds`."""
+def rest_worlds(arguments, mask):
+    """Make the outputs of the masked worlds those of a step in which nothing happened."""
     p, g, mem, now, _, out, to = worlds_of(arguments)
     for w in range(FIRST, np.uint64(mask.size)):
         if mask[w]:
@@ -96,12 +87,6 @@ def rest_masked(arguments, mask):
                 mem.trail[w, last, 1] = now.y[i, w]
             clear_output(p, out, w)
             observe(p, g, mem, now, w, w + NEXT, to.tile, out.observations)
-
-
-@entry_point
-def rest_worlds(arguments, mask):
-    """Make the outputs of the masked worlds those of a step in which nothing happened."""
-    rest_masked(arguments, mask)
 
 
 @compiled
@@ -124,7 +109,7 @@ def put_infos(p, ep, out, w, rows):
         rows[w, i, 3] = ep.wall_hits[i, w]
         rows[w, i, 4] = ep.path_length[i, w]
         rows[w, i, 5] = objective(ep.impulse_x[i, w], ep.impulse_y[i, w])
-        rows[w, i, 6] = has_failed(ep, i, w)
+        rows[w, i, 6] = status_of(ep, i, w) == FAILED
         for k in range(TEAM_MEASURES, TERMS):
             rows[w, n, k] += rows[w, i, k]
     if not is_set(outcome, rewards.RESTED):
@@ -133,7 +118,6 @@ def put_infos(p, ep, out, w, rows):
 
 @compiled
 def put_terms(p, ep, out, w, rows):
-    """Write the terms of each robot's reward in world w, and those of the team's."""
     outcome, n = out.outcomes[w], ep.x.shape[0]
     for i in range(n):
         own = rewards.earned(p, ep, out.events[i, w], outcome, i, w)
@@ -148,18 +132,17 @@ def put_terms(p, ep, out, w, rows):
     if p.team_sharing:
         for i in range(n):
             for k in range(TERMS, rows.shape[2]):
-                rows[w, i, k] = 0.0 if is_absent(ep, i, w) else rows[w, n, k]
+                rows[w, i, k] = 0.0 if status_of(ep, i, w) == ABSENT else rows[w, n, k]
 
 
 @compiled
 def is_final(p, out, w):
-    """Return whether the last step of world w is that of an episode which has been replaced."""
     return (out.terminated[w] | out.truncated[w]) & (p.autoreset == step.SAME_STEP)
 
 
-@compiled
-def put_all_infos(arguments, rows):
-    """See :func:`write_infos`."""
+@entry_point
+def write_infos(arguments, rows):
+    """Fill ``rows`` (W, n, columns) as of the last step, before any automatic reset."""
     p, _, _, now, final, out, _ = worlds_of(arguments)
     for w in range(FIRST, np.uint64(rows.shape[0])):
         episode = final if is_final(p, out, w) else now
@@ -167,22 +150,10 @@ def put_all_infos(arguments, rows):
 
 
 @entry_point
-def write_infos(arguments, rows):
-    """Fill ``rows`` (W, n, columns) as of the last step, before any automatic reset."""
-    put_all_infos(arguments, rows)
-
-
-@compiled
-def put_all_states(arguments, final, rows):
-    """See :func:`write_states`."""
-    _, _, _, now, ended, _, _ = worlds_of(arguments)
-    put_state(ended if final else now, FIRST, np.uint64(rows.shape[0]), rows.T)
-
-
-@entry_point
 def write_states(arguments, final, rows):
     """Write the paper's vector of every world, (W, size)."""
-    put_all_states(arguments, final, rows)
+    _, _, _, now, ended, _, _ = worlds_of(arguments)
+    put_state(ended if final else now, FIRST, np.uint64(rows.shape[0]), rows.T)
 
 
 @compiled
@@ -195,18 +166,12 @@ def draw_world(p, mem, w, actions):
         actions[w, k // axes, k % axes] = two * uniform(key, k) - one
 
 
-@compiled
-def draw_worlds(arguments, actions):
-    """See :func:`draw_actions`."""
-    p, _, mem, _, _, _, _ = worlds_of(arguments)
-    for w in range(actions.shape[0]):
-        draw_world(p, mem, w, actions)
-
-
 @entry_point
 def draw_actions(arguments, actions):
     """Fill ``actions`` (W, n, 2) with the next draw of each world's stream of actions."""
-    draw_worlds(arguments, actions)
+    p, _, mem, _, _, _, _ = worlds_of(arguments)
+    for w in range(actions.shape[0]):
+        draw_world(p, mem, w, actions)
 
 
 # -- threads ---------------------------------------------------------------------------------------

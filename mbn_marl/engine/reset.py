@@ -35,7 +35,6 @@ ENDED, RESTARTS = 1, 2
 
 @compiled
 def copy_rows(source, v, target, w, count):
-    """World v of ``source`` (count, W) to world w of ``target``."""
     for k in range(count):
         target[k, w] = source[k, v]
 
@@ -53,7 +52,6 @@ def copy_motion(source, v, target, w, n):
 
 @compiled
 def copy_episode(source, v, target, w, n, headings):
-    """An episode of n robots, of which ``headings`` have one, from world v to world w."""
     copy_motion(source, v, target, w, n)
     copy_rows(source.impulse_x, v, target.impulse_x, w, n)
     copy_rows(source.impulse_y, v, target.impulse_y, w, n)

@@ -58,13 +58,11 @@ class Geometry(NamedTuple):
     sampler: Sampler
 
     def by_name(self) -> dict[str, Array]:
-        """All arrays."""
         return {name: array for part in self for name, array in part._asdict().items()}
 
 
 @Feature
 def draws_fields(g: Any) -> bool:
-    """Whether each episode draws its field."""
     ndim: int = g.sampler.numbers.ndim
     return ndim == 1
 
@@ -204,7 +202,6 @@ def share_bits(memory: Memory, now: Episode, xp: ModuleType = np) -> Memory:
 def make_output(
     worlds: int, n: int, size: int, config: NavigationConfig, xp: ModuleType = np
 ) -> Output:
-    """Zeroed output arrays."""
     rows, own = (worlds, n, size), getattr(xp, config.dtype)
     return Output(
         observations=xp.zeros(rows, dtype=xp.float32),

@@ -21,7 +21,7 @@ from mbn_marl.engine.arguments import call_reset, worlds_of
 from mbn_marl.engine.mdp import revisits, rewards
 from mbn_marl.engine.mdp.disturbances import change_gust, disturbs_actions, send_all
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
-from mbn_marl.engine.mdp.dynamics import keep_heading
+from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
 from mbn_marl.engine.mdp.events import (
     all_visited,
     cross_edge,
@@ -31,7 +31,15 @@ from mbn_marl.engine.mdp.events import (
     visit_code,
     within,
 )
-from mbn_marl.engine.mdp.failures import is_absent, is_gone, may_rest, move_or_fail, works
+from mbn_marl.engine.mdp.failures import (
+    ABSENT,
+    WORKS,
+    fail,
+    is_gone,
+    may_rest,
+    move_failed,
+    status_of,
+)
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED
 from mbn_marl.engine.reset import ENDED, RESTARTS, clear_output, copy_episode
@@ -71,14 +79,12 @@ class Scratch(NamedTuple):
 
 @returning_views
 def scratch_of(reals, crossings, flags, keys, tile):
-    """The scratch in these arrays."""
     move, ahead = (reals[0], reals[1], reals[2], reals[3]), (reals[4], reals[5], reals[6])
     sums, filters = (reals[7], reals[8]), (flags[0], flags[1], flags[2], keys[0], keys[1])
     return Scratch(*move, *ahead, *sums, crossings, *filters, tile)
 
 
 def make_scratch(worlds: int, n: int, entries: int, real: Any) -> Scratch:
-    """Scratch for blocks of at most ``worlds`` worlds, whose observations have ``entries``."""
     size = min(worlds, BLOCK)
     reals = np.empty((9, size), real)
     flags = np.empty((3, size), np.bool_)
@@ -138,7 +144,7 @@ def forgive_walls(now, out, i, lo, hi):
     """Step 2: walls that stop robot i are not counted where it does not work."""
     if may_rest(now):
         for w in range(lo, hi):
-            if (not works(now, i, w)) & is_set(out.events[i, w], rewards.WALL):
+            if (status_of(now, i, w) != WORKS) & is_set(out.events[i, w], rewards.WALL):
                 now.wall_hits[i, w] -= 1
                 out.events[i, w] ^= rewards.WALL
 
@@ -170,7 +176,7 @@ def record_positions(mem, now, lo, hi):
             entry = min(np.uint64(now.steps[w] + 1) * n, last) + i
             mem.trail[w, entry, 0] = now.x[i, w]
             mem.trail[w, entry, 1] = now.y[i, w]
-            if is_absent(now, i, w):
+            if status_of(now, i, w) == ABSENT:
                 mem.trail[w, entry, 0] = NOWHERE
                 mem.trail[w, entry, 1] = NOWHERE
 
@@ -185,7 +191,7 @@ def hash_positions(mem, now, out, to, i, lo, hi):
     for w in range(lo, hi):
         key = revisits.hash_position(mem.x_bits[i, w], mem.y_bits[i, w])
         known = is_set(events[i, w], rewards.STILL) & (now.steps[w] > 0)
-        known |= is_absent(now, i, w)
+        known |= status_of(now, i, w) == ABSENT
         place[i, w - lo] = select(known, ZERO, revisits.filter_word(key, mem.words[w]))
         mask[i, w - lo] = select(known, ZERO, revisits.filter_mask(key))
         events[i, w] |= select(known, rewards.REVISIT, 0)
@@ -296,7 +302,7 @@ def give_rewards(p, now, out, to, lo, hi):
     if p.team_sharing:
         for i in range(n):
             for w in range(lo, hi):
-                given = select(is_absent(now, i, w), p.zero, out.team_rewards[w])
+                given = select(status_of(now, i, w) == ABSENT, p.zero, out.team_rewards[w])
                 now.returns[i, w] += given - out.rewards[w, i]
                 out.rewards[w, i] = given
 
@@ -343,16 +349,27 @@ def autoreset(arguments, lo, hi):
     return ended
 
 
+class Written(NamedTuple):
+    """The arrays that the passes of a step write to, besides the episodes and their memory."""
+
+    out: Any
+    to: Any
+
+
 @compiled
-def move_robots(worlds, actions, lo, hi):
+def move_robots(p, g, mem, now, written, actions, lo, hi):
     """Steps 1 to 3 and 5: each robot goes where it can, and visits; then the time passes."""
-    p, g, mem, now, _, out, to = worlds
+    out, to = written
     taken = actions
     if disturbs_actions(now):
         send_all(p, mem, now, actions, lo, hi)
         taken = mem.acted
     for i in range(now.x.shape[0]):
-        move_or_fail(worlds, taken, i, lo, hi)
+        if may_rest(now):
+            fail(p, g, mem, now, to, i, lo, hi)
+        propose_move(p, g, now, to, taken, i, lo, hi)
+        if may_rest(now):
+            move_failed(p, g, now, to, i, lo, hi)
         test_containment(g, to, lo, hi)
         stop_at_walls(p, now, out, to, i, lo, hi)
         forgive_walls(now, out, i, lo, hi)
@@ -366,9 +383,8 @@ def move_robots(worlds, actions, lo, hi):
 
 
 @compiled
-def score_step(worlds, lo, hi):
+def score_step(p, g, mem, now, out, to, lo, hi):
     """Steps 4 and 6 to 8: revisits, collisions, how the step ended, rewards."""
-    p, g, mem, now, _, out, to = worlds
     if p.rules == RELEASED:
         for i in range(now.x.shape[0]):
             mark_revisits(mem, now, out, to, i, lo, hi)
@@ -379,25 +395,18 @@ def score_step(worlds, lo, hi):
         grow_filter(mem, now, lo, hi)
 
 
-@compiled
-def step_blocks(arguments, actions, lo, hi):
-    """Step worlds ``lo`` to ``hi - 1``, a block at a time; return how many ended."""
-    worlds = worlds_of(arguments)
-    p, g, mem, now, _, out, to = worlds
-    block, ended = np.uint64(BLOCK), 0
-    while lo < hi:
-        end = min(lo + block, hi)
-        move_robots(worlds, actions, lo, end)
+@entry_point
+def step_worlds(arguments, actions, first, end):
+    """Step worlds ``first`` to ``end - 1``, a block at a time; return how many episodes ended."""
+    p, g, mem, now, _, out, to = worlds_of(arguments)
+    lo, ended = np.uint64(first), 0
+    while lo < np.uint64(end):
+        hi = min(lo + np.uint64(BLOCK), np.uint64(end))
+        move_robots(p, g, mem, now, Written(out, to), actions, lo, hi)
         # No observation depends on a reward. Written here, observations give the filter's words,
         # which ``move_robots`` has begun to fetch and ``score_step`` reads, the time to arrive.
-        observe(p, g, mem, now, lo, end, to.tile, out.observations)
-        score_step(worlds, lo, end)
-        ended += autoreset(arguments, lo, end)
-        lo = end
+        observe(p, g, mem, now, lo, hi, to.tile, out.observations)
+        score_step(p, g, mem, now, out, to, lo, hi)
+        ended += autoreset(arguments, lo, hi)
+        lo = hi
     return ended
-
-
-@entry_point
-def step_worlds(arguments, actions, lo, hi):
-    """Step worlds ``lo`` to ``hi - 1`` with ``actions`` (W, n, 2); return how many ended."""
-    return step_blocks(arguments, actions, np.uint64(lo), np.uint64(hi))

@@ -27,8 +27,6 @@ FieldSource = tuple[Field, ...] | FieldSampler
 
 
 class Sizes(NamedTuple):
-    """The sizes of the largest of several fields."""
-
     edges: int
     rois: int
     robots: int
@@ -37,7 +35,6 @@ class Sizes(NamedTuple):
 
 
 def sizes_of(source: FieldSource) -> Sizes:
-    """The sizes of the fields of a source; those of none are 1."""
     if isinstance(source, FieldSampler):
         robots = source.most_robots, source.fewest_robots
         return Sizes(source.most_edges, source.most_rois, *robots, source.arena)
@@ -90,7 +87,6 @@ def make_geometry(
 
 
 def make_team(config: NavigationConfig, n: int, arena: tuple[float, float]) -> Team:
-    """The robots of a team of n."""
     real, failures = np.dtype(config.dtype), config.failures
     kinds = np.array([DYNAMICS[name] for name in config.of_each("dynamics", n)], np.int32)
     fail_at = [failures.at.get(i, 0) for i in range(n)] if failures else []
@@ -116,12 +112,10 @@ def paths_of(tables: Tables, sampler: FieldSampler | None, config: NavigationCon
 
 
 def rounded(tables: Tables, real: np.dtype[Any]) -> Tables:
-    """Tables whose float64 numbers are the engine's reals."""
     return Tables(*(t.astype(real) if t.dtype == np.float64 else t for t in tables))
 
 
 def sampler_numbers(sampler: FieldSampler) -> Array:
-    """The numbers that fields are drawn by, and the seed last."""
     return np.append(sampler.numbers(), np.int64(sampler.seed))
 
 

@@ -18,12 +18,12 @@ from mbn_marl.engine.arguments import worlds_of
 from mbn_marl.engine.batch import BatchEngine
 from mbn_marl.engine.mdp.disturbances import disturbs_actions, send_all
 from mbn_marl.engine.mdp.drawn_numbers import V_CLIP, limits_in, limits_of
-from mbn_marl.engine.mdp.dynamics import keep_heading
-from mbn_marl.engine.mdp.failures import move_or_fail, works
+from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
+from mbn_marl.engine.mdp.failures import WORKS, fail, may_rest, move_failed, status_of
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
 from mbn_marl.errors import ActionError, ConfigError, StepError
-from mbn_marl.jit.compile import compiled, entry_point
+from mbn_marl.jit.compile import entry_point
 from mbn_marl.jit.functions import clip, select
 
 LO, HI = np.uint64(0), np.uint64(1)
@@ -38,9 +38,6 @@ class Command(NamedTuple):
         allowed: (n,) bool, whether the robot would stay in the field. If not it pays r_l, unless it
             has failed.
         failed: (n,) bool, whether the robot has failed, in this step or before.
-
-    Source:
-        ``docs/mdp.md``, "One step, in this order", 1 and 2.
     """
 
     velocities: NDArray[Any]
@@ -88,10 +85,6 @@ class TrackedWorld:
 
         Args:
             actions: (n, 2), finite; values outside [-1, 1] are clipped.
-
-        Raises:
-            ActionError: wrong shape, not numeric, or not finite.
-            StepError: before the first reset, or after the end of the episode.
         """
         if not self.engine.running[0]:
             raise StepError("the episode has not begun, or has ended; allowed: reset() first")
@@ -107,15 +100,11 @@ class TrackedWorld:
         """The second half: the robots came to ``positions``; the outcome is in the engine.
 
         A robot that works and was measured outside the field pays r_l, as one does that would leave
-        it.
-        Positions are clipped to the arena, velocities to v_clip.
+        it. Positions are clipped to the arena, velocities to v_clip.
 
         Args:
             positions: (n, 2), units, finite.
             velocities: (n, 2), units/step, finite.
-
-        Raises:
-            ActionError: wrong shape, or not finite.
         """
         shape, measured = (1, self.engine.n_robots, 2), []
         for name, given in (("positions", positions), ("velocities", velocities)):
@@ -131,17 +120,20 @@ class TrackedWorld:
         self._backend.recount()
 
 
-@compiled
-def put_velocities(arguments, actions, velocities, allowed):
-    """See :func:`choose_velocities`."""
-    worlds = worlds_of(arguments)
-    p, g, mem, now, _, _, to = worlds
+@entry_point
+def choose_velocities(arguments, actions, velocities, allowed):
+    """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
+    p, g, mem, now, _, _, to = worlds_of(arguments)
     taken = actions
     if disturbs_actions(now):
         send_all(p, mem, now, actions, LO, HI)
         taken = mem.acted
     for i in range(now.x.shape[0]):
-        move_or_fail(worlds, taken, i, LO, HI)
+        if may_rest(now):
+            fail(p, g, mem, now, to, i, LO, HI)
+        propose_move(p, g, now, to, taken, i, LO, HI)
+        if may_rest(now):
+            move_failed(p, g, now, to, i, LO, HI)
         step.test_containment(g, to, LO, HI)
         keep_heading(g, now, to, i, LO, HI)
         inside = to.crossings[0] != 0
@@ -151,16 +143,9 @@ def put_velocities(arguments, actions, velocities, allowed):
 
 
 @entry_point
-def choose_velocities(arguments, actions, velocities, allowed):
-    """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
-    put_velocities(arguments, actions, velocities, allowed)
-
-
-@compiled
-def put_positions(arguments, positions, velocities, allowed):
-    """See :func:`take_positions`."""
-    worlds = worlds_of(arguments)
-    p, g, mem, now, _, out, to = worlds
+def take_positions(arguments, positions, velocities, allowed):
+    """Steps 3 to 8 for robots that came to ``positions`` with ``velocities``, (1, n, 2)."""
+    p, g, mem, now, _, out, to = worlds_of(arguments)
     n = now.x.shape[0]
     for i in range(n):
         to.x[0], to.y[0] = positions[0, i, 0], positions[0, i, 1]
@@ -168,7 +153,7 @@ def put_positions(arguments, positions, velocities, allowed):
         to.vx[0] = clip(velocities[0, i, 0], -v_clip, v_clip)
         to.vy[0] = clip(velocities[0, i, 1], -v_clip, v_clip)
         step.test_containment(g, to, LO, HI)
-        stayed = allowed[i] & (to.crossings[0] != 0) | (not works(now, i, LO))
+        stayed = allowed[i] & (to.crossings[0] != 0) | (status_of(now, i, LO) != WORKS)
         to.crossings[0] = INSIDE
         step.stop_at_walls(p, now, out, to, i, LO, HI)
         now.wall_hits[i, 0] += 0 if stayed else 1
@@ -180,11 +165,5 @@ def put_positions(arguments, positions, velocities, allowed):
             step.hash_positions(mem, now, out, to, i, LO, HI)
     step.pass_time(p, mem, now, LO, HI)
     observe(p, g, mem, now, LO, HI, to.tile, out.observations)
-    step.score_step(worlds, LO, HI)
+    step.score_step(p, g, mem, now, out, to, LO, HI)
     return step.autoreset(arguments, LO, HI)
-
-
-@entry_point
-def take_positions(arguments, positions, velocities, allowed):
-    """Steps 3 to 8 for robots that came to ``positions`` with ``velocities``, (1, n, 2)."""
-    return put_positions(arguments, positions, velocities, allowed)

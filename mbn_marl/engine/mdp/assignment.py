@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.engine.mdp.failures import is_absent, works
+from mbn_marl.engine.mdp.failures import ABSENT, WORKS, status_of
 from mbn_marl.engine.mdp.paths import (
     CLOSE,
     EDGES,
@@ -53,7 +53,6 @@ def plan_size(n: int, m: int) -> int:
 
 
 def plan_limits(n: int, m: int, waypoints: int) -> tuple[Floats, Floats]:
-    """The least and the greatest value of each number of a world in ``Memory.plan``."""
     most = np.full(plan_size(n, m), np.finfo(np.float32).max)
     low = -most
     first, after, via = 2 * n, 2 * n + 3 * m, 2 * n + 3 * m + n * m
@@ -76,16 +75,13 @@ def endless_orders(plan: Floats, n: int, m: int) -> NDArray[np.bool_]:
 
 @Feature
 def assigns(mem):
-    """Whether ROIs are assigned to robots."""
     return mem.plan.ndim == 2
 
 
 class Tours(NamedTuple):
     """The tours of the robots of world w."""
 
-    g: Any
-    plan: Any
-    ep: Any
+    plan: Any  # Memory.plan
     n: Any
     m: Any
     w: Any
@@ -98,12 +94,12 @@ def way_row(t, i, j):
 
 
 @compiled
-def hide_rois(t, i, x, y):
+def hide_rois(g, ep, t, i, x, y):
     """Find which ROIs that are left are not in sight from (x, y); return whether any is not."""
-    field, plan, f, w = t.g.field, t.plan, column(t.g.field, t.w), t.w
-    count, some = t.g.paths.ways_in[EDGES, f], False
+    field, plan, f, w = g.field, t.plan, column(g.field, t.w), t.w
+    count, some = g.paths.ways_in[EDGES, f], False
     for j in range(t.m):
-        left = (t.ep.visited[w] & field.roi_bits[j, f]) == 0
+        left = (ep.visited[w] & field.roi_bits[j, f]) == 0
         jx, jy = field.rois[0, j, f], field.rois[1, j, f]
         if left and not in_sight(field.edges, count, f, x, y, jx, jy):
             row = way_row(t, i, j)
@@ -113,12 +109,12 @@ def hide_rois(t, i, x, y):
 
 
 @compiled
-def try_waypoint(t, i, c, first):
+def try_waypoint(g, t, i, c, first):
     """Go by waypoint c, to which it is ``first`` units, wherever that is shorter.
 
     Of several ways that are equally long, that with the shortest rest.
     """
-    legs, plan, m, f, w = t.g.paths.legs, t.plan, t.m, column(t.g.field, t.w), t.w
+    legs, plan, m, f, w = g.paths.legs, t.plan, t.m, column(g.field, t.w), t.w
     for j in range(m):
         way, via = way_row(t, i, j), way_row(t, i, j) + t.n * m
         if plan[w, via] != STRAIGHT:
@@ -132,15 +128,14 @@ def try_waypoint(t, i, c, first):
 
 
 @compiled
-def look_around(t, i):
-    """Find robot i's ways to the ROIs that it does not see, in a field with corners in the way."""
-    field, paths, f, w = t.g.field, t.g.paths, column(t.g.field, t.w), t.w
-    x, y, edges = t.ep.x[i, w], t.ep.y[i, w], paths.ways_in[EDGES, f]
-    if hide_rois(t, i, x, y):
+def look_around(g, ep, t, i):
+    field, paths, f, w = g.field, g.paths, column(g.field, t.w), t.w
+    x, y, edges = ep.x[i, w], ep.y[i, w], paths.ways_in[EDGES, f]
+    if hide_rois(g, ep, t, i, x, y):
         for c in range(paths.ways_in[WAYPOINTS, f]):
             cx, cy = paths.waypoints[0, c, f], paths.waypoints[1, c, f]
             if in_sight(field.edges, edges, f, x, y, cx, cy):
-                try_waypoint(t, i, c, path_length(cx - x, cy - y))
+                try_waypoint(g, t, i, c, path_length(cx - x, cy - y))
         for j in range(t.m):
             row = way_row(t, i, j)
             if t.plan[w, row + t.n * t.m] == NO_WAY:
@@ -149,7 +144,6 @@ def look_around(t, i):
 
 @compiled
 def find_ways(g, mem, ep, lo, hi):
-    """Find each robot's way to each ROI."""
     n, m, plan, rois = ep.x.shape[0], g.field.rois.shape[1], mem.plan, g.field.rois
     ways, vias = 2 * n + 3 * m, 2 * n + 3 * m + n * m
     for i in range(n):
@@ -163,18 +157,18 @@ def find_ways(g, mem, ep, lo, hi):
     if g.paths.waypoints.shape[1] > 0:
         for w in range(lo, hi):
             for i in range(n if g.paths.ways_in[WAYPOINTS, column(g.field, w)] > 0 else 0):
-                if not is_absent(ep, i, w):
-                    look_around(Tours(g, plan, ep, n, m, w), i)
+                if status_of(ep, i, w) != ABSENT:
+                    look_around(g, ep, Tours(plan, n, m, w), i)
 
 
 @compiled
-def get_going(p, t):
+def get_going(p, g, ep, t):
     """Write what it costs each robot, as it moves now, to speed up towards each ROI."""
-    ep, f, w = t.ep, column(t.g.field, t.w), t.w
+    f, w = column(g.field, t.w), t.w
     for i in range(t.n):
         for j in range(t.m):
             _, first = way_to(t, i, j)
-            places, at = (t.g.paths.waypoints, first) if first >= 0 else (t.g.field.rois, j)
+            places, at = (g.paths.waypoints, first) if first >= 0 else (g.field.rois, j)
             dx, dy = places[0, at, f] - ep.x[i, w], places[1, at, f] - ep.y[i, w]
             far = max(math.sqrt(dx * dx + dy * dy), CLOSE)
             slow = 1 - p.per_speed * (ep.vx[i, w] * dx + ep.vy[i, w] * dy) / far
@@ -189,13 +183,11 @@ def next_row(t, i, a):
 
 @compiled
 def next_of(t, i, a):
-    """The ROI that robot i visits after ROI a, or first of all if that is ``END``."""
     return np.int64(t.plan[t.w, next_row(t, i, a)])
 
 
 @compiled
 def put_after(t, i, a, j):
-    """Let robot i visit ROI j after ROI a."""
     t.plan[t.w, next_row(t, i, j)] = next_of(t, i, a)
     t.plan[t.w, next_row(t, i, a)] = j
 
@@ -216,12 +208,12 @@ def exchange(t, i, a, k, b):
 
 
 @compiled
-def tour_length(t, i):
+def tour_length(g, ep, t, i):
     """The length of robot i's tour: the ways to its ROIs, and the cost of its turns there."""
-    rois, legs, f, w = t.g.field.rois, t.g.paths.legs, column(t.g.field, t.w), t.w
-    bent = count_waypoints(t.g.paths, f) > 0
+    rois, legs, f, w = g.field.rois, g.paths.legs, column(g.field, t.w), t.w
+    bent = count_waypoints(g.paths, f) > 0
     total = ux = uy = t.plan[w, i] * 0
-    a, x, y = END, t.ep.x[i, w], t.ep.y[i, w]
+    a, x, y = END, ep.x[i, w], ep.y[i, w]
     b = next_of(t, i, a)
     while b != END:
         dx, dy = rois[0, b, f] - x, rois[1, b, f] - y
@@ -241,7 +233,6 @@ def tour_length(t, i):
 
 @compiled
 def other_tours(t, i, k):
-    """The longest tour of the robots but for i and k, and the sum of theirs."""
     longest = total = t.plan[t.w, 0] * 0
     for other in range(t.n):
         if (other != i) & (other != k):
@@ -251,19 +242,19 @@ def other_tours(t, i, k):
 
 
 @compiled
-def best_place(t, j, weight):
+def best_place(g, ep, t, j, weight):
     """Find where ROI j costs least: the cost, the robot, ``END`` if none works, the ROI before.
 
     The cost is that of all tours: the longest one plus ``weight`` times their sum.
     """
     least, robot, after = NEVER, END, END
     for i in range(t.n):
-        if works(t.ep, i, t.w):
+        if status_of(ep, i, t.w) == WORKS:
             longest, total = other_tours(t, i, i)
             a, more = END, True
             while more:
                 put_after(t, i, a, j)
-                tour = tour_length(t, i)
+                tour = tour_length(g, ep, t, i)
                 take_after(t, i, a)
                 cost = max(longest, tour) + weight * (total + tour)
                 if cost < least - CLOSE:
@@ -274,25 +265,25 @@ def best_place(t, j, weight):
 
 
 @compiled
-def insert_one(t, weight):
+def insert_one(g, ep, t, weight):
     """Insert the ROI that costs most where it costs least; return whether one was left."""
-    field, w = t.g.field, t.w
+    field, w = g.field, t.w
     most, dearest, robot, after = -NEVER, END, END, END
     for j in range(t.m):
-        left = (t.ep.visited[w] & field.roi_bits[j, column(field, w)]) == 0
+        left = (ep.visited[w] & field.roi_bits[j, column(field, w)]) == 0
         if (t.plan[w, 2 * t.n + j] == END) & left:
-            cost, i, a = best_place(t, j, weight)
+            cost, i, a = best_place(g, ep, t, j, weight)
             if (i != END) & (cost > most + CLOSE):
                 most, dearest, robot, after = cost, j, i, a
     if dearest != END:
         put_after(t, robot, after, dearest)
         t.plan[w, 2 * t.n + dearest] = robot
-        t.plan[w, robot] = tour_length(t, robot)
+        t.plan[w, robot] = tour_length(g, ep, t, robot)
     return dearest != END
 
 
 @compiled
-def best_move(t, least):
+def best_move(g, ep, t, least):
     """Find the ROI that had better be elsewhere, so that the cost is less than ``least``.
 
     Return the cost, its robot, ``END`` if there is none, the ROI before it, and both elsewhere.
@@ -302,8 +293,8 @@ def best_move(t, least):
         a, tour = END, t.plan[t.w, i]
         while next_of(t, i, a) != END:
             j = take_after(t, i, a)
-            t.plan[t.w, i] = tour_length(t, i)
-            cost, k, b = best_place(t, j, SPREAD)
+            t.plan[t.w, i] = tour_length(g, ep, t, i)
+            cost, k, b = best_place(g, ep, t, j, SPREAD)
             put_after(t, i, a, j)
             t.plan[t.w, i] = tour
             if cost < least - CLOSE:
@@ -313,7 +304,7 @@ def best_move(t, least):
 
 
 @compiled
-def best_exchange(t, least):
+def best_exchange(g, ep, t, least):
     """Find two robots that had better exchange the ends of their orders, for less than ``least``.
 
     Return the first, ``END`` if there is none, the ROI before its end, and both of the second.
@@ -322,12 +313,13 @@ def best_exchange(t, least):
     for i in range(t.n):
         for k in range(i + 1, t.n):
             longest, total = other_tours(t, i, k)
-            a, more = END, works(t.ep, i, t.w) & works(t.ep, k, t.w)
+            both_work = (status_of(ep, i, t.w) == WORKS) & (status_of(ep, k, t.w) == WORKS)
+            a, more = END, both_work
             while more:
                 b, other_more = END, True
                 while other_more:
                     exchange(t, i, a, k, b)
-                    tour, other = tour_length(t, i), tour_length(t, k)
+                    tour, other = tour_length(g, ep, t, i), tour_length(g, ep, t, k)
                     exchange(t, i, a, k, b)
                     cost = max(longest, max(tour, other)) + SPREAD * (total + tour + other)
                     if cost < least - CLOSE:
@@ -340,11 +332,10 @@ def best_exchange(t, least):
 
 
 @compiled
-def change_one(t):
-    """Make the change that lowers the cost most; return whether any does."""
+def change_one(g, ep, t):
     longest, total = other_tours(t, END, END)
-    least, robot, before, to, place = best_move(t, longest + SPREAD * total)
-    one, a, two, b = best_exchange(t, least)
+    least, robot, before, to, place = best_move(g, ep, t, longest + SPREAD * total)
+    one, a, two, b = best_exchange(g, ep, t, least)
     if one != END:
         exchange(t, one, a, two, b)
     elif robot != END:
@@ -353,10 +344,10 @@ def change_one(t):
 
 
 @compiled
-def measure_all(t):
+def measure_all(g, ep, t):
     """Write each robot's tour, and the robot that visits each ROI and 1 over its place."""
     for i in range(t.n):
-        t.plan[t.w, i] = tour_length(t, i)
+        t.plan[t.w, i] = tour_length(g, ep, t, i)
         count, j = 0, next_of(t, i, END)
         while j != END:
             count += 1
@@ -365,35 +356,35 @@ def measure_all(t):
 
 
 @compiled
-def assign_all(t, weight):
+def assign_all(g, ep, t, weight):
     """Assign the ROIs that are left, inserted with ``weight``; return the cost."""
     for i in range(t.n):
         t.plan[t.w, i] = 0
     for row in range(t.n, 2 * t.n + t.m):
         t.plan[t.w, row] = END
-    while insert_one(t, weight):
+    while insert_one(g, ep, t, weight):
         pass
-    changes, more = CHANGES * count_bits(t.g.field.codes[column(t.g.field, t.w)]), True
+    changes, more = CHANGES * count_bits(g.field.codes[column(g.field, t.w)]), True
     while more:
-        measure_all(t)
-        more = (changes > 0) and change_one(t)
+        measure_all(g, ep, t)
+        more = (changes > 0) and change_one(g, ep, t)
         changes -= 1
     longest, total = other_tours(t, END, END)
     return longest + SPREAD * total
 
 
 @compiled
-def keep(t):
+def keep(g, ep, t):
     """Leave out what has been visited; return whether all robots with ROIs left work."""
-    field, w, kept = t.g.field, t.w, True
+    field, w, kept = g.field, t.w, True
     for i in range(t.n):
         a = END
         j = next_of(t, i, a)
         while j != END:
-            if (t.ep.visited[w] & field.roi_bits[j, column(field, w)]) != 0:
+            if (ep.visited[w] & field.roi_bits[j, column(field, w)]) != 0:
                 t.plan[w, 2 * t.n + take_after(t, i, a)] = END
             else:
-                a, kept = j, kept & works(t.ep, i, w)
+                a, kept = j, kept & (status_of(ep, i, w) == WORKS)
             j = next_of(t, i, a)
     return kept
 
@@ -405,17 +396,17 @@ def assign(p, g, mem, ep, lo, hi):
         find_ways(g, mem, ep, lo, hi)
         n, m = ep.x.shape[0], g.field.rois.shape[1]
         for w in range(lo, hi):
-            t = Tours(g, mem.plan, ep, n, m, w)
+            t = Tours(mem.plan, n, m, w)
             if p.keeps_plan == 0:
-                get_going(p, t)
-            if (p.keeps_plan > 0) and (ep.steps[w] > 0) and keep(t):
-                measure_all(t)
+                get_going(p, g, ep, t)
+            if (p.keeps_plan > 0) and (ep.steps[w] > 0) and keep(g, ep, t):
+                measure_all(g, ep, t)
             else:
                 # Two weights are tried. If the first was cheaper, it is made again, since no plan
                 # is stored. The loop has one call: Numba compiles in all that it calls only once.
                 first = t.plan[w, 0] * 0
                 for weight in (SUM, SPREAD, SUM):
-                    cost = assign_all(t, weight)
+                    cost = assign_all(g, ep, t, weight)
                     if (weight == SPREAD) & (cost < first - CLOSE):
                         break
                     first = cost

@@ -28,7 +28,6 @@ MOST_ROBOTS, DRAWS = np.uint64(MAX_ROBOTS), np.uint64(4)
 
 
 def any_on(config: NavigationConfig, names: Iterable[str]) -> bool:
-    """Return whether any of these disturbances is on."""
     return any(getattr(config, name) for name in names)
 
 
@@ -40,13 +39,11 @@ def gust_factors(config: NavigationConfig) -> tuple[float, float]:
 
 @Feature
 def has_gusts(ep):
-    """Whether there are gusts."""
     return ep.gust.ndim == 2
 
 
 @Feature
 def disturbs_actions(ep):
-    """Whether actions are noised, lost or delayed."""
     return ep.queue.ndim == 2
 
 
@@ -110,7 +107,6 @@ def send(p, mem, now, actions, i, lo, hi):
 
 @compiled
 def send_all(p, mem, now, actions, lo, hi):
-    """The actions that arrive in a block, from those given (W, n, 2), into ``mem.acted``."""
     for i in range(actions.shape[1]):
         send(p, mem, now, actions, i, lo, hi)
 

@@ -63,13 +63,11 @@ class Numbers(NamedTuple):
 
 
 def _row(name: str) -> int:
-    """The row of a number in ``Episode.drawn``."""
     return MADE.index(name) if name in MADE else FIRST + SINGLE.index(name)
 
 
 @Feature
 def draws_numbers(ep):
-    """Whether episodes draw numbers."""
     return ep.drawn.ndim == 2
 
 
@@ -88,13 +86,11 @@ numbers_of = generated(
 
 
 def is_drawn(config: NavigationConfig) -> bool:
-    """Return whether episodes draw any number."""
     failures = config.failures
     return bool(config.drawn) or (failures is not None and failures.between is not None)
 
 
 def _columns(config: NavigationConfig, n: int) -> list[tuple[str, float | Uniform]]:
-    """The names and values of all numbers, those of the robots one by one."""
     known = dict(config.numbers())
     own = [(limit if limit in known else f"{limit}_{i}") for limit in LIMITS for i in range(n)]
     return [(name, known[name]) for name in (*SINGLE, *own)]
@@ -129,7 +125,6 @@ def drawn_limits(ranges: NDArray[np.float64], real: Any) -> tuple[NDArray[Any], 
 
 
 def rows_of_drawn(config: NavigationConfig, n: int) -> dict[str, int]:
-    """The row in ``Episode.drawn`` of each number that is drawn, by name."""
     names = [name for name, _ in _columns(config, n)]
     return {name: FIRST + names.index(name) for name in config.drawn}
 
@@ -156,13 +151,11 @@ def limits_in(limits, ep, i, w):
 
 @compiled
 def draw(ranges, key, k):
-    """Number k of an episode."""
     return ranges[LOW, k] + ranges[WIDTH, k] * np.float64(uniform(key, ranges[COUNTER, k]))
 
 
 @compiled
 def varies(ranges, k):
-    """Return whether number k is drawn."""
     return ranges[WIDTH, k] > 0.0
 
 

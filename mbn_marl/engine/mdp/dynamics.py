@@ -31,13 +31,11 @@ DYNAMICS = {
 
 @Feature
 def mixes_dynamics(g):
-    """Whether some robots of the team are no point masses."""
     return g.team.kinds.ndim == 1
 
 
 @compiled
 def has_heading(g, i):
-    """Return whether robot i has a heading."""
     if mixes_dynamics(g):
         return g.team.kinds[i] >= UNICYCLE
     return False
@@ -91,6 +89,14 @@ def part_along(x, y, cos, sin):
 
 
 @compiled
+def go(q, now, to, i, w, k, vx, vy):
+    """Write the velocity of robot i of world w, which is number k of the block, and its end."""
+    to.vx[k], to.vy[k] = vx, vy
+    to.x[k] = next_position(now.x[i, w], vx, q.tau)
+    to.y[k] = next_position(now.y[i, w], vy, q.tau)
+
+
+@compiled
 def move_point_mass(p, g, now, to, actions, i, lo, hi):
     """The paper's robot i: a mass that its force accelerates along both axes."""
     limits = limits_of(g, i)
@@ -100,10 +106,7 @@ def move_point_mass(p, g, now, to, actions, i, lo, hi):
         fy = force(actions[w, i, 1], f_max, p.one)
         vx = next_velocity(now.vx[i, w], fx, mass, wind_along(q, now, 0, w), v_clip)
         vy = next_velocity(now.vy[i, w], fy, mass, wind_along(q, now, 1, w), v_clip)
-        to.vx[w - lo] = vx
-        to.vy[w - lo] = vy
-        to.x[w - lo] = next_position(now.x[i, w], vx, q.tau)
-        to.y[w - lo] = next_position(now.y[i, w], vy, q.tau)
+        go(q, now, to, i, w, w - lo, vx, vy)
         now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], fx, q.tau)
         now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], fy, q.tau)
 
@@ -119,17 +122,13 @@ def move_holonomic(p, g, now, to, actions, i, lo, hi):
         dy = held_velocity(actions[w, i, 1], now.vy[i, w], most, v_clip, p.one)
         vx = next_velocity(now.vx[i, w], dx, p.one, wind_along(q, now, 0, w), v_clip)
         vy = next_velocity(now.vy[i, w], dy, p.one, wind_along(q, now, 1, w), v_clip)
-        to.vx[w - lo] = vx
-        to.vy[w - lo] = vy
-        to.x[w - lo] = next_position(now.x[i, w], vx, q.tau)
-        to.y[w - lo] = next_position(now.y[i, w], vy, q.tau)
+        go(q, now, to, i, w, w - lo, vx, vy)
         now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], mass * dx, q.tau)
         now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], mass * dy, q.tau)
 
 
 @compiled
 def face(to, lo, hi):
-    """The cosine and the sine of the headings that the robots of a block would have."""
     for k in range(hi - lo):
         to.cos[k] = cosine(to.heading[k])
         to.sin[k] = sine(to.heading[k])
@@ -151,13 +150,8 @@ def drive(p, limits, now, actions, i, w, cos, sin):
 def go_ahead(p, now, to, i, lo, hi):
     """Where the speeds in ``to.vx`` take robot i along its new headings: ``v' = s' (cos, sin)``."""
     for w in range(lo, hi):
-        q = numbers_of(p, now, w)
-        k = w - lo
-        speed = to.vx[k]
-        to.vx[k] = speed * to.cos[k]
-        to.vy[k] = speed * to.sin[k]
-        to.x[k] = next_position(now.x[i, w], to.vx[k], q.tau)
-        to.y[k] = next_position(now.y[i, w], to.vy[k], q.tau)
+        k, speed = w - lo, to.vx[w - lo]
+        go(numbers_of(p, now, w), now, to, i, w, k, speed * to.cos[k], speed * to.sin[k])
 
 
 @compiled

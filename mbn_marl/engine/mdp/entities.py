@@ -15,7 +15,7 @@ import numpy as np
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import STRAIGHT, Tours, assigns, turn_of, way_to
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
-from mbn_marl.engine.mdp.failures import blank_gone, put_flag, works
+from mbn_marl.engine.mdp.failures import WORKS, blank_gone, put_flag, status_of
 from mbn_marl.engine.mdp.shared_entries import (
     Row,
     flag_row,
@@ -73,7 +73,6 @@ def _offset_rows(thing: str) -> list[Row]:
 
 @Feature
 def shows_entities(g):
-    """Whether the observation is this one."""
     return g.team.scales.ndim == 1
 
 
@@ -85,7 +84,6 @@ def soft(length, scale):
 
 @compiled
 def norm(x, y):
-    """The length of a vector."""
     return math.sqrt(x * x + y * y)
 
 
@@ -100,7 +98,6 @@ def closest(dx, dy, dvx, dvy, most):
 
 @compiled
 def put_offset(scales, dx, dy, tile, k, entry):
-    """The four entries of an offset."""
     tile[k, entry] = soft(dx, scales[0])
     tile[k + 1, entry] = soft(dy, scales[0])
     tile[k + 2, entry] = soft(dx, scales[1])
@@ -109,7 +106,6 @@ def put_offset(scales, dx, dy, tile, k, entry):
 
 @compiled
 def put_direction(p, scales, dx, dy, tile, k, entry):
-    """The four entries of an offset, and the two of its direction."""
     put_offset(scales, dx, dy, tile, k, entry)
     distance = norm(dx, dy) + p.one
     tile[k + 4, entry] = dx / distance
@@ -117,23 +113,20 @@ def put_direction(p, scales, dx, dy, tile, k, entry):
 
 
 @compiled
-def put_tours(view, k):
-    """How far the observer would go, and the robot that goes farthest."""
-    plan, scale, tile, lo = view.mem.plan, view.g.team.scales[1], view.tile, view.lo
-    for w in range(lo, view.hi):
+def put_tours(p, g, view, lo, hi, k):
+    plan, scale, tile = view.mem.plan, g.team.scales[1], view.tile
+    for w in range(lo, hi):
         tile[k, w - lo] = soft(plan[w, view.i], scale)
-        tile[k + 1, w - lo] = view.p.zero
+        tile[k + 1, w - lo] = p.zero
     for j in range(view.ep.x.shape[0]):
-        for w in range(lo, view.hi):
+        for w in range(lo, hi):
             tile[k + 1, w - lo] = max(tile[k + 1, w - lo], soft(plan[w, j], scale))
 
 
 @compiled
-def put_robot(view, j, k):
-    """Robot j, as seen by the observer; how many entries there are by then."""
-    p, robots, scales, tile = view.p, view.robots, view.g.team.scales, view.tile
-    i, lo = view.i, view.lo
-    for w in range(lo, view.hi):
+def put_robot(p, g, view, lo, hi, j, k):
+    robots, scales, tile, i = view.robots, g.team.scales, view.tile, view.i
+    for w in range(lo, hi):
         dx, dy = robots.x[j, w] - robots.x[i, w], robots.y[j, w] - robots.y[i, w]
         dvx, dvy = robots.vx[j, w] - robots.vx[i, w], robots.vy[j, w] - robots.vy[i, w]
         nearest = closest(dx, dy, dvx, dvy, STEPS_AHEAD * numbers_of(p, view.ep, w).tau)
@@ -143,55 +136,52 @@ def put_robot(view, j, k):
         tile[k + 6, w - lo] = dvy * p.per_speed_range
         tile[k + 7, w - lo] = soft(norm(dx, dy), scales[0])
         tile[k + 8, w - lo] = soft(nearest, scales[0])
-    return k + 9 + put_heading(view, j, k + 9)
+    return k + 9 + put_heading(p, view, lo, hi, j, k + 9)
 
 
 @compiled
-def put_place(view, j, k):
-    """ROI j, as seen by the observer; how many entries there are by then."""
-    p, robots, scales, tile = view.p, view.robots, view.g.team.scales, view.tile
-    i, lo = view.i, view.lo
-    for w in range(lo, view.hi):
-        f = column(view.g.field, w)
-        dx = roi_place(view, 0, j, f, w) - robots.x[i, w]
-        dy = roi_place(view, 1, j, f, w) - robots.y[i, w]
+def put_place(p, g, view, lo, hi, j, k):
+    robots, scales, tile, i = view.robots, g.team.scales, view.tile, view.i
+    for w in range(lo, hi):
+        f = column(g.field, w)
+        dx = roi_place(g, view, 0, j, f, w) - robots.x[i, w]
+        dy = roi_place(g, view, 1, j, f, w) - robots.y[i, w]
         tile[k, w - lo] = p.one
         put_direction(p, scales, dx, dy, tile, k + 1, w - lo)
         tile[k + 7, w - lo] = soft(norm(dx, dy), scales[1])
         tile[k + 8, w - lo] = p.one
     for other in range(view.ep.x.shape[0]):
         if other != i:
-            for w in range(lo, view.hi):
-                f = column(view.g.field, w)
-                dx = roi_place(view, 0, j, f, w) - robots.x[other, w]
-                dy = roi_place(view, 1, j, f, w) - robots.y[other, w]
-                counts = works(view.ep, other, w) & is_sensed(view.mem, other, w)
+            for w in range(lo, hi):
+                f = column(g.field, w)
+                dx = roi_place(g, view, 0, j, f, w) - robots.x[other, w]
+                dy = roi_place(g, view, 1, j, f, w) - robots.y[other, w]
+                counts = (status_of(view.ep, other, w) == WORKS) & is_sensed(view.mem, other, w)
                 away = select(counts, soft(norm(dx, dy), scales[1]), p.one)
                 tile[k + 8, w - lo] = min(tile[k + 8, w - lo], away)
     return k + 9
 
 
 @compiled
-def put_failed(view, j, k):
-    """Write as entry k whether robot j has failed, if robots can fail; how many entries."""
-    if view.g.team.fail_at.shape[0] == 0:  # robots are only absent
+def put_failed(g, view, lo, hi, j, k):
+    if g.team.fail_at.shape[0] == 0:  # robots are only absent
         return 0
-    return put_flag(view.ep, view.lo, view.hi, j, view.tile, k)
+    return put_flag(view.ep, lo, hi, j, view.tile, k)
 
 
 @compiled
-def put_plan(view, j, k):
+def put_plan(p, g, view, lo, hi, j, k):
     """Write the assignment of ROI j, from entry k + 9 on, and a way around a corner to it."""
-    p, robots, tile, i, lo = view.p, view.robots, view.tile, view.i, view.lo
-    waypoints, scales = view.g.paths.waypoints, view.g.team.scales
-    n, m = view.ep.x.shape[0], view.g.field.rois.shape[1]
-    for w in range(lo, view.hi):
-        tours = Tours(view.g, view.mem.plan, view.ep, n, m, w)
+    robots, tile, i = view.robots, view.tile, view.i
+    waypoints, scales = g.paths.waypoints, g.team.scales
+    n, m = view.ep.x.shape[0], g.field.rois.shape[1]
+    for w in range(lo, hi):
+        tours = Tours(view.mem.plan, n, m, w)
         way, first = way_to(tours, i, j)
         tile[k + 9, w - lo] = turn_of(tours, i, j)
         tile[k + 10, w - lo] = p.one if first == STRAIGHT else p.zero
         if first >= 0:
-            f = column(view.g.field, w)
+            f = column(g.field, w)
             dx, dy = (
                 waypoints[0, first, f] - robots.x[i, w],
                 waypoints[1, first, f] - robots.y[i, w],
@@ -201,42 +191,41 @@ def put_plan(view, j, k):
 
 
 @compiled
-def blank_visited(view, j, k, end):
+def blank_visited(p, g, view, lo, hi, j, k, end):
     """Blank the entries k to end - 1, about ROI j, where it is not left."""
-    p, field, visited, lo = view.p, view.g.field, view.ep.visited, view.lo
-    for w in range(lo, view.hi):
+    field, visited = g.field, view.ep.visited
+    for w in range(lo, hi):
         left = p.one if (visited[w] & field.roi_bits[j, column(field, w)]) == 0 else p.zero
         for entry in range(k, end):
             view.tile[entry, w - lo] *= left
 
 
 @compiled
-def put_entities(view):
-    """The entries of ``entities``; how many there are."""
-    n, scale, lo = view.ep.x.shape[0], view.g.team.scales[1], view.lo
-    k = put_own_motion(view, 0)
-    k += put_failed(view, view.i, k)
-    k = lidar.put_walls(view, k)
+def put_entities(p, g, view, lo, hi):
+    n, scale = view.ep.x.shape[0], g.team.scales[1]
+    k = put_own_motion(p, view, lo, hi, 0)
+    k += put_failed(g, view, lo, hi, view.i, k)
+    k = lidar.put_walls(p, g, view, lo, hi, k)
     if assigns(view.mem):
-        put_tours(view, k)
+        put_tours(p, g, view, lo, hi, k)
         k += 2
     for j in range(n):
         if j != view.i:
             first = k
-            k = put_robot(view, j, k)
-            k += put_failed(view, j, k)
+            k = put_robot(p, g, view, lo, hi, j, k)
+            k += put_failed(g, view, lo, hi, j, k)
             if assigns(view.mem):
-                for w in range(lo, view.hi):
+                for w in range(lo, hi):
                     view.tile[k, w - lo] = soft(view.mem.plan[w, j], scale)
                 k += 1
-            drop(view, j, first, k)
-            blank_gone(view, j, first, k)
-    for j in range(view.g.field.rois.shape[1]):
+            drop(view, lo, hi, j, first, k)
+            blank_gone(p, view, lo, hi, j, first, k)
+    for j in range(g.field.rois.shape[1]):
         first = k
-        k = put_place(view, j, k)
+        k = put_place(p, g, view, lo, hi, j, k)
         if assigns(view.mem):
-            put_plan(view, j, first)
+            put_plan(p, g, view, lo, hi, j, first)
             k += 2
-        drop(view, n + j, first, k)
-        blank_visited(view, j, first, k)
+        drop(view, lo, hi, n + j, first, k)
+        blank_visited(p, g, view, lo, hi, j, first, k)
     return k

@@ -31,7 +31,6 @@ def cross_edge(crossings, px, py, ax, ay, bx, by):
 
 @compiled
 def in_field(field, w, x, y):
-    """Return whether a point is in the closed field of world w."""
     f = column(field, w)
     crossings = 0
     for e in range(field.edges.shape[1]):
@@ -67,7 +66,6 @@ def too_close(dx, dy, distance_squared):
 
 @compiled
 def is_terminated(success, collided):
-    """Return whether the episode ends in success or in a collision."""
     return success | collided
 
 

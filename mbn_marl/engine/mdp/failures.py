@@ -10,13 +10,7 @@ import numpy as np
 from mbn_marl.config import MAX_ROBOTS
 from mbn_marl.engine.mdp.disturbances import wind_along
 from mbn_marl.engine.mdp.drawn_numbers import is_failing_step, limits_in, limits_of, numbers_of
-from mbn_marl.engine.mdp.dynamics import (
-    has_heading,
-    next_position,
-    next_velocity,
-    part_along,
-    propose_move,
-)
+from mbn_marl.engine.mdp.dynamics import go, has_heading, next_velocity, part_along
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import clip, select
@@ -35,32 +29,15 @@ def may_rest(ep):
 
 
 @compiled
-def works(ep, i, w):
-    """Return whether robot i of world w is in the team and has not failed."""
+def status_of(ep, i, w):
+    """The status of robot i of world w."""
     if may_rest(ep):
-        return ep.status[i, w] == WORKS
-    return True
-
-
-@compiled
-def is_absent(ep, i, w):
-    """Return whether robot i is not in the team of world w."""
-    if may_rest(ep):
-        return ep.status[i, w] == ABSENT
-    return False
-
-
-@compiled
-def has_failed(ep, i, w):
-    """Return whether robot i of world w has failed."""
-    if may_rest(ep):
-        return ep.status[i, w] == FAILED
-    return False
+        return ep.status[i, w]
+    return WORKS
 
 
 @compiled
 def is_gone(p, ep, i, w):
-    """Return whether robot i of world w has vanished, or is absent."""
     if may_rest(ep):
         vanished = (ep.status[i, w] == FAILED) & (p.failure_kind == VANISH)
         return vanished | (ep.status[i, w] == ABSENT)
@@ -69,7 +46,6 @@ def is_gone(p, ep, i, w):
 
 @compiled
 def count_status(ep, status, w):
-    """How many robots of world w have a status."""
     found = 0
     for i in range(ep.status.shape[0]):
         found += select(ep.status[i, w] == status, 1, 0)
@@ -134,22 +110,8 @@ def move_failed(p, g, now, to, i, lo, hi):
                 vx = failed_velocity(p, vx, brake, wind_x, v_clip)
                 vy = failed_velocity(p, vy, brake, wind_y, v_clip)
             gone = is_gone(p, now, i, w)
-            vx, vy = select(gone, p.zero, vx), select(gone, p.zero, vy)
-            to.vx[k], to.vy[k] = vx, vy
-            to.x[k] = next_position(now.x[i, w], vx, q.tau)
-            to.y[k] = next_position(now.y[i, w], vy, q.tau)
+            go(q, now, to, i, w, k, select(gone, p.zero, vx), select(gone, p.zero, vy))
             now.impulse_x[i, w], now.impulse_y[i, w] = to.own[k], to.share[k]
-
-
-@compiled
-def move_or_fail(worlds, actions, i, lo, hi):
-    """Steps 1 and 2 of robot i, which may fail before its action."""
-    p, g, mem, now, _, _, to = worlds
-    if may_rest(now):
-        fail(p, g, mem, now, to, i, lo, hi)
-    propose_move(p, g, now, to, actions, i, lo, hi)
-    if may_rest(now):
-        move_failed(p, g, now, to, i, lo, hi)
 
 
 @compiled
@@ -163,9 +125,8 @@ def put_flag(ep, lo, hi, i, tile, k):
 
 
 @compiled
-def blank_gone(view, j, first, end):
-    """Blank the entries ``first`` to ``end - 1``, about robot j, where it is gone."""
-    p, ep, lo, hi = view.p, view.ep, view.lo, view.hi
+def blank_gone(p, view, lo, hi, j, first, end):
+    ep = view.ep
     if may_rest(ep) and p.some_gone:
         for entry in range(first, end):
             for w in range(lo, hi):
@@ -173,10 +134,10 @@ def blank_gone(view, j, first, end):
 
 
 @compiled
-def blank_absent(view):
-    """Blank all that robot i senses where it is absent."""
-    p, ep, lo, hi = view.p, view.ep, view.lo, view.hi
+def blank_absent(p, view, lo, hi):
+    ep = view.ep
     if may_rest(ep) and p.teams_vary:
         for entry in range(view.tile.shape[0]):
             for w in range(lo, hi):
-                view.tile[entry, w - lo] *= select(is_absent(ep, view.i, w), p.zero, p.one)
+                absent = ep.status[view.i, w] == ABSENT
+                view.tile[entry, w - lo] *= select(absent, p.zero, p.one)

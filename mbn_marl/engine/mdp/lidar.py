@@ -36,7 +36,6 @@ def rays_of(radius: float, arena: tuple[float, float]) -> NDArray[np.float64]:
 
 
 def wall_rows() -> list[Row]:
-    """The entries about the walls."""
     rows = [(f"ray_{k}", 0.0, 1.0, "sensing radii") for k in range(RAYS.shape[1])]
     rows += [("time_to_wall", 0.0, 1.0, "sensing radii at the speed limit")]
     return [*rows, ("brake_inside", 0.0, 1.0, "flag"), ("wall_distance", 0.0, 1.0, "sensing radii")]
@@ -44,7 +43,6 @@ def wall_rows() -> list[Row]:
 
 @Feature
 def has_rays(g):
-    """Whether robots sense the walls."""
     return g.team.rays.ndim == 2
 
 
@@ -101,53 +99,52 @@ def braking_path(p, tau, velocity, brake, wind, beyond):
 
 
 @compiled
-def put_near(view, j, k):
-    """How near robot j is: 1 here, 0 from the sensing radius on."""
-    p, robots, i, lo = view.p, view.robots, view.i, view.lo
-    per_radius = p.one / view.g.team.rays[0, 0]
-    for w in range(lo, view.hi):
+def put_near(p, g, view, lo, hi, j, k):
+    robots, i = view.robots, view.i
+    per_radius = p.one / g.team.rays[0, 0]
+    for w in range(lo, hi):
         dx, dy = robots.x[j, w] - robots.x[i, w], robots.y[j, w] - robots.y[i, w]
         distance = math.sqrt(dx * dx + dy * dy)
         view.tile[k, w - lo] = max(p.one - distance * per_radius, p.zero)
 
 
 @compiled
-def put_direction(view, j, k):
+def put_direction(p, g, view, lo, hi, j, k):
     """Where ROI j lies, ``d / (|d| + 1 unit)``, and whether the team has visited it."""
-    robots, tile, i, lo = view.robots, view.tile, view.i, view.lo
-    for w in range(lo, view.hi):
-        f = column(view.g.field, w)
-        dx = roi_place(view, 0, j, f, w) - robots.x[i, w]
-        dy = roi_place(view, 1, j, f, w) - robots.y[i, w]
-        length = math.sqrt(dx * dx + dy * dy) + view.p.one
+    robots, tile, i = view.robots, view.tile, view.i
+    for w in range(lo, hi):
+        f = column(g.field, w)
+        dx = roi_place(g, view, 0, j, f, w) - robots.x[i, w]
+        dy = roi_place(g, view, 1, j, f, w) - robots.y[i, w]
+        length = math.sqrt(dx * dx + dy * dy) + p.one
         tile[k + 2, w - lo] = tile[k, w - lo]
         tile[k, w - lo] = dx / length
         tile[k + 1, w - lo] = dy / length
 
 
 @compiled
-def edge_from(view, e, w):
+def edge_from(g, view, e, w):
     """The ends a and b of an edge as offsets from the observer, and the edge b - a."""
-    edges, f = view.g.field.edges, column(view.g.field, w)
+    edges, f = g.field.edges, column(g.field, w)
     x, y = view.ep.x[view.i, w], view.ep.y[view.i, w]
     ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
     return ax - x, ay - y, bx - x, by - y, bx - ax, by - ay
 
 
 @compiled
-def put_rays(view, k):
+def put_rays(p, g, view, lo, hi, k):
     """How far the observer can go in each of the directions, up to the sensing radius."""
-    p, rays, tile, lo = view.p, view.g.team.rays, view.tile, view.lo
-    half, behind = rays.shape[1] // 2, slack(p, view.g)
+    rays, tile = g.team.rays, view.tile
+    half, behind = rays.shape[1] // 2, slack(p, g)
     for ray in range(half):
         # The other half of the directions is this one turned back: one pass does for both.
         row, back, dx, dy = k + ray, k + ray + half, rays[0, ray], rays[1, ray]
-        for w in range(lo, view.hi):
+        for w in range(lo, hi):
             tile[row, w - lo] = p.one
             tile[back, w - lo] = p.one
-        for e in range(view.g.field.edges.shape[1]):
-            for w in range(lo, view.hi):
-                ax, ay, bx, by, ex, ey = edge_from(view, e, w)
+        for e in range(g.field.edges.shape[1]):
+            for w in range(lo, hi):
+                ax, ay, bx, by, ex, ey = edge_from(g, view, e, w)
                 turn = cross(dx, dy, ex, ey)
                 a_side, b_side = cross(dx, dy, ax, ay), cross(dx, dy, bx, by)
                 along = cross(ax, ay, ex, ey) * (p.one / turn)
@@ -158,17 +155,17 @@ def put_rays(view, k):
 
 
 @compiled
-def put_margins(view, k):
+def put_margins(p, g, view, lo, hi, k):
     """When the observer would reach the wall, and, two entries on, how far the nearest one is."""
-    p, g, ep, tile, i, lo = view.p, view.g, view.ep, view.tile, view.i, view.lo
+    ep, tile, i = view.ep, view.tile, view.i
     per_radius, behind = p.one / g.team.rays[0, 0], slack(p, g)
     per_time = p.top_speed * per_radius
-    for w in range(lo, view.hi):
+    for w in range(lo, hi):
         tile[k, w - lo] = p.one
         tile[k + 2, w - lo] = FAR
     for e in range(g.field.edges.shape[1]):
-        for w in range(lo, view.hi):
-            ax, ay, bx, by, ex, ey = edge_from(view, e, w)
+        for w in range(lo, hi):
+            ax, ay, bx, by, ex, ey = edge_from(g, view, e, w)
             dx, dy = ep.vx[i, w], ep.vy[i, w]
             turn = cross(dx, dy, ex, ey)
             a_side, b_side = cross(dx, dy, ax, ay), cross(dx, dy, bx, by)
@@ -176,17 +173,17 @@ def put_margins(view, k):
             time = reading(p, behind, a_side, b_side, turn, along)
             tile[k, w - lo] = min(tile[k, w - lo], time)
             tile[k + 2, w - lo] = min(tile[k + 2, w - lo], distance_squared(p, ax, ay, ex, ey))
-    for w in range(lo, view.hi):
+    for w in range(lo, hi):
         distance = math.sqrt(tile[k + 2, w - lo]) * per_radius
         tile[k + 2, w - lo] = min(distance, p.one)
 
 
 @compiled
-def place_of_rest(view, q, brake, w):
+def place_of_rest(p, g, view, q, brake, w):
     """Where the observer would stop if it braked from now on: along its heading, if it has one."""
-    p, ep, i = view.p, view.ep, view.i
+    ep, i = view.ep, view.i
     x, y, vx, vy = ep.x[i, w], ep.y[i, w], ep.vx[i, w], ep.vy[i, w]
-    if has_heading(view.g, i):
+    if has_heading(g, i):
         cos, sin = ep.cos[i, w], ep.sin[i, w]
         wind, beyond = part_along(q.wind_x, q.wind_y, cos, sin), p.arena_x + p.arena_y
         path = braking_path(p, q.tau, part_along(vx, vy, cos, sin), brake, wind, beyond)
@@ -197,29 +194,28 @@ def place_of_rest(view, q, brake, w):
 
 
 @compiled
-def put_brake(view, k):
+def put_brake(p, g, view, lo, hi, k):
     """Whether the observer would stop in the field if it braked from now on."""
-    p, ep, edges, tile, i, lo = view.p, view.ep, view.g.field.edges, view.tile, view.i, view.lo
-    limits = limits_of(view.g, i)
-    for w in range(lo, view.hi):
+    ep, edges, tile, i = view.ep, g.field.edges, view.tile, view.i
+    limits = limits_of(g, i)
+    for w in range(lo, hi):
         tile[k, w - lo] = p.zero
     # The entry holds the bits of ``cross_edge`` until the pass over all edges is done.
     for e in range(edges.shape[1]):
-        for w in range(lo, view.hi):
-            f = column(view.g.field, w)
+        for w in range(lo, hi):
+            f = column(g.field, w)
             ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
             mass, f_max, _ = limits_in(limits, ep, i, w)
-            x, y = place_of_rest(view, numbers_of(p, ep, w), f_max / mass, w)
+            x, y = place_of_rest(p, g, view, numbers_of(p, ep, w), f_max / mass, w)
             tile[k, w - lo] = cross_edge(np.int32(tile[k, w - lo]), x, y, ax, ay, bx, by)
-    for w in range(lo, view.hi):
+    for w in range(lo, hi):
         tile[k, w - lo] = min(tile[k, w - lo], p.one)
 
 
 @compiled
-def put_walls(view, k):
-    """The entries about the walls; how many entries there are by then."""
-    put_rays(view, k)
-    k += view.g.team.rays.shape[1]
-    put_margins(view, k)
-    put_brake(view, k + 1)
+def put_walls(p, g, view, lo, hi, k):
+    put_rays(p, g, view, lo, hi, k)
+    k += g.team.rays.shape[1]
+    put_margins(p, g, view, lo, hi, k)
+    put_brake(p, g, view, lo, hi, k + 1)
     return k + 3

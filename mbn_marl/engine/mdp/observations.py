@@ -91,7 +91,6 @@ def observation_table(
 
 
 def _scaled_rows(n: int, m: int, observation: str, turns: bool, flag: str) -> list[Row]:
-    """The entries of ``relative``, and what ``local`` and ``lidar`` add to them."""
     flags, lidar_only = observation == "local", observation in LIDARS
     centre = "the field's centre" if lidar_only else "its centre"
     velocity, radii = "speed limits", "sensing radii"
@@ -134,7 +133,6 @@ def nth_robot(place, first):
 
 @compiled
 def put_motion(ep, lo, hi, first, tile):
-    """All positions, then all velocities, robot ``first`` first; how many entries there are."""
     n = ep.x.shape[0]
     for place in range(n):
         i = nth_robot(place, first)
@@ -162,118 +160,115 @@ def put_state(ep, lo, hi, tile):
 
 
 @compiled
-def put_own_state(view):
-    """The entries of ``state``: the paper's vector with the observer first; how many."""
-    ep, i, lo, hi, tile = view.ep, view.i, view.lo, view.hi, view.tile
+def put_own_state(p, g, view, lo, hi):
+    ep, i, tile = view.ep, view.i, view.tile
     n = ep.x.shape[0]
     k = put_motion(view.robots, lo, hi, i, tile)
-    for place in range(view.p.headings):
-        k += put_heading(view, nth_robot(place, i), k)
+    for place in range(p.headings):
+        k += put_heading(p, view, lo, hi, nth_robot(place, i), k)
     for place in range(n):
         for first in range(2 * place, k, 2 * n):
-            drop(view, nth_robot(place, i), first, first + 2)
+            drop(view, lo, hi, nth_robot(place, i), first, first + 2)
     for place in range(n):
         k += put_flag(ep, lo, hi, nth_robot(place, i), tile, k)
     for w in range(lo, hi):
-        f = column(view.g.field, w)
-        tile[k, w - lo] = visit_code(ep.visited[w], view.g.field.codes[f])
+        f = column(g.field, w)
+        tile[k, w - lo] = visit_code(ep.visited[w], g.field.codes[f])
     return k + 1
 
 
 @compiled
-def put_own(view):
-    """The observer's own position, velocity and heading; how many entries there are."""
-    p, robots, i, lo = view.p, view.robots, view.i, view.lo
-    for w in range(lo, view.hi):
+def put_own(p, view, lo, hi):
+    robots, i = view.robots, view.i
+    for w in range(lo, hi):
         view.tile[0, w - lo] = (robots.x[i, w] - p.half_arena_x) * p.per_half_arena_x
         view.tile[1, w - lo] = (robots.y[i, w] - p.half_arena_y) * p.per_half_arena_y
-    return put_own_motion(view, 2)
+    return put_own_motion(p, view, lo, hi, 2)
 
 
 @compiled
-def put_other(view, j, k):
-    """Where robot j is and how it moves, as seen by the observer."""
-    p, robots, tile, i, lo = view.p, view.robots, view.tile, view.i, view.lo
-    for w in range(lo, view.hi):
+def put_other(p, view, lo, hi, j, k):
+    robots, tile, i = view.robots, view.tile, view.i
+    for w in range(lo, hi):
         tile[k, w - lo] = (robots.x[j, w] - robots.x[i, w]) * p.per_arena_x
         tile[k + 1, w - lo] = (robots.y[j, w] - robots.y[i, w]) * p.per_arena_y
         tile[k + 2, w - lo] = (robots.vx[j, w] - robots.vx[i, w]) * p.per_speed_range
         tile[k + 3, w - lo] = (robots.vy[j, w] - robots.vy[i, w]) * p.per_speed_range
-    put_heading(view, j, k + 4)
+    put_heading(p, view, lo, hi, j, k + 4)
 
 
 @compiled
-def put_roi(view, j, k):
-    """Where ROI j is, as seen by the observer, and whether the team has visited it."""
-    p, field, robots, tile, i, lo = view.p, view.g.field, view.robots, view.tile, view.i, view.lo
-    for w in range(lo, view.hi):
+def put_roi(p, g, view, lo, hi, j, k):
+    field, robots, tile, i = g.field, view.robots, view.tile, view.i
+    for w in range(lo, hi):
         f = column(field, w)
-        tile[k, w - lo] = (roi_place(view, 0, j, f, w) - robots.x[i, w]) * p.per_arena_x
-        tile[k + 1, w - lo] = (roi_place(view, 1, j, f, w) - robots.y[i, w]) * p.per_arena_y
+        tile[k, w - lo] = (roi_place(g, view, 0, j, f, w) - robots.x[i, w]) * p.per_arena_x
+        tile[k + 1, w - lo] = (roi_place(g, view, 1, j, f, w) - robots.y[i, w]) * p.per_arena_y
         tile[k + 2, w - lo] = p.one if (robots.visited[w] & field.roi_bits[j, f]) != 0 else p.zero
 
 
 @compiled
-def hide_other(view, j, k, end, flag):
-    """Hide robot j, in entries k to end - 1, where it is far; the flag before them says so."""
-    p, robots, tile, i, lo = view.p, view.robots, view.tile, view.i, view.lo
-    for entry in range(k - flag, end):
-        for w in range(lo, view.hi):
+def hide_other(p, view, lo, hi, j, first, end):
+    """Hide robot j, in entries first to end - 1, where it is far; ``local`` has a flag first."""
+    k = first + (1 if p.observation == LOCAL else 0)
+    robots, tile, i = view.robots, view.tile, view.i
+    for entry in range(first, end):
+        for w in range(lo, hi):
             dx, dy = robots.x[j, w] - robots.x[i, w], robots.y[j, w] - robots.y[i, w]
             near = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
             tile[entry, w - lo] = near * select(entry < k, p.one, tile[entry, w - lo])
 
 
 @compiled
-def hide_roi(view, j, k, end, flag):
-    """Hide ROI j, in entries k to end - 1, where it is far; its visit bit, after them, stays."""
-    p, robots, tile, i, lo = view.p, view.robots, view.tile, view.i, view.lo
-    for entry in range(k - flag, end):
-        for w in range(lo, view.hi):
-            f = column(view.g.field, w)
-            dx = roi_place(view, 0, j, f, w) - robots.x[i, w]
-            dy = roi_place(view, 1, j, f, w) - robots.y[i, w]
+def hide_roi(p, g, view, lo, hi, j, first, end):
+    """Hide ROI j where it is far, as ``hide_other`` does; its visit bit, after them, stays."""
+    k = first + (1 if p.observation == LOCAL else 0)
+    robots, tile, i = view.robots, view.tile, view.i
+    for entry in range(first, end):
+        for w in range(lo, hi):
+            f = column(g.field, w)
+            dx = roi_place(g, view, 0, j, f, w) - robots.x[i, w]
+            dy = roi_place(g, view, 1, j, f, w) - robots.y[i, w]
             near = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
             tile[entry, w - lo] = near * select(entry < k, p.one, tile[entry, w - lo])
 
 
 @compiled
-def end_other(view, j, first, end):
+def end_other(p, view, lo, hi, j, first, end):
     """Blank the entries of robot j where it is not sensed or gone; add its flag; where they end."""
-    drop(view, j, first, end)
-    blank_gone(view, j, first, end)
-    return end + put_flag(view.ep, view.lo, view.hi, j, view.tile, end)
+    drop(view, lo, hi, j, first, end)
+    blank_gone(p, view, lo, hi, j, first, end)
+    return end + put_flag(view.ep, lo, hi, j, view.tile, end)
 
 
 @compiled
-def put_relative(view):
-    """The entries of ``relative`` and ``local``; how many there are."""
-    local, n = view.p.observation == LOCAL, view.ep.x.shape[0]
+def put_relative(p, g, view, lo, hi):
+    local, n = p.observation == LOCAL, view.ep.x.shape[0]
     flag = 1 if local else 0
-    k = body = put_own(view)
-    k += put_flag(view.ep, view.lo, view.hi, view.i, view.tile, k)
+    k = body = put_own(p, view, lo, hi)
+    k += put_flag(view.ep, lo, hi, view.i, view.tile, k)
     for j in range(n):
         if j != view.i:
-            put_other(view, j, k + flag)
+            put_other(p, view, lo, hi, j, k + flag)
             if local:
-                hide_other(view, j, k + 1, k + 1 + body, True)
-            k = end_other(view, j, k, k + flag + body)
-    for j in range(view.g.field.roi_bits.shape[0]):
-        put_roi(view, j, k + flag)
+                hide_other(p, view, lo, hi, j, k, k + 1 + body)
+            k = end_other(p, view, lo, hi, j, k, k + flag + body)
+    for j in range(g.field.roi_bits.shape[0]):
+        put_roi(p, g, view, lo, hi, j, k + flag)
         if local:
-            hide_roi(view, j, k + 1, k + 3, True)
-        drop(view, n + j, k, k + flag + 2)
+            hide_roi(p, g, view, lo, hi, j, k, k + 3)
+        drop(view, lo, hi, n + j, k, k + flag + 2)
         k += flag + 3
     return k
 
 
 @compiled
-def put_centred(view):
+def put_centred(p, g, view, lo, hi):
     """As ``put_own``, with the place about the centre of the field's bounding box."""
-    p, robots, boxes, i, lo = view.p, view.robots, view.g.field.boxes, view.i, view.lo
-    count = put_own(view)
-    for w in range(lo, view.hi):
-        f = column(view.g.field, w)
+    robots, boxes, i = view.robots, g.field.boxes, view.i
+    count = put_own(p, view, lo, hi)
+    for w in range(lo, hi):
+        f = column(g.field, w)
         x, y = robots.x[i, w] - boxes[0, f], robots.y[i, w] - boxes[1, f]
         view.tile[0, w - lo] = clip((x + (x - boxes[2, f])) * p.per_arena_x, -p.one, p.one)
         view.tile[1, w - lo] = clip((y + (y - boxes[3, f])) * p.per_arena_y, -p.one, p.one)
@@ -281,38 +276,37 @@ def put_centred(view):
 
 
 @compiled
-def put_lidar(view):
-    """The entries of ``lidar`` and ``lidar_local`` but the walls; how many there are."""
-    local, n = view.p.observation == LIDAR_LOCAL, view.ep.x.shape[0]
-    k = body = put_centred(view)
-    k += put_flag(view.ep, view.lo, view.hi, view.i, view.tile, k)
+def put_lidar(p, g, view, lo, hi):
+    local, n = p.observation == LIDAR_LOCAL, view.ep.x.shape[0]
+    k = body = put_centred(p, g, view, lo, hi)
+    k += put_flag(view.ep, lo, hi, view.i, view.tile, k)
     for j in range(n):
         if j != view.i:
-            put_other(view, j, k)
-            lidar.put_near(view, j, k + body)
+            put_other(p, view, lo, hi, j, k)
+            lidar.put_near(p, g, view, lo, hi, j, k + body)
             if local:
-                hide_other(view, j, k, k + body, False)
-            k = end_other(view, j, k, k + body + 1)
-    for j in range(view.g.field.roi_bits.shape[0]):
-        put_roi(view, j, k)
-        lidar.put_direction(view, j, k + 2)
+                hide_other(p, view, lo, hi, j, k, k + body)
+            k = end_other(p, view, lo, hi, j, k, k + body + 1)
+    for j in range(g.field.roi_bits.shape[0]):
+        put_roi(p, g, view, lo, hi, j, k)
+        lidar.put_direction(p, g, view, lo, hi, j, k + 2)
         if local:
-            hide_roi(view, j, k, k + 4, False)
-        drop(view, n + j, k, k + 4)
+            hide_roi(p, g, view, lo, hi, j, k, k + 4)
+        drop(view, lo, hi, n + j, k, k + 4)
         k += 5
     return k
 
 
 @compiled
-def put_entries(view):
-    """Write an observation but its one-hot entries; how many entries there are."""
-    if shows_entities(view.g):
-        return put_entities(view)
-    if has_rays(view.g):
-        return lidar.put_walls(view, put_lidar(view))
-    if view.p.observation == STATE:
-        return put_own_state(view)
-    return put_relative(view)
+def put_entries(p, g, view, lo, hi):
+    if shows_entities(g):
+        return put_entities(p, g, view, lo, hi)
+    if has_rays(g):
+        k = put_lidar(p, g, view, lo, hi)
+        return lidar.put_walls(p, g, view, lo, hi, k)
+    if p.observation == STATE:
+        return put_own_state(p, g, view, lo, hi)
+    return put_relative(p, g, view, lo, hi)
 
 
 @compiled
@@ -322,13 +316,13 @@ def write_observation(p, g, mem, ep, i, lo, hi, tile):
     if disturbs_sight(mem):
         look(p, g, mem, ep, i, lo, hi)
         robots = sensed_robots(mem, ep, g.field.roi_bits.shape[0])
-    view = View(p, g, mem, ep, robots, i, lo, hi, tile)
-    k = put_entries(view)
+    view = View(mem, ep, robots, i, tile)
+    k = put_entries(p, g, view, lo, hi)
     if p.one_hot:
         for j in range(ep.x.shape[0]):
             for w in range(lo, hi):
                 tile[k + j, w - lo] = p.one if i == j else p.zero
-    blank_absent(view)
+    blank_absent(p, view, lo, hi)
 
 
 @compiled

@@ -73,7 +73,6 @@ def in_sight(edges, count, f, px, py, qx, qy):
 
 @compiled
 def count_edges(edges, f):
-    """How many edges there are before the padding."""
     count = edges.shape[1]
     while count > 0:
         last = count - 1
@@ -85,7 +84,6 @@ def count_edges(edges, f):
 
 @compiled
 def unit(edges, e, f):
-    """The direction of an edge."""
     x, y = edges[2, e, f] - edges[0, e, f], edges[3, e, f] - edges[1, e, f]
     size = math.sqrt(x * x + y * y)
     return x / size, y / size
@@ -131,7 +129,6 @@ def place_waypoints(field, paths, f, count):
 
 @compiled
 def place_of(field, paths, node, f):
-    """Where a ROI is, or a waypoint after all ROIs."""
     m = field.rois.shape[1]
     if node < m:
         return field.rois[0, node, f], field.rois[1, node, f]
@@ -163,7 +160,6 @@ def measure_legs(field, paths, f, own, count, placed):
 
 @compiled
 def find_paths(field, paths, f):
-    """Find the paths of the field in column f."""
     if paths.waypoints.shape[1] > 0:
         count, own = count_edges(field.edges, f), count_bits(field.codes[f])
         placed = place_waypoints(field, paths, f, count)
@@ -174,7 +170,6 @@ def find_paths(field, paths, f):
 
 @entry_point
 def find_all(field, paths):
-    """Find the paths of all fields."""
     for f in range(field.codes.shape[0]):
         find_paths(field, paths, np.uint64(f))
 

@@ -49,7 +49,6 @@ def hash_position(x_bits, y_bits):
 
 @compiled
 def filter_mask(key):
-    """The five bits of ``key`` in its filter word."""
     mask = ONE << (key & BIT)
     for k in range(1, BITS_SET):
         mask |= ONE << ((key >> np.uint64(6 * k)) & BIT)
@@ -72,7 +71,6 @@ def add_bits(filters, world, place, mask):
 
 @compiled
 def clear_filter(filters, world, words):
-    """Forget all keys."""
     for k in range(words):
         filters[world, k] = EMPTY
 
@@ -113,7 +111,6 @@ def stood_on(trail, trail_key, world, first, entry):
 
 @compiled
 def same_joint_state(mem, now, w, step, code):
-    """Return whether the world was in its present joint state after ``step`` steps."""
     same = mem.trail_code[w, step] == code
     n = now.x.shape[0]
     for i in range(n):

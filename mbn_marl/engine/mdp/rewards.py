@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mbn_marl.engine.mdp.failures import ABSENT, FAILED, WORKS, count_status, is_absent, may_rest
+from mbn_marl.engine.mdp.failures import ABSENT, FAILED, WORKS, count_status, may_rest
 from mbn_marl.jit.compile import compiled, generated
 from mbn_marl.jit.functions import is_set, select
 
@@ -125,7 +125,7 @@ def share_of(p, ep, outcome, i, w):
         failed = count_status(ep, FAILED, w)
         some_work = failed < there
         parts = p.one * np.float32(there - select(some_work, failed, 0))
-        none = is_absent(ep, i, w) | ((ep.status[i, w] == FAILED) & some_work)
+        none = (ep.status[i, w] == ABSENT) | ((ep.status[i, w] == FAILED) & some_work)
         return part_team(p, team_terms(p, p.whole, outcome), none, parts)
     return team_terms(p, p.share, outcome)
 

@@ -23,7 +23,6 @@ ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 
 @Feature
 def disturbs_sight(mem):
-    """Whether observations are noised, or robots and ROIs left out of them."""
     return mem.sensed.ndim == 2
 
 
@@ -40,7 +39,6 @@ class SensedRobots(NamedTuple):
 
 
 def count_sensed(n: int, m: int) -> int:
-    """How many numbers an observer senses of n robots and m ROIs."""
     return (n + m) + 4 * n + 2 * m
 
 
@@ -54,12 +52,12 @@ def sensed_robots(mem, ep, m):
 
 
 @compiled
-def roi_place(view, axis, j, f, w):
+def roi_place(g, view, axis, j, f, w):
     """Where ROI j is along an axis as robot i senses it; f is the column of world w."""
     if disturbs_sight(view.mem):
-        n, m = view.ep.x.shape[0], view.g.field.roi_bits.shape[0]
+        n, m = view.ep.x.shape[0], g.field.roi_bits.shape[0]
         return view.mem.sensed[5 * n + m + 2 * j + axis, w]
-    return view.g.field.rois[axis, j, f]
+    return g.field.rois[axis, j, f]
 
 
 @compiled
@@ -71,7 +69,6 @@ def first_draw(steps, i, thing):
 
 @compiled
 def add_noise(key, counter, value, noise, low, high):
-    """A number with noise, in its bounds."""
     return clip(value + noise * normal(key, counter), low, high)
 
 
@@ -110,16 +107,14 @@ def look(p, g, mem, ep, i, lo, hi):
 
 @compiled
 def is_sensed(mem, thing, w):
-    """Return whether the observer senses a thing, robot j or ROI j as n + j, at all."""
     if disturbs_sight(mem):
         return mem.sensed[thing, w] != 0
     return True
 
 
 @compiled
-def drop(view, thing, k, end):
-    """Blank entries k to end - 1 where a thing, robot j or ROI j as n + j, is not sensed."""
+def drop(view, lo, hi, thing, k, end):
     if disturbs_sight(view.mem):
         for entry in range(k, end):
-            for w in range(view.lo, view.hi):
-                view.tile[entry, w - view.lo] *= view.mem.sensed[thing, w]
+            for w in range(lo, hi):
+                view.tile[entry, w - lo] *= view.mem.sensed[thing, w]
