@@ -19,7 +19,7 @@ from mbn_marl.config import make_config
 from mbn_marl.engine.mdp.disturbances import DISTURBANCES
 from mbn_marl.engine.state import make_episode, make_memory
 from mbn_marl.errors import ConfigError
-from mbn_marl.jit import elementary, rng
+from mbn_marl.jit import functions, random_numbers
 from mbn_marl.planning import plan
 from mbn_marl.planning.problem import make_problem
 from tests.support import disturbances as expected
@@ -48,10 +48,10 @@ def engine_of(worlds: int = 2, field: Field = SQUARE, **settings: Any) -> BatchE
 
 def test_random_numbers_are_those_of_the_page() -> None:
     for place in [(0, 0, 0), (2**63 - 1, 5, 7), (3, 2**40, 1)]:
-        key = rng.stream_key(*place, rng.FOR_GUSTS)
+        key = random_numbers.stream_key(*place, random_numbers.FOR_GUSTS)
         assert key == expected.key_of(*place, expected.GUSTS)
         for counter in (0, 1, 2**33):
-            assert rng.normal(np.uint64(key), counter) == expected.normal(key, counter)
+            assert random_numbers.normal(np.uint64(key), counter) == expected.normal(key, counter)
 
 
 def test_normal_numbers_are_normal() -> None:
@@ -64,9 +64,9 @@ def test_normal_numbers_are_normal() -> None:
 
 def test_exponential() -> None:
     for x in np.linspace(-40.0, 0.0, 1001).tolist():
-        assert elementary.exponential(x) == pytest.approx(math.exp(x), rel=3e-14)
-    assert elementary.exponential(0.0) == 1.0
-    assert elementary.exponential(-1e9) == elementary.exponential(-40.0) < 1e-17
+        assert functions.exponential(x) == pytest.approx(math.exp(x), rel=3e-14)
+    assert functions.exponential(0.0) == 1.0
+    assert functions.exponential(-1e9) == functions.exponential(-40.0) < 1e-17
 
 
 def test_settings_are_checked() -> None:

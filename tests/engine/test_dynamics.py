@@ -16,7 +16,7 @@ from mbn_marl.config import make_config
 from mbn_marl.engine.mdp import dynamics
 from mbn_marl.engine.state import make_episode
 from mbn_marl.errors import ConfigError
-from mbn_marl.jit import elementary
+from mbn_marl.jit import functions
 from mbn_marl.optimum import optimal_return
 from mbn_marl.planning.problem import make_problem
 from tests.support.configurations import EVERYTHING, SIGHTS, entries
@@ -115,12 +115,12 @@ def test_headings_stay_in_half_a_turn_either_way(real: Any) -> None:
 def test_sine_cosine_and_tangent() -> None:
     angles = np.linspace(-math.pi, math.pi, 4001)
     for angle in angles.tolist():
-        assert elementary.sine(angle) == pytest.approx(math.sin(angle), abs=4e-16)
-        assert elementary.cosine(angle) == pytest.approx(math.cos(angle), abs=4e-16)
-        assert -1.0 <= elementary.sine(angle) <= 1.0
+        assert functions.sine(angle) == pytest.approx(math.sin(angle), abs=4e-16)
+        assert functions.cosine(angle) == pytest.approx(math.cos(angle), abs=4e-16)
+        assert -1.0 <= functions.sine(angle) <= 1.0
     for angle in angles[abs(angles) <= 1.5].tolist():
-        assert elementary.tangent(angle) == pytest.approx(math.tan(angle), rel=1e-14, abs=1e-15)
-    assert (elementary.sine(0.0), elementary.cosine(0.0), elementary.tangent(0.0)) == (0, 1, 0)
+        assert functions.tangent(angle) == pytest.approx(math.tan(angle), rel=1e-14, abs=1e-15)
+    assert (functions.sine(0.0), functions.cosine(0.0), functions.tangent(0.0)) == (0, 1, 0)
 
 
 def test_holonomic_takes_the_velocity_that_it_is_told() -> None:
