@@ -287,28 +287,22 @@ def test_waiting_world_leaves_the_memory_of_others_alone(
 
 
 def test_skipped_world_keeps_its_outcome() -> None:
-    field = Field([(0, 0), (90, 0), (90, 90), (0, 90)], [(22, 20)], [(20, 20), (20, 50)])
-    engine = BatchEngine(field, 2, autoreset=False, roi_radius=5.0)
-    engine.reset()
-    engine.reset_worlds(np.array([False, True]))
-    still = np.zeros((2, 2, 2))
-    _, _, terminated, _ = engine.step(still)
-    assert terminated.all()
-    engine.reset_worlds(np.array([False, True]))
-    before = engine.snapshot(0)
-    engine.step(still, np.array([False, True]))
-    after = engine.snapshot(0)
-    assert (before.success, before.collision) == (after.success, after.collision) == (True, False)
-    assert not before.judged().collision
-    near = Field(field.vertices, [(80, 80)], [(20, 20), (20, 40)])
-    engine = BatchEngine(near, 2, autoreset=False, safety_distance=19.0)
-    engine.reset()
-    toward = np.array([[[0.0, 1.0], [0.0, -1.0]]] * 2)
-    while engine.running[0]:
-        engine.step(toward)
-    engine.reset_worlds(np.array([False, True]))
-    engine.step(still, np.array([False, True]))
-    assert engine.snapshot(0).collision and not engine.snapshot(0).success
+    square = [(0, 0), (90, 0), (90, 90), (0, 90)]
+    visit, still = Field(square, [(22, 20)], [(20, 20), (20, 50)]), np.zeros((2, 2, 2))
+    crash = Field(square, [(80, 80)], [(20, 20), (20, 40)])
+    toward = np.tile([[0.0, 1.0], [0.0, -1.0]], (2, 1, 1))
+    for field, actions, success in ((visit, still, True), (crash, toward, False)):
+        engine = BatchEngine(field, 2, autoreset=False, safety_distance=19.0, roi_radius=5.0)
+        engine.reset()
+        while engine.running[0]:
+            engine.step(actions)
+        before = engine.snapshot(0)
+        engine.reset_worlds(np.array([False, True]))
+        engine.step(still, np.array([False, True]))
+        after = engine.snapshot(0)
+        assert (before.success, before.collision) == (after.success, after.collision)
+        assert after.success == success != after.collision
+        assert before.judged().collision != success
 
 
 def test_models_list_all_their_problems() -> None:

@@ -97,21 +97,16 @@ def test_fields_depend_on_seed_world_and_episode_alone() -> None:
     sampler = FieldSampler(("convex", "farm"), robots=(2, 3), rois=(3, 5), seed=8)
     one = BatchEngine(sampler, 40, seed=1, threads=1, max_steps=9)
     two = BatchEngine(sampler, 25, seed=2, threads=2, max_steps=9, first_world=10)
-    one.reset()
-    two.reset()
-    for _ in range(30):
-        one.step(one.sample_actions())
-        two.step(two.sample_actions())
-    assert (one.episode_numbers >= 3).all()
+    for engine in (one, two):
+        engine.reset()
+        for _ in range(30):
+            engine.step(engine.sample_actions())
+        assert (engine.episode_numbers >= 3).all()
     for engine, world, number in ((one, 14, 14), (two, 4, 14), (two, 24, 34)):
         expected = sampler.field(number, int(engine.episode_numbers[world]))
-        found = engine.field_of(world)
-        assert np.array_equal(found.edges, expected.edges)
-        assert np.array_equal(found.starts, expected.starts)
-    assert (
-        len({engine.field_of(w).vertices.tobytes() for engine in (one, two) for w in range(9)})
-        == 18
-    )
+        assert np.array_equal(engine.field_of(world).edges, expected.edges)
+        assert np.array_equal(engine.field_of(world).starts, expected.starts)
+    assert len({one.field_of(world).vertices.tobytes() for world in range(18)}) == 18
 
 
 def test_fixed_fields_may_have_teams_of_different_sizes() -> None:
