@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from shapely import Point
 
 from baselines.training.config import Hyperparameters, Task
-from mbn_marl.checked import Uniform
-from mbn_marl.config import make_config
+from mbn_marl.config import Uniform, make_config
 from mbn_marl.field import Field
 from mbn_marl.field.limits import SAFETY_DISTANCE
 

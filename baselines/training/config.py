@@ -17,7 +17,7 @@ from pydantic_core import to_jsonable_python
 from tyro.conf import Positional, Suppress, arg
 
 from baselines.algorithms import SETTINGS, Setting, find_algorithm
-from mbn_marl.checked import describe
+from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, FieldError, MbnError, collecting, unknown
 from mbn_marl.field import Field, FieldSampler, load_fields, safe_yaml
 

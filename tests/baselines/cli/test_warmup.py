@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mbn_marl.compiled.jit import ANNOUNCEMENT
+from mbn_marl.jit.compile import ANNOUNCEMENT
 
 pytestmark = pytest.mark.slow
 
