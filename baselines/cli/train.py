@@ -36,8 +36,8 @@ class Train:
     def run(self, command_line: str) -> None:
         """Train, with a progress bar, and print the final evaluation."""
         from baselines.cli.evaluate import print_evaluations
-        from baselines.training.overrides import ENVIRONMENT, parse
-        from baselines.training.progress_bar import progress_bars
+        from baselines.training.config import ENVIRONMENT, parse
+        from baselines.training.run_logger import progress_bars
         from baselines.training.train import notes, train
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}

@@ -51,8 +51,8 @@ class Transfer:
         from baselines.sweep.processes import LocalEngine
         from baselines.sweep.run import check_outcomes, train_runs
         from baselines.sweep.spec import GridSpec, runs_of
-        from baselines.training.hyperparameters import validate
-        from baselines.training.progress_bar import progress_bars
+        from baselines.training.config import validate
+        from baselines.training.run_logger import progress_bars
         from mbn_marl.field import catalogue_names, load_field
 
         home, engine = load_field(self.source), LocalEngine(self.processes)

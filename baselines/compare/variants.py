@@ -16,8 +16,7 @@ from pydantic_core import to_jsonable_python
 from tyro.conf import arg
 
 from baselines.algorithms import find_algorithm
-from baselines.training.config import TrainConfig, default_label
-from baselines.training.hyperparameters import read_blocks, validate
+from baselines.training.config import TrainConfig, default_label, read_blocks, validate
 from mbn_marl.errors import ConfigError, FieldError, collecting
 from mbn_marl.field import load_field
 
@@ -36,7 +35,7 @@ class Variant(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     algorithm: str
-    setting: Literal["A", "B", "N", "J"] = "N"
+    setting: Literal["A", "B", "N", "J", "G"] = "N"
     label: str | None = None
     hyperparameters: dict[str, Any] = Field(default_factory=dict)
     environment: dict[str, Any] = Field(default_factory=dict)
