@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
-from baselines.console import FittingProgress, console
+from baselines.console import console
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ def progress_bars(runs: Iterable[str], total: int) -> Iterator[Listener]:
     speed, result = TextColumn("{task.fields[speed]}"), TextColumn("{task.fields[result]}")
     elapsed = TimeElapsedColumn()
     screen = console()
-    columns, spare = (run, bar, share, speed, result, elapsed), (bar, elapsed, speed, result)
-    with FittingProgress(*columns, spare=spare, screen=screen) as progress:
+    columns = (run, bar, share, speed, result, elapsed)
+    with Progress(*columns, console=screen, disable=not screen.is_terminal) as progress:
         tasks = {
             name: progress.add_task("", False, total, run=name, speed="", result="waiting")
             for name in runs
