@@ -14,8 +14,7 @@ from mbn_marl.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from mbn_marl.adapters.gymnasium import centralized_env
-    from mbn_marl.checked import Uniform
-    from mbn_marl.config import Failures
+    from mbn_marl.config import Failures, Uniform
     from mbn_marl.engine import BatchEngine
     from mbn_marl.field import Field, FieldSampler, generate, load_field
     from mbn_marl.navigation_v0 import env, parallel_env, raw_env
@@ -39,7 +38,7 @@ _HOMES = {
     "Failures": "mbn_marl.config",
     "Field": "mbn_marl.field",
     "FieldSampler": "mbn_marl.field",
-    "Uniform": "mbn_marl.checked",
+    "Uniform": "mbn_marl.config",
     "centralized_env": "mbn_marl.adapters.gymnasium",
     "env": "mbn_marl.navigation_v0",
     "generate": "mbn_marl.field",

@@ -25,8 +25,7 @@ from baselines.evaluation.shielded import Shielded, behind
 from baselines.runs.files import RunError, differences, read_json, write_json
 from baselines.runs.provenance import versions
 from baselines.zoo.sources import find_policy, is_trained
-from mbn_marl.checked import Checked
-from mbn_marl.config import Condition, NavigationConfig, make_config
+from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, load_episode, save_episode
 from mbn_marl.errors import (

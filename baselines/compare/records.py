@@ -21,8 +21,7 @@ from baselines.runs.discover import run_folders
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
 from baselines.training.config import MOST, default_label, problems_of
-from mbn_marl.checked import RealNumber, WholeNumber, describe
-from mbn_marl.config import make_config
+from mbn_marl.config import RealNumber, WholeNumber, describe, make_config
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import Field
 from mbn_marl.optimum import VIEW, optimal_return

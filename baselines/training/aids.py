@@ -13,8 +13,7 @@ from shapely import Point
 
 from baselines.training.config import Task
 from baselines.training.hyperparameters import Hyperparameters
-from mbn_marl.checked import Uniform
-from mbn_marl.config import make_config
+from mbn_marl.config import Uniform, make_config
 from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.limits import SAFETY_DISTANCE
 

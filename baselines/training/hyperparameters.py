@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from mbn_marl.checked import describe
+from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, FieldError, unknown
 from mbn_marl.field import safe_yaml
 

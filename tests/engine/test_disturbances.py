@@ -15,11 +15,11 @@ import pytest
 from numpy.typing import NDArray
 
 from mbn_marl import BatchEngine, Field
-from mbn_marl.compiled import elementary, rng
 from mbn_marl.config import make_config
 from mbn_marl.engine.mdp.disturbances import DISTURBANCES
 from mbn_marl.engine.state import make_episode, make_memory
 from mbn_marl.errors import ConfigError
+from mbn_marl.jit import elementary, rng
 from mbn_marl.planning import plan
 from mbn_marl.planning.problem import make_problem
 from tests.support import disturbances as expected

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from mbn_marl import BatchEngine, Field
-from mbn_marl.compiled import elementary
 from mbn_marl.config import make_config
 from mbn_marl.engine.mdp import dynamics
 from mbn_marl.engine.state import make_episode
 from mbn_marl.errors import ConfigError
+from mbn_marl.jit import elementary
 from mbn_marl.optimum import optimal_return
 from mbn_marl.planning.problem import make_problem
 from tests.support.configurations import EVERYTHING, SIGHTS, entries

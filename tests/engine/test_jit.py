@@ -18,8 +18,8 @@ from numba.core.compiler import Compiler
 from numba.core.registry import cpu_target
 
 import mbn_marl
-from mbn_marl.compiled import jit, part
-from mbn_marl.compiled.jit import SOURCES, compiled, digest_of_sources, returning_views
+from mbn_marl.jit import jit, part
+from mbn_marl.jit.compile import SOURCES, compiled, digest_of_sources, returning_views
 
 pytestmark = pytest.mark.slow
 PACKAGE = Path(mbn_marl.__file__).parents[1]

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mbn_marl import Field
-from mbn_marl.checked import Uniform
-from mbn_marl.config import WITHOUT_RADIUS, RewardProfile
+from mbn_marl.config import WITHOUT_RADIUS, RewardProfile, Uniform
 from tests.support.oracle import Oracle
 
 BEHAVIOURS = ("seek", "uniform", "lattice", "push", "still")

@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.checked import Uniform
-from mbn_marl.compiled.elementary import cosine, exponential, sine, turned
-from mbn_marl.compiled.jit import compiled, generated
-from mbn_marl.compiled.rng import FOR_NUMBERS, stream_of, uniform
-from mbn_marl.config import LIMITS, MAX_ROBOTS, NUMBERS, NavigationConfig
+from mbn_marl.config import LIMITS, MAX_ROBOTS, NUMBERS, NavigationConfig, Uniform
+from mbn_marl.jit.compile import compiled, generated
+from mbn_marl.jit.functions import cosine, exponential, sine, turned
+from mbn_marl.jit.random_numbers import FOR_NUMBERS, stream_of, uniform
 
 SINGLE = ("wind_speed", "wind_angle", *NUMBERS, "failure_rate")
 """The names of the numbers that are not a robot's own, in the order of ``numbers``."""

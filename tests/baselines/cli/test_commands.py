@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from baselines.cli.main import main, read_command
-from mbn_marl.jit import ANNOUNCEMENT
+from mbn_marl.jit.compile import ANNOUNCEMENT
 from tests.baselines.conftest import Refusal
 from tests.support.records import make_run
 

@@ -74,9 +74,7 @@ def test_whole_numbers() -> None:
         ("x y", "y"),
     ],
 )
-def test_wrong_option_is_named(
-    words: str, place: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_option_is_named(words: str, place: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         read(*words.split())
     assert caught.value.code == 2 and place in capsys.readouterr().err

@@ -42,7 +42,7 @@ PLAIN = "MBN_PLAIN_JIT"
 """The environment variable that turns the compiler of ``part`` off, if it is set."""
 PROVEN = ("0.61.", "0.68.")
 """The versions of Numba that the engine was run with; others are tried first."""
-SOURCES_OF = ("config.py", "compiled", "engine", "field")
+SOURCES_OF = ("config.py", "jit", "engine", "field")
 """The files, and the folders, that compiled functions and the numbers in them come from."""
 
 
@@ -148,7 +148,7 @@ def compiler_of_rules() -> type[CompilerBase]:
     if PLAIN in os.environ:
         return Compiler
     try:
-        from mbn_marl.compiled.part import PartCompiler
+        from mbn_marl.jit.inlining import PartCompiler
 
         if not numba.__version__.startswith(PROVEN):
             _prove(PartCompiler)
