@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from pathlib import Path
 from pkgutil import resolve_name
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from baselines.training.aids import Count, TrainingAids
-from baselines.training.hyperparameters import read_block, validate
+from baselines.training.config import read_block, validate
 from mbn_marl.errors import ConfigError, unknown
 
 if TYPE_CHECKING:
@@ -25,23 +25,20 @@ CLASSES = {
     "a2c": "stable_baselines3:A2C",
     "ppo": "stable_baselines3:PPO",
     "trpo": "sb3_contrib:TRPO",
-    "ars": "baselines.sb3.ars:PopulationSearch",
+    "ars": "sb3_contrib:ARS",
     "ppo-shared": "stable_baselines3:PPO",
-    "ppo-supersuit": "stable_baselines3:PPO",
     "crossq": "sb3_contrib:CrossQ",
     "tqc": "sb3_contrib:TQC",
 }
-FILES = {"ppo-supersuit": "ppo-shared"}
-"""Whose hyperparameters an algorithm has, if not its own."""
+# The learner sets some arguments; others are objects and classes, which no file can hold. Noise
+# that depends on the state is drawn in ways that evaluations and resuming cannot repeat.
 RESERVED = (
     *("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model"),
     *("action_noise", "rollout_buffer_class", "replay_buffer_class"),
     *("use_sde", "sde_sample_freq"),
 )
-"""Arguments that the learner sets; objects and classes, which no file can hold; and noise that
-depends on the state, which the library draws in ways that evaluations and resuming cannot repeat.
-"""
 _COUNT, _SHARE, _AMOUNT = (1, math.inf), (0, 1), (0, math.inf)
+# The ranges of the numbers of ``model``, which the library does not check.
 RANGES: Mapping[str, tuple[float, float]] = {
     **dict.fromkeys(("n_steps", "batch_size", "n_epochs", "buffer_size", "train_freq"), _COUNT),
     **dict.fromkeys(("policy_delay", "target_update_interval", "stats_window_size"), _COUNT),
@@ -54,14 +51,13 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "top_quantiles_to_drop_per_net": _AMOUNT,
     "gradient_steps": (-1, math.inf),
 }
-"""The ranges of the numbers of ``model``, which the library does not check."""
+# The paper tuned these, some for algorithms without such an argument: a run skips those and says
+# so. Any other name that the library's class does not take is an error.
 TUNED_IN_PAPER = (
     *("learning_rate", "gamma", "gae_lambda", "vf_coef", "ent_coef", "max_grad_norm"),
     "buffer_size",
 )
-"""The paper tuned these, some for algorithms without such an argument: there they are skipped, and
-the run says so. Any other name that the library's class does not take is an error."""
-
+# The algorithms that offer a hyperparameter, where not all do.
 OFFERED: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(
         ("action_repeat", "roi_radius", "scattered", "episode_steps"),
@@ -69,27 +65,20 @@ OFFERED: Mapping[str, tuple[str, ...]] = {
     ),
     "joint_observation": ("a2c", "ppo", "trpo", "ars", "crossq", "tqc"),
 }
-"""The algorithms that offer a hyperparameter, where not all do."""
 
 
 class SB3Config(TrainingAids):
-    """A setting of one algorithm. The defaults are setting A: the library's, on raw numbers.
+    """A setting of one algorithm. The defaults are setting A: the library's, on raw numbers."""
 
-    Attributes:
-        num_envs: worlds stepped side by side.
-        normalize_observation: the learner sees what it observes normalised by its running mean and
-            variance, or raw.
-        joint_observation: a centralised learner observes what all robots do, side by side, or the
-            paper's state.
-        policy: the library's name of the policy.
-        model: arguments of the library's class; ``{from: a, to: b}`` for a number falls linearly
-            over training.
-    """
-
+    # Worlds stepped side by side.
     num_envs: Count = 1
+    # The learner sees what it observes normalised by its running mean and variance, or raw.
     normalize_observation: bool = False
+    # A centralised learner observes what all robots do, side by side, or the paper's state.
     joint_observation: bool = False
+    # The library's name of the policy.
     policy: str = "MlpPolicy"
+    # Arguments of the library's class; {from: a, to: b} for a number falls linearly over training.
     model: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -102,15 +91,12 @@ class LinearSchedule(BaseModel):
     end: float = Field(alias="to")
 
     def __call__(self, progress_remaining: float) -> float:
-        """The value with ``progress_remaining``, from 1 at the start to 0 at the end.
-
-        The last rollout may go past the budget, where the library's number is negative: 0 then.
-        """
+        # From 1 at the start to 0 at the end. The last rollout may go past the budget, where the
+        # library's number is negative.
         return self.end + (self.start - self.end) * max(progress_remaining, 0.0)
 
 
 def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
-    """The library's class of an algorithm."""
     found: type[BaseAlgorithm] = resolve_name(CLASSES[algorithm])
     return found
 
@@ -130,13 +116,11 @@ def load(
     """
     name = "A" if setting == "C" and file is None else setting
     place = f"hyperparameters of {algorithm}" if file is None else str(file)
-    block = read_block(file or FOLDER / f"{FILES.get(algorithm, algorithm)}.yaml", name)
+    block = read_block(file or FOLDER / f"{algorithm}.yaml", name)
     values = {**block, **overrides, **({} if num_envs is None else {"num_envs": num_envs})}
     if isinstance(block.get("model"), dict) and isinstance(overrides.get("model"), dict):
         values["model"] = {**block["model"], **overrides["model"]}
-    accepted = accepted_arguments(algorithm)
-    config = _validated(algorithm, values, place, accepted)
-    kept = {name: value for name, value in config.model.items() if name in accepted}
+    config, accepted = validate(SB3Config, values, place), accepted_arguments(algorithm)
     foreign = {name: value for name, value in config.model.items() if name not in accepted}
     problems = [
         f"model.{name}: {unknown('name', name, sorted(accepted))}"
@@ -154,26 +138,8 @@ def load(
     ]
     if problems:
         raise ConfigError(place, problems)
-    skipped = {**config.skipped, **foreign}
-    return config.model_copy(update={"model": kept, "skipped": skipped})
-
-
-def _validated(
-    algorithm: str, values: Mapping[str, Any], place: str, accepted: Iterable[str]
-) -> SB3Config:
-    """Return the values as a configuration, or say which names the algorithm has."""
-    fields = SB3Config.model_fields
-    offered = [name for name in fields if algorithm in OFFERED.get(name, CLASSES)]
-    known = [name for name in offered if fields[name].repr]
-    known += [f"model.{name}" for name in sorted(accepted)]
-    problems = [f"{name}: {unknown('name', name, known)}" for name in values if name not in fields]
-    try:
-        config = validate(SB3Config, {n: v for n, v in values.items() if n in fields}, place)
-    except ConfigError as error:
-        raise ConfigError(place, [*problems, *error.problems]) from None
-    if problems:
-        raise ConfigError(place, problems)
-    return config
+    kept = {name: value for name, value in config.model.items() if name in accepted}
+    return config.model_copy(update={"model": kept, "skipped": {**config.skipped, **foreign}})
 
 
 def accepted_arguments(algorithm: str) -> dict[str, Any]:

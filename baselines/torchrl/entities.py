@@ -35,7 +35,6 @@ class Tokens:
 
     @classmethod
     def of(cls, table: Sequence[Entry]) -> Tokens:
-        """Return the tokens of an observation's table."""
         names = [entry.name for entry in table]
         parts = {
             kind: tuple(name.removeprefix(kind) for name in names if name.startswith(kind))
@@ -68,8 +67,8 @@ class Tokens:
         return in_units(rois[..., at].clamp(max=0.999)).amin(-1).sum(-1)
 
 
+# The inverse of scaled = length / (|length| + FAR).
 def in_units(scaled: torch.Tensor) -> torch.Tensor:
-    """Return the lengths of which ``scaled`` is ``length / (|length| + FAR)``."""
     units: torch.Tensor = FAR * scaled / (1.0 - scaled.abs())
     return units
 
@@ -103,8 +102,8 @@ class Turned(nn.Module):
         self.register_buffer("_rays", _turned_rays(), False)
         self._first_ray = tokens.own.index(RAYS[0])
 
+    # The signs (B, 2), and the swaps (B, 1), that bring the next ROI into the one eighth.
     def signs(self, rois: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the signs (B, 2), and the swaps (B, 1), that bring the next ROI there."""
         if self._fixed:
             toward = rois.new_ones(len(rois), 2)
         else:
@@ -117,8 +116,8 @@ class Turned(nn.Module):
         swap = toward[:, 1:].abs() > toward[:, :1].abs()
         return torch.where(toward < 0, -1.0, 1.0), swap
 
+    # The rays (B, 8) of own tokens (B, .), turned.
     def rays(self, own: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor) -> torch.Tensor:
-        """Return the rays (B, 8) of own tokens (B, .), turned."""
         element = ((signs < 0) * signs.new_tensor([1.0, 2.0])).sum(-1) + 4.0 * swap[:, 0]
         rays = own[:, self._first_ray : self._first_ray + len(RAYS)]
         return rays.gather(1, self._rays[element.long()])
@@ -132,7 +131,6 @@ class Turned(nn.Module):
         return torch.cat([tokens[:, rest], torch.where(swap, y, x), torch.where(swap, x, y)], 1)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return which entries it reads and turns, as :class:`Sets` has them."""
         tokens, index = self._tokens, self._tokens.roi.index
         order = ["order"] if "order" in tokens.roi else []
         following = [index(name) for name in ("left", "away", *order, "far_x", "far_y")]
@@ -145,12 +143,11 @@ class Turned(nn.Module):
 
     @staticmethod
     def back(actions: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor) -> torch.Tensor:
-        """Return actions (B, 2) as they are in the field."""
         return torch.where(swap, actions.flip(-1), actions) * signs
 
 
+# Which ray is seen as each of the 8 after sign changes of x, y and a swap, (8, 8).
 def _turned_rays() -> torch.Tensor:
-    """Return which ray is seen as each of the 8 after sign changes of x, y and a swap, (8, 8)."""
     table = torch.empty(8, 8, dtype=torch.long)
     for element in range(8):
         for ray in range(8):
@@ -161,7 +158,6 @@ def _turned_rays() -> torch.Tensor:
 
 
 def _layers(*sizes: int) -> nn.Sequential:
-    """Return linear layers of these sizes, each with a ReLU; weights start orthogonal."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
         layers += [_linear(inputs, outputs, math.sqrt(2.0)), nn.ReLU()]
@@ -209,7 +205,6 @@ class Rivals(nn.Module):
         return features.amax(1) if robots.shape[1] else features.sum(1)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return which entries of tokens it reads, as :class:`Sets` has them."""
         return {"rivals": np.array(list(self._at.values())), "scales": SCALES}
 
 
@@ -272,15 +267,15 @@ class SetEncoder(nn.Module):
         return flow, signs, swap
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return which entries it reads, as :class:`Sets` has them."""
         named = self.turned.columns()
         return named if self._assigned else {**named, **self.rivals.columns()}
 
 
+# The greatest of the features (K, width) of each row, and their mean by attention: with "query"
+# as the question of each row. The exponents' greatest is taken off, so that none overflows.
 def _pooled(
     blank: torch.Tensor, row: torch.Tensor, features: torch.Tensor, query: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the greatest of the features (K, width) of each row, and their mean by attention."""
     score = (features * query[row]).sum(-1) / math.sqrt(features.shape[-1])
     most = score.new_full((len(query),), -torch.inf)
     most = most.scatter_reduce(0, row, score.detach(), "amax")
@@ -290,20 +285,20 @@ def _pooled(
     return _most(blank, row, features), blank.index_add(0, row, weight * features)
 
 
+# The greatest of the features (K, width) >= 0 of each row, 0 without any.
 def _most(blank: torch.Tensor, row: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
-    """Return the greatest of the features (K, width) >= 0 of each row, 0 without any."""
     return blank.scatter_reduce(0, row.unsqueeze(-1).expand_as(features), features, "amax")
 
 
+# The rows (B, size) of (..., n, size) that are not all 0, and their numbers (B,).
 def _of_present(rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the rows (B, size) of (..., n, size) that are not all 0, and their numbers (B,)."""
     flat = rows.reshape(-1, rows.shape[-1])
     present = flat.any(-1).nonzero()[:, 0]
     return (flat if len(present) == len(flat) else flat[present]), present
 
 
+# (..., n, k): values (B, k) of those that are there, 0 of the others.
 def _to_all(values: torch.Tensor, present: torch.Tensor, shape: torch.Size) -> torch.Tensor:
-    """Return (..., n, k): ``values`` (B, k) of those that are there, 0 of the others."""
     whole = values.new_zeros(shape.numel(), values.shape[-1])
     return whole.index_copy(0, present, values).reshape(*shape, -1)
 
@@ -317,14 +312,12 @@ class SetActor(nn.Module):
         self.head = _linear(widths[-1], 2, 0.01)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        """Mean actions (..., n, 2) for rows (..., n, size)."""
         some, present = _of_present(rows)
         flow, signs, swap = self.encoder(some, rows.shape[-2])
         actions = self.encoder.turned.back(self.head(flow), signs, swap)
         return _to_all(actions, present, rows.shape[:-1])
 
     def layers(self) -> Sets:
-        """Return the network as plain arrays."""
         named = self.encoder.columns()
         for name, module in self.named_modules():
             if isinstance(module, nn.Linear):
@@ -348,7 +341,6 @@ class SetCritic(nn.Module):
         self.head = _linear(last, 1, 1.0)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        """Values (..., n, 1) for rows (..., n, size)."""
         some, present = _of_present(rows)
         flow, _, _ = self.encoder(some, rows.shape[-2])
         if self._central:

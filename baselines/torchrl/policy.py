@@ -20,8 +20,6 @@ SHAPE = "policy.json"
 
 
 class TeamPolicy:
-    """Act with a team's network on the robots' observations."""
-
     observes: Literal["observations", "state"] = "observations"
 
     def __init__(self, network: GaussianPolicy) -> None:
@@ -37,7 +35,6 @@ class TeamPolicy:
         return actions.float().numpy()  # under autocast they are bfloat16
 
     def layers(self) -> Plain:
-        """See :class:`~baselines.evaluation.layers.HasLayers`."""
         network, mlp = self.network, self.network.mean
         if not isinstance(mlp, TeamMLP):
             return mlp.layers()
@@ -59,7 +56,6 @@ class TeamPolicy:
         )
 
     def save(self, folder: Path) -> None:
-        """Write the weights (safetensors) and the network's shape (JSON) into ``folder``."""
         write_json(folder / SHAPE, asdict(self.network.shape))
         write_tensors(folder / WEIGHTS, self.network.state_dict())
 

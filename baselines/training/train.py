@@ -15,22 +15,19 @@ from baselines.algorithms import find_algorithm
 from baselines.evaluation.fitting import acts_on
 from baselines.runs.files import RunError, alone, check_text, claim_folder, is_untouched
 from baselines.runs.folder import RunFolder
-from baselines.training.config import DivergenceError, Task, TrainConfig
-from baselines.training.hyperparameters import Hyperparameters
-from baselines.training.loggers import find_wandb
-from baselines.training.progress_bar import Listener
-from baselines.training.run_logger import Recorder
+from baselines.training.config import DivergenceError, Hyperparameters, Task, TrainConfig
+from baselines.training.run_logger import Listener, Recorder, find_wandb
 from baselines.zoo.entries import CARD, PREFIX, open_run
 from mbn_marl.config import expand, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
 from mbn_marl.field import Field, FieldSampler, load_fields
 
+# The hyperparameters that decide which networks there are.
 NETWORK = ("actor", "network", "hidden", "sharing")
-"""The hyperparameters that decide which networks there are."""
+# Of glibc's malloc: how many blocks may be mappings of their own (``M_MMAP_MAX``), and how many
+# bytes may lie free at the top (``M_TRIM_THRESHOLD``).
 KEPT = {-4: 0, -1: 2**31 - 1}
-"""Of glibc's malloc: how many blocks may be mappings of their own (``M_MMAP_MAX``), and how many
-bytes may lie free at the top (``M_TRIM_THRESHOLD``)."""
 
 
 def train(
@@ -132,10 +129,12 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
     if problems:
         raise ConfigError("training", problems)
     fields = load_fields(config.field)
-    if isinstance(fields, FieldSampler):  # each run has fields of its own
+    if isinstance(fields, FieldSampler):
         if getattr(hyperparameters, "network", None) != "entities":
-            problem = f"field: {config.field} is random fields; allowed: with network=entities"
+            allowed = "with setting G of mappo and ippo, or network=entities"
+            problem = f"field: {config.field} is random fields; allowed: {allowed}"
             raise ConfigError("training", [problem])
+        # Runs with other seeds train on other fields.
         fields = fields.model_copy(update={"seed": (fields.seed + config.seed) % 2**63})
     BatchEngine(fields, 1, **settings)  # raises where field, team and settings do not fit
     task = Task(config, fields, settings)
@@ -152,7 +151,7 @@ def _running(run: RunFolder) -> Iterator[None]:
     threads, hook = torch.get_num_threads(), threading.excepthook
 
     def quiet(arguments: threading.ExceptHookArgs) -> None:
-        """Say nothing of errors that TensorBoard's thread passes to its next call."""
+        # TensorBoard's thread passes its errors on to its next call: they are shown there.
         if not isinstance(arguments.exc_value, OSError):
             hook(arguments)
 
@@ -191,10 +190,8 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
     """Check that the run that a task begins with is finished and fits; raise an error if not."""
     if not (source.finished or (source.path / CARD).is_file()):
         raise RunError(f"{source.path} is not finished; resume it first (--resume)")
-    config = source.config
-    theirs = {"network": "mlp", **config["hyperparameters"]}  # older runs have no other
+    config, environment = source.config, make_config(task.settings)
     asked = hyperparameters.model_dump(mode="json", exclude={"source", "num_envs"})
-    environment = make_config(task.settings)
     if task.config.setting == "C":
         assert isinstance(task.field, Field)  # no algorithm with setting C takes random ones
         compared = {
@@ -207,9 +204,8 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
         seen = acts_on(source.fields, make_config(config["environment"]))
         here = acts_on(task.field, environment)
         compared = {name: (seen.get(name), here.get(name)) for name in {**seen, **here}}
-    compared |= {
-        f"hyperparameters.{name}": (theirs.get(name), ours) for name, ours in asked.items()
-    }
+    theirs = {"network": "mlp", **config["hyperparameters"]}  # the zoo's first have no other
+    compared |= {f"hyperparameters.{name}": (theirs.get(name), asked[name]) for name in asked}
     problems = [
         f"{name}: the policy's run has {theirs}, this run {ours}"
         for name, (theirs, ours) in compared.items()
@@ -230,7 +226,6 @@ def keep_freed_memory() -> None:
 
 
 def found_anywhere(field: str) -> str:
-    """Return a field's name, or its absolute path if it is a file."""
     return str(Path(field).resolve()) if Path(field).is_file() else field
 
 

@@ -9,7 +9,8 @@ Source: this package.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,26 +41,9 @@ FAILING = 1000
 RADIANS = math.pi / 180.0
 
 
-class Numbers(NamedTuple):
-    """The constants of a step that an episode may draw, for one world."""
-
-    wind_x: Any
-    wind_y: Any
-    gust: Any
-    gust_kept: Any
-    gust_added: Any
-    action_noise: Any
-    action_loss: Any
-    position_noise: Any
-    velocity_noise: Any
-    dropout: Any
-    failure_rate: Any
-    tau: Any
-    turn_max: Any
-    wheelbase: Any
-    steer_max: Any
-    safety_squared: Any
-    roi_squared: Any
+NAMES = (*MADE[:ROBOT], *NUMBERS, "failure_rate")
+Numbers = namedtuple("Numbers", NAMES)  # type: ignore[misc]
+"""The constants of a step that an episode may draw, for one world."""
 
 
 def _row(name: str) -> int:
@@ -71,8 +55,8 @@ def draws_numbers(ep):
     return ep.drawn.ndim == 2
 
 
-_DRAWN = ", ".join(f"ep.drawn[{_row(name)}, w]" for name in Numbers._fields)
-_FIXED = ", ".join(f"p.{name}" for name in Numbers._fields)
+_DRAWN = ", ".join(f"ep.drawn[{_row(name)}, w]" for name in NAMES)
+_FIXED = ", ".join(f"p.{name}" for name in NAMES)
 # Seventeen names, twice: written by a loop over them.
 numbers_of = generated(
     "numbers_of",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -19,15 +18,14 @@ from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import moments_of
 from baselines.sb3.config import TUNED_IN_PAPER, accepted_arguments, load
-from baselines.sb3.envs import LearnersView
-from baselines.sb3.learner import Learner
-from baselines.training.config import DivergenceError, Task, TrainConfig
+from baselines.sb3.trainer import Learner
+from baselines.training.config import DivergenceError, TrainConfig
 from baselines.training.run_logger import EpisodeWindow
 from baselines.training.train import notes, prepare, train
-from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from tests.baselines.conftest import Refusal
+from tests.support.runs import recorded
 
 pytestmark = pytest.mark.slow
 
@@ -45,13 +43,6 @@ PAPER: dict[str, dict[str, float]] = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    """A tiny run of A2C under A, to begin others with."""
-    config = TrainConfig("a2c", "field_01", "A", steps=5, episodes=1)
-    return train(config, tmp_path_factory.mktemp("source") / "run")
-
-
 def test_every_setting_trains_from_the_command_line(tmp_path: Path) -> None:
     def run(setting: str, field: str, *options: str) -> dict[str, Any]:
         out = tmp_path / setting
@@ -59,22 +50,16 @@ def test_every_setting_trains_from_the_command_line(tmp_path: Path) -> None:
         command = ["train", "a2c", field, "--setting", setting, "--out", str(out), *tiny, *options]
         assert main(command) == 0
         config: dict[str, Any] = read_json(out / "config.json")
-        with (out / "progress.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
         steps = read_json(out / "evaluation.json")["env_steps"]
-        assert int(rows[-1]["env_steps"]) == steps >= 105
+        assert int(recorded(RunFolder(out))["rows"][-1]["env_steps"]) == steps >= 105
         shape = read_json(out / "policy" / "policy.json")
         assert (shape["normalization"] is not None) == (setting == "N")
         return config
 
     raw = run("A", "field_01")
     assert raw["seed"] == 33 and raw["transferred_from"] is None
-    assert (
-        raw["hyperparameters"].items()
-        >= {
-            **{"model": {}, "reward_scale": 1.0, "normalize_observation": False, "num_envs": 1}
-        }.items()
-    )
+    plain = {"model": {}, "reward_scale": 1.0, "normalize_observation": False, "num_envs": 1}
+    assert raw["hyperparameters"].items() >= plain.items()
     published = run("B", "field_03", "--num-envs", "2")
     assert published["hyperparameters"].items() >= {"model": PAPER["a2c"], "num_envs": 2}.items()
     custom = shutil.copy(CATALOGUE / "field_04.yaml", tmp_path / "mine.yaml")
@@ -135,37 +120,21 @@ def test_a_wrong_hyperparameter_file_is_refused_by_place(tmp_path: Path) -> None
     assert not out.exists()
 
 
-def _task(name: str, field: str = "field_03", **changes: Any) -> Task:
-    config = TrainConfig(name, field, seed=3, steps=100, episodes=1, **changes)
-    return Task(config, load_field(field), {"max_steps": 20, **config.environment})
-
-
-def test_the_learner_sees_scaled_rewards_and_the_window_true_returns() -> None:
-    window = EpisodeWindow()
-    view = LearnersView(CentralizedVecEnv("field_03", 3, threads=1, max_steps=2), 0.5, window)
-    view.reset()
-    view.watched[1] = False
-    still = np.zeros((3, 3, 2), np.float32)
-    rewards = [view.step(still)[1].tolist() for _ in range(2)]
-    # Two of the three robots start in an ROI: 2 x 10,000 - 3 x 10, then 3 x 100 for standing still.
-    assert rewards == [[9985.0] * 3, [-150.0] * 3]
-    row = window.pop()
-    assert (row["episodes"], row["return_mean"], row["return_std"]) == (2, 19_670.0, 0.0)
-
-
 @pytest.mark.parametrize(
     "name", ["a2c", "ars", "tqc", pytest.param("crossq", marks=pytest.mark.all)]
 )
-def test_a_transferred_learner_begins_with_the_sources_policy(name: str, tmp_path: Path) -> None:
-    small: dict[str, Any] = {"num_envs": 1, "environment": {"max_steps": 20}}
-    small["normalize_observation"] = name == "a2c"
+def test_transferred_learner_begins_with_the_policy_of_its_source(
+    name: str, tmp_path: Path
+) -> None:
+    small: dict[str, Any] = {"normalize_observation": name == "a2c"}
     if name in ("crossq", "tqc"):
         small["model"] = {"policy_kwargs": {"net_arch": [8]}, "batch_size": 8}
-    config = TrainConfig(name, "field_01", "A", steps=120, episodes=1, hyperparameters=small)
-    run = train(config, tmp_path / "source")
-    task = _task(name, "field_02", setting="C", transferred_from=run.path)
-    learner = Learner(task, load(name, "C", small), EpisodeWindow())
-    learner.begin_with(run)
+    how: dict[str, Any] = {"episodes": 1, "hyperparameters": small}
+    how["environment"] = {"max_steps": 20}
+    run = train(TrainConfig(name, "field_01", "A", steps=120, **how), tmp_path / "source")
+    config = TrainConfig(name, "field_02", "C", steps=100, transferred_from=run.path, **how)
+    learner = Learner(*prepare(config), EpisodeWindow())
+    learner.begin_with(run.policy)
     model = learner.model
     policy: Any = load_trained(run)
     ours, theirs = model.policy.state_dict(), policy.network.state_dict()
@@ -173,8 +142,7 @@ def test_a_transferred_learner_begins_with_the_sources_policy(name: str, tmp_pat
     assert (model.num_timesteps, learner.env_steps) == (0, 0)
     if name == "ars":
         parameters = torch.nn.utils.parameters_to_vector(policy.network.parameters())
-        assert torch.equal(model.weights, parameters)
-        assert model.weights.abs().max() > 0
+        assert torch.equal(model.weights, parameters) and model.weights.abs().max() > 0
     else:
         states = [s for part, s in model.get_parameters().items() if part.endswith("optimizer")]
         moments = [moment for state in states for moment in moments_of(state).values()]
@@ -221,11 +189,9 @@ def test_transfer_goes_from_one_field_to_others(
     assert f"from: {out / names[0]}, 20 env-steps" in capsys.readouterr().out
 
 
-def test_wrong_options_are_refused_by_place(tmp_path: Path, refusal: Refusal) -> None:
-    whole = load_field("field_02")
-    save_field(Field(whole.vertices, whole.rois, whole.starts[:2]), tmp_path / "two.yaml")
-    train_ppo = "train ppo field_02"
-    for words, place in (
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
         ("transfer ippo", "settings: "),
         ("transfer ppo --fields field_01", "fields: "),
         ("transfer ppo --fields field_02 field_02", "fields: field_02"),
@@ -233,28 +199,34 @@ def test_wrong_options_are_refused_by_place(tmp_path: Path, refusal: Refusal) ->
         ("transfer ppo --fields field_99", "field_99"),
         ("transfer ppo --processes 0", "processes: "),
         ("transfer ppo --source-steps 0", "source_steps: "),
-        (f"{train_ppo} --seed {2**32}", "seed: "),
-        (f"{train_ppo} --setting C", "--from"),
-        (f"{train_ppo} --setting C --from x", "x is not a run folder"),
-        (f"{train_ppo} --from x", "from: "),
+        (f"train ppo field_02 --seed {2**32}", "seed: "),
+        ("train ppo field_02 --setting C", "--from"),
+        ("train ppo field_02 --setting C --from x", "x is not a run folder"),
+        ("train ppo field_02 --from x", "from: "),
         ("train mappo field_02 --setting B", "setting: "),
         ("train ppo-shared field_02 --setting A", "setting: "),
-        (f"{train_ppo} --num-envs 0", "num_envs: "),
-        (f"{train_ppo} --stop-at inf", "stop_at: "),
+        ("train ppo field_02 --num-envs 0", "num_envs: "),
+        ("train ppo field_02 --stop-at inf", "stop_at: "),
         ("train mappo field_02 --set entropy=NaN", "entropy: "),
-        (f"{train_ppo} --hyperparams x.yaml", "x.yaml: "),
-        (f"{train_ppo} --resume --force", "force and resume"),
-        (f"{train_ppo} --resume --out x", "x is not a run folder"),
-    ):
-        assert place in refusal(words.split()), words
+        ("train ppo field_02 --hyperparams x.yaml", "x.yaml: "),
+        ("train ppo field_02 --resume --force", "force and resume"),
+        ("train ppo field_02 --resume --out x", "x is not a run folder"),
+    ],
+)
+def test_wrong_options_are_refused_by_place(
+    words: str, place: str, tmp_path: Path, refusal: Refusal
+) -> None:
+    whole = load_field("field_02")
+    save_field(Field(whole.vertices, whole.rois, whole.starts[:2]), tmp_path / "two.yaml")
+    assert place in refusal(words.split())
     assert [path.name for path in tmp_path.iterdir()] == ["two.yaml"]
 
 
 def test_only_a_finished_policy_of_the_same_learner_is_taken_over(
-    source: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
 ) -> None:
     path, out = tmp_path / "source", tmp_path / "moved"
-    shutil.copytree(source.path, path)
+    train(TrainConfig("a2c", "field_01", "A", steps=5, episodes=1), path)
     budget: dict[str, Any] = {"steps": 5, "episodes": 1, "transferred_from": path}
     moved = TrainConfig("a2c", "field_02", "C", **budget)
     for config, place in (
@@ -265,13 +237,8 @@ def test_only_a_finished_policy_of_the_same_learner_is_taken_over(
         with pytest.raises(ConfigError) as caught:
             train(config, out)
         assert any(problem.startswith(place) for problem in caught.value.problems)
-    for file in (path / "policy").iterdir():
-        file.unlink()
-    (path / "policy" / "model.zip").write_bytes(b"PK")  # as an older version wrote it
-    assert main(["evaluate", str(path)]) == 2
-    error = capsys.readouterr().err
-    assert all(word in error for word in (str(path / "policy"), "model.zip", "--force"))
-    with pytest.raises(RunError, match=r"model\.zip"):
+    (path / "policy" / "learner.safetensors").unlink()
+    with pytest.raises(RunError, match=r"learner\.safetensors"):
         train(moved, out)
     shutil.rmtree(out)
     (path / "evaluation.json").unlink()

@@ -13,7 +13,7 @@ import torch
 from tensordict import TensorDict
 
 from baselines import load_policy
-from baselines.algorithms import find_algorithm
+from baselines.algorithms import Setting, find_algorithm
 from baselines.evaluation.evaluate import evaluate, unseen
 from baselines.runs.folder import RunFolder
 from baselines.torchrl.entities import Rivals, SetActor, SetCritic, Tokens
@@ -167,7 +167,7 @@ def test_the_way_left_is_in_units() -> None:
     torch.testing.assert_close(tokens.way_left(rows, 1), torch.tensor([125.0]))
 
 
-SMALLEST = small_config("generalist")
+SMALLEST = small_config("mappo", "G")
 CONFIG = replace(
     SMALLEST,
     field="random_convex",
@@ -219,16 +219,17 @@ SMALL: dict[str, Any] = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "source", "gain"),
-    [("generalist", "zoo:generalist", 3.0), ("mappo", "zoo:field_03", 1.0)],
+    ("setting", "source", "gain"),
+    [("G", "zoo:generalist", 3.0), ("N", "zoo:field_03", 1.0)],
 )
 def test_a_run_begins_with_the_network_of_another_one_and_ends_with_its_gain(
-    algorithm: str, source: str, gain: float, tmp_path: Path
+    setting: Setting, source: str, gain: float, tmp_path: Path
 ) -> None:
     still = {**SMALL, "learning_rate": (1e-9, 1e-9), "log_std_cap": (9.0, 9.0)}
     begins = {"steps": 16, "episodes": 1, "transferred_from": Path(source)}
     tuned = train(
-        TrainConfig(algorithm, "field_03", hyperparameters=still, **begins), tmp_path / "tuned"
+        TrainConfig("mappo", "field_03", setting, hyperparameters=still, **begins),
+        tmp_path / "tuned",
     )
     first, second = (load_policy(str(p)).policy.network for p in (source, tuned.path))
     tuned_to = dict(second.named_parameters())
@@ -239,7 +240,7 @@ def test_a_run_begins_with_the_network_of_another_one_and_ends_with_its_gain(
 
 
 def test_a_run_begins_with_a_network_that_fits_or_not_at_all(tmp_path: Path) -> None:
-    begins = TrainConfig("generalist", "field_03", transferred_from=Path("zoo:generalist"))
+    begins = TrainConfig("mappo", "field_03", "G", transferred_from=Path("zoo:generalist"))
     other = {"hidden": (8, 8), "sharing": "none", "network": "mlp"}
     with pytest.raises(ConfigError) as caught:
         train(replace(begins, hyperparameters=SMALL | other), tmp_path / "other")
@@ -252,16 +253,17 @@ def test_a_run_begins_with_a_network_that_fits_or_not_at_all(tmp_path: Path) -> 
 
 
 def test_what_does_not_go_together_is_refused() -> None:
-    cases: list[tuple[str, str, dict[str, Any], list[str]]] = [
-        ("generalist", "random_convex", {"scattered": 0.5}, ["scattered"]),
-        ("mappo", "field_03", {"shaping": 0.1}, ["shaping"]),
-        ("generalist", "field_03", {"sharing": "none", "hidden": [64]}, ["sharing", "hidden"]),
-        ("ppo-joint", "field_03", {"network": "entities", "sharing": "full"}, ["actor"]),
+    one: dict[str, Any] = {"sharing": "none", "hidden": [64]}
+    cases: list[tuple[str, str, Setting, dict[str, Any], list[str]]] = [
+        ("mappo", "random_convex", "G", {"scattered": 0.5}, ["scattered"]),
+        ("mappo", "field_03", "N", {"shaping": 0.1}, ["shaping"]),
+        ("mappo", "field_03", "G", one, ["sharing", "hidden"]),
+        ("ppo-joint", "field_03", "N", {"network": "entities", "sharing": "full"}, ["actor"]),
     ]
-    for algorithm, field, changes, named in cases:
-        task, hyperparameters = prepare(TrainConfig(algorithm, field, hyperparameters=changes))
+    for algorithm, field, setting, changes, named in cases:
+        config = TrainConfig(algorithm, field, setting, hyperparameters=changes)
         with pytest.raises(ConfigError) as caught:
-            find_algorithm(algorithm).check(task, hyperparameters)
+            find_algorithm(algorithm).check(*prepare(config))
         assert [problem.partition(":")[0] for problem in caught.value.problems] == named
     for algorithm in ("mappo", "ppo"):
         with pytest.raises(ConfigError, match="field: random_convex"):
@@ -269,7 +271,7 @@ def test_what_does_not_go_together_is_refused() -> None:
 
 
 def test_each_run_on_random_fields_has_its_own() -> None:
-    tasks = [prepare(TrainConfig("generalist", "random_convex", seed=seed))[0] for seed in (0, 1)]
+    tasks = [prepare(TrainConfig("mappo", "random_convex", "G", seed=seed))[0] for seed in (0, 1)]
     first, second = (task.field for task in tasks)
     assert isinstance(first, FieldSampler) and isinstance(second, FieldSampler)
     assert first.field() != second.field()

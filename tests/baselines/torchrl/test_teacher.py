@@ -28,8 +28,9 @@ SOURCE = "zoo:generalist-hint"
 LEARNER: dict[str, Any] = {"observation": "entities", "assignment": False}
 TINY = {"num_worlds": 4, "rollout_steps": 16, "hidden": [16, 16], "minibatches": 4}
 CONFIG = TrainConfig(
-    "generalist",
+    "mappo",
     "random_convex",
+    "G",
     steps=320,
     evaluate_every=128,
     episodes=2,
@@ -114,15 +115,14 @@ def test_a_learner_imitates_at_first_and_an_interrupted_one_goes_on(tmp_path: Pa
     assert same_policies(again, whole)
 
 
-def test_a_teacher_that_does_not_fit_is_refused_with_all_else() -> None:
-    for source, named in (
-        ("zoo:nobody", "zoo:nobody"),
-        ("zoo:field_03", "fields: "),
-        ("nowhere", "nowhere"),
-    ):
-        wrong = {"teacher": source, "scattered": 0.5}
-        task, hyperparameters = prepare(replace(CONFIG, hyperparameters=wrong))
-        with pytest.raises(ConfigError) as caught:
-            find_algorithm("generalist").check(task, hyperparameters)
-        first, second = caught.value.problems
-        assert first.startswith("scattered: ") and named in second
+@pytest.mark.parametrize(
+    ("source", "named"),
+    [("zoo:nobody", "zoo:nobody"), ("zoo:field_03", "fields: "), ("nowhere", "nowhere")],
+)
+def test_teacher_that_does_not_fit_is_refused_with_all_else(source: str, named: str) -> None:
+    wrong = {"teacher": source, "scattered": 0.5}
+    task, hyperparameters = prepare(replace(CONFIG, hyperparameters=wrong))
+    with pytest.raises(ConfigError) as caught:
+        find_algorithm("mappo").check(task, hyperparameters)
+    first, second = caught.value.problems
+    assert first.startswith("scattered: ") and named in second

@@ -16,21 +16,23 @@ from torchrl.objectives.value import MultiAgentGAE
 from baselines.torchrl import trainer
 from baselines.torchrl.config import load
 from baselines.torchrl.networks import Key
+from baselines.training import aids
 from baselines.training.config import TrainConfig
 from baselines.training.train import train
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.errors import ConfigError
 
 
-def test_the_algorithms_differ_by_what_actor_and_critic_see_alone() -> None:
-    blocks = [load(name, "N", {}).model_dump() for name in ("mappo", "ippo", "ppo-joint")]
-    seen = [(block.pop("actor"), block.pop("critic")) for block in blocks]
-    assert seen == [
-        ("decentralized", "centralized"),
-        ("decentralized", "independent"),
-        ("centralized", "centralized"),
-    ]
-    assert blocks[0] == blocks[1] == blocks[2]
+def test_algorithms_differ_by_what_actor_and_critic_see_alone() -> None:
+    of = {"mappo": ("decentralized", "centralized"), "ippo": ("decentralized", "independent")}
+    for setting, seen in {
+        "N": {**of, "ppo-joint": ("centralized", "centralized")},
+        "G": of,
+    }.items():
+        blocks = [load(name, setting, {}).model_dump() for name in seen]
+        assert [(one.pop("actor"), one.pop("critic")) for one in blocks] == [*seen.values()]
+        assert all(one == blocks[0] for one in blocks)
+    assert blocks[0]["network"] == "entities" == blocks[0]["environment"]["observation"]
 
 
 def test_the_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
@@ -63,10 +65,10 @@ def test_training_has_its_own_rois_and_time_limit_and_evaluations_the_true_ones(
             made.append((config.roi_radius, config.max_steps, len(fields)))
 
     monkeypatch.setattr(trainer, "NavigationEnv", Watched)
-    aids = {"roi_radius": 16.0, "scattered": 0.25, "episode_steps": 32}
-    # Whatever the team does is enough for the next stage.
-    stages = {**SMALL, **aids, "roi_stages": 2, "roi_success": [0.0, 0.0]}
-    config = TrainConfig("mappo", "field_03", steps=384, episodes=2, hyperparameters=stages)
+    monkeypatch.setattr(aids, "STAGES", 2)
+    monkeypatch.setattr(aids, "SUCCESS", (0.0, 0.0))  # whatever the team does is enough
+    changes = {**SMALL, "roi_radius": 16.0, "scattered": 0.25, "episode_steps": 32}
+    config = TrainConfig("mappo", "field_03", steps=384, episodes=2, hyperparameters=changes)
     run = train(config, tmp_path / "run")
     assert made == [(160.0, 32, 4), (40.0, 32, 4), (10.0, 32, 1)]
     assert max(run.evaluation["deterministic"]["per_episode"]["steps"]) > 32

@@ -51,7 +51,7 @@ OPTIMUM = 110_000.0 - 2 * 10 * 13
 
 
 @pytest.mark.all
-@pytest.mark.parametrize("algorithm", ALGORITHMS.keys() - {"crossq", "tqc", "ppo-supersuit"})
+@pytest.mark.parametrize("algorithm", ALGORITHMS.keys() - {"crossq", "tqc"})
 def test_a_field_of_two_robots_is_solved_to_the_optimum(algorithm: str, tmp_path: Path) -> None:
     save_field(TINY, tmp_path / "tiny.yaml")
     config = TrainConfig(

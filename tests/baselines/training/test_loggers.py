@@ -11,9 +11,8 @@ import pytest
 
 from baselines.cli import main
 from baselines.runs.files import read_json
-from baselines.training.progress_bar import Report
 from baselines.training.train import train
-from tests.support.runs import small_config
+from tests.support.runs import interrupted, small_config
 
 pytestmark = pytest.mark.slow
 
@@ -21,7 +20,7 @@ pytestmark = pytest.mark.slow
 class FakeRun:
     """A run of the library's: its arguments, its numbers, and whether it ended."""
 
-    def __init__(self, arguments: dict[str, Any]) -> None:
+    def __init__(self, **arguments: Any) -> None:
         self.arguments = arguments
         self.logged: list[tuple[int, dict[str, float]]] = []
         self.finished = False
@@ -33,24 +32,19 @@ class FakeRun:
         self.finished = True
 
 
-def test_an_interrupted_run_is_logged_and_goes_on_in_the_same_one(
+def test_resumed_run_is_logged_to_the_same_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runs: list[FakeRun] = []
     config, out, module = small_config("ppo"), tmp_path / "run", ModuleType("wandb")
 
     def init(**arguments: Any) -> FakeRun:
-        runs.append(FakeRun(arguments))
+        runs.append(FakeRun(**arguments))
         return runs[-1]
-
-    def interrupt(report: Report) -> None:
-        if (out / "checkpoints").exists():
-            raise InterruptedError
 
     module.init = init  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "wandb", module)
-    with pytest.raises(InterruptedError):
-        train(config, out, wandb="robots", listener=interrupt)
+    interrupted(config, out, wandb="robots")
     assert not runs[0].finished
     run = train(config, out, wandb="robots", resume=True)
     first, second = (one.arguments for one in runs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -26,7 +27,7 @@ from baselines.evaluation.policy import load_trained
 from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
 from baselines.training import run_logger as recorder
-from baselines.training.progress_bar import Report
+from baselines.training.run_logger import Report
 from baselines.training.train import prepare, train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field, save_field
@@ -36,11 +37,16 @@ pytestmark = pytest.mark.slow
 
 FAMILIES = ("ppo", "ars", "tqc", "mappo", "ppo-shared")
 """An algorithm of each kind; the others share their trainers."""
+SMALL = small_config("ppo")
 
 
 def assert_equal(run: RunFolder, other: RunFolder) -> None:
     assert recorded(run) == recorded(other)
     assert same_policies(run, other)
+
+
+def interrupt(report: Report) -> None:
+    raise InterruptedError
 
 
 @pytest.mark.parametrize(
@@ -62,7 +68,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     assert least <= resumed.evaluation["env_steps"] <= budget.env_steps
     if STAGES.items() <= config.hyperparameters.items():
         sizes = [float(row["roi_radius"]) for row in recorded(resumed)["rows"]]
-        assert 1.0 < sizes[0] < 4.0 and sizes[-1] == 1.0
+        assert sizes == sorted(sizes, reverse=True) and sizes[0] > sizes[-1]
     assert not (resumed.path / "checkpoints").exists()
     events = EventAccumulator(str(resumed.path / "tensorboard")).Reload()
     shown = [(event.step, event.value) for event in events.Scalars("evaluation/return_mean")]
@@ -74,7 +80,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
 def test_a_killed_process_is_resumed(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     words = "train ppo-shared field_03 --episodes 2 --steps 4000 --evaluate-every 500 --num-envs 2"
-    sets = "--set action_repeat=[4,1] roi_radius=5.0 roi_success=[0.0,0.0] episode_steps=50"
+    sets = "--set action_repeat=[4,1] roi_radius=20.0 episode_steps=50"
     model = "model.n_steps=32 model.batch_size=64"
     arguments = [*words.split(), *sets.split(), *model.split(), "--out"]
     assert main([*arguments, str(whole)]) == 0
@@ -100,18 +106,14 @@ def test_a_killed_process_is_resumed(tmp_path: Path) -> None:
 def test_a_run_killed_before_its_first_checkpoint_begins_again(
     tmp_path: Path, tiny_runs: TinyRuns
 ) -> None:
-    config, out = small_config("ppo"), tmp_path / "run"
-
-    def interrupt(report: Report) -> None:
-        raise InterruptedError
-
+    out = tmp_path / "run"
     with pytest.raises(InterruptedError):
-        train(config, out, listener=interrupt)
+        train(SMALL, out, listener=interrupt)
     (out / ".policy.abc").mkdir()
     assert (out / "progress.csv").exists() and not (out / "checkpoints").exists()
     for name in ("field.yaml", "versions.json"):
         (out / name).unlink()
-    assert_equal(train(config, out, resume=True), tiny_runs.finished("ppo"))
+    assert_equal(train(SMALL, out, resume=True), tiny_runs.finished("ppo"))
     assert RunFolder.open(out).field == load_field("field_03") and (out / "versions.json").exists()
     assert not list(out.glob(".*"))
 
@@ -121,7 +123,7 @@ def test_slow_training_is_saved_between_evaluations(
 ) -> None:
     monkeypatch.setattr(recorder, "CHECKPOINT_SECONDS", 0.0)
     monkeypatch.setattr(recorder, "ROW_STEPS", 64)
-    stopped = interrupted(replace(small_config("ppo"), evaluate_every=100_000), tmp_path / "run")
+    stopped = interrupted(replace(SMALL, evaluate_every=100_000), tmp_path / "run")
     assert stopped.checkpoint is not None and int(stopped.checkpoint.name) == 64
     assert stopped.evaluations == []
 
@@ -157,7 +159,7 @@ def test_an_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(
 ) -> None:
     threads, during = torch.get_num_threads(), []
 
-    def interrupt(report: Report) -> None:
+    def stop(report: Report) -> None:
         during.append(torch.get_num_threads())
         if (tmp_path / "run" / "checkpoints").exists():
             raise KeyboardInterrupt
@@ -165,7 +167,7 @@ def test_an_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(
     torch.set_num_threads(3)
     try:
         with pytest.raises(KeyboardInterrupt, match="--resume") as caught:
-            train(small_config("ppo"), tmp_path / "run", listener=interrupt)
+            train(SMALL, tmp_path / "run", listener=stop)
         assert torch.get_num_threads() == 3 and set(during) == {1}
     finally:
         torch.set_num_threads(threads)
@@ -195,39 +197,38 @@ def test_freed_memory_is_kept_for_the_next_update() -> None:
 
 
 def test_a_finished_run_is_left_as_it_is(tmp_path: Path, tiny_runs: TinyRuns) -> None:
-    stopped = tiny_runs.stopped("ppo", tmp_path / "run")
-    run = train(small_config("ppo"), stopped.path, resume=True)
+    run = RunFolder(shutil.copytree(tiny_runs.finished("ppo").path, tmp_path / "run"))
     before = {path: path.stat().st_mtime_ns for path in run.path.iterdir()}
-    assert train(small_config("ppo"), run.path, resume=True).evaluation == run.evaluation
+    assert train(SMALL, run.path, resume=True).evaluation == run.evaluation
     assert {path: path.stat().st_mtime_ns for path in run.path.iterdir()} == before
 
 
 def test_only_the_same_run_can_be_resumed(tmp_path: Path, tiny_runs: TinyRuns) -> None:
-    config, stopped = small_config("ppo"), tiny_runs.stopped("ppo", tmp_path / "run")
+    stopped = tiny_runs.stopped("ppo", tmp_path / "run")
     before = stopped.progress.read_bytes()
     with pytest.raises(ConfigError) as caught:
-        train(replace(config, seed=5, steps=500), stopped.path, resume=True)
+        train(replace(SMALL, seed=5, steps=500), stopped.path, resume=True)
     assert [line.split(":")[0] for line in caught.value.problems] == ["seed", "steps"]
     with pytest.raises(RunError):
-        train(config, tmp_path / "nothing", resume=True)
+        train(SMALL, tmp_path / "nothing", resume=True)
     save_field(load_field("field_04"), stopped.path / "field.yaml")
     with pytest.raises(ConfigError, match="field"):
-        train(config, stopped.path, resume=True)
+        train(SMALL, stopped.path, resume=True)
     assert stopped.progress.read_bytes() == before and stopped.checkpoint is not None
 
 
 def test_a_run_that_another_process_trains_is_left_alone(tmp_path: Path) -> None:
-    config, out, refused = small_config("ppo"), tmp_path / "run", []
+    out, refused = tmp_path / "run", []
 
     def interfere(report: Report) -> None:
         for options in ({"resume": True}, {"force": True}):
             with pytest.raises(RunError, match=f"{out}.*process {os.getpid()} on"):
-                train(config, out, **options)
+                train(SMALL, out, **options)
             refused.append(options)
         raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        train(config, out, listener=interfere)
+        train(SMALL, out, listener=interfere)
     assert len(refused) == 2 and [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
