@@ -155,7 +155,7 @@ def units(length):
 
 @compiled
 def write(scratch, g, f, corners, rois, robots):
-    """Fill column f of the tables ``g`` as ``engine.geometry.write_field`` does."""
+    """Fill column f of the tables ``g`` as ``engine.tables.write_field`` does."""
     left = right = scratch[X, f]
     low = high = scratch[Y, f]
     for e in range(g.edges.shape[1]):
@@ -193,7 +193,7 @@ def make_field(s, key, scratch, g, f):
         key: uint64; fields of different keys are independent.
         scratch: (``FieldSampler.scratch_rows``, F) int64, whose column f is overwritten.
         g: the tables ``edges``, ``rois``, ``starts``, ``roi_bits``, ``codes``, ``boxes`` of
-            ``engine.state.Geometry``, and ``robots_in`` (F,) int32, how many robots there are.
+            ``layout.Tables``, and ``robots_in`` (F,) int32, how many robots there are.
         f: the column.
     """
     scratch[COUNTER, f] = 0

@@ -20,9 +20,9 @@ import pytest
 from mbn_marl import BatchEngine, Uniform
 from mbn_marl.config import make_config
 from mbn_marl.engine.constants import constants_of, make_record
-from mbn_marl.engine.geometry import make_geometry, sizes_of
 from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.engine.state import make_episode, make_memory, make_output
+from mbn_marl.engine.tables import make_geometry, sizes_of
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler, load_field
 from mbn_marl.field.layout import FAMILIES

@@ -14,7 +14,7 @@ import shapely
 from shapely.affinity import translate
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.geometry import make_geometry
+from mbn_marl.engine.tables import make_geometry
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, FieldSampler, generate, load_field, save_field
 from mbn_marl.field.drawing import root
@@ -98,7 +98,7 @@ class TestTables:
         for world in range(60):
             field = sampler.field(world)
             n = len(field.starts)
-            other = make_geometry((field, filler), NavigationConfig(dtype=dtype), n, 2)
+            other = make_geometry((field, filler), NavigationConfig(dtype=dtype), n, 2).field
             for name in ("edges", "rois", "roi_bits", "codes", "boxes"):
                 own, expected = getattr(tables, name)[..., world], getattr(other, name)[..., 0]
                 assert own.dtype == expected.dtype
