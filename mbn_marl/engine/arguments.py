@@ -1,9 +1,8 @@
-"""The arguments of the kernels: all arrays of an engine behind one address.
+"""The arguments of the kernels: all arrays of an engine behind one address."""
 
-Passing some fifty arrays to a compiled function takes Numba longer than one world takes to step.
-So Python writes the descriptor of each array into a table, laid out as Numba's named tuples of
-arrays are, and compiled code reads the table: no code has to be compiled to make it.
-"""
+# Passing some fifty arrays to a compiled function takes Numba longer than one world takes to step.
+# So Python writes the descriptor of each array into a table, laid out as Numba's named tuples of
+# arrays are, and compiled code reads the table: no code has to be compiled to make it.
 
 from __future__ import annotations
 
@@ -103,11 +102,9 @@ def _table_of(context: Any, kind: ArgumentsType) -> ir.LiteralStructType:
 
 
 def _worlds_of(typing: Any, kind: ArgumentsType) -> Any:
-    """Return the ``Worlds``, without counting references.
-
-    Scalars that live in registers cannot alias the arrays that a pass writes, so they leave its
-    loop.
-    """
+    """Return the ``Worlds``, without counting references."""
+    # Scalars that live in registers cannot alias the arrays that a pass writes, so they leave its
+    # loop.
     kinds = types.NamedTuple(kind.parts, Worlds)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -113,7 +113,6 @@ class Backend:
         return self.memory.episode < 0
 
     def recount(self) -> None:
-        """Take note that arrays were written from outside: count the worlds that wait."""
         self._count_waiting = int(np.count_nonzero(self._waits()))
 
     def raise_fault(self) -> None:
@@ -142,7 +141,6 @@ class Backend:
         kernels.write_states(self.arguments, final, rows)
 
     def write_draw(self, rows: Any) -> None:
-        """Fill (W, n, 2) float32 with the seed's next actions."""
         kernels.draw_actions(self.arguments, rows)
 
     # -- what is given -----------------------------------------------------------------------------
@@ -211,7 +209,6 @@ class Backend:
         self.arguments = self.arguments_with(self.geometry.team.limits)
 
     def arguments_with(self, limits: Array) -> Arguments:
-        """The arrays as the kernels take them, with these limits of the robots, (3, n)."""
         spec, team = self.spec, self.geometry.team._replace(limits=limits)
         sizes = spec.num_worlds, limits.shape[1], spec.obs_size, self.real
         scratch = [make_scratch(*sizes) for _ in self.cuts[1:]]
@@ -220,7 +217,6 @@ class Backend:
         return Arguments(spec.constants, parts, scratch)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but what :meth:`connect` makes."""
         return {name: vars(self)[name] for name in vars(self) if name not in self.derived}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:

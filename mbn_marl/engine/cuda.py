@@ -149,7 +149,6 @@ class CudaBackend(Backend):
         return given.dtype != torch.bool and not given.is_complex()
 
     def _in_precision(self, given: torch.Tensor) -> torch.Tensor:
-        """The kernel finds what is not finite."""
         if given.dtype == self._actions.dtype:
             return given
         if given.dtype.itemsize > self._actions.dtype.itemsize and given.is_floating_point():

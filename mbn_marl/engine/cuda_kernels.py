@@ -1,12 +1,11 @@
-"""The CUDA kernels: a thread per world, around the very functions that the CPU's loops call.
+"""The CUDA kernels: a thread per world, around the very functions that the CPU's loops call."""
 
-A thread gathers its world into arrays whose world axis has length 1 and that live in registers,
-runs the passes of ``step`` on that batch of one, and puts the world back. Nothing of the MDP is
-written here, only where its data lies: structures of arrays, so that the threads of a warp read and
-write next to each other, and observations by way of shared memory, for the same reason.
-
-Whatever the threads of a launch read or write comes in named tuples, which kernels take whole.
-"""
+# A thread gathers its world into arrays whose world axis has length 1 and that live in registers,
+# runs the passes of ``step`` on that batch of one, and puts the world back. Nothing of the MDP is
+# written here, only where its data lies: structures of arrays, so that the threads of a warp read
+# and write next to each other, and observations by way of shared memory, for the same reason.
+#
+# Whatever the threads of a launch read or write comes in named tuples, which kernels take whole.
 
 from __future__ import annotations
 
@@ -127,11 +126,9 @@ def save_output(one, out, w):
 
 @cuda.jit(device=True)
 def write_observations(p, g, mem, ep, w, is_world, tile, rows):
-    """Write the observations of the block's worlds; this thread's is ``w`` of ``ep``.
-
-    A robot's observation is made in this thread's column of ``tile`` (size, threads + 1), in shared
-    memory, and the block then writes all columns together, entry next to entry.
-    """
+    """Write the observations of the block's worlds; this thread's is ``w`` of ``ep``."""
+    # A robot's observation is made in this thread's column of ``tile`` (size, threads + 1), in
+    # shared memory, and the block then writes all columns together, entry next to entry.
     thread, threads = cuda.threadIdx.x, cuda.blockDim.x
     first = cuda.blockIdx.x * threads
     size = rows.shape[2]
@@ -154,10 +151,8 @@ def write_observations(p, g, mem, ep, w, is_world, tile, rows):
 
 
 def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None]:
-    """The step of all worlds, for a team and observation size and a precision.
-
-    These are constants of the code: the robots' loops unroll, and a world's arrays are registers.
-    """
+    """The step of all worlds, for a team and observation size and a precision."""
+    # These are constants of the code: the robots' loops unroll, and a world's arrays are registers.
     columns = threads_per_block(obs_size) + 1  # odd: neither way of reading meets a bank twice
 
     def step(p, g, mem, now, final, out, call):
@@ -217,7 +212,6 @@ def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None
 
 
 def make_reset(obs_size: int) -> Callable[..., None]:
-    """The reset of the worlds that ``call.active`` marks, and everyone's observations."""
     columns = threads_per_block(obs_size) + 1
 
     def reset(p, g, mem, now, out, call):
@@ -259,7 +253,6 @@ def draw(p, mem, rows):
 
 @cache
 def step_kernel(n: int, obs_size: int, dtype: str) -> Any:
-    """The step, shared by all engines of a process with this team, observation and precision."""
     real = np.dtype(dtype).type
     return exact(make_step(n, obs_size, real, np.uint32 if real == np.float32 else np.uint64))
 
@@ -275,11 +268,10 @@ def plain_kernel(function: Callable[..., None]) -> Any:
 
 
 def exact(function: Callable[..., None]) -> Any:
-    """The kernel of a function, compiled so that each product is rounded, as the CPU does.
-
-    NVVM would contract ``a * b + c`` into one operation with one rounding. It has an option against
-    that, which numba-cuda does not offer, so it is added to those of the kernel's compilation.
-    """
+    """The kernel of a function, compiled so that each product is rounded, as the CPU does."""
+    # NVVM would contract ``a * b + c`` into one operation with one rounding. It has an option
+    # against that, which numba-cuda does not offer, so it is added to those of the kernel's
+    # compilation.
     kernel = cuda.jit(function)
     if SIMULATED:
         return kernel

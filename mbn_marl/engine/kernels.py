@@ -48,10 +48,8 @@ def all_finite(actions):
 
 @parallel_entry_point
 def step_ranges(address, arguments, actions, cuts):
-    """Step worlds ``cuts[k]`` to ``cuts[k + 1] - 1`` for every k; return how many ended.
-
-    ``address`` is that of ``step_worlds``, which would otherwise be compiled three times more.
-    """
+    """Step worlds ``cuts[k]`` to ``cuts[k + 1] - 1`` for every k; return how many ended."""
+    # ``address`` is that of ``step_worlds``, which would otherwise be compiled three times more.
     ended = 0
     for k in prange(cuts.size - 1):
         ended += call_step(address, with_scratch(arguments, k), actions, cuts[k], cuts[k + 1])
@@ -91,10 +89,8 @@ def rest_worlds(arguments, mask):
 
 @compiled
 def put_infos(p, ep, out, w, rows):
-    """Write the measures of each robot of world w, in the order of ``INFO_COLUMNS``.
-
-    The row after the robots' has the team's: sums of the robots' own, and the terms of ``R``.
-    """
+    """Write the measures of each robot of world w, in the order of ``INFO_COLUMNS``."""
+    # The row after the robots' has the team's: sums of the robots' own, and the terms of ``R``.
     outcome, n = out.outcomes[w], ep.x.shape[0]
     rois_visited = count_bits(visit_code(ep.visited[w], ep.codes[w]))
     lost = is_set(outcome, rewards.COLLISION)
@@ -190,10 +186,8 @@ if hasattr(os, "register_at_fork"):
 
 
 def cuts_of(worlds: int, threads: int | None) -> NDArray[np.int64]:
-    """The first world of each thread's range, and the number of worlds, (threads + 1,).
-
-    ``None`` takes a thread per core where the batch is worth it.
-    """
+    """The first world of each thread's range, and the number of worlds, (threads + 1,)."""
+    # ``None`` takes a thread per core where the batch is worth it.
     if threads is None:
         has_affinity = hasattr(os, "sched_getaffinity")
         cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
@@ -202,12 +196,10 @@ def cuts_of(worlds: int, threads: int | None) -> NDArray[np.int64]:
 
 
 def step_all(arguments: Arguments, actions: NDArray[Any], cuts: NDArray[np.int64]) -> int:
-    """Step all worlds with ``actions`` (W, n, 2); return how many episodes ended.
-
-    No two worlds share memory that is written, so neither the number of threads nor the cuts change
-    any result. The threads are those of Numba's threading layer: OpenMP where there is one, since
-    it starts work in microseconds.
-    """
+    """Step all worlds with ``actions`` (W, n, 2); return how many episodes ended."""
+    # No two worlds share memory that is written, so neither the number of threads nor the cuts
+    # change any result. The threads are those of Numba's threading layer: OpenMP where there is
+    # one, since it starts work in microseconds.
     if cuts.size == 2 or _forked.is_set():
         return int(step.step_worlds(arguments, actions, 0, cuts[-1]))
     _threaded.set()

@@ -15,17 +15,9 @@ from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES, clear_filter, j
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
 from mbn_marl.engine.state import draws_fields
 from mbn_marl.field.families import make_field
+from mbn_marl.jit import random_numbers as rng
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.functions import column
-from mbn_marl.jit.random_numbers import (
-    FOR_FIELDS,
-    FOR_STARTS,
-    episode_key,
-    stream_key,
-    stream_of,
-    uniform,
-    world_number,
-)
 
 DRAWS_PER_ROBOT = 1000
 """How many random starts are tried for a robot before the field's own starts are used instead."""
@@ -75,19 +67,17 @@ def copy_episode(source, v, target, w, n, headings):
 
 @compiled
 def place_at_random(p, g, key, now, team, w):
-    """Put the ``team`` first robots at random points of the field, none closer than C.
-
-    Return False if that failed.
-    """
+    """Put the ``team`` first robots at random points of the field, none closer than C."""
+    # Return False if that failed.
     f, boxes = column(g.field, w), g.field.boxes
-    key = stream_of(key, FOR_STARTS)
+    key = rng.stream_of(key, rng.FOR_STARTS)
     counter, safety_squared = 0, numbers_of(p, now, w).safety_squared
     for i in range(team):
         placed = False
         for _ in range(DRAWS_PER_ROBOT):
             if not placed:
-                x = boxes[0, f] + boxes[2, f] * uniform(key, counter)
-                y = boxes[1, f] + boxes[3, f] * uniform(key, counter + 1)
+                x = boxes[0, f] + boxes[2, f] * rng.uniform(key, counter)
+                y = boxes[1, f] + boxes[3, f] * rng.uniform(key, counter + 1)
                 counter += 2
                 placed = in_field(g.field, w, x, y)
                 for j in range(i):
@@ -102,12 +92,11 @@ def place_at_random(p, g, key, now, team, w):
 
 @compiled
 def draw_field(p, g, mem, w):
-    """Make the field of the episode that world w begins, unless it was given one."""
     if draws_fields(g):
         f, sampler = column(g.field, w), g.sampler
         if not sampler.kept[f]:
             seed, episode = sampler.numbers[-1], mem.episode[w]
-            key = stream_key(seed, world_number(p, w), episode, FOR_FIELDS)
+            key = rng.stream_key(seed, rng.world_number(p, w), episode, rng.FOR_FIELDS)
             make_field(sampler.numbers, key, sampler.scratch, g.field, f)
             if assigns(mem):
                 find_paths(g.field, g.paths, f)
@@ -120,7 +109,7 @@ def reset_world(p, g, mem, now, w):
     f, field = column(g.field, w), g.field
     n = now.x.shape[0]
     mem.episode[w] += 1
-    key = episode_key(mem.seed[0], world_number(p, w), mem.episode[w])
+    key = rng.episode_key(mem.seed[0], rng.world_number(p, w), mem.episode[w])
     draw_field(p, g, mem, w)
     team = field.robots_in[f]
     draw_numbers(p, g, now, key, team, w)

@@ -1,12 +1,11 @@
-"""The engine's data: named tuples of arrays, which kernels take whole.
+"""The engine's data: named tuples of arrays, which kernels take whole."""
 
-W is the number of worlds, n robots, m ROIs, E edges, T = max_steps; F is 1 if all worlds have the
-same field, otherwise W. ``real`` is the engine's dtype, float32 or float64.
-
-Robot quantities are structure-of-arrays, ``[robot, world]``, so that a loop over worlds reads and
-writes contiguously. The array of a feature that is off has no entries and another number of
-dimensions, which is part of its type: see ``Feature``.
-"""
+# W is the number of worlds, n robots, m ROIs, E edges, T = max_steps; F is 1 if all worlds have the
+# same field, otherwise W. ``real`` is the engine's dtype, float32 or float64.
+#
+# Robot quantities are structure-of-arrays, ``[robot, world]``, so that a loop over worlds reads and
+# writes contiguously. The array of a feature that is off has no entries and another number of
+# dimensions, which is part of its type: see ``Feature``.
 
 from __future__ import annotations
 
@@ -31,8 +30,6 @@ Array = NDArray[Any]
 
 
 class Team(NamedTuple):
-    """The robots, and what they sense."""
-
     limits: Array  # (3, n) real: the rows are config.LIMITS
     kinds: Array  # (n,) int32: dynamics; (0, 0) if all are point masses
     fail_at: Array  # (n,) int32: the step in which each robot fails, 0 for none; (0,) without
@@ -115,8 +112,6 @@ class Memory(NamedTuple):
 
 
 class Output(NamedTuple):
-    """The results of a step; overwritten by the next one."""
-
     observations: Array  # (W, n, size) float32
     rewards: Array  # (W, n) real
     team_rewards: Array  # (W,) real

@@ -1,14 +1,14 @@
-"""One step of a block of worlds on the CPU: passes over the block, worlds innermost.
+"""One step of a block of worlds on the CPU: passes over the block, worlds innermost."""
 
-Each pass applies one scalar rule to every world of the block, so its loop is branch-free and LLVM
-turns it into vector instructions; a block is small enough to stay in the first-level cache from
-pass to pass. Nothing is shared between worlds: neither the block size nor the thread changes a
-result.
-
-Short names, here and in ``mdp``: p are the constants (``constants.Constants``), g is the geometry,
-mem the memory, now or ep an episode, out the output (``state``), to the scratch below; a pass is on
-worlds lo to hi - 1, of which w is number k = w - lo of the block; i and j count robots or ROIs.
-"""
+# Each pass applies one scalar rule to every world of the block, so its loop is branch-free and LLVM
+# turns it into vector instructions; a block is small enough to stay in the first-level cache from
+# pass to pass. Nothing is shared between worlds: neither the block size nor the thread changes a
+# result.
+#
+# Short names, here and in ``mdp``: p are the constants (``constants.Constants``), g is the
+# geometry, mem the memory, now or ep an episode, out the output (``state``), to the scratch below;
+# a pass is on worlds lo to hi - 1, of which w is number k = w - lo of the block; i and j count
+# robots or ROIs.
 
 from __future__ import annotations
 
@@ -18,28 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbn_marl.engine.arguments import call_reset, worlds_of
-from mbn_marl.engine.mdp import revisits, rewards
+from mbn_marl.engine.mdp import events, failures, revisits, rewards
 from mbn_marl.engine.mdp.disturbances import change_gust, disturbs_actions, send_all
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
 from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
-from mbn_marl.engine.mdp.events import (
-    all_visited,
-    cross_edge,
-    is_terminated,
-    is_truncated,
-    too_close,
-    visit_code,
-    within,
-)
-from mbn_marl.engine.mdp.failures import (
-    ABSENT,
-    WORKS,
-    fail,
-    is_gone,
-    may_rest,
-    move_failed,
-    status_of,
-)
+from mbn_marl.engine.mdp.failures import ABSENT, may_rest, status_of
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED
 from mbn_marl.engine.reset import ENDED, RESTARTS, clear_output, copy_episode
@@ -104,12 +87,12 @@ def test_containment(g, to, lo, hi):
         if edges.shape[2] == 1:
             ax, ay, bx, by = edges[0, e, 0], edges[1, e, 0], edges[2, e, 0], edges[3, e, 0]
             for k in range(hi - lo):
-                crossings[k] = cross_edge(crossings[k], to.x[k], to.y[k], ax, ay, bx, by)
+                crossings[k] = events.cross_edge(crossings[k], to.x[k], to.y[k], ax, ay, bx, by)
         else:
             for k in range(hi - lo):
                 f = lo + k
                 ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
-                crossings[k] = cross_edge(crossings[k], to.x[k], to.y[k], ax, ay, bx, by)
+                crossings[k] = events.cross_edge(crossings[k], to.x[k], to.y[k], ax, ay, bx, by)
 
 
 @compiled
@@ -144,7 +127,7 @@ def forgive_walls(now, out, i, lo, hi):
     """Step 2: walls that stop robot i are not counted where it does not work."""
     if may_rest(now):
         for w in range(lo, hi):
-            if (status_of(now, i, w) != WORKS) & is_set(out.events[i, w], rewards.WALL):
+            if (status_of(now, i, w) != failures.WORKS) & is_set(out.events[i, w], rewards.WALL):
                 now.wall_hits[i, w] -= 1
                 out.events[i, w] ^= rewards.WALL
 
@@ -158,8 +141,8 @@ def mark_visits(p, g, now, out, i, lo, hi):
             f = column(field, w)
             bit = field.roi_bits[j, f]
             dx, dy = now.x[i, w] - field.rois[0, j, f], now.y[i, w] - field.rois[1, j, f]
-            near = within(dx, dy, numbers_of(p, now, w).roi_squared)
-            near &= not is_gone(p, now, i, w)
+            near = events.within(dx, dy, numbers_of(p, now, w).roi_squared)
+            near &= not failures.is_gone(p, now, i, w)
             new = near & ((now.visited[w] & bit) == 0)
             now.visited[w] |= bit if new else 0
             # The upper bits of the event word count ROIs, so adding leaves the flags alone.
@@ -183,10 +166,8 @@ def record_positions(mem, now, lo, hi):
 
 @compiled
 def hash_positions(mem, now, out, to, i, lo, hi):
-    """Step 4, first half: find the bits of the filter for robot i's position, and fetch them.
-
-    A robot that did not move is known without looking; one that is absent leaves none.
-    """
+    """Step 4, first half: find the bits of the filter for robot i's position, and fetch them."""
+    # A robot that did not move is known without looking; one that is absent leaves none.
     events, place, mask = out.events, to.place, to.mask
     for w in range(lo, hi):
         key = revisits.hash_position(mem.x_bits[i, w], mem.y_bits[i, w])
@@ -243,45 +224,43 @@ def grow_filter(mem, now, lo, hi):
 
 @compiled
 def find_collisions(p, now, to, lo, hi):
-    """Step 7: any two robots closer than the safety distance."""
     for k in range(hi - lo):
         to.collided[k] = False
     for i in range(now.x.shape[0]):
         for j in range(i):
             for w in range(lo, hi):
                 dx, dy = now.x[i, w] - now.x[j, w], now.y[i, w] - now.y[j, w]
-                there = not (is_gone(p, now, i, w) | is_gone(p, now, j, w))
-                near = too_close(dx, dy, numbers_of(p, now, w).safety_squared)
+                there = not (failures.is_gone(p, now, i, w) | failures.is_gone(p, now, j, w))
+                near = events.too_close(dx, dy, numbers_of(p, now, w).safety_squared)
                 to.collided[w - lo] |= near & there
 
 
 @compiled
 def check_termination(p, g, mem, now, out, to, lo, hi):
     """Steps 6 to 8: how the step ended, as outcome bits and flags."""
-    everything = all_visited(g.field.rois.shape[1])
+    everything = events.all_visited(g.field.rois.shape[1])
     for w in range(lo, hi):
         success = now.visited[w] == everything
         lost = to.collided[w - lo]
         outcome = (rewards.SUCCESS if success else 0) | (rewards.COLLISION if lost else 0)
         # Both flags stay apart up to the learner: the value of the last state follows an episode
         # that the time limit cut off, 0 follows one that ended by itself.
-        ended = is_terminated(success, lost)
+        ended = events.is_terminated(success, lost)
         out.terminated[w] = ended
-        out.truncated[w] = is_truncated(now.steps[w], p.max_steps, ended)
+        out.truncated[w] = events.is_truncated(now.steps[w], p.max_steps, ended)
         out.outcomes[w] = outcome
     if p.rules == FORMAL:
         for w in range(lo, hi):
             for i in range(now.x.shape[0]):
                 if (out.events[i, w] & rewards.WALL) != 0:
                     out.outcomes[w] |= rewards.ANY_OUTSIDE
-            code = visit_code(now.visited[w], g.field.codes[column(g.field, w)])
+            code = events.visit_code(now.visited[w], g.field.codes[column(g.field, w)])
             if revisits.joint_state_known(mem, now, w, code):
                 out.outcomes[w] |= rewards.KNOWN_STATE
 
 
 @compiled
 def give_rewards(p, now, out, to, lo, hi):
-    """The team's reward and the agents' shares of it."""
     n = now.x.shape[0]
     own, share = to.own, to.share
     for k in range(hi - lo):
@@ -350,8 +329,6 @@ def autoreset(arguments, lo, hi):
 
 
 class Written(NamedTuple):
-    """The arrays that the passes of a step write to, besides the episodes and their memory."""
-
     out: Any
     to: Any
 
@@ -366,10 +343,10 @@ def move_robots(p, g, mem, now, written, actions, lo, hi):
         taken = mem.acted
     for i in range(now.x.shape[0]):
         if may_rest(now):
-            fail(p, g, mem, now, to, i, lo, hi)
+            failures.fail(p, g, mem, now, to, i, lo, hi)
         propose_move(p, g, now, to, taken, i, lo, hi)
         if may_rest(now):
-            move_failed(p, g, now, to, i, lo, hi)
+            failures.move_failed(p, g, now, to, i, lo, hi)
         test_containment(g, to, lo, hi)
         stop_at_walls(p, now, out, to, i, lo, hi)
         forgive_walls(now, out, i, lo, hi)

@@ -102,7 +102,6 @@ def make_team(config: NavigationConfig, n: int, arena: tuple[float, float]) -> T
 
 
 def paths_of(tables: Tables, sampler: FieldSampler | None, config: NavigationConfig) -> Paths:
-    """The paths around corners in fields, with room for what a sampler draws."""
     count, m, real = len(tables.codes), tables.rois.shape[1], tables.edges.dtype
     if not config.assignment:
         return no_paths(0, m, count, real)._replace(ways_in=np.zeros((0, count), np.int32))
@@ -122,12 +121,10 @@ def sampler_numbers(sampler: FieldSampler) -> Array:
 def starts_of(
     field: Field, n: int, config: NavigationConfig, teams_vary: bool, given: Array | None
 ) -> Array:
-    """The starts of the team in a field: those given, or its own, at most n.
-
-    Teams that do not vary may be larger than that if they start at random. Where that fails, the
-    others start at points of the field that are at least the safety distance from those before. As
-    many as ``field_problems`` allows have discs of that radius that leave some of the field.
-    """
+    """The starts of the team in a field: those given, or its own, at most n."""
+    # Teams that do not vary may be larger than that if they start at random. Where that fails, the
+    # others start at points of the field that are at least the safety distance from those before.
+    # As many as ``field_problems`` allows have discs of that radius that leave some of the field.
     starts = field.starts[:n] if given is None else given
     if teams_vary or len(starts) == n:
         return starts
@@ -141,7 +138,6 @@ def starts_of(
 
 
 def write_field(t: Tables, f: int, field: Field, starts: Array) -> None:
-    """Write a field to column f of the tables, padded, with these starts of its team, (n, 2)."""
     m, own = t.rois.shape[1], len(field.rois)
     t.edges[:, :, f] = np.tile(field.vertices[0], 2)[:, None]
     t.edges[:, : len(field.edges), f] = directed_edges(field)
@@ -193,7 +189,6 @@ def with_room(g: Geometry, edges: int, waypoints: int, xp: ModuleType) -> Geomet
 
 
 def read_field(tables: Tables, arena: tuple[float, float], name: str) -> Field:
-    """The field in the only column of the tables, to a thousandth of a unit."""
     edges, rois, starts = (np.round(table.astype(np.float64), 3) for table in tables[:3])
     return field_of(tables._replace(edges=edges, rois=rois, starts=starts), arena, name)
 

@@ -1,10 +1,9 @@
-"""A world whose robots move elsewhere, such as in a simulator, and are judged by the same rules.
+"""A world whose robots move elsewhere, such as in a simulator, and are judged by the same rules."""
 
-A step of the engine has two halves here, made of its own passes. The first turns actions into the
-velocities that the MDP would have next; something else then moves the robots. The second takes
-their measured positions and does the rest of the step: ROIs, memory, collisions, rewards,
-observations.
-"""
+# A step of the engine has two halves here, made of its own passes. The first turns actions into the
+# velocities that the MDP would have next; something else then moves the robots. The second takes
+# their measured positions and does the rest of the step: ROIs, memory, collisions, rewards,
+# observations.
 
 from __future__ import annotations
 

@@ -1,13 +1,12 @@
-"""Which robot visits which of the ROIs that are left, and in which order (mdp.md, "Entities").
+"""Which robot visits which of the ROIs that are left, and in which order (mdp.md, "Entities")."""
 
-``Memory.plan`` has it, up to date at each observation. For n robots and m ROIs a world's numbers
-are, in order: how far each robot goes in all (n), the ROI that each visits first (n), the robot
-that visits each ROI (m), 1 over its place in that robot's order (m), the ROI visited after it (m),
-and each robot's way to each ROI: its length (n m), its first waypoint (n m) and, if it is fresh,
-the cost of speeding up (n m), else 0.
-
-Source: this package.
-"""
+# ``Memory.plan`` has it, up to date at each observation. For n robots and m ROIs a world's numbers
+# are, in order: how far each robot goes in all (n), the ROI that each visits first (n), the robot
+# that visits each ROI (m), 1 over its place in that robot's order (m), the ROI visited after it
+# (m), and each robot's way to each ROI: its length (n m), its first waypoint (n m) and, if it is
+# fresh, the cost of speeding up (n m), else 0.
+#
+# Source: this package.
 
 from __future__ import annotations
 
@@ -48,7 +47,6 @@ GO = np.float32(40)
 
 
 def plan_size(n: int, m: int) -> int:
-    """How many numbers ``Memory.plan`` has of a world with n robots and m ROIs."""
     return 2 * n + 3 * m + 3 * n * m
 
 
@@ -110,10 +108,8 @@ def hide_rois(g, ep, t, i, x, y):
 
 @compiled
 def try_waypoint(g, t, i, c, first):
-    """Go by waypoint c, to which it is ``first`` units, wherever that is shorter.
-
-    Of several ways that are equally long, that with the shortest rest.
-    """
+    """Go by waypoint c, to which it is ``first`` units, wherever that is shorter."""
+    # Of several ways that are equally long, that with the shortest rest.
     legs, plan, m, f, w = g.paths.legs, t.plan, t.m, column(g.field, t.w), t.w
     for j in range(m):
         way, via = way_row(t, i, j), way_row(t, i, j) + t.n * m
@@ -163,7 +159,6 @@ def find_ways(g, mem, ep, lo, hi):
 
 @compiled
 def get_going(p, g, ep, t):
-    """Write what it costs each robot, as it moves now, to speed up towards each ROI."""
     f, w = column(g.field, t.w), t.w
     for i in range(t.n):
         for j in range(t.m):
@@ -194,7 +189,6 @@ def put_after(t, i, a, j):
 
 @compiled
 def take_after(t, i, a):
-    """Leave out the ROI that robot i visits after ROI a; return it."""
     j = next_of(t, i, a)
     t.plan[t.w, next_row(t, i, a)] = next_of(t, i, j)
     return j
@@ -202,7 +196,6 @@ def take_after(t, i, a):
 
 @compiled
 def exchange(t, i, a, k, b):
-    """Let robot i visit after ROI a what robot k visits after ROI b, and the other way round."""
     u, v = next_of(t, i, a), next_of(t, k, b)
     t.plan[t.w, next_row(t, i, a)], t.plan[t.w, next_row(t, k, b)] = v, u
 
@@ -243,10 +236,8 @@ def other_tours(t, i, k):
 
 @compiled
 def best_place(g, ep, t, j, weight):
-    """Find where ROI j costs least: the cost, the robot, ``END`` if none works, the ROI before.
-
-    The cost is that of all tours: the longest one plus ``weight`` times their sum.
-    """
+    """Find where ROI j costs least: the cost, the robot, ``END`` if none works, the ROI before."""
+    # The cost is that of all tours: the longest one plus ``weight`` times their sum.
     least, robot, after = NEVER, END, END
     for i in range(t.n):
         if status_of(ep, i, t.w) == WORKS:
@@ -266,7 +257,6 @@ def best_place(g, ep, t, j, weight):
 
 @compiled
 def insert_one(g, ep, t, weight):
-    """Insert the ROI that costs most where it costs least; return whether one was left."""
     field, w = g.field, t.w
     most, dearest, robot, after = -NEVER, END, END, END
     for j in range(t.m):
@@ -345,7 +335,6 @@ def change_one(g, ep, t):
 
 @compiled
 def measure_all(g, ep, t):
-    """Write each robot's tour, and the robot that visits each ROI and 1 over its place."""
     for i in range(t.n):
         t.plan[t.w, i] = tour_length(g, ep, t, i)
         count, j = 0, next_of(t, i, END)
@@ -357,7 +346,6 @@ def measure_all(g, ep, t):
 
 @compiled
 def assign_all(g, ep, t, weight):
-    """Assign the ROIs that are left, inserted with ``weight``; return the cost."""
     for i in range(t.n):
         t.plan[t.w, i] = 0
     for row in range(t.n, 2 * t.n + t.m):

@@ -1,9 +1,8 @@
-"""Wind, gusts, and noise, loss and delay of actions.
+"""Wind, gusts, and noise, loss and delay of actions."""
 
-The rules are those of mdp.md, "Disturbances".
-
-Source: Choton, Woods, Hsu, section 4, for the wind; the others are this package's.
-"""
+# The rules are those of mdp.md, "Disturbances".
+#
+# Source: Choton, Woods, Hsu, section 4, for the wind; the others are this package's.
 
 from __future__ import annotations
 
@@ -83,7 +82,6 @@ def change_gust(p, mem, now, lo, hi):
 
 @compiled
 def queue_row(p, n, i, step):
-    """The first of the two rows of the queue that have what robot i of n sent in a step."""
     return (step % (p.action_delay + 1) * n + i) * 2
 
 
@@ -113,7 +111,6 @@ def send_all(p, mem, now, actions, lo, hi):
 
 @compiled
 def begin_disturbances(p, mem, now, key, w):
-    """Begin the episode of world w with this key: no action has been sent."""
     if mem.key.shape[0] > 0:
         mem.key[w] = key
     begin_gust(numbers_of(p, now, w), key, now, w)

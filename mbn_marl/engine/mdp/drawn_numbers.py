@@ -1,10 +1,9 @@
-"""Numbers of the configuration that each episode draws (mdp.md, "Drawn numbers").
+"""Numbers of the configuration that each episode draws (mdp.md, "Drawn numbers")."""
 
-``Episode.drawn`` has them for each world: what they are made into, then the numbers themselves.
-Where nothing is drawn, ``numbers_of`` and ``limits_in`` return the constants.
-
-Source: this package.
-"""
+# ``Episode.drawn`` has them for each world: what they are made into, then the numbers themselves.
+# Where nothing is drawn, ``numbers_of`` and ``limits_in`` return the constants.
+#
+# Source: this package.
 
 from __future__ import annotations
 
@@ -95,7 +94,6 @@ def make_ranges(config: NavigationConfig, n: int) -> NDArray[np.float64]:
 
 
 def rows_drawn(config: NavigationConfig, n: int) -> int:
-    """How many rows ``Episode.drawn`` has for a team of n; 0 if nothing is drawn."""
     return FIRST_LIMIT + len(LIMITS) * n if is_drawn(config) else 0
 
 
@@ -121,10 +119,8 @@ def limits_of(g, i):
 
 @compiled
 def limits_in(limits, ep, i, w):
-    """Mass, force and speed limit of robot i in world w, from ``limits_of`` it.
-
-    A speed limit that is drawn is at most that of all worlds.
-    """
+    """Mass, force and speed limit of robot i in world w, from ``limits_of`` it."""
+    # A speed limit that is drawn is at most that of all worlds.
     if draws_numbers(ep):
         n = (ep.drawn.shape[0] - FIRST_LIMIT) // len(LIMITS)
         first = FIRST_LIMIT + i
@@ -145,7 +141,6 @@ def varies(ranges, k):
 
 @compiled
 def squared(number):
-    """``number^2``, one product."""
     return number * number
 
 
@@ -160,7 +155,6 @@ def choose_failing(p, drawn, key, team, w):
 
 @compiled
 def is_failing_step(ep, i, step, w):
-    """Return whether this is the step, from 1 on, that was drawn for robot i to fail in."""
     if draws_numbers(ep):
         return (ep.drawn[STEP, w] == step) & (ep.drawn[ROBOT, w] == i)
     return False

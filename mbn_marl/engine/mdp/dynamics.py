@@ -1,13 +1,12 @@
-"""How a robot moves: its dynamics, by name (mdp.md, "One step", 1 and 2, and "Dynamics").
+"""How a robot moves: its dynamics, by name (mdp.md, "One step", 1 and 2, and "Dynamics")."""
 
-A dynamics is a function on the robots i of a block of worlds. It writes the velocity that the
-robot would have next and where that would take it, and, if its robots have a heading, that too;
-walls and the arena come after it. A heading and its cosine and sine are in ``Episode``, whose
-arrays have no entries if no robot of the team has one.
-
-Source: Choton, Woods, Hsu, section 4 ("Environment Design"), for the point mass; the others are
-this package's.
-"""
+# A dynamics is a function on the robots i of a block of worlds. It writes the velocity that the
+# robot would have next and where that would take it, and, if its robots have a heading, that too;
+# walls and the arena come after it. A heading and its cosine and sine are in ``Episode``, whose
+# arrays have no entries if no robot of the team has one.
+#
+# Source: Choton, Woods, Hsu, section 4 ("Environment Design"), for the point mass; the others are
+# this package's.
 
 from __future__ import annotations
 
@@ -98,7 +97,6 @@ def go(q, now, to, i, w, k, vx, vy):
 
 @compiled
 def move_point_mass(p, g, now, to, actions, i, lo, hi):
-    """The paper's robot i: a mass that its force accelerates along both axes."""
     limits = limits_of(g, i)
     for w in range(lo, hi):
         q, (mass, f_max, v_clip) = numbers_of(p, now, w), limits_in(limits, now, i, w)
@@ -188,7 +186,6 @@ def move_bicycle(p, g, now, to, actions, i, lo, hi):
 
 @compiled
 def propose_move(p, g, now, to, actions, i, lo, hi):
-    """Steps 1 and 2: the velocity that robot i would have, and where it would take it."""
     # Numba compiles the other dynamics only for teams that have one.
     if not mixes_dynamics(g):
         move_point_mass(p, g, now, to, actions, i, lo, hi)

@@ -1,10 +1,10 @@
-"""The observation ``entities``: a token for the robot itself, for each other robot and each ROI.
+"""The observation ``entities``: a token for the robot itself, for each other robot and each ROI."""
 
-Lengths are made of units alone, so that a policy can act in fields and teams of any size. The first
-entry of another robot or an ROI says whether it is there to be seen; if not, all its entries are 0.
-
-Source: this package (mdp.md, "What a robot sees").
-"""
+# Lengths are made of units alone, so that a policy can act in fields and teams of any size. The
+# first entry of another robot or an ROI says whether it is there to be seen; if not, all its
+# entries are 0.
+#
+# Source: this package (mdp.md, "What a robot sees").
 
 from __future__ import annotations
 
@@ -192,7 +192,6 @@ def put_plan(p, g, view, lo, hi, j, k):
 
 @compiled
 def blank_visited(p, g, view, lo, hi, j, k, end):
-    """Blank the entries k to end - 1, about ROI j, where it is not left."""
     field, visited = g.field, view.ep.visited
     for w in range(lo, hi):
         left = p.one if (visited[w] & field.roi_bits[j, column(field, w)]) == 0 else p.zero

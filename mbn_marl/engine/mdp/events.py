@@ -1,8 +1,7 @@
-"""The events of a step: walls, visits, collisions, the end (mdp.md, "One step", 2 and 5 to 8).
+"""The events of a step: walls, visits, collisions, the end (mdp.md, "One step", 2 and 5 to 8)."""
 
-Source: Choton, Woods, Hsu, section 3; the strict comparison of distances and the time limit T_max
-are those of the released code.
-"""
+# Source: Choton, Woods, Hsu, section 3; the strict comparison of distances and the time limit T_max
+# are those of the released code.
 
 from __future__ import annotations
 
@@ -15,12 +14,10 @@ ON_EDGE = 2
 
 @compiled
 def cross_edge(crossings, px, py, ax, ay, bx, by):
-    """Account for the edge a-b of the field in the containment test of point p.
-
-    A ray from p to +x crosses the outline an odd number of times if p is inside (bit
-    ``EDGE_CROSSED`` of ``crossings``); a point on an edge belongs to the field (bit ``ON_EDGE``).
-    So p is in the closed field exactly if they are not zero after all edges, holes' among them.
-    """
+    """Account for the edge a-b of the field in the containment test of point p."""
+    # A ray from p to +x crosses the outline an odd number of times if p is inside (bit
+    # ``EDGE_CROSSED`` of ``crossings``); a point on an edge belongs to the field (bit ``ON_EDGE``).
+    # So p is in the closed field exactly if they are not zero after all edges, holes' among them.
     side = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
     straddles = (ay > py) != (by > py)
     crossed = straddles & ((side > 0) == (by > ay))
@@ -48,7 +45,6 @@ def within(dx, dy, radius_squared):
 
 @compiled
 def all_visited(n_rois):
-    """The visit bits of a world whose ROIs are all visited, padding among them."""
     return (1 << n_rois) - 1
 
 
@@ -71,5 +67,4 @@ def is_terminated(success, collided):
 
 @compiled
 def is_truncated(steps, max_steps, terminated):
-    """Return whether the episode, after ``steps`` steps, reaches T_max without termination."""
     return (steps >= max_steps) & (not terminated)

@@ -1,7 +1,6 @@
-"""Robots that fail during an episode, or are not in the team (mdp.md, "Failures", "Fields").
+"""Robots that fail during an episode, or are not in the team (mdp.md, "Failures", "Fields")."""
 
-Source: this package.
-"""
+# Source: this package.
 
 from __future__ import annotations
 
@@ -30,7 +29,6 @@ def may_rest(ep):
 
 @compiled
 def status_of(ep, i, w):
-    """The status of robot i of world w."""
     if may_rest(ep):
         return ep.status[i, w]
     return WORKS
@@ -54,7 +52,6 @@ def count_status(ep, status, w):
 
 @compiled
 def begin_status(ep, team, w):
-    """Begin an episode of world w: the first ``team`` robots work, the others are absent."""
     if may_rest(ep):
         for i in range(ep.status.shape[0]):
             ep.status[i, w] = select(i < team, WORKS, ABSENT)

@@ -1,10 +1,9 @@
-"""The senses of ``lidar``: the walls, and the nearness and direction of robots and ROIs.
+"""The senses of ``lidar``: the walls, and the nearness and direction of robots and ROIs."""
 
-An edge goes from a to b, and the field lies to its left; its ends are given as seen from the robot.
-Only operations that every processor rounds alike are used.
-
-Source: this package; the paper's robots sense no walls (mdp.md, "What a robot sees").
-"""
+# An edge goes from a to b, and the field lies to its left; its ends are given as seen from the
+# robot. Only operations that every processor rounds alike are used.
+#
+# Source: this package; the paper's robots sense no walls (mdp.md, "What a robot sees").
 
 from __future__ import annotations
 
@@ -48,7 +47,6 @@ def has_rays(g):
 
 @compiled
 def cross(ax, ay, bx, by):
-    """The cross product of a and b: positive if b points to the left of a."""
     return ax * by - ay * bx
 
 
@@ -60,13 +58,11 @@ def slack(p, g):
 
 @compiled
 def reading(p, behind, a_side, b_side, turn, along):
-    """Where a ray leaves the field by an edge, 0 at its start to 1 at its end; 1 elsewhere.
-
-    ``a_side``, ``b_side`` and ``turn`` are the ray's direction crossed with the edge's ends and
-    with the edge; ``along`` is where the ray meets the line of the edge. A ray through a corner
-    leaves by both of its edges, so none slips between them; one along an edge leaves by the next.
-    A robot that rounding has put beyond the edge, by less than ``behind``, is at it.
-    """
+    """Where a ray leaves the field by an edge, 0 at its start to 1 at its end; 1 elsewhere."""
+    # ``a_side``, ``b_side`` and ``turn`` are the ray's direction crossed with the edge's ends and
+    # with the edge; ``along`` is where the ray meets the line of the edge. A ray through a corner
+    # leaves by both of its edges, so none slips between them; one along an edge leaves by the next.
+    # A robot that rounding has put beyond the edge, by less than ``behind``, is at it.
     leaves = (a_side <= 0) & (b_side >= 0) & (turn > 0) & (along >= -behind)
     return select(leaves, max(along, p.zero), p.one)
 
@@ -83,12 +79,10 @@ def distance_squared(p, ax, ay, ex, ey):
 
 @compiled
 def braking_path(p, tau, velocity, brake, wind, beyond):
-    """How far a robot goes until the force that brakes it by ``brake`` a step has stopped it.
-
-    One axis; ``beyond``, and on, if the wind is stronger. The speed falls by the same amount each
-    step, and in the last one to 0: the path is the mean of the first and the last speed that is
-    left, times their number.
-    """
+    """How far a robot goes until the force that brakes it by ``brake`` a step has stopped it."""
+    # One axis; ``beyond``, and on, if the wind is stronger. The speed falls by the same amount each
+    # step, and in the last one to 0: the path is the mean of the first and the last speed that is
+    # left, times their number.
     speed = abs(velocity)
     slower = brake - select(velocity > 0, wind, -wind)
     ratio = speed / slower
@@ -110,7 +104,6 @@ def put_near(p, g, view, lo, hi, j, k):
 
 @compiled
 def put_direction(p, g, view, lo, hi, j, k):
-    """Where ROI j lies, ``d / (|d| + 1 unit)``, and whether the team has visited it."""
     robots, tile, i = view.robots, view.tile, view.i
     for w in range(lo, hi):
         f = column(g.field, w)
@@ -124,7 +117,6 @@ def put_direction(p, g, view, lo, hi, j, k):
 
 @compiled
 def edge_from(g, view, e, w):
-    """The ends a and b of an edge as offsets from the observer, and the edge b - a."""
     edges, f = g.field.edges, column(g.field, w)
     x, y = view.ep.x[view.i, w], view.ep.y[view.i, w]
     ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
@@ -133,7 +125,6 @@ def edge_from(g, view, e, w):
 
 @compiled
 def put_rays(p, g, view, lo, hi, k):
-    """How far the observer can go in each of the directions, up to the sensing radius."""
     rays, tile = g.team.rays, view.tile
     half, behind = rays.shape[1] // 2, slack(p, g)
     for ray in range(half):

@@ -1,12 +1,11 @@
-"""A robot's observation: a table of entries for each kind, and the function that writes them.
+"""A robot's observation: a table of entries for each kind, and the function that writes them."""
 
-Entries are float32 and bounded: scaled to [-1, 1] by the arena, the speed limit and the sensing
-radius, but for ``entities`` (``entities.py``) and ``state``, the paper's vector in raw units with
-the own robot first. The visit bits of the ROIs are shared by the team in all of them.
-
-Source: Choton, Woods, Hsu, section 3 (``state``); the others are this package's (mdp.md, "What a
-robot sees").
-"""
+# Entries are float32 and bounded: scaled to [-1, 1] by the arena, the speed limit and the sensing
+# radius, but for ``entities`` (``entities.py``) and ``state``, the paper's vector in raw units with
+# the own robot first. The visit bits of the ROIs are shared by the team in all of them.
+#
+# Source: Choton, Woods, Hsu, section 3 (``state``); the others are this package's (mdp.md, "What a
+# robot sees").
 
 from __future__ import annotations
 
@@ -264,7 +263,6 @@ def put_relative(p, g, view, lo, hi):
 
 @compiled
 def put_centred(p, g, view, lo, hi):
-    """As ``put_own``, with the place about the centre of the field's bounding box."""
     robots, boxes, i = view.robots, g.field.boxes, view.i
     count = put_own(p, view, lo, hi)
     for w in range(lo, hi):
@@ -327,10 +325,8 @@ def write_observation(p, g, mem, ep, i, lo, hi, tile):
 
 @compiled
 def turn_over(tile, lo, hi, i, rows):
-    """``rows[w, i, entry] = tile[entry, w - lo]`` for all worlds from ``lo`` to ``hi - 1``.
-
-    By squares, of which the last one of a row may overlap the one before it.
-    """
+    """``rows[w, i, entry] = tile[entry, w - lo]`` for all worlds from ``lo`` to ``hi - 1``."""
+    # By squares, of which the last one of a row may overlap the one before it.
     side, size = np.uint64(SIDE), np.uint64(rows.shape[2])
     w = lo
     if size >= side:

@@ -1,11 +1,10 @@
-"""Shortest paths around corners, for the assignment (mdp.md, "Entities").
+"""Shortest paths around corners, for the assignment (mdp.md, "Entities")."""
 
-A field's waypoints lie off the corners at which it is not convex. The lengths of the shortest ways
-between them and the ROIs are made when the field is put into a world; a robot adds the first leg. A
-field without waypoints needs none of that: everything is in straight sight.
-
-Source: this package.
-"""
+# A field's waypoints lie off the corners at which it is not convex. The lengths of the shortest
+# ways between them and the ROIs are made when the field is put into a world; a robot adds the first
+# leg. A field without waypoints needs none of that: everything is in straight sight.
+#
+# Source: this package.
 
 from __future__ import annotations
 
@@ -42,26 +41,21 @@ class Paths(NamedTuple):
 
 @compiled
 def path_length(dx, dy):
-    """How far it is: forces and speed limits are per axis, so the longer side takes the time.
-
-    The shorter one tells ways apart that take the same.
-    """
+    """How far it is: forces and speed limits are per axis, so the longer side takes the time."""
+    # The shorter one tells ways apart that take the same.
     dx, dy = abs(dx), abs(dy)
     return max(dx, dy) + SHORTER * min(dx, dy)
 
 
 @compiled
 def side(ax, ay, bx, by, x, y):
-    """Above 0 if a point is to the left of the line from a to b, below 0 to its right."""
     return (bx - ax) * (y - ay) - (by - ay) * (x - ax)
 
 
 @compiled
 def in_sight(edges, count, f, px, py, qx, qy):
-    """Return whether none of the first ``count`` edges comes between two points of a field.
-
-    Points may lie on edges; a line that touches a corner may count as crossing it.
-    """
+    """Return whether none of the first ``count`` edges comes between two points of a field."""
+    # Points may lie on edges; a line that touches a corner may count as crossing it.
     for e in range(count):
         ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
         p, q = side(ax, ay, bx, by, px, py), side(ax, ay, bx, by, qx, qy)
@@ -91,11 +85,9 @@ def unit(edges, e, f):
 
 @compiled
 def place_waypoint(field, paths, f, before, e, count):
-    """Place a waypoint off the corner where two edges meet, unless the field is convex there.
-
-    The field is to the left of the edges, so it is not convex where they turn right. There are
-    ``count`` waypoints; return how many there are then.
-    """
+    """Place a waypoint off the corner where two edges meet, unless the field is convex there."""
+    # The field is to the left of the edges, so it is not convex where they turn right. There are
+    # ``count`` waypoints; return how many there are then.
     edges, waypoints = field.edges, paths.waypoints
     (ux, uy), (vx, vy) = unit(edges, before, f), unit(edges, e, f)
     if (ux * vy - uy * vx < -BLUNT) & (count < waypoints.shape[1]):
@@ -110,7 +102,6 @@ def place_waypoint(field, paths, f, before, e, count):
 
 @compiled
 def place_waypoints(field, paths, f, count):
-    """Place the waypoints of the field in column f, with ``count`` edges; how many they are."""
     edges, first, last, placed = field.edges, 0, 0, 0
     for e in range(count):
         if e == first:  # of a ring
@@ -137,10 +128,7 @@ def place_of(field, paths, node, f):
 
 @compiled
 def measure_legs(field, paths, f, own, count, placed):
-    """Find the shortest ways between ROIs and waypoints: by legs in straight sight (Floyd).
-
-    ``own`` is how many ROIs the field has, of ``count`` edges and ``placed`` waypoints.
-    """
+    # ``own`` is how many ROIs the field has, of ``count`` edges and ``placed`` waypoints.
     m, legs = field.rois.shape[1], paths.legs
     for a in range(m + placed):
         for b in range(a, m + placed):
@@ -175,7 +163,6 @@ def find_all(field, paths):
 
 
 def no_paths(waypoints: int, m: int, count: int, real: Any) -> Paths:
-    """Tables without paths for ``count`` fields with m ROIs, with room for so many waypoints."""
     nodes = m + waypoints if waypoints else 0
     return Paths(
         waypoints=np.zeros((2, waypoints, count), real),
@@ -198,5 +185,4 @@ def make_paths(field: Tables) -> Paths:
 
 @compiled
 def count_waypoints(paths, f):
-    """How many waypoints the field in column f has; without any, all is in straight sight."""
     return paths.ways_in[WAYPOINTS, f] if paths.waypoints.shape[1] > 0 else 0

@@ -1,12 +1,11 @@
-"""The reward terms of both rule sets, each written once (mdp.md, "Reward profiles").
+"""The reward terms of both rule sets, each written once (mdp.md, "Reward profiles")."""
 
-The engine stores what *happened* in compact words (the bits below); rewards and logged terms are
-both computed from those. A robot's reward is the sum of what it earned itself, ``own_terms``, and
-its share of what the whole team gets, ``team_terms``; the team's reward is the sum of all robots'
-own terms and of the whole ``team_terms``.
-
-Source: Choton, Woods, Hsu, section 3 (``formal``) and the authors' released code (``released``).
-"""
+# The engine stores what *happened* in compact words (the bits below); rewards and logged terms are
+# both computed from those. A robot's reward is the sum of what it earned itself, ``own_terms``, and
+# its share of what the whole team gets, ``team_terms``; the team's reward is the sum of all robots'
+# own terms and of the whole ``team_terms``.
+#
+# Source: Choton, Woods, Hsu, section 3 (``formal``) and the authors' released code (``released``).
 
 from __future__ import annotations
 
@@ -44,11 +43,9 @@ TEAM_COLUMNS = tuple(map(REWARD_TERMS.index, TEAM_TERMS))
 
 @compiled
 def own_terms(p, event, outcome):
-    """The rewards of a robot alone, as ``OWN_TERMS``: r_s or r_m for ground, r_l at walls and ROIs.
-
-    ``released``: a collision replaces everything else that the step earned (step 7).
-    ``formal``: success replaces the reward of ROIs, as in R_I; ground is the team's, as in R_V.
-    """
+    """The rewards of a robot alone, as ``OWN_TERMS``: r_s or r_m for ground, r_l for the rest."""
+    # ``released``: a collision replaces everything else that the step earned (step 7).
+    # ``formal``: success replaces the reward of ROIs, as in R_I; ground is the team's, as in R_V.
     released = p.rules == RELEASED
     replaced = released & is_set(outcome, COLLISION)
     charged = released & (not replaced)
@@ -64,11 +61,9 @@ def own_terms(p, event, outcome):
 
 @compiled
 def team_terms(p, weights, outcome):
-    """The rewards of the team, as ``TEAM_TERMS``, by whole ``weights`` or a robot's share of them.
-
-    Success is R_I = r_inf, collision R_C = -r_inf. ``formal`` adds the -r_s of R_F if no robot is
-    outside, and R_V: -r_m in a known joint state, else +r_s, which cancels it on a clean step.
-    """
+    """The rewards of the team, as ``TEAM_TERMS``, by ``weights``: whole, or a robot's share."""
+    # Success is R_I = r_inf, collision R_C = -r_inf. ``formal`` adds the -r_s of R_F if no robot is
+    # outside, and R_V: -r_m in a known joint state, else +r_s, which cancels it on a clean step.
     formal = p.rules == FORMAL
     lost, done = is_set(outcome, COLLISION), is_set(outcome, SUCCESS)
     known = is_set(outcome, KNOWN_STATE)
@@ -101,10 +96,8 @@ part_own, part_team = map(_part_of, (OWN_TERMS, TEAM_TERMS))
 
 @compiled
 def team_reward(p, outcome, own):
-    """``R``, from the sum of the robots' own terms.
-
-    Computed as such and not as a sum of shares: n shares of a third would not be exact.
-    """
+    """``R``, from the sum of the robots' own terms."""
+    # Computed as such and not as a sum of shares: n shares of a third would not be exact.
     return own + total_team(team_terms(p, p.whole, outcome))
 
 

@@ -41,7 +41,6 @@ def put_heading(p, view, lo, hi, j, k):
 
 @compiled
 def put_own_motion(p, view, lo, hi, k):
-    """Robot i's own velocity and heading, from entry k on; how many entries there are by then."""
     robots, i = view.robots, view.i
     for w in range(lo, hi):
         view.tile[k, w - lo] = robots.vx[i, w] * p.per_speed

@@ -1,8 +1,7 @@
-"""Observation noise and dropout (mdp.md, "Disturbances").
+"""Observation noise and dropout (mdp.md, "Disturbances")."""
 
-``Memory.sensed`` has what the robot whose turn it is senses of n robots and m ROIs: first whether
-it senses each of them, 1 or 0, then the robots' x, y, vx and vy, then the ROIs' places.
-"""
+# ``Memory.sensed`` has what the robot whose turn it is senses of n robots and m ROIs: first whether
+# it senses each of them, 1 or 0, then the robots' x, y, vx and vy, then the ROIs' places.
 
 from __future__ import annotations
 
@@ -44,7 +43,6 @@ def count_sensed(n: int, m: int) -> int:
 
 @returning_views
 def sensed_robots(mem, ep, m):
-    """The robots in ``Memory.sensed``, as many as the episode has, beside m ROIs."""
     n, sensed = ep.x.shape[0], mem.sensed
     x, y, vx, vy = n + m, 2 * n + m, 3 * n + m, 4 * n + m
     motion = sensed[x:y], sensed[y:vx], sensed[vx:vy], sensed[vy : vy + n]
@@ -53,7 +51,6 @@ def sensed_robots(mem, ep, m):
 
 @compiled
 def roi_place(g, view, axis, j, f, w):
-    """Where ROI j is along an axis as robot i senses it; f is the column of world w."""
     if disturbs_sight(view.mem):
         n, m = view.ep.x.shape[0], g.field.roi_bits.shape[0]
         return view.mem.sensed[5 * n + m + 2 * j + axis, w]
@@ -74,7 +71,6 @@ def add_noise(key, counter, value, noise, low, high):
 
 @compiled
 def look(p, g, mem, ep, i, lo, hi):
-    """Write what robot i senses in each world of a block to ``Memory.sensed``."""
     n, m, sensed = ep.x.shape[0], g.field.roi_bits.shape[0], mem.sensed
     for j in range(n):
         for w in range(lo, hi):
