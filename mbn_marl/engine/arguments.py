@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -26,20 +26,8 @@ Code that they exclude is not compiled then. Each other value in the type would 
 NO_OWNER = (0, 0)
 
 
-class Worlds(NamedTuple):
-    """The parts of the arguments, as ``worlds_of`` returns them to compiled code."""
-
-    constants: Any  # p in compiled code: see constants.Constants
-    geometry: Any  # g: see state.Geometry, as the next four
-    memory: Any  # mem
-    now: Any  # the present episodes
-    final: Any  # the last finished ones
-    output: Any  # out
-    scratch: Any  # to: see step.Scratch
-
-
 class ArgumentsType(types.Type):
-    """Numba's type of :class:`Arguments`: the types of the fields of ``Worlds``."""
+    """Numba's type of :class:`Arguments`: the types of what ``worlds_of`` returns."""
 
     def __init__(self, parts: tuple[Any, ...]) -> None:
         self.parts = parts
@@ -50,7 +38,7 @@ register_model(ArgumentsType)(models.OpaqueModel)
 
 
 class Arguments:
-    """References to an engine's arrays: ``parts`` are those of ``Worlds`` between the ends.
+    """References to an engine's arrays: ``parts`` are geometry, memory, now, final and output.
 
     There is a scratch for each range of worlds that is stepped on another thread.
     """
@@ -102,10 +90,10 @@ def _table_of(context: Any, kind: ArgumentsType) -> ir.LiteralStructType:
 
 
 def _worlds_of(typing: Any, kind: ArgumentsType) -> Any:
-    """Return the ``Worlds``, without counting references."""
+    """Return the constants, all parts and the scratch, without counting references."""
     # Scalars that live in registers cannot alias the arrays that a pass writes, so they leave its
     # loop.
-    kinds = types.NamedTuple(kind.parts, Worlds)
+    kinds = types.Tuple(kind.parts)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         table = _table_of(context, kind)

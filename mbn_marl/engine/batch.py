@@ -24,13 +24,7 @@ from mbn_marl.engine.mdp.rewards import COLLISION, RESTED, REWARD_TERMS, SUCCESS
 from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.engine.state import Array, Episode
 from mbn_marl.engine.state_io import restore_worlds, save_worlds
-from mbn_marl.engine.tables import (
-    column_of,
-    make_geometry,
-    read_field,
-    sampler_numbers,
-    sizes_of,
-)
+from mbn_marl.engine.tables import column_of, make_geometry, read_field, sampler_numbers, sizes_of
 from mbn_marl.engine.validation import Autoreset, Device
 from mbn_marl.errors import ActionError, ConfigError, MbnError, install, unknown
 from mbn_marl.field import Field, FieldSampler, load_field
@@ -67,7 +61,8 @@ class BatchEngine:
 
     Every array that :meth:`reset` and :meth:`step` return is one of the engine's own buffers,
     overwritten by the next call: copy what you keep. W is the number of worlds, n the number of
-    robots, m the number of ROIs; ``real`` is the engine's dtype.
+    robots, m the number of ROIs; ``real`` is the engine's dtype. Arguments that are not allowed
+    raise a :class:`~mbn_marl.errors.ConfigError` with all problems, an unknown world an IndexError.
 
     Args:
         field: a catalogue name, a file, a :class:`Field`, or a sequence of them: world w then has
@@ -99,7 +94,6 @@ class BatchEngine:
         config: the configuration, with n.
         fields: those of the worlds in turn; none with a sampler.
         sampler: what draws a field for each episode, or ``None``.
-        num_worlds: W.
         n_robots: n, the most robots in a world.
         n_rois: m, the most ROIs in a world.
         teams_vary: whether a world may have fewer than n robots.
@@ -107,7 +101,6 @@ class BatchEngine:
         observation_table: the entries of a robot's observation.
         obs_size: how many there are.
         autoreset: the mode's name.
-        first_world: the number of the world with index 0.
         dtype: the precision of rewards and states.
         listeners: objects that every reset and step is reported to, such as a recorder of episodes.
 
@@ -120,12 +113,7 @@ class BatchEngine:
 
     Raises:
         FieldError: a field is invalid or unknown.
-        ConfigError: a setting is invalid; all problems are listed. Or CUDA cannot be used; the
-            message names what is missing.
-
-    Source:
-        Choton, Woods, Hsu, sections 3 and 4, and the authors' released code: the rules are those
-        of ``docs/mdp.md``.
+        ConfigError: a setting is invalid, or CUDA cannot be used; all problems are listed.
     """
 
     def __init__(

@@ -68,12 +68,10 @@ def _mapped(function: Any, arrays: Any) -> Any:
 
 
 class CudaBackend(Backend):
-    """The worlds of an engine in torch tensors.
+    """The worlds of an engine in torch tensors."""
 
-    Nothing here waits for the device but :meth:`raise_fault` and :meth:`host`. What a captured
-    graph has to find changed later (seed, number of the draw, first fault) is in tensors.
-    """
-
+    # Nothing here waits for the device but ``raise_fault`` and ``host``. What a captured graph has
+    # to find changed later (seed, number of the draw, first fault) is in tensors.
     xp = torch
     derived = ("_arrays", "_final", "_output", "_faults", "_device")
 
@@ -110,12 +108,7 @@ class CudaBackend(Backend):
         )
 
     def raise_fault(self) -> None:
-        """Raise the first fault of the steps so far, and forget all; waits for the device.
-
-        Raises:
-            ActionError: an action was not finite.
-            StepError: a world was stepped that waited for a reset, or left out although it did not.
-        """
+        """Raise the first fault of the steps so far, and forget all; waits for the device."""
         if self._device.is_capturing():
             return
         fault = int(self._fault)
@@ -162,15 +155,15 @@ class CudaBackend(Backend):
 
     def write_infos(self, rows: torch.Tensor) -> None:
         arguments = (self._constants, *self._arrays, self._final, self._output, self._rows(rows))
-        self._run(kernels.plain_kernel(kernels.infos), *arguments)
+        self._run(kernels.infos, *arguments)
 
     def write_states(self, final: bool, rows: torch.Tensor) -> None:
         arrays = self._final if final else self._arrays[2]
-        self._run(kernels.plain_kernel(kernels.states), arrays, self._rows(rows))
+        self._run(kernels.states, arrays, self._rows(rows))
 
     def write_draw(self, rows: torch.Tensor) -> None:
         arguments = self._constants, self._arrays[1], self._rows(rows)
-        self._run(kernels.plain_kernel(kernels.draw), *arguments)
+        self._run(kernels.draw, *arguments)
 
     def _rows(self, rows: torch.Tensor) -> tuple[Any]:
         return (self._device.array(rows),)
@@ -188,7 +181,6 @@ class CudaBackend(Backend):
         """Make the kernels' views of the tensors, once: that takes longer than a launch."""
         self.memory = share_bits(self.memory, self.now, torch)
         self._device = Device()
-
         arrays = partial(_mapped, self._device.array)
         self._arrays = arrays(self.geometry), arrays(self.memory), arrays(self.now)
         self._final, self._output = arrays(self.final), arrays(self.output)

@@ -67,17 +67,13 @@ def threads_per_block(obs_size: int) -> int:
 
 
 @compiled
-def is_waiting(p, mem, w):
-    return mem.pending[w] if p.autoreset == DISABLED else mem.episode[w] < 0
-
-
-@compiled
 def fault_of(p, mem, call, w):
     for i in range(call.actions.shape[1]):
         for axis in range(2):
             if not math.isfinite(call.actions[w, i, axis]):
                 return NOT_FINITE
-    if is_waiting(p, mem, w) == call.active[w]:
+    waits = mem.pending[w] if p.autoreset == DISABLED else mem.episode[w] < 0
+    if waits == call.active[w]:
         return WAITING if call.active[w] else LEFT_OUT
     return 0
 
@@ -150,123 +146,6 @@ def write_observations(p, g, mem, ep, w, is_world, tile, rows):
         cuda.syncthreads()
 
 
-def make_step(n: int, obs_size: int, real: Any, bits: Any) -> Callable[..., None]:
-    """The step of all worlds, for a team and observation size and a precision."""
-    # These are constants of the code: the robots' loops unroll, and a world's arrays are registers.
-    columns = threads_per_block(obs_size) + 1  # odd: neither way of reading meets a bank twice
-
-    def step(p, g, mem, now, final, out, call):
-        w = np.uint64(cuda.grid(1))
-        is_world = w < now.steps.shape[0]
-        tile = cuda.shared.array((obs_size, columns), np.float32)
-        mine = tile[:, cuda.threadIdx.x : cuda.threadIdx.x + 1]
-        x = cuda.local.array((n, 1), real)
-        y = cuda.local.array((n, 1), real)
-        vx = cuda.local.array((n, 1), real)
-        vy = cuda.local.array((n, 1), real)
-        visited, steps = cuda.local.array(1, np.int32), cuda.local.array(1, np.int32)
-        events, outcomes = cuda.local.array((n, 1), np.int32), cuda.local.array(1, np.int32)
-        rewards = cuda.local.array((1, n), real)
-        reals = cuda.local.array((10, 1), real)
-        flags = cuda.local.array((5, 1), np.bool_)
-        crossings = cuda.local.array(1, np.int32)
-        keys = cuda.local.array((2, n, 1), np.uint64)
-        end = w + ONE
-        one = episode_of(now, w, end, x, y, vx, vy, visited, steps)
-        f = column(g.field, w)
-        field, paths = field_of(g.field, f, f + ONE), paths_of(g.paths, f, f + ONE)
-        own = Geometry(field, paths, g.team, g.sampler)
-        memory = memory_of(mem, w, end, x.view(bits), y.view(bits))
-        given = output_of(out, w, end, rewards, reals[9], flags[3], flags[4], events, outcomes)
-        to = scratch_of(reals, crossings, flags, keys, mine)
-        if is_world:
-            copy_motion(now, w, one, ZERO, n)
-            fault, change = fault_of(p, mem, call, w), 0
-            if fault != 0:
-                cuda.atomic.min(call.fault, 0, np.int64(w) * KINDS + fault)
-            if (fault != 0) | (not call.active[w]):
-                clear_output(p, given, ZERO)
-            else:
-                move_robots(
-                    *(p, own, memory, one, Written(given, to)),
-                    *(call.actions[w:end], ZERO, ONE),
-                )
-                score_step(p, own, memory, one, given, to, ZERO, ONE)
-                change = close_step(p, memory, given, ZERO)
-            if change == ENDED | RESTARTS:
-                assign(p, own, memory, one, ZERO, ONE)
-                for i in range(n):
-                    write_observation(p, own, memory, one, i, ZERO, ONE, mine)
-                    for entry in range(obs_size):
-                        given.final_observations[0, i, entry] = mine[entry, 0]
-            copy_motion(one, ZERO, now, w, n)
-            save_output(given, out, w)
-            if change == ENDED | RESTARTS:
-                copy_episode(now, w, final, w, n, p.headings)
-            if change & RESTARTS:
-                reset_world(p, g, mem, now, w)
-                copy_motion(now, w, one, ZERO, n)
-        write_observations(p, own, memory, one, ZERO, is_world, tile, out.observations)
-
-    return step
-
-
-def make_reset(obs_size: int) -> Callable[..., None]:
-    columns = threads_per_block(obs_size) + 1
-
-    def reset(p, g, mem, now, out, call):
-        w = np.uint64(cuda.grid(1))
-        is_world = w < now.steps.shape[0]
-        tile = cuda.shared.array((obs_size, columns), np.float32)
-        if is_world and call.active[w]:
-            reset_world(p, g, mem, now, w)
-            mem.pending[w] = False
-            clear_output(p, out, w)
-        write_observations(p, g, mem, now, w, is_world, tile, out.observations)
-
-    return reset
-
-
-def infos(p, g, mem, now, final, out, rows):
-    """As ``kernels.write_infos``, with ``rows`` in a tuple of one."""
-    w = cuda.grid(1)
-    if w < now.steps.shape[0]:
-        if is_final(p, out, w):
-            put_infos(p, final, out, w, rows[0])
-        else:
-            put_infos(p, now, out, w, rows[0])
-
-
-def states(episode, rows):
-    """As ``kernels.write_states``, of one of the episodes, with ``rows`` in a tuple of one."""
-    w = np.uint64(cuda.grid(1))
-    if w < episode.steps.shape[0]:
-        put_state(episode, w, w + ONE, rows[0][w : w + ONE].T)
-
-
-def draw(p, mem, rows):
-    """As ``kernels.draw_actions``, with the actions in a tuple of one."""
-    w = cuda.grid(1)
-    if w < rows[0].shape[0]:
-        draw_world(p, mem, w, rows[0])
-
-
-@cache
-def step_kernel(n: int, obs_size: int, dtype: str) -> Any:
-    real = np.dtype(dtype).type
-    return exact(make_step(n, obs_size, real, np.uint32 if real == np.float32 else np.uint64))
-
-
-@cache
-def reset_kernel(obs_size: int) -> Any:
-    return exact(make_reset(obs_size))
-
-
-@cache
-def plain_kernel(function: Callable[..., None]) -> Any:
-    return exact(function)
-
-
 def exact(function: Callable[..., None]) -> Any:
     """The kernel of a function, compiled so that each product is rounded, as the CPU does."""
     # NVVM would contract ``a * b + c`` into one operation with one rounding. It has an option
@@ -297,3 +176,108 @@ def rounded_products() -> Iterator[None]:
             yield
         finally:
             nvvm.compile_ir = compile_ir
+
+
+@cache
+def step_kernel(n: int, obs_size: int, dtype: str) -> Any:
+    """The step of all worlds, for a team and observation size and a precision."""
+    real = np.dtype(dtype).type
+    bits = np.uint32 if real == np.float32 else np.uint64
+    # These are constants of the code: the robots' loops unroll, and a world's arrays are registers.
+    columns = threads_per_block(obs_size) + 1  # odd: neither way of reading meets a bank twice
+
+    def step(p, g, mem, now, final, out, call):
+        w = np.uint64(cuda.grid(1))
+        is_world = w < now.steps.shape[0]
+        tile = cuda.shared.array((obs_size, columns), np.float32)
+        mine = tile[:, cuda.threadIdx.x : cuda.threadIdx.x + 1]
+        x, y = cuda.local.array((n, 1), real), cuda.local.array((n, 1), real)
+        vx, vy = cuda.local.array((n, 1), real), cuda.local.array((n, 1), real)
+        visited, steps = cuda.local.array(1, np.int32), cuda.local.array(1, np.int32)
+        events, outcomes = cuda.local.array((n, 1), np.int32), cuda.local.array(1, np.int32)
+        rewards = cuda.local.array((1, n), real)
+        reals = cuda.local.array((10, 1), real)
+        flags = cuda.local.array((5, 1), np.bool_)
+        crossings = cuda.local.array(1, np.int32)
+        keys = cuda.local.array((2, n, 1), np.uint64)
+        end = w + ONE
+        one = episode_of(now, w, end, x, y, vx, vy, visited, steps)
+        f = column(g.field, w)
+        field, paths = field_of(g.field, f, f + ONE), paths_of(g.paths, f, f + ONE)
+        own = Geometry(field, paths, g.team, g.sampler)
+        memory = memory_of(mem, w, end, x.view(bits), y.view(bits))
+        given = output_of(out, w, end, rewards, reals[9], flags[3], flags[4], events, outcomes)
+        to = scratch_of(reals, crossings, flags, keys, mine)
+        if is_world:
+            copy_motion(now, w, one, ZERO, n)
+            fault, change = fault_of(p, mem, call, w), 0
+            if fault != 0:
+                cuda.atomic.min(call.fault, 0, np.int64(w) * KINDS + fault)
+            if (fault != 0) | (not call.active[w]):
+                clear_output(p, given, ZERO)
+            else:
+                move_robots(
+                    *(p, own, memory, one, Written(given, to)), *(call.actions[w:end], ZERO, ONE)
+                )
+                score_step(p, own, memory, one, given, to, ZERO, ONE)
+                change = close_step(p, memory, given, ZERO)
+            if change == ENDED | RESTARTS:
+                assign(p, own, memory, one, ZERO, ONE)
+                for i in range(n):
+                    write_observation(p, own, memory, one, i, ZERO, ONE, mine)
+                    for entry in range(obs_size):
+                        given.final_observations[0, i, entry] = mine[entry, 0]
+            copy_motion(one, ZERO, now, w, n)
+            save_output(given, out, w)
+            if change == ENDED | RESTARTS:
+                copy_episode(now, w, final, w, n, p.headings)
+            if change & RESTARTS:
+                reset_world(p, g, mem, now, w)
+                copy_motion(now, w, one, ZERO, n)
+        write_observations(p, own, memory, one, ZERO, is_world, tile, out.observations)
+
+    return exact(step)
+
+
+@cache
+def reset_kernel(obs_size: int) -> Any:
+    columns = threads_per_block(obs_size) + 1
+
+    def reset(p, g, mem, now, out, call):
+        w = np.uint64(cuda.grid(1))
+        is_world = w < now.steps.shape[0]
+        tile = cuda.shared.array((obs_size, columns), np.float32)
+        if is_world and call.active[w]:
+            reset_world(p, g, mem, now, w)
+            mem.pending[w] = False
+            clear_output(p, out, w)
+        write_observations(p, g, mem, now, w, is_world, tile, out.observations)
+
+    return exact(reset)
+
+
+@exact
+def infos(p, g, mem, now, final, out, rows):
+    """As ``kernels.write_infos``, with ``rows`` in a tuple of one."""
+    w = cuda.grid(1)
+    if w < now.steps.shape[0]:
+        if is_final(p, out, w):
+            put_infos(p, final, out, w, rows[0])
+        else:
+            put_infos(p, now, out, w, rows[0])
+
+
+@exact
+def states(episode, rows):
+    """As ``kernels.write_states``, of one of the episodes, with ``rows`` in a tuple of one."""
+    w = np.uint64(cuda.grid(1))
+    if w < episode.steps.shape[0]:
+        put_state(episode, w, w + ONE, rows[0][w : w + ONE].T)
+
+
+@exact
+def draw(p, mem, rows):
+    """As ``kernels.draw_actions``, with the actions in a tuple of one."""
+    w = cuda.grid(1)
+    if w < rows[0].shape[0]:
+        draw_world(p, mem, w, rows[0])

@@ -58,10 +58,7 @@ class Geometry(NamedTuple):
         return {name: array for part in self for name, array in part._asdict().items()}
 
 
-@Feature
-def draws_fields(g: Any) -> bool:
-    ndim: int = g.sampler.numbers.ndim
-    return ndim == 1
+draws_fields = Feature(lambda g: g.sampler.numbers.ndim == 1)
 
 
 class Episode(NamedTuple):

@@ -17,11 +17,12 @@ from numba.core.types import Literal
 class Feature:
     """A test of arrays' dimensions, which compiled code knows before it is compiled.
 
-    ``if has_failures(ep):`` then leaves out one of its branches.
+    ``may_rest = Feature(lambda ep: ep.status.ndim == 2)`` lets Numba leave out one of the branches
+    of ``if may_rest(ep):``.
     """
 
     def __init__(self, test: Callable[..., bool]) -> None:
-        self.test, self.__doc__ = test, test.__doc__
+        self.test = test
 
     def __call__(self, *parts: Any) -> bool:
         return self.test(*parts)
@@ -82,8 +83,8 @@ class Settle(Rewrite):
         if isinstance(feature, Feature):
             kinds = [self._kind_of(part) for part in call.args]
             if None in kinds:
-                found = f"{feature.test.__name__} in {self.code.func_id.func_name}"
-                raise TypeError(f"{found}: allowed: arguments, and parts of them")
+                found = f"a Feature's arguments at {assignment.loc}"
+                raise TypeError(f"{found}; allowed: those of the function, and parts of them")
             result = feature.test(*map(_Kind, kinds))
             loads = [one for one in self.block.find_insts(self.ir.Assign) if one.value is called]
             self.settled += [(assignment, result), *((load, None) for load in loads)]

@@ -80,11 +80,9 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     actions, active = np.zeros((worlds, 3, 2), real), np.zeros(worlds, np.bool_)
     call = kernels.Call(actions, active, np.zeros(1, np.int64))
     rows = (np.zeros((worlds, 3, 13)),)
-    bits = np.uint32 if dtype == "float32" else np.uint64
-    step = kernels.make_step(3, size, real.type, bits)
     work: dict[str, tuple[Any, tuple[Any, ...]]] = {
-        "step": (step, (p, g, mem, now, now, out, call)),
-        "reset": (kernels.make_reset(size), (p, g, mem, now, out, call)),
+        "step": (kernels.step_kernel(3, size, dtype), (p, g, mem, now, now, out, call)),
+        "reset": (kernels.reset_kernel(size), (p, g, mem, now, out, call)),
         "infos": (kernels.infos, (p, g, mem, now, now, out, rows)),
         "states": (kernels.states, (now, (np.zeros((worlds, 13), real),))),
         "draw": (kernels.draw, (p, mem, (np.zeros((worlds, 3, 2), np.float32),))),
@@ -93,7 +91,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     for name, (function, arguments) in work.items():
         signature = types.void(*map(typeof, arguments))
         with kernels.rounded_products():
-            made[name], _ = cuda.compile_ptx(function, signature, cc=(9, 0), device=False)
+            made[name], _ = cuda.compile_ptx(function.py_func, signature, cc=(9, 0), device=False)
     return made
 
 

@@ -22,7 +22,6 @@ from mbn_marl.engine.mdp.paths import (
     EDGES,
     NEVER,
     WAYPOINTS,
-    count_waypoints,
     in_sight,
     path_length,
 )
@@ -71,9 +70,7 @@ def endless_orders(plan: Floats, n: int, m: int) -> NDArray[np.bool_]:
     return endless
 
 
-@Feature
-def assigns(mem):
-    return mem.plan.ndim == 2
+assigns = Feature(lambda mem: mem.plan.ndim == 2)
 
 
 class Tours(NamedTuple):
@@ -204,7 +201,7 @@ def exchange(t, i, a, k, b):
 def tour_length(g, ep, t, i):
     """The length of robot i's tour: the ways to its ROIs, and the cost of its turns there."""
     rois, legs, f, w = g.field.rois, g.paths.legs, column(g.field, t.w), t.w
-    bent = count_waypoints(g.paths, f) > 0
+    bent = g.paths.waypoints.shape[1] > 0 and g.paths.ways_in[WAYPOINTS, f] > 0
     total = ux = uy = t.plan[w, i] * 0
     a, x, y = END, ep.x[i, w], ep.y[i, w]
     b = next_of(t, i, a)

@@ -36,14 +36,10 @@ def gust_factors(config: NavigationConfig) -> tuple[float, float]:
     return r, config.gust * math.sqrt(1.0 - r * r)
 
 
-@Feature
-def has_gusts(ep):
-    return ep.gust.ndim == 2
+has_gusts = Feature(lambda ep: ep.gust.ndim == 2)
 
 
-@Feature
-def disturbs_actions(ep):
-    return ep.queue.ndim == 2
+disturbs_actions = Feature(lambda ep: ep.queue.ndim == 2)
 
 
 @compiled

@@ -49,9 +49,7 @@ def _row(name: str) -> int:
     return MADE.index(name) if name in MADE else FIRST + SINGLE.index(name)
 
 
-@Feature
-def draws_numbers(ep):
-    return ep.drawn.ndim == 2
+draws_numbers = Feature(lambda ep: ep.drawn.ndim == 2)
 
 
 _DRAWN = ", ".join(f"ep.drawn[{_row(name)}, w]" for name in NAMES)
@@ -145,15 +143,6 @@ def squared(number):
 
 
 @compiled
-def choose_failing(p, drawn, key, team, w):
-    """Draw which robot of the ``team`` first ones fails in world w, and its step, 0 for none."""
-    count = p.failing_last - p.failing_first + 1
-    drawn[ROBOT, w] = np.int64(np.float64(uniform(key, FAILING)) * team)
-    step = p.failing_first + np.int64(np.float64(uniform(key, FAILING + 1)) * count)
-    drawn[STEP, w] = step if p.failing_last > 0 else 0
-
-
-@compiled
 def is_failing_step(ep, i, step, w):
     if draws_numbers(ep):
         return (ep.drawn[STEP, w] == step) & (ep.drawn[ROBOT, w] == i)
@@ -180,4 +169,8 @@ def draw_numbers(p, g, ep, episode_key, team, w):
             drawn[GUST_ADDED, w] = draw(ranges, key, GUST) * math.sqrt(1.0 - kept * kept)
         drawn[SAFETY, w] = squared(draw(ranges, key, DISTANCE))
         drawn[ROI, w] = squared(draw(ranges, key, RADIUS))
-        choose_failing(p, drawn, key, team, w)
+        # One of the robots that are there fails, in a step of the range; 0 is none.
+        count = p.failing_last - p.failing_first + 1
+        drawn[ROBOT, w] = np.int64(np.float64(uniform(key, FAILING)) * team)
+        step = p.failing_first + np.int64(np.float64(uniform(key, FAILING + 1)) * count)
+        drawn[STEP, w] = step if p.failing_last > 0 else 0

@@ -28,9 +28,7 @@ DYNAMICS = {
 """Robots of those from the unicycle on have a heading."""
 
 
-@Feature
-def mixes_dynamics(g):
-    return g.team.kinds.ndim == 1
+mixes_dynamics = Feature(lambda g: g.team.kinds.ndim == 1)
 
 
 @compiled

@@ -16,14 +16,16 @@ from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import STRAIGHT, Tours, assigns, turn_of, way_to
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
 from mbn_marl.engine.mdp.failures import WORKS, blank_gone, put_flag, status_of
-from mbn_marl.engine.mdp.shared_entries import (
+from mbn_marl.engine.mdp.sight import (
     Row,
+    disturbs_sight,
+    drop,
     flag_row,
     heading_rows,
     put_heading,
     put_own_motion,
+    roi_place,
 )
-from mbn_marl.engine.mdp.sight import drop, is_sensed, roi_place
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import clip, column, select
@@ -71,9 +73,7 @@ def _offset_rows(thing: str) -> list[Row]:
     ]
 
 
-@Feature
-def shows_entities(g):
-    return g.team.scales.ndim == 1
+shows_entities = Feature(lambda g: g.team.scales.ndim == 1)
 
 
 @compiled
@@ -156,7 +156,9 @@ def put_place(p, g, view, lo, hi, j, k):
                 f = column(g.field, w)
                 dx = roi_place(g, view, 0, j, f, w) - robots.x[other, w]
                 dy = roi_place(g, view, 1, j, f, w) - robots.y[other, w]
-                counts = (status_of(view.ep, other, w) == WORKS) & is_sensed(view.mem, other, w)
+                counts = status_of(view.ep, other, w) == WORKS
+                if disturbs_sight(view.mem):
+                    counts &= view.mem.sensed[other, w] != 0
                 away = select(counts, soft(norm(dx, dy), scales[1]), p.one)
                 tile[k + 8, w - lo] = min(tile[k + 8, w - lo], away)
     return k + 9

@@ -21,10 +21,8 @@ BRAKE, COAST, VANISH = range(3)
 KINDS = {"brake": BRAKE, "coast": COAST, "vanish": VANISH}
 
 
-@Feature
-def may_rest(ep):
-    """Whether some robots may not work: those that fail, or are not in the team."""
-    return ep.status.ndim == 2
+# On if some robots may not work: those that fail, or are not in the team.
+may_rest = Feature(lambda ep: ep.status.ndim == 2)
 
 
 @compiled

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from mbn_marl.engine.mdp.drawn_numbers import limits_in, limits_of, numbers_of
 from mbn_marl.engine.mdp.dynamics import has_heading, part_along
 from mbn_marl.engine.mdp.events import cross_edge
-from mbn_marl.engine.mdp.shared_entries import Row
-from mbn_marl.engine.mdp.sight import roi_place
+from mbn_marl.engine.mdp.sight import Row, roi_place
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import HALF, MANY, clip, column, select
@@ -40,9 +39,7 @@ def wall_rows() -> list[Row]:
     return [*rows, ("brake_inside", 0.0, 1.0, "flag"), ("wall_distance", 0.0, 1.0, "sensing radii")]
 
 
-@Feature
-def has_rays(g):
-    return g.team.rays.ndim == 2
+has_rays = Feature(lambda g: g.team.rays.ndim == 2)
 
 
 @compiled

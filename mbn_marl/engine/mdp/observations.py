@@ -21,15 +21,19 @@ from mbn_marl.engine.mdp.entities import entity_rows, put_entities, shows_entiti
 from mbn_marl.engine.mdp.events import visit_code, within
 from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
 from mbn_marl.engine.mdp.lidar import has_rays
-from mbn_marl.engine.mdp.shared_entries import (
+from mbn_marl.engine.mdp.sight import (
     Row,
     View,
+    disturbs_sight,
+    drop,
     flag_row,
     heading_rows,
+    look,
     put_heading,
     put_own_motion,
+    roi_place,
+    sensed_robots,
 )
-from mbn_marl.engine.mdp.sight import disturbs_sight, drop, look, roi_place, sensed_robots
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.functions import FIRST, clip, column, select
 from mbn_marl.jit.intrinsics import SIDE, transpose
@@ -296,18 +300,6 @@ def put_lidar(p, g, view, lo, hi):
 
 
 @compiled
-def put_entries(p, g, view, lo, hi):
-    if shows_entities(g):
-        return put_entities(p, g, view, lo, hi)
-    if has_rays(g):
-        k = put_lidar(p, g, view, lo, hi)
-        return lidar.put_walls(p, g, view, lo, hi, k)
-    if p.observation == STATE:
-        return put_own_state(p, g, view, lo, hi)
-    return put_relative(p, g, view, lo, hi)
-
-
-@compiled
 def write_observation(p, g, mem, ep, i, lo, hi, tile):
     """Write what robot i observes to ``tile`` (size, at least hi - lo), worlds side by side."""
     robots = ep
@@ -315,7 +307,14 @@ def write_observation(p, g, mem, ep, i, lo, hi, tile):
         look(p, g, mem, ep, i, lo, hi)
         robots = sensed_robots(mem, ep, g.field.roi_bits.shape[0])
     view = View(mem, ep, robots, i, tile)
-    k = put_entries(p, g, view, lo, hi)
+    if shows_entities(g):
+        k = put_entities(p, g, view, lo, hi)
+    elif has_rays(g):
+        k = lidar.put_walls(p, g, view, lo, hi, put_lidar(p, g, view, lo, hi))
+    elif p.observation == STATE:
+        k = put_own_state(p, g, view, lo, hi)
+    else:
+        k = put_relative(p, g, view, lo, hi)
     if p.one_hot:
         for j in range(ep.x.shape[0]):
             for w in range(lo, hi):

@@ -181,8 +181,3 @@ def make_paths(field: Tables) -> Paths:
     waypoints, legs = paths.waypoints[:, :most], paths.legs[:nodes, :nodes]
     # Arrays with gaps would be other types to compile for.
     return Paths(np.ascontiguousarray(waypoints), np.ascontiguousarray(legs), paths.ways_in)
-
-
-@compiled
-def count_waypoints(paths, f):
-    return paths.ways_in[WAYPOINTS, f] if paths.waypoints.shape[1] > 0 else 0

@@ -111,20 +111,15 @@ def earned(p, ep, event, outcome, i, w):
 
 
 @compiled
-def share_of(p, ep, outcome, i, w):
-    """Robot i's part of ``team_terms``: that of one of n, or of the robots that work."""
+def with_share(p, ep, own, outcome, i, w):
+    """The terms of robot i's reward ``r_i``, as ``REWARD_TERMS``, from its own terms."""
+    # Its share of the team's is that of one of n, or of the robots that work.
+    team = team_terms(p, p.share, outcome)
     if may_rest(ep):
         there = ep.status.shape[0] - count_status(ep, ABSENT, w)
         failed = count_status(ep, FAILED, w)
         some_work = failed < there
         parts = p.one * np.float32(there - select(some_work, failed, 0))
         none = (ep.status[i, w] == ABSENT) | ((ep.status[i, w] == FAILED) & some_work)
-        return part_team(p, team_terms(p, p.whole, outcome), none, parts)
-    return team_terms(p, p.share, outcome)
-
-
-@compiled
-def with_share(p, ep, own, outcome, i, w):
-    """The terms of robot i's reward ``r_i``, as ``REWARD_TERMS``, from its own terms."""
-    team = share_of(p, ep, outcome, i, w)
+        team = part_team(p, team_terms(p, p.whole, outcome), none, parts)
     return (own[0] + team[0], own[1] + team[1], *own[SHARED:], *team[SHARED:])

@@ -1,4 +1,4 @@
-"""Observation noise and dropout (mdp.md, "Disturbances")."""
+"""The observer: what it senses with noise and dropout, and entries that observations share."""
 
 # ``Memory.sensed`` has what the robot whose turn it is senses of n robots and m ROIs: first whether
 # it senses each of them, 1 or 0, then the robots' x, y, vx and vy, then the ROIs' places.
@@ -20,9 +20,21 @@ MOST_ROBOTS, MOST_THINGS, DRAWS = np.uint64(MAX_ROBOTS), np.uint64(128), np.uint
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 
 
-@Feature
-def disturbs_sight(mem):
-    return mem.sensed.ndim == 2
+disturbs_sight = Feature(lambda mem: mem.sensed.ndim == 2)
+
+
+Row = tuple[str, float, float, str]
+"""An entry: its name, bounds and unit."""
+
+
+class View(NamedTuple):
+    """The observer, robot i of an episode, and what its observation is made of and written to."""
+
+    mem: Any
+    ep: Any
+    robots: Any  # the robots as robot i senses them: ``ep``, or ``sight.SensedRobots``
+    i: Any
+    tile: Any  # (size, at least hi - lo) float32: an entry a row, worlds side by side
 
 
 class SensedRobots(NamedTuple):
@@ -102,15 +114,36 @@ def look(p, g, mem, ep, i, lo, hi):
 
 
 @compiled
-def is_sensed(mem, thing, w):
-    if disturbs_sight(mem):
-        return mem.sensed[thing, w] != 0
-    return True
-
-
-@compiled
 def drop(view, lo, hi, thing, k, end):
     if disturbs_sight(view.mem):
         for entry in range(k, end):
             for w in range(lo, hi):
                 view.tile[entry, w - lo] *= view.mem.sensed[thing, w]
+
+
+def heading_rows(robot: str, turns: bool) -> list[Row]:
+    return [(f"{robot}_{name}", -1.0, 1.0, f"{name} of heading") for name in ("cos", "sin")] * turns
+
+
+def flag_row(robot: str, flag: str) -> list[Row]:
+    return [(f"{robot}_{flag}", 0.0, 1.0, "flag")] * bool(flag)
+
+
+@compiled
+def put_heading(p, view, lo, hi, j, k):
+    """The cosine and the sine of robot j's heading, both 0 if it has none; how many entries."""
+    if p.headings == 0:
+        return 0
+    for w in range(lo, hi):
+        view.tile[k, w - lo] = view.robots.cos[j, w]
+        view.tile[k + 1, w - lo] = view.robots.sin[j, w]
+    return 2
+
+
+@compiled
+def put_own_motion(p, view, lo, hi, k):
+    robots, i = view.robots, view.i
+    for w in range(lo, hi):
+        view.tile[k, w - lo] = robots.vx[i, w] * p.per_speed
+        view.tile[k + 1, w - lo] = robots.vy[i, w] * p.per_speed
+    return k + 2 + put_heading(p, view, lo, hi, i, k + 2)
