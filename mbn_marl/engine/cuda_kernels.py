@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -37,6 +38,7 @@ from mbn_marl.engine.state import Episode, Geometry, Memory, Output
 from mbn_marl.engine.step import Written, close_step, move_robots, score_step, scratch_of
 from mbn_marl.field.layout import Tables
 from mbn_marl.jit.compile import compiled, generated, returning_views
+from mbn_marl.jit.features import Settle
 from mbn_marl.jit.functions import column
 
 DISABLED = AUTORESET_MODES.index("disabled")
@@ -48,6 +50,13 @@ SIMULATED = bool(config.ENABLE_CUDASIM)
 MOST_THREADS = 128
 TILE_BYTES = 48 * 1024
 """The shared memory that a block has without asking the driver for more."""
+
+
+if not SIMULATED and importlib.util.find_spec("numba_cuda"):
+    from numba.cuda.core.rewrites.registry import rewrite_registry
+
+    # numba-cuda compiles rules by its own copy of Numba's compiler, which has its own list.
+    rewrite_registry.rewrites["before-inference"].append(Settle)
 
 
 class Call(NamedTuple):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -32,6 +33,7 @@ ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.slow
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")
 MOST_LOCAL_BYTES = 128
+ARCHITECTURE = 8, 0  # the A100's; no GPU is needed to compile for it
 
 
 @pytest.mark.all
@@ -57,6 +59,14 @@ def test_cuda_that_is_missing_is_one_error() -> None:
         BatchEngine("field_01", 2, device="cuda")
     (problem,) = caught.value.problems
     assert problem.startswith("device: ")
+
+
+def ptxas() -> str | None:
+    """The program that turns PTX into machine code: the system's, or that of a wheel."""
+    nvidia = importlib.util.find_spec("nvidia")
+    folders = [*nvidia.submodule_search_locations] if nvidia else []
+    found = (str(path) for folder in folders for path in Path(folder).glob("*/bin/ptxas"))
+    return shutil.which("ptxas") or next(found, None)
 
 
 def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
@@ -91,7 +101,9 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     for name, (function, arguments) in work.items():
         signature = types.void(*map(typeof, arguments))
         with kernels.rounded_products():
-            made[name], _ = cuda.compile_ptx(function.py_func, signature, cc=(9, 0), device=False)
+            made[name], _ = cuda.compile_ptx(
+                function.py_func, signature, cc=ARCHITECTURE, device=False
+            )
     return made
 
 
@@ -112,21 +124,15 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
 )
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_the_kernels_compile_for_a_gpu(
-    dtype: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    dtype: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Without one: PTX for compute capability 9.0."""
-    if importlib.util.find_spec("numba_cuda") is None:
-        pytest.skip("numba-cuda is not installed")
+    """Without one: to PTX, and to machine code, of which registers and spills are printed."""
+    if importlib.util.find_spec("numba_cuda") is None or (assembler := ptxas()) is None:
+        pytest.skip("numba-cuda or ptxas is not installed; `make cuda` installs both")
     from numba.cuda import dispatcher
-    from numba.cuda.cudadrv import nvrtc, nvvm
 
-    try:
-        nvvm.LibDevice()
-        nvrtc.get_arch_option(9, 0)
-    except Exception as error:
-        pytest.skip(f"no CUDA compiler: {str(error).splitlines()[0]}")
-    h100 = SimpleNamespace(compute_capability=(9, 0))
-    monkeypatch.setattr(dispatcher, "get_current_device", lambda: h100)
+    device = SimpleNamespace(compute_capability=ARCHITECTURE)
+    monkeypatch.setattr(dispatcher, "get_current_device", lambda: device)
     for name, ptx in compiled_kernels(dtype, settings).items():
         depots = [int(size) for size in re.findall(r"__local_depot\d+\[(\d+)\]", ptx)]
         assert sum(depots) <= MOST_LOCAL_BYTES, name  # else arrays have left the registers
@@ -136,6 +142,17 @@ def test_the_kernels_compile_for_a_gpu(
         fused = re.findall(r"\bfma\S*", ptx)
         assert not unrounded, name
         assert not fused, name
+        source = tmp_path / f"{name}.ptx"
+        source.write_text(ptx)
+        command = [assembler, "-v", f"-arch=sm_{ARCHITECTURE[0]}{ARCHITECTURE[1]}", source.name]
+        run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert run.returncode == 0, (name, run.stderr)
+        (registers,) = re.findall(r"Used (\d+) registers", run.stderr)
+        stack, stores, loads = re.findall(r"(\d+) bytes (?:stack frame|spill)", run.stderr)
+        print(
+            f"{dtype} {settings} {name}: {registers} registers, {stack} bytes of local memory, "
+            f"{stores} stored and {loads} loaded by spills"
+        )
 
 
 @needs_gpu
