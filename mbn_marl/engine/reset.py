@@ -1,7 +1,5 @@
 """Beginning, ending and copying the episode of one world."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mbn_marl.engine.mdp.assignment import assigns

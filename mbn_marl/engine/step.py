@@ -10,8 +10,6 @@
 # a pass is on worlds lo to hi - 1, of which w is number k = w - lo of the block; i and j count
 # robots or ROIs.
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

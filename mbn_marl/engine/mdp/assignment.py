@@ -8,8 +8,6 @@
 #
 # Source: this package.
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -4,8 +4,6 @@
 #
 # Source: Choton, Woods, Hsu, section 4, for the wind; the others are this package's.
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

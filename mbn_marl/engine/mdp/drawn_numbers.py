@@ -5,8 +5,6 @@
 #
 # Source: this package.
 
-from __future__ import annotations
-
 import math
 from collections import namedtuple
 from typing import Any

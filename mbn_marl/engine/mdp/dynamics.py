@@ -8,10 +8,10 @@
 # Source: Choton, Woods, Hsu, section 4 ("Environment Design"), for the point mass; the others are
 # this package's.
 
-from __future__ import annotations
-
 from collections.abc import Sequence
+from typing import get_args
 
+from mbn_marl.config import Dynamics
 from mbn_marl.engine.mdp.disturbances import add_wind, wind_along
 from mbn_marl.engine.mdp.drawn_numbers import limits_in, limits_of, numbers_of
 from mbn_marl.jit.compile import compiled
@@ -19,12 +19,7 @@ from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import clip, cosine, length, select, sine, tangent, turned
 
 POINT_MASS, HOLONOMIC, UNICYCLE, BICYCLE = range(4)
-DYNAMICS = {
-    "point_mass": POINT_MASS,
-    "holonomic": HOLONOMIC,
-    "unicycle": UNICYCLE,
-    "bicycle": BICYCLE,
-}
+DYNAMICS = {name: number for number, name in enumerate(get_args(Dynamics))}
 """Robots of those from the unicycle on have a heading."""
 
 

@@ -6,8 +6,6 @@
 #
 # Source: this package (mdp.md, "What a robot sees").
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 # Source: Choton, Woods, Hsu, section 3; the strict comparison of distances and the time limit T_max
 # are those of the released code.
 
-from __future__ import annotations
-
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.functions import column
 

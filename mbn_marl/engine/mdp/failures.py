@@ -2,8 +2,6 @@
 
 # Source: this package.
 
-from __future__ import annotations
-
 import numpy as np
 
 from mbn_marl.config import MAX_ROBOTS

@@ -5,8 +5,6 @@
 #
 # Source: this package; the paper's robots sense no walls (mdp.md, "What a robot sees").
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

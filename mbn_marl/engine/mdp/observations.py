@@ -7,13 +7,11 @@
 # Source: Choton, Woods, Hsu, section 3 (``state``); the others are this package's (mdp.md, "What a
 # robot sees").
 
-from __future__ import annotations
-
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
-from mbn_marl.config import NavigationConfig
+from mbn_marl.config import NavigationConfig, Observation
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import assign
 from mbn_marl.engine.mdp.dynamics import count_headings
@@ -39,14 +37,7 @@ from mbn_marl.jit.functions import FIRST, clip, column, select
 from mbn_marl.jit.intrinsics import SIDE, transpose
 
 RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL, ENTITIES = range(6)
-OBSERVATIONS = {
-    "relative": RELATIVE,
-    "state": STATE,
-    "local": LOCAL,
-    "lidar": LIDAR,
-    "lidar_local": LIDAR_LOCAL,
-    "entities": ENTITIES,
-}
+OBSERVATIONS = {name: number for number, name in enumerate(get_args(Observation))}
 LIDARS = ("lidar", "lidar_local")
 WITH_RAYS = (*LIDARS, "entities")
 WITH_RADIUS = ("local", *WITH_RAYS)

@@ -11,8 +11,6 @@
 # Source: Choton, Woods, Hsu, section 3 (R_V, on joint states), and the authors' released code (on
 # the positions of robots).
 
-from __future__ import annotations
-
 import numpy as np
 
 from mbn_marl.jit.compile import compiled

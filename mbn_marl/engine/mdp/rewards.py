@@ -7,8 +7,6 @@
 #
 # Source: Choton, Woods, Hsu, section 3 (``formal``) and the authors' released code (``released``).
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

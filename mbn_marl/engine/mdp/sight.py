@@ -3,8 +3,6 @@
 # ``Memory.sensed`` has what the robot whose turn it is senses of n robots and m ROIs: first whether
 # it senses each of them, 1 or 0, then the robots' x, y, vx and vy, then the ROIs' places.
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
