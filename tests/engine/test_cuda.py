@@ -30,13 +30,12 @@ from mbn_marl.field.layout import FAMILIES
 
 torch = pytest.importorskip("torch")
 ROOT = Path(__file__).parents[2]
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.all
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")
 MOST_LOCAL_BYTES = 128
 ARCHITECTURE = 8, 0  # the A100's; no GPU is needed to compile for it
 
 
-@pytest.mark.all
 @pytest.mark.parametrize(
     "part", ["features", "random_fields", "not features and not random_fields"]
 )
@@ -107,7 +106,6 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     return made
 
 
-@pytest.mark.all
 @pytest.mark.parametrize(
     "settings",
     [
@@ -123,7 +121,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     ids=str,
 )
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_the_kernels_compile_for_a_gpu(
+def test_kernels_become_machine_code(
     dtype: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Without one: to PTX, and to machine code, of which registers and spills are printed."""
