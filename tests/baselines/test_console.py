@@ -19,7 +19,7 @@ console().print(table)
 
 NAMES = ("crossq-A-field_01-seed33", "short-sighted-field_03-seed0")
 BARS = f"""
-from baselines.training.run_logger import Report, progress_bars
+from baselines.training.progress_bar import Report, progress_bars
 with progress_bars({NAMES}, 1000) as show:
     show(Report("{NAMES[1]}", 600, True, 842.0, -9_543_760.0, 0.05))
 """
