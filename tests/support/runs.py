@@ -53,7 +53,6 @@ def small_config(name: str, setting: Setting = "N") -> TrainConfig:
 
 
 def interrupted(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
-    """The folder of a run that stopped after its first checkpoint."""
 
     def interrupt(report: Report) -> None:
         if (out / "checkpoints").exists():
@@ -65,7 +64,6 @@ def interrupted(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
 
 
 def recorded(run: RunFolder) -> dict[str, Any]:
-    """The records of a run without the seconds."""
 
     def timeless(entry: dict[str, Any]) -> dict[str, Any]:
         return {name: value for name, value in entry.items() if "seconds" not in name}
@@ -77,7 +75,6 @@ def recorded(run: RunFolder) -> dict[str, Any]:
 
 
 def same_policies(run: RunFolder, other: RunFolder) -> bool:
-    """Return whether the weights of two runs are bit for bit the same."""
     policies: list[Any] = [load_trained(one) for one in (run, other)]
     ours, theirs = (policy.network.state_dict() for policy in policies)
     return ours.keys() == theirs.keys() and all(
