@@ -53,7 +53,6 @@ class Report:
     error: str | None = None
 
     def __str__(self) -> str:
-        """The speed and the last evaluation in words."""
         if self.error is not None:
             return "failed"
         speed = f"{self.steps_per_second:,.0f}/s"
@@ -67,10 +66,8 @@ Listener = Callable[[Report], None]
 
 @contextmanager
 def progress_bars(runs: Iterable[str], total: int) -> Iterator[Listener]:
-    """Show one bar per run with speed, return and success rate; yield what receives the reports.
-
-    On a terminal the bars are live. Elsewhere (a log file) each finished run prints one line.
-    """
+    """Show one bar per run; yield what receives the reports."""
+    # Without a terminal (in a log file) each finished run prints one line.
     name, state = (
         TextColumn(f"{{task.fields[{part}]}}", table_column=Column(overflow="fold"))
         for part in ("run", "state")
@@ -105,10 +102,9 @@ def find_wandb() -> ModuleType:
 
 
 class EpisodeWindow:
-    """Training episodes that ended since the last progress row.
+    """Training episodes that ended since the last progress row."""
 
-    Their mean is optimistic, since stuck worlds finish rarely: results are of fresh evaluations.
-    """
+    # Their mean is optimistic, since stuck worlds finish rarely: results are of fresh evaluations.
 
     def __init__(self) -> None:
         self._returns: list[float] = []
@@ -194,10 +190,8 @@ class Recorder:
     def update(
         self, env_steps: int, policy: TrainedPolicy, diagnostics: Mapping[str, float]
     ) -> None:
-        """Record an update of the learner; make a fresh evaluation when one is due.
-
-        ``diagnostics`` are numbers for ``progress.csv``, with the same names every time.
-        """
+        """Record an update of the learner; make a fresh evaluation when one is due."""
+        # ``diagnostics`` are numbers for progress.csv, with the same names every time.
         self._diagnostics = diagnostics
         config = self._task.config
         every, last = config.evaluate_every, env_steps >= config.steps
@@ -224,10 +218,8 @@ class Recorder:
     def save_checkpoint(
         self, env_steps: int, policy: TrainedPolicy, save: Callable[[Path], None]
     ) -> None:
-        """Write a checkpoint; no step may have been taken since the last :meth:`update`.
-
-        ``save`` writes what the trainer needs to resume into a folder.
-        """
+        """Write a checkpoint; no step may have been taken since the last :meth:`update`."""
+        # ``save`` writes what the trainer needs to resume into a folder.
         self._stop()
         self._board.flush()
         with self._folder.new_checkpoint(env_steps) as folder:
@@ -274,10 +266,8 @@ class Recorder:
     def _evaluate(
         self, env_steps: int, policy: TrainedPolicy, number: int, mean_episodes: int
     ) -> tuple[Evaluation, Evaluation]:
-        """Evaluate with sampled and with mean actions, and append both to the history.
-
-        The seed is that of the evaluation's ``number``, in every run the same.
-        """
+        """Evaluate with sampled and with mean actions, and append both to the history."""
+        # The seed is that of the evaluation's ``number``, in every run the same.
         seed, settings = EVALUATION_SEED + number, self._task.settings
         fields = unseen(self._task.field, seed)
         sampled, mean = (
