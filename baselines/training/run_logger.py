@@ -121,26 +121,21 @@ class EpisodeWindow:
 
 
 class Recorder:
-    """Records the run of a task in its folder, from the start or from the newest checkpoint.
+    """Records the run of a task in its folder, from the start or from the newest checkpoint."""
 
-    ``listener`` receives the progress after every row. Numbers go to TensorBoard's events too, and
-    to ``wandb``, a project of Weights & Biases.
-
-    Attributes:
-        episodes: the training episodes since the last row.
-        checkpoint: the checkpoint that the trainer has to resume, or ``None``.
-        passed: whether a fresh evaluation met the run's criterion for stopping early; the trainer
-            then goes straight to :meth:`finish`.
-        checkpoint_due: whether the trainer should call :meth:`save_checkpoint` as soon as it is
-            between two updates.
-    """
-
+    # ``listener`` receives the progress after every row. Numbers go to TensorBoard's events too,
+    # and to ``wandb``, a project of Weights & Biases.
     def __init__(
         self, folder: RunFolder, task: Task, listener: Listener, wandb: str | None = None
     ) -> None:
+        # The training episodes since the last row.
         self.episodes = EpisodeWindow()
+        # The checkpoint that the trainer has to resume.
         self.checkpoint = folder.checkpoint
-        self.checkpoint_due = self.passed = False
+        # Whether the trainer should call save_checkpoint as soon as it is between two updates.
+        self.checkpoint_due = False
+        # Whether a fresh evaluation met the criterion for stopping: the trainer then calls finish.
+        self.passed = False
         self._folder, self._task, self._listener = folder, task, listener
         self._diagnostics: Mapping[str, float] = {}
         self._started_at = self._wall_started_at = 0.0
