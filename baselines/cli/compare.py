@@ -87,8 +87,7 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Resul
     from baselines.compare.run import train_all_runs
     from baselines.compare.tables import print_comparison
     from baselines.console import console
-    from baselines.runs.files import RunError
-    from baselines.runs.report_path import Place
+    from baselines.runs.files import Place, RunError
     from baselines.training.progress_bar import progress_bars
 
     hours = config.core_hours

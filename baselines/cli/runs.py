@@ -42,16 +42,14 @@ def line_of(run: RunFolder) -> tuple[str, ...]:
     try:
         asked = validate(Listed, run.config, run.path / "config.json")
         if run.finished:
-            state, last = "finished", run.evaluation.get("stochastic")
+            last = run.evaluation.get("stochastic")
         else:
-            saved = run.saved_steps
-            state = f"{saved:,} of {asked.steps:,} env-steps" if saved else "begun"
-            state = "not evaluated" if (run.path / "policy").exists() else state
             history = run.evaluations if (run.path / "evaluations.json").exists() else []
             last = history[-1] if history else None
         known = None if last is None else validate(Summary, last, run.path)
     except MbnError as error:
         return name, "-", "-", "-", str(error).removeprefix(f"{run.path}/"), "-", "-"
+    state = run.state
     success = "-" if known is None else f"{known.success_rate:.1%}"
     makespan = "-" if known is None or known.makespan is None else f"{known.makespan:.1f}"
     return name, asked.algorithm, Path(asked.field).stem, str(asked.seed), state, success, makespan

@@ -25,7 +25,7 @@ from mbn_marl.checked import Checked
 from mbn_marl.config import Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, save_episode
-from mbn_marl.errors import ConfigError, DamageError, FieldError, ProblemsError, collecting
+from mbn_marl.errors import ConfigError, FieldError, ProblemsError, collecting
 from mbn_marl.field import Field, Instance, load_split, splits
 from mbn_marl.planning import UnsolvableError
 
@@ -238,7 +238,7 @@ def _run_tier(
     for k, one in enumerate(instances):
         try:
             row, episode = _run_instance(source, shield, one, seed + k, protocol)
-        except (SettingsError, RunError, DamageError, ImportError):
+        except (SettingsError, RunError, ImportError):
             raise
         except MISFITS as error:
             why = "; ".join(error.problems) if isinstance(error, ProblemsError) else str(error)

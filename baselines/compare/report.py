@@ -14,9 +14,8 @@ from baselines.compare.summary import Comparison, summarise
 from baselines.compare.tables import field_tables, overall_tables
 from baselines.evaluation.policy import load_trained
 from baselines.evaluation.rollout import record_episode, write_animation, write_trajectories
-from baselines.runs.files import write_json, write_text
+from baselines.runs.files import Place, write_json, write_text
 from baselines.runs.provenance import write_provenance
-from baselines.runs.report_path import Place
 from mbn_marl.files import claim_file, replacing
 from mbn_marl.render.figures import save
 

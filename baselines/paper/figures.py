@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
-import pandas
 from matplotlib.figure import Figure
 
 from baselines.compare.records import ordered
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
 from baselines.paper.trainings import Trainings
-from baselines.runs.files import RunError, read_json
 from mbn_marl.field import load_field
 from mbn_marl.render import curves, figures
-from mbn_marl.render.curves import Pair, Panel, StudyTrial
+from mbn_marl.render.curves import Pair, Panel
 
 
 def overview() -> Figure:
@@ -74,24 +69,3 @@ def against(trainings: Trainings, first: str, second: str) -> Figure | None:
     if not panels:
         return None
     return curves.pairs(panels, (f"setting {first}", f"setting {second}"), RETURN_THRESHOLD)
-
-
-def draw_study(folder: Path) -> Figure:
-    """Draw the history of the study of ``folder`` and what mattered in it.
-
-    Raises:
-        RunError: there is no study, or ``mbn tune`` has not come to its end there.
-        MbnError: no trial has a return yet.
-    """
-    try:
-        table = pandas.read_csv(folder / "trials.csv")
-        rows = table[table.return_mean.notna() & (table.state != "fail")]
-        trials = [*map(StudyTrial, rows.trial, rows.return_mean, rows.state != "complete")]
-        importances = json.loads((folder / "importances.json").read_text())
-    except (OSError, ValueError, AttributeError) as error:
-        raise RunError(
-            f"{folder} is not the folder of a study that mbn tune has written to its end ({error})"
-        ) from None
-    config = read_json(folder / "config.json")
-    title = f"{config['algorithm']} on {config['field']}, {config['steps']:,} env-steps a trial"
-    return curves.study_figure(trials, importances, title)

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-
-from matplotlib.figure import Figure
 
 from baselines.algorithms import SETTINGS, Setting
 from baselines.compare.text_table import DASH
 from baselines.paper import figures, glance, published
 from baselines.paper.tables import ALGORITHMS, FIELDS, MISSING, PaperTable, paper_tables, write_csv
 from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
-from baselines.runs.files import read_text, write_text
+from baselines.runs.files import Place, RunError, read_text, write_text
 from baselines.runs.provenance import write_provenance
-from baselines.runs.report_path import Place
 from mbn_marl.render.figures import save
 
 TABLES = ("algorithms.csv", "algorithms.tex", "fields.csv", "fields.tex")
@@ -52,12 +50,14 @@ def write_report(
             for name in published.REPORTED
         },
         **{f"A_against_{name}": figures.against(trainings, "A", name) for name in OTHERS},
-        "optuna": None if study is None else figures.draw_study(study),
         "fields": figures.overview(),
     }
+    copied = {} if study is None else _study_pictures(study)
     place = Place.of(out, "paper.md")
     place.claim(force=force)
     trainings.save(place.folder)
+    for name, path in copied.items():
+        shutil.copy(path, place.folder / f"{name}.png")
     for name, figure in drawn.items():
         if figure is not None:
             save(figure, place.folder / f"{name}.png")
@@ -67,14 +67,14 @@ def write_report(
         latex = [table.text().latex(f"tab:{kind.row}s-{table.sample.label}") for table in same]
         write_text(place.folder / f"{kind.row}s.tex", "\n".join(latex))
     write_provenance(place.folder, command)
-    write_text(place.page, _page(trainings, tables, drawn, place, command, preface))
+    write_text(place.page, _page(trainings, tables, {**drawn, **copied}, place, command, preface))
     return place
 
 
 def _page(
     trainings: Trainings,
     tables: Sequence[PaperTable],
-    drawn: Mapping[str, Figure | None],
+    drawn: Mapping[str, object],
     place: Place,
     command: str,
     preface: str,
@@ -82,7 +82,7 @@ def _page(
     """Fill in the Markdown page."""
 
     def picture(name: str, title: str) -> str:
-        if drawn[name] is None:
+        if drawn.get(name) is None:
             return f"{title}: missing."
         return f"{title}:\n\n![{title}]({place.link(f'{name}.png')})"
 
@@ -110,12 +110,26 @@ def _page(
             for name in published.REPORTED
         ),
         against=join(picture(f"A_against_{name}", f"Setting A against {name}") for name in OTHERS),
-        study=picture("optuna", "History of the study and importance of each hyperparameter"),
+        study=join(
+            picture(f"study_{name}", title)
+            for name, title in (
+                ("history", "History of the study"),
+                ("importances", "Importance of each hyperparameter in the study"),
+            )
+        ),
         fields=join(text for kind, text in shown if kind is FIELDS),
         overview=picture("fields", "The ten fields, each to a scale of its own"),
         commands="\n".join(trainings.runs.command),
     )
     return page if preface else page.replace("\n\n\n\n", "\n\n", 1)
+
+
+def _study_pictures(study: Path) -> dict[str, Path]:
+    """Return the pictures that ``mbn tune`` made at the end of a study; a RunError without one."""
+    pictures = {path.stem: path for path in study.glob("*.png")}
+    if "history" not in pictures:
+        raise RunError(f"{study} has no history.png: mbn tune has finished no study there")
+    return {f"study_{name}": path for name, path in pictures.items()}
 
 
 def _meaning(setting: Setting) -> str:

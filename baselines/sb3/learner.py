@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import unwrap_vec_wrapper
 from baselines.algorithms import find_algorithm
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import RunFolder, saved_at
-from baselines.runs.rng_state import restore_generators, save_generators
+from baselines.runs.tensors import restore_generators, save_generators
 from baselines.sb3.config import SB3Config, algorithm_class, model_arguments
 from baselines.sb3.envs import ShrinkingRois, engines, make_env
 from baselines.sb3.policy import SHAPE, Normalization, SB3Policy, put_into
@@ -154,7 +154,7 @@ class Learner:
         model._setup_learn(0)  # makes what is filled here
         self._put(checkpoint / "policy")
         counters = read_json(checkpoint / COUNTERS)
-        arrays = read_arrays(checkpoint / WORLDS, self._worlds())
+        arrays = read_arrays(checkpoint / WORLDS)
         for name in SEEN:
             seen, own = arrays.get(name), getattr(model, name)
             if getattr(seen, "shape", None) != getattr(own, "shape", None):

@@ -69,7 +69,6 @@ def load_policy(folder: Path) -> TeamPolicy:
 
     Raises:
         RunError: a file is missing or does not fit.
-        DamageError: a file is not what was written.
     """
     with reading(folder / SHAPE):
         shape = TypeAdapter(TeamShape).validate_python(read_json(folder / SHAPE))

@@ -1,4 +1,4 @@
-"""Figures of returns: learning curves, two settings side by side, a study of hyperparameters."""
+"""Figures of returns: learning curves, and two settings side by side."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
+from matplotlib.ticker import EngFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError
@@ -46,14 +46,6 @@ class Pair(NamedTuple):
 
     first: float | None
     second: float | None
-
-
-class StudyTrial(NamedTuple):
-    """One trial of a study: its number, from 0, and its return, the last one if it was pruned."""
-
-    number: int
-    value: float
-    pruned: bool
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)
@@ -190,32 +182,6 @@ def pairs(
     return figure
 
 
-@matplotlib.rc_context(style.MATPLOTLIB)
-def study_figure(
-    trials: Sequence[StudyTrial], importances: Mapping[str, float], title: str
-) -> Figure:
-    """Draw the history of a study beside the importance of each hyperparameter.
-
-    Args:
-        trials: those that have a return, in order.
-        importances: how much each hyperparameter had to do with a trial's being in the better
-            half, as shares of 1, largest first; empty if that is not known.
-        title: above the figure.
-
-    Raises:
-        MbnError: there is no trial.
-    """
-    if not trials:
-        raise MbnError("study: there is no trial to draw")
-    figure = Figure(figsize=(7.2, 2.9), layout="constrained")
-    history, bars = figure.subplots(1, 2, width_ratios=(3, 2))
-    _draw_history(history, trials)
-    _draw_importances(bars, importances)
-    figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
-    figure.legend(*history.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    return figure
-
-
 def mean_and_band(name: str, runs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Band:
     """Return steps, mean, and the ends of the 95 % percentile bootstrap over seeds, (k,) each.
 
@@ -289,43 +255,6 @@ def _draw_pair(axes: Axes, place: int, pair: Pair) -> None:
             axes.plot([value], [place], zorder=3, clip_on=False, **mark)
     if pair == (None, None):
         axes.annotate("missing", (0.02, place), va="center", fontsize=7.0, **_AT_VALUE)
-
-
-def _draw_history(axes: Axes, trials: Sequence[StudyTrial]) -> None:
-    finished, pruned = (
-        [(trial.number, trial.value) for trial in trials if trial.pruned is state]
-        for state in (False, True)
-    )
-    if finished:
-        places, values = zip(*finished, strict=True)
-        best = np.maximum.accumulate(values)
-        axes.step(places, best, where="post", color=style.ORANGE, lw=1.6, label="best so far")
-        axes.plot(places, values, "o", color=style.BLUE, ms=4.5, label="finished", zorder=3)
-    if pruned:
-        look: dict[str, Any] = {"color": style.VERMILLION, "ms": 4.5}
-        axes.plot(*zip(*pruned, strict=True), "x", label="pruned, last return", **look)
-    returns = [trial.value for trial in trials]
-    note = _scale_returns(axes, "y", min(returns), max(returns))
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set(xlabel="trial", ylabel=f"mean return of fresh episodes{note}")
-    axes.grid(True)
-
-
-def _draw_importances(axes: Axes, importances: Mapping[str, float]) -> None:
-    axes.set_xlabel("share in being in the better half")
-    if not importances:
-        axes.set(xticks=[], yticks=[])
-        place: dict[str, Any] = {"xycoords": "axes fraction", "ha": "center", "va": "center"}
-        words = "unknown: too few\nfinished trials"
-        axes.annotate(words, (0.5, 0.5), color=style.FAINT_INK, **place)
-        return
-    places = range(len(importances), 0, -1)
-    bars = axes.barh(places, list(importances.values()), 0.6, color=style.BLUISH_GREEN)
-    axes.bar_label(bars, fmt="{:.0%}", padding=2, fontsize=8.0)
-    axes.set_yticks(places, list(importances))
-    axes.set_xlim(0.0, 1.15 * max(importances.values()))
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.grid(True, axis="x")
 
 
 def _scale_bands(

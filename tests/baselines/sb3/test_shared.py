@@ -139,7 +139,6 @@ def test_a_saved_policy_acts_as_before(tmp_path: Path, tiny_runs: TinyRuns) -> N
 def test_a_damaged_policy_is_named(tmp_path: Path, tiny_runs: TinyRuns) -> None:
     shutil.copytree(tiny_runs.finished("ppo-shared").path, tmp_path / "run")
     run = RunFolder.open(tmp_path / "run")
-    (run.policy / "checksums.json").unlink()
     write_tensors(run.policy / "policy.safetensors", {"log_std": torch.zeros(2)})
     with pytest.raises(RunError, match=r"policy\.safetensors"):
         load_trained(run)
