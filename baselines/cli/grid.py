@@ -37,7 +37,7 @@ class Grid:
         from baselines.runs.folder import RunFolder
         from baselines.sweep.run import Outcome, check_outcomes, make_engine, runs_left, train_runs
         from baselines.sweep.spec import read_spec, runs_of
-        from baselines.training.progress_bar import Report
+        from baselines.training.run_logger import Report
 
         spec = read_spec(self.spec)
         engine = make_engine(self.engine, self.processes, self.address, spec.resources)

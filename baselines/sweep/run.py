@@ -18,7 +18,7 @@ from baselines.sweep.processes import Failure, LocalEngine
 from baselines.sweep.ray_cluster import RayEngine
 from baselines.sweep.spec import Resources, without_source
 from baselines.training.config import DivergenceError, TrainConfig
-from baselines.training.progress_bar import Listener, Report
+from baselines.training.run_logger import Listener, Report
 from baselines.training.train import prepare, resolve, train
 from mbn_marl.errors import ConfigError, MbnError
 

@@ -27,7 +27,7 @@ from baselines.sb3.config import accepted_arguments
 from baselines.sweep.processes import Failure
 from baselines.sweep.run import Engine
 from baselines.training.config import MOST_SEED, DivergenceError, TrainConfig
-from baselines.training.progress_bar import Report
+from baselines.training.run_logger import Report
 from baselines.training.train import found_anywhere, train
 from mbn_marl.errors import ConfigError, MbnError
 

@@ -16,7 +16,7 @@ import pytest
 
 from baselines.runs.files import RunError, alone, claim_folder, read_json, write_json
 from baselines.runs.folder import RunFolder
-from baselines.training.progress_bar import Report
+from baselines.training.run_logger import Report
 from baselines.training.train import train
 from mbn_marl.field import load_field
 from tests.support.runs import small_config
