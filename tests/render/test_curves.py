@@ -121,7 +121,6 @@ def test_curves_that_cannot_be_drawn_are_refused() -> None:
     for call in (
         lambda: curves.learning_curve_panels({"one": curves.Panel({}, None)}, {}, 10.0),
         lambda: curves.pairs({"ppo": {"here": curves.Pair(None, None)}}, ("A", "B"), 5.0),
-        lambda: curves.study_figure([], {}, "ppo"),
         lambda: estimates.intervals_figure({"mean": {}}),
         lambda: estimates.profiles_figure({}, np.array([0.0, 1.0]), "score", {}),
     ):
@@ -157,20 +156,6 @@ def test_pairs_are_joined_and_missing_ones_say_so() -> None:
     assert [text.get_text() for text in ppo.texts + ars.texts] == ["missing"]
     assert ars.texts[0].xy[1] == 0
     assert labels_of(figure) == ["A", "B", "threshold 5"]
-
-
-def test_a_study_shows_its_best_so_far_and_what_was_pruned() -> None:
-    values = [(0, 1.0, False), (1, 9.0, True), (2, 3.0, False), (3, 2.0, False)]
-    trials = [curves.StudyTrial(*value) for value in values]
-    figure = curves.study_figure(trials, {"gamma": 0.75, "learning_rate": 0.25}, "ppo")
-    history, bars = figure.axes
-    best, finished, pruned = (line.get_xydata().tolist() for line in history.lines)
-    assert best == [[0, 1], [2, 3], [3, 3]]
-    assert finished == [[0, 1], [2, 3], [3, 2]]
-    assert pruned == [[1, 9]]
-    assert [bar.get_width() for bar in bars.patches] == [0.75, 0.25]
-    unknown = curves.study_figure(trials, {}, "ppo").axes[1]
-    assert "too few" in unknown.texts[0].get_text()
 
 
 def test_estimates_are_marked_within_their_intervals() -> None:
