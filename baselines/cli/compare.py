@@ -65,7 +65,7 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Resul
     from baselines.console import console
     from baselines.runs.files import RunError
     from baselines.runs.report_path import Place
-    from baselines.training.progress_bar import progress_bars
+    from baselines.training.run_logger import progress_bars
 
     hours = config.core_hours
     spent = f"{hours:.1f} hours" if hours >= 1.0 else f"{60 * hours + 0.5:.0f} minutes"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -77,7 +77,7 @@ class Fields(Writes):
     def _made(self) -> list[Field]:
         from mbn_marl.field import generate, load_map
 
-        counts: dict[str, int] = {"robots": self.robots, "rois": self.rois}
+        counts: dict[str, Any] = {"robots": self.robots, "rois": self.rois}
         if self.map is not None:
             scale = self.metres_per_unit
             field, notes = load_map(self.map, metres_per_unit=scale, seed=self.seed, **counts)

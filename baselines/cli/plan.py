@@ -95,8 +95,9 @@ def proved_makespan(folder: Path, field: Field, settings: Mapping[str, Any]) -> 
     found = read_json(path) if path.is_file() else None
     wanted = {"field": field.to_dict(), "settings": settings, "optimal": True}
     wanted = json.loads(json.dumps(wanted))
-    alike = isinstance(found, dict) and all(found.get(name) == wanted[name] for name in wanted)
-    makespan = found.get("makespan") if alike else None
+    if not isinstance(found, dict) or any(found.get(name) != wanted[name] for name in wanted):
+        return None
+    makespan = found.get("makespan")
     return makespan if isinstance(makespan, int) else None
 
 

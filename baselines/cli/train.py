@@ -33,8 +33,8 @@ class Train(Writes):
 
     def run(self, command_line: str) -> None:
         from baselines.cli.evaluate import print_evaluations
-        from baselines.training.overrides import ENVIRONMENT, parse
-        from baselines.training.progress_bar import progress_bars
+        from baselines.training.config import ENVIRONMENT, parse
+        from baselines.training.run_logger import progress_bars
         from baselines.training.train import notes, train
 
         changes = parse(self.set)
@@ -96,8 +96,8 @@ class Transfer:
         from baselines.sweep.processes import LocalEngine
         from baselines.sweep.run import check_outcomes, train_runs
         from baselines.sweep.spec import GridSpec, runs_of
-        from baselines.training.hyperparameters import validate
-        from baselines.training.progress_bar import progress_bars
+        from baselines.training.config import validate
+        from baselines.training.run_logger import progress_bars
         from mbn_marl.field import catalogue_names, load_field
 
         home, engine = load_field(self.source), LocalEngine(self.processes)

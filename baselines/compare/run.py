@@ -12,8 +12,7 @@ from baselines.runs.folder import RunFolder
 from baselines.runs.provenance import write_provenance
 from baselines.sweep.processes import LocalEngine
 from baselines.sweep.run import check_outcomes, train_runs
-from baselines.training.loggers import find_wandb
-from baselines.training.progress_bar import Listener
+from baselines.training.run_logger import Listener, find_wandb
 from baselines.training.train import prepare
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import load_field

@@ -16,8 +16,7 @@ from tyro.conf import arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 from baselines.algorithms import find_algorithm
-from baselines.training.config import TrainConfig, default_label
-from baselines.training.hyperparameters import read_blocks, validate
+from baselines.training.config import TrainConfig, default_label, read_blocks, validate
 from mbn_marl.errors import ConfigError, FieldError, collecting
 from mbn_marl.field import load_field
 
@@ -28,7 +27,8 @@ class Variant(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     algorithm: str
-    setting: Literal["A", "B", "N", "J"] = "N"  # C begins with another run: nothing to compare
+    # C begins with another run: nothing to compare.
+    setting: Literal["A", "B", "N", "J", "G"] = "N"
     label: str | None = None  # what the comparison calls it; by default the algorithm's name
     hyperparameters: dict[str, Any] = Field(default_factory=dict)
     environment: dict[str, Any] = Field(default_factory=dict)

@@ -1,1 +1,1 @@
-"""The common part of all compiled rules: compiler settings, random numbers, exact functions."""
+"""Numba: compilation, exact elementary functions, random numbers, intrinsics."""

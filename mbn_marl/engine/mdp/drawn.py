@@ -10,7 +10,8 @@ Source: this package.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,26 +39,9 @@ FAILING = 1000
 RADIANS = math.pi / 180.0
 
 
-class Numbers(NamedTuple):
-    """The constants of a step that an episode may draw, for one world."""
-
-    wind_x: Any
-    wind_y: Any
-    gust: Any
-    gust_kept: Any
-    gust_added: Any
-    action_noise: Any
-    action_loss: Any
-    position_noise: Any
-    velocity_noise: Any
-    dropout: Any
-    failure_rate: Any
-    tau: Any
-    turn_max: Any
-    wheelbase: Any
-    steer_max: Any
-    safety_squared: Any
-    roi_squared: Any
+NAMES = (*MADE[:ROBOT], *NUMBERS, "failure_rate")
+Numbers = namedtuple("Numbers", NAMES)  # type: ignore[misc]
+"""The constants of a step that an episode may draw, for one world."""
 
 
 def _row(name: str) -> int:
@@ -65,8 +49,8 @@ def _row(name: str) -> int:
     return MADE.index(name) if name in MADE else FIRST + SINGLE.index(name)
 
 
-_DRAWN = ", ".join(f"drawn[{_row(name)}, w]" for name in Numbers._fields)
-_FIXED = ", ".join(f"p.{name}" for name in Numbers._fields)
+_DRAWN = ", ".join(f"drawn[{_row(name)}, w]" for name in NAMES)
+_FIXED = ", ".join(f"p.{name}" for name in NAMES)
 numbers_of = generated(
     "numbers_of",
     "def numbers_of(p, drawn, w):\n"
