@@ -55,7 +55,6 @@ class Pair(NamedTuple):
 
 
 def draw_statistics(comparison: Comparison) -> dict[str, Figure]:
-    """Draw what is over all fields; return the figures by title."""
     drawn, by_label = {}, {one["label"]: one for one in comparison.aggregates}
     if by_label:
         drawn["Aggregates"] = intervals_figure(

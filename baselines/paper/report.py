@@ -16,7 +16,7 @@ from baselines.compare.curves import Pair, Panel
 from baselines.compare.records import ordered
 from baselines.compare.text_table import DASH
 from baselines.paper import published, tables
-from baselines.paper.tables import ALGORITHMS, FIELDS, MISSING
+from baselines.paper.tables import KINDS, MISSING
 from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
 from baselines.runs.files import Place, RunError, read_text, write_text
 from baselines.runs.provenance import write_provenance
@@ -64,12 +64,12 @@ def write_report(
         if figure is not None:
             figures.save(figure, place.folder / f"{name}.png")
     texts = {}
-    for kind in (ALGORITHMS, FIELDS):
-        same = [table for table in tables.paper_tables(trainings) if table.kind is kind]
-        write_text(place.folder / f"{kind.row}s.csv", tables.write_csv(same))
-        latex = [table.text().latex(f"tab:{kind.row}s-{table.sample}") for table in same]
-        write_text(place.folder / f"{kind.row}s.tex", "\n".join(latex))
-        texts[f"{kind.row}s"] = "\n\n".join(table.text().markdown() for table in same)
+    for kind in KINDS:
+        same = [table for table in tables.paper_tables(trainings) if table.kind == kind]
+        write_text(place.folder / f"{kind}s.csv", tables.write_csv(same))
+        latex = [table.text().latex(f"tab:{kind}s-{table.sample}") for table in same]
+        write_text(place.folder / f"{kind}s.tex", "\n".join(latex))
+        texts[f"{kind}s"] = "\n\n".join(table.text().markdown() for table in same)
     write_provenance(place.folder, command)
     write_text(place.page, _page(trainings, texts, {**drawn, **copied}, place, command, preface))
     return place
