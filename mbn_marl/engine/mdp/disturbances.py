@@ -36,7 +36,6 @@ def gust_factors(config: NavigationConfig) -> tuple[float, float]:
 
 has_gusts = Feature(lambda ep: ep.gust.ndim == 2)
 
-
 disturbs_actions = Feature(lambda ep: ep.queue.ndim == 2)
 
 

@@ -49,7 +49,6 @@ def _row(name: str) -> int:
 
 draws_numbers = Feature(lambda ep: ep.drawn.ndim == 2)
 
-
 _DRAWN = ", ".join(f"ep.drawn[{_row(name)}, w]" for name in NAMES)
 _FIXED = ", ".join(f"p.{name}" for name in NAMES)
 # Seventeen names, twice: written by a loop over them.

@@ -22,7 +22,6 @@ POINT_MASS, HOLONOMIC, UNICYCLE, BICYCLE = range(4)
 DYNAMICS = {name: number for number, name in enumerate(get_args(Dynamics))}
 """Robots of those from the unicycle on have a heading."""
 
-
 mixes_dynamics = Feature(lambda g: g.team.kinds.ndim == 1)
 
 

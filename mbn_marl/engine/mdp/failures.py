@@ -18,7 +18,6 @@ WORKS, FAILED, ABSENT = range(3)
 BRAKE, COAST, VANISH = range(3)
 KINDS = {"brake": BRAKE, "coast": COAST, "vanish": VANISH}
 
-
 # On if some robots may not work: those that fail, or are not in the team.
 may_rest = Feature(lambda ep: ep.status.ndim == 2)
 

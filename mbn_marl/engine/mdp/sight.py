@@ -17,9 +17,7 @@ from mbn_marl.jit.random_numbers import FOR_SIGHT, normal, stream_of, uniform
 MOST_ROBOTS, MOST_THINGS, DRAWS = np.uint64(MAX_ROBOTS), np.uint64(128), np.uint64(8)
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 
-
 disturbs_sight = Feature(lambda mem: mem.sensed.ndim == 2)
-
 
 Row = tuple[str, float, float, str]
 """An entry: its name, bounds and unit."""
