@@ -9,6 +9,14 @@
 # geometry, mem the memory, now or ep an episode, out the output (``state``), to the scratch below;
 # a pass is on worlds lo to hi - 1, of which w is number k = w - lo of the block; i and j count
 # robots or ROIs.
+#
+# Numba compiles ``step_worlds`` into machine code, and every function marked ``@compiled`` into
+# those that call it. ``if may_rest(now):`` and the like ask for a feature of the whole engine; the
+# types of the arguments answer while Numba compiles, so code of what is off is not even there.
+#
+# Two packed words say what happened, so that rewards need nothing else: ``out.events[i, w]`` has
+# flags of robot i (WALL, REVISIT, STILL) and above them how many ROIs it visited,
+# ``out.outcomes[w]`` has those of world w (SUCCESS, COLLISION, ...).
 
 import math
 from typing import Any, NamedTuple
@@ -100,6 +108,7 @@ def stop_at_walls(p, now, out, to, i, lo, hi):
         k = w - lo
         x, y = now.x[i, w], now.y[i, w]
         inside = to.crossings[k] != 0
+        # Adding 0 turns -0 into 0: positions are also compared by their bits.
         new_x = clip(select(inside, to.x[k], x), p.zero, p.arena_x) + p.zero
         new_y = clip(select(inside, to.y[k], y), p.zero, p.arena_y) + p.zero
         now.x[i, w] = new_x
@@ -321,6 +330,7 @@ def autoreset(arguments, lo, hi):
             copy_episode(now, w, final, w, now.x.shape[0], p.headings)
         to.restarts[w - lo] = (change & RESTARTS) != 0
         some |= to.restarts[w - lo]
+    # By its address: compiled in here too, a reset would double the time to compile a step.
     if some:
         call_reset(arguments, to.restarts, np.int64(lo), np.int64(hi))
     return ended
