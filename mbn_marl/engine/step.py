@@ -120,23 +120,14 @@ def stop_at_walls(p, now, out, to, i, lo, hi):
         inside = to.crossings[k] != 0
         now.vx[i, w] = select(inside, to.vx[k], p.zero)
         now.vy[i, w] = select(inside, to.vy[k], p.zero)
-        now.wall_hits[i, w] += 0 if inside else 1
-        out.events[i, w] = 0 if inside else rewards.WALL
+        counts = (not inside) & (status_of(now, i, w) == failures.WORKS)
+        now.wall_hits[i, w] += 1 if counts else 0
+        out.events[i, w] = rewards.WALL if counts else 0
     for w in range(lo, hi):
         k = w - lo
         now.path_length[i, w] += math.sqrt(to.x[k] * to.x[k] + to.y[k] * to.y[k])
         still = (to.x[k] == 0) & (to.y[k] == 0)
         out.events[i, w] |= rewards.STILL if still else 0
-
-
-@compiled
-def forgive_walls(now, out, i, lo, hi):
-    """Step 2: walls that stop robot i are not counted where it does not work."""
-    if may_rest(now):
-        for w in range(lo, hi):
-            if (status_of(now, i, w) != failures.WORKS) & is_set(out.events[i, w], rewards.WALL):
-                now.wall_hits[i, w] -= 1
-                out.events[i, w] ^= rewards.WALL
 
 
 @compiled
@@ -330,7 +321,7 @@ def autoreset(arguments, lo, hi):
             copy_episode(now, w, final, w, now.x.shape[0], p.headings)
         to.restarts[w - lo] = (change & RESTARTS) != 0
         some |= to.restarts[w - lo]
-    # By its address: compiled in here too, a reset would double the time to compile a step.
+    # By its address, so that a reset is not compiled a second time as a part of the step.
     if some:
         call_reset(arguments, to.restarts, np.int64(lo), np.int64(hi))
     return ended
@@ -357,7 +348,6 @@ def move_robots(p, g, mem, now, written, actions, lo, hi):
             failures.move_failed(p, g, now, to, i, lo, hi)
         test_containment(g, to, lo, hi)
         stop_at_walls(p, now, out, to, i, lo, hi)
-        forgive_walls(now, out, i, lo, hi)
         keep_heading(g, now, to, i, lo, hi)
         mark_visits(p, g, now, out, i, lo, hi)
     if p.rules == RELEASED:
