@@ -65,29 +65,26 @@ class BatchEngine:
     raise a :class:`~mbn_marl.errors.ConfigError` with all problems, an unknown world an IndexError.
 
     Args:
-        field: a catalogue name, a file, a :class:`Field`, or a sequence of them: world w then has
-            field ``w % len(field)``. All need the same arena. Or a
-            :class:`~mbn_marl.field.FieldSampler`: each reset then draws the field of the episode,
-            by the sampler's seed, the world's number and the episode's. The numbers of ROIs may
-            differ (a missing ROI is one that is visited from the start), and without ``n_robots``
-            those of robots: n is then the largest, see :attr:`present`.
+        field: a catalogue name, a file, a :class:`Field`, or a sequence of them with one arena:
+            world w then has field ``w % len(field)``. Or a
+            :class:`~mbn_marl.field.FieldSampler`, which draws a field for each episode. Numbers of
+            ROIs may differ: a missing one is visited from the start. Without ``n_robots``, those of
+            robots may too: n is then the largest, see :attr:`present`.
         num_worlds: W, at least 1.
         seed: key of all random numbers, 0 to 2^63 - 1.
         autoreset: what happens when an episode ends. ``True`` or ``"same_step"``: the world
             restarts within that step, and its last observation is in :attr:`final_observations`;
             ``"next_step"``: the next step restarts it, whatever its action, with reward 0;
             ``False`` or ``"disabled"``: it waits for :meth:`reset_worlds`.
-        device: ``"cpu"``, or ``"cuda"``, torch's current CUDA device: a thread per world, on
-            torch's current stream. Arrays are then torch tensors there, actions and masks too, and
-            :meth:`step` never waits for the device, so that a CUDA graph can capture it (after a
-            first step outside). See *Faults*.
+        device: ``"cpu"``, or ``"cuda"``, torch's current CUDA device and stream: all arrays are
+            then torch tensors there, actions and masks too. A CUDA graph can capture :meth:`step`,
+            which never waits for the device, after a first step outside. See *Faults*.
         threads: how many threads share the worlds on the CPU; ``None`` takes one per core, but one
             for small batches. The result does not depend on it.
         starts: where the robots start in every world, (n, 2) units, instead of the field's own
-            starts: in the field, and no two closer than the safety distance, or the least one
-            that episodes draw.
+            starts: in the field, no two closer than the least safety distance.
         first_world: number of the world with index 0, from 0 on. A world's random numbers depend
-            on its number, the seed and the number of its episode alone, not on the batch.
+            on its number, the seed and its episode's number alone.
         **settings: see :class:`mbn_marl.config.NavigationConfig`.
 
     Attributes:
@@ -106,10 +103,9 @@ class BatchEngine:
 
     Faults:
         On the CPU, an action that is not finite and a step of a world that has ended are errors
-        before any world moves. On CUDA they are found on the device: the world concerned rests in
-        that step (reward 0, no flag set), the others move, and the next :meth:`reset`,
-        :meth:`reset_worlds` or :meth:`snapshot` outside a graph's capture raises the error, once,
-        for the first such world. Shapes and types are checked at once on both.
+        before any world moves. On CUDA that world rests in the step (reward 0, no flag set), the
+        others move, and the next :meth:`reset`, :meth:`reset_worlds` or :meth:`snapshot` outside a
+        graph's capture raises the error, once, for the first such world.
 
     Raises:
         FieldError: a field is invalid or unknown.
@@ -234,10 +230,8 @@ class BatchEngine:
             (W, n) real, and two (W,) bool. A time limit is a truncation, never a termination.
 
         Raises:
-            ActionError: wrong shape, not numeric, or not finite, or ``active`` with another
-                autoreset. No world has moved.
-            StepError: before the first reset, or, with autoreset disabled, after the end of a
-                world.
+            ActionError: an argument is not allowed. No world has moved.
+            StepError: before the first reset, or after the end of a world that waits for one.
         """
         if active is not None and self.autoreset != "disabled":
             allowed = "allowed: None, or worlds that wait with autoreset disabled"

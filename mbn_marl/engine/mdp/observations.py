@@ -4,6 +4,9 @@
 # radius, but for ``entities`` (``entities.py``) and ``state``, the paper's vector in raw units with
 # the own robot first. The visit bits of the ROIs are shared by the team in all of them.
 #
+# ``put_...`` functions write entries from k on, or from 0 on, for worlds lo to hi - 1, and return
+# how many there are by then; ``put_flag``, ``put_heading`` and ``put_failed`` how many they wrote.
+#
 # Source: Choton, Woods, Hsu, section 3 (``state``); the others are this package's (mdp.md, "What a
 # robot sees").
 
