@@ -61,11 +61,11 @@ def test_cuda_that_is_missing_is_one_error() -> None:
 
 
 def ptxas() -> str | None:
-    """The program that turns PTX into machine code: the system's, or that of a wheel."""
+    """The program that turns PTX into machine code: that of a wheel, or else the system's."""
     nvidia = importlib.util.find_spec("nvidia")
     folders = [*nvidia.submodule_search_locations] if nvidia else []
     found = (str(path) for folder in folders for path in Path(folder).glob("*/bin/ptxas"))
-    return shutil.which("ptxas") or next(found, None)
+    return next(found, None) or shutil.which("ptxas")
 
 
 def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
