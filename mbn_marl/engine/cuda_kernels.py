@@ -93,29 +93,20 @@ def _view_of(kind: Any, index: str, given: tuple[str, ...] = (), **places: str) 
     ``index`` is where a world lies in an array, ``places`` those where that differs; ``given`` are
     the arrays that the caller has and passes.
     """
-    index_of = {field: f"[{index}]" for field in kind._fields} | places
+    index_of = dict.fromkeys(kind._fields, index) | places
     arrays = (field if field in given else f"source.{field}{index_of[field]}" for field in index_of)
     head = f"def view({', '.join(('source', 'w', 'end', *given))}):"
     source = f"{head}\n    return Kind({', '.join(arrays)})\n"
     return generated("view", source, returning_views, Kind=kind)
 
 
-TABLE, ROWS = "[:, :, w:end]", "[:, w:end]"
 MOTION = ("x", "y", "vx", "vy", "visited", "steps")
 RESULTS = ("rewards", "team_rewards", "terminated", "truncated", "events", "outcomes")
 """The parts of an episode, and those of the output, that a step keeps in registers."""
-field_of = _view_of(
-    *(Tables, ":, w:end"),
-    edges=TABLE,
-    rois=TABLE,
-    starts=TABLE,
-    codes="[w:end]",
-    robots_in="[w:end]",
-)
-paths_of = _view_of(Paths, ":, w:end", waypoints=TABLE, legs=TABLE)
-memory_of = _view_of(Memory, "w:end", ("x_bits", "y_bits"), seed="", draw="", sensed=ROWS)
-episode_of = _view_of(Episode, ":, w:end", MOTION, team_return="[w:end]", codes="[w:end]")
-output_of = _view_of(Output, "w:end", RESULTS)
+LAST = "[..., w:end]"
+field_of, paths_of = _view_of(Tables, LAST), _view_of(Paths, LAST)
+episode_of, output_of = _view_of(Episode, LAST, MOTION), _view_of(Output, "[w:end]", RESULTS)
+memory_of = _view_of(Memory, "[w:end]", ("x_bits", "y_bits"), seed="", draw="", sensed=LAST)
 
 
 @compiled
