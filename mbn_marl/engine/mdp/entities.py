@@ -112,7 +112,7 @@ def put_direction(p, scales, dx, dy, tile, k, entry):
 
 @compiled
 def put_tours(p, g, view, lo, hi, k):
-    plan, scale, tile = view.mem.plan, g.team.scales[1], view.tile
+    plan, scale, tile = view.plan, g.team.scales[1], view.tile
     for w in range(lo, hi):
         tile[k, w - lo] = soft(plan[w, view.i], scale)
         tile[k + 1, w - lo] = p.zero
@@ -155,8 +155,8 @@ def put_place(p, g, view, lo, hi, j, k):
                 dx = roi_place(g, view, 0, j, f, w) - robots.x[other, w]
                 dy = roi_place(g, view, 1, j, f, w) - robots.y[other, w]
                 counts = status_of(view.ep, other, w) == WORKS
-                if disturbs_sight(view.mem):
-                    counts &= view.mem.sensed[other, w] != 0
+                if disturbs_sight(view):
+                    counts &= view.sensed[other, w] != 0
                 away = select(counts, soft(norm(dx, dy), scales[1]), p.one)
                 tile[k + 8, w - lo] = min(tile[k + 8, w - lo], away)
     return k + 9
@@ -176,7 +176,7 @@ def put_plan(p, g, view, lo, hi, j, k):
     waypoints, scales = g.paths.waypoints, g.team.scales
     n, m = view.ep.x.shape[0], g.field.rois.shape[1]
     for w in range(lo, hi):
-        tours = Tours(view.mem.plan, n, m, w)
+        tours = Tours(view.plan, n, m, w)
         way, first = way_to(tours, i, j)
         tile[k + 9, w - lo] = turn_of(tours, i, j)
         tile[k + 10, w - lo] = p.one if first == STRAIGHT else p.zero
@@ -205,7 +205,7 @@ def put_entities(p, g, view, lo, hi):
     k = put_own_motion(p, view, lo, hi, 0)
     k += put_failed(g, view, lo, hi, view.i, k)
     k = lidar.put_walls(p, g, view, lo, hi, k)
-    if assigns(view.mem):
+    if assigns(view):
         put_tours(p, g, view, lo, hi, k)
         k += 2
     for j in range(n):
@@ -213,16 +213,16 @@ def put_entities(p, g, view, lo, hi):
             first = k
             k = put_robot(p, g, view, lo, hi, j, k)
             k += put_failed(g, view, lo, hi, j, k)
-            if assigns(view.mem):
+            if assigns(view):
                 for w in range(lo, hi):
-                    view.tile[k, w - lo] = soft(view.mem.plan[w, j], scale)
+                    view.tile[k, w - lo] = soft(view.plan[w, j], scale)
                 k += 1
             drop(view, lo, hi, j, first, k)
             blank_gone(p, view, lo, hi, j, first, k)
     for j in range(g.field.rois.shape[1]):
         first = k
         k = put_place(p, g, view, lo, hi, j, k)
-        if assigns(view.mem):
+        if assigns(view):
             put_plan(p, g, view, lo, hi, j, first)
             k += 2
         drop(view, lo, hi, n + j, first, k)

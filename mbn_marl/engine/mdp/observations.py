@@ -23,6 +23,7 @@ from mbn_marl.engine.mdp.events import visit_code, within
 from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
 from mbn_marl.engine.mdp.lidar import has_rays
 from mbn_marl.engine.mdp.sight import (
+    Robots,
     Row,
     View,
     disturbs_sight,
@@ -296,11 +297,11 @@ def put_lidar(p, g, view, lo, hi):
 @compiled
 def write_observation(p, g, mem, ep, i, lo, hi, tile):
     """Write what robot i observes to ``tile`` (size, at least hi - lo), worlds side by side."""
-    robots = ep
+    robots = Robots(ep.x, ep.y, ep.vx, ep.vy, ep.visited, ep.cos, ep.sin)
     if disturbs_sight(mem):
         look(p, g, mem, ep, i, lo, hi)
         robots = sensed_robots(mem, ep, g.field.roi_bits.shape[0])
-    view = View(mem, ep, robots, i, tile)
+    view = View(mem.sensed, mem.plan, ep, robots, i, tile)
     if shows_entities(g):
         k = put_entities(p, g, view, lo, hi)
     elif has_rays(g):

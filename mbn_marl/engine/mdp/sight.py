@@ -26,14 +26,16 @@ Row = tuple[str, float, float, str]
 class View(NamedTuple):
     """The observer, robot i of an episode, and what its observation is made of and written to."""
 
-    mem: Any
+    # Few arrays: LLVM takes long for large tuples.
+    sensed: Any  # of the memory
+    plan: Any  # of the memory
     ep: Any
-    robots: Any  # the robots as robot i senses them: ``ep``, or ``sight.SensedRobots``
+    robots: Any  # Robots
     i: Any
     tile: Any  # (size, at least hi - lo) float32: an entry a row, worlds side by side
 
 
-class SensedRobots(NamedTuple):
+class Robots(NamedTuple):
     """The robots as the observer senses them: what observations read of an ``Episode``."""
 
     x: Any
@@ -54,14 +56,14 @@ def sensed_robots(mem, ep, m):
     n, sensed = ep.x.shape[0], mem.sensed
     x, y, vx, vy = n + m, 2 * n + m, 3 * n + m, 4 * n + m
     motion = sensed[x:y], sensed[y:vx], sensed[vx:vy], sensed[vy : vy + n]
-    return SensedRobots(*motion, ep.visited, ep.cos, ep.sin)
+    return Robots(*motion, ep.visited, ep.cos, ep.sin)
 
 
 @compiled
 def roi_place(g, view, axis, j, f, w):
-    if disturbs_sight(view.mem):
+    if disturbs_sight(view):
         n, m = view.ep.x.shape[0], g.field.roi_bits.shape[0]
-        return view.mem.sensed[5 * n + m + 2 * j + axis, w]
+        return view.sensed[5 * n + m + 2 * j + axis, w]
     return g.field.rois[axis, j, f]
 
 
@@ -111,10 +113,10 @@ def look(p, g, mem, ep, i, lo, hi):
 
 @compiled
 def drop(view, lo, hi, thing, k, end):
-    if disturbs_sight(view.mem):
+    if disturbs_sight(view):
         for entry in range(k, end):
             for w in range(lo, hi):
-                view.tile[entry, w - lo] *= view.mem.sensed[thing, w]
+                view.tile[entry, w - lo] *= view.sensed[thing, w]
 
 
 def heading_rows(robot: str, turns: bool) -> list[Row]:
