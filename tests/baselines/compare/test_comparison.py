@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 from pandas import DataFrame
+from rich.console import Console
 
 from baselines.algorithms import ALGORITHMS
 from baselines.compare.records import Results, find_records, ordered
 from baselines.compare.summary import THRESHOLDS, summarise
 from baselines.compare.tables import gaps, print_comparison
 from baselines.compare.text_table import TextTable, csv_text
-from rich.console import Console
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import NavigationConfig
