@@ -14,7 +14,7 @@ from baselines.compare.benchmark import load_protocol, load_tiers
 from baselines.compare.benchmark_page import CAPTION, cells, headings
 from baselines.compare.benchmark_statistics import WAYS, is_summary, tier_problems
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.shielded import behind
+from baselines.policies.shielded import behind
 from baselines.runs.files import read_json, write_text
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import Instance, splits

@@ -57,7 +57,9 @@ class Deploy(InWeather):
 
     def run(self, command_line: str) -> None:
         """Deploy, print the table, and write what is asked for."""
-        from baselines.demo.deploy3d import find_pilots, strongest_wind, summarise, sweep_wind
+        from baselines.evaluation.deployments import strongest_wind, summarise, sweep_wind
+        from baselines.policies.classical import CLASSICAL
+        from baselines.policies.load import find_policy
         from baselines.runs.files import write_json
         from mbn_marl.files import claim_file
         from mbn_marl.sim3d import Scale
@@ -70,8 +72,10 @@ class Deploy(InWeather):
             simulators = self._simulators(scale)
             for simulator in simulators.values():
                 stack.enter_context(simulator)
-            speed_limit = simulators[self.sim].speed_limit
-            pilots = find_pilots(self.source, self.field, speed_limit, **self.asked)
+            asked, limit = self.asked, simulators[self.sim].speed_limit
+            if self.source in CLASSICAL and limit is not None:  # they plan with it
+                asked["v_clip"] = limit
+            pilots = [find_policy(self.source, name, **asked) for name in self.field or (None,)]
             if self.video is not None:
                 claim_file(self.video, force=self.force)
             for actor in pilots:

@@ -63,19 +63,18 @@ class Evaluate(Subject):
 
     def _subject(self) -> tuple[str, dict[str, Any]]:
         """Return who is evaluated, in words, and the arguments of `evaluate`."""
-        from baselines.demo.resolve import find_actor
         from baselines.evaluation.evaluate import EVALUATION_SEED
-        from baselines.evaluation.shielded import Shielded, behind
-        from baselines.zoo.entries import open_run
-        from baselines.zoo.sources import is_trained
+        from baselines.policies.load import find_policy
+        from baselines.policies.shielded import Shielded, behind
+        from baselines.policies.trained import is_trained, open_run
 
         seed = EVALUATION_SEED if self.seed is None else self.seed
-        actor = find_actor(self.source, self.field, seed=seed, **self.asked)
+        actor = find_policy(self.source, self.field, seed=seed, **self.asked)
         if is_trained(self.source) and (unfinished := open_run(self.source).unfinished):
             print(unfinished)
         return f"{actor.name}{behind(self.shield)}{self.weather}", {
             "policy": Shielded(actor.policy) if self.shield else actor.policy,
-            **{"field": actor.field, "settings": actor.settings},
+            **{"field": actor.place, "settings": actor.settings},
             **{"episodes": self.episodes, "seed": seed},
         }
 

@@ -48,9 +48,8 @@ class Render(Subject):
         print(f"written to {self.out}")
 
     def _episode(self) -> Episode:
-        from baselines.demo.resolve import find_actor
         from baselines.evaluation.rollout import record_episode
-        from baselines.zoo.sources import RANDOM
+        from baselines.policies.load import RANDOM, find_policy
         from mbn_marl.episode import check_episode, is_episode_file, load_episode
         from mbn_marl.episode.files import EXPECTED
         from mbn_marl.errors import FieldError
@@ -65,13 +64,13 @@ class Render(Subject):
             return episode
         try:
             how: dict[str, Any] = {"seed": self.seed, "alone": lambda field: RANDOM, **self.asked}
-            actor = find_actor(self.source, self.field, **how)
+            actor = find_policy(self.source, self.field, **how)
         except FieldError as error:
             if not self.source.lower().endswith(".json"):
                 raise
             raise FieldError(self.source, [*error.problems, f"nor is it {EXPECTED}"]) from None
         return record_episode(
-            *(actor.policy, actor.field, actor.settings),
+            *(actor.policy, actor.place, actor.settings),
             deterministic=not self.sampled,
             seed=self.seed,
             limit=self.steps,

@@ -33,21 +33,21 @@ class _Window(Subject):
 
     def run(self, command_line: str) -> None:
         """Show episodes until the window is closed, and keep the last one if asked to."""
-        from baselines.demo.interactive import Show, play, watch
-        from baselines.demo.resolve import find_actor, zoo_policy
+        from baselines.evaluation.window import Show, watch
+        from baselines.policies.load import find_policy, of_zoo
         from mbn_marl.episode import save_episode
         from mbn_marl.errors import MbnError
         from mbn_marl.files import check_free, claim_file
 
-        how: dict[str, Any] = {"seed": self.seed, "alone": zoo_policy, **self.asked}
-        actor = find_actor(self.source, self.field, **how)
+        how: dict[str, Any] = {"seed": self.seed, "alone": of_zoo, **self.asked}
+        actor = find_policy(self.source, self.field, **how)
         if self.out is not None:
             if self.out.suffix.lower() != ".json":
                 raise MbnError(f"{self.out}: the file name has to end in .json")
             check_free(self.out, force=self.force)
         show = Show(not self.sampled, self.seed, self.speed, self.episodes)
         robot = self.robot if isinstance(self, Play) else None
-        shown = watch(actor, show) if robot is None else play(actor, show, robot)
+        shown = watch(actor, show, robot)
         for episode in shown:
             print(f"{episode.outcome}, {episode.steps} steps, return {episode.team_return:,.0f}")
         if self.out is not None and shown:

@@ -22,8 +22,8 @@ class Zoo:
 
     def run(self, command_line: str) -> None:
         """Print the cards, after adding one if a run is named."""
+        from baselines.policies.trained import ENTRIES, entry_names, read_card
         from baselines.runs.folder import RunFolder
-        from baselines.zoo.entries import FOLDER, entry_names, read_card
         from baselines.zoo.make import make_entry
         from mbn_marl.errors import ConfigError
         from mbn_marl.field import FieldSampler
@@ -32,7 +32,7 @@ class Zoo:
             run = RunFolder.open(self.add)
             sampled, config = isinstance(run.fields, FieldSampler), run.config
             name = (config["label"] or config["algorithm"]) if sampled else run.field.name
-            print_cards([make_entry(run, self.out or FOLDER / name)])
+            print_cards([make_entry(run, self.out or ENTRIES / name)])
         elif self.out is not None:
             raise ConfigError("zoo", ["out: allowed with --add"])
         else:

@@ -10,7 +10,7 @@ from typing import Any
 from baselines.compare.benchmark import CHOSEN, EPISODES
 from baselines.compare.benchmark_statistics import WAYS
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.shielded import behind
+from baselines.policies.shielded import behind
 from mbn_marl.episode import load_episode
 from mbn_marl.errors import EpisodeError
 from mbn_marl.render.figures import svg, trajectory_panels

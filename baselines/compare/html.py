@@ -10,8 +10,8 @@ from baselines.compare.results import Results
 from baselines.compare.summary import Comparison
 from baselines.compare.tables import field_tables, gaps, overall_tables
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.policy import load_trained
 from baselines.evaluation.rollout import record_episode
+from baselines.policies.trained import load_trained
 from mbn_marl.render.figures import svg, trajectory_panels
 from mbn_marl.version import __version__
 from mbn_marl.web.report import Section, Table, report_page

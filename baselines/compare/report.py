@@ -12,8 +12,8 @@ from baselines.compare.records import find_records
 from baselines.compare.results import Results
 from baselines.compare.summary import Comparison, summarise
 from baselines.compare.tables import field_tables, overall_tables
-from baselines.evaluation.policy import load_trained
-from baselines.evaluation.rollout import record_episode, write_animation, write_trajectories
+from baselines.evaluation.rollout import record_episode, write_episode
+from baselines.policies.trained import load_trained
 from baselines.runs.files import write_json, write_text
 from baselines.runs.provenance import write_provenance
 from baselines.runs.report_path import Place
@@ -99,5 +99,5 @@ def _draw_best(results: Results, field: str, out: Path) -> None:
     best = ranked(itertools.chain(*results.of_field(field).values()))[0]
     episode = record_episode(load_trained(best.run), best.field, best.config["environment"])
     title = f"{best.run.path.name}: return {episode.team_return:,.0f}, {episode.steps} steps"
-    write_trajectories(episode, out / f"trajectories_{field}.png", title)
-    write_animation(episode, out / f"episode_{field}.gif")
+    write_episode(episode, out / f"trajectories_{field}.png", title)
+    write_episode(episode, out / f"episode_{field}.gif")

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
-from baselines.evaluation.policy import load_trained
+from baselines.policies.trained import CARD, PREFIX, load_trained
 from baselines.runs.files import RunError, read_json, replacing_folder, seal, write_json, write_text
 from baselines.runs.folder import RunFolder
-from baselines.zoo.entries import CARD, PREFIX
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, catalogue_names, sampler_names, save_field

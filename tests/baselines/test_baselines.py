@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ import torch
 from baselines.algorithms import ALGORITHMS
 from baselines.evaluation import intervals as statistics
 from baselines.evaluation.evaluate import evaluate
-from baselines.evaluation.policy import RandomPolicy
+from baselines.policies.policy import Policy, RandomPolicy
 from baselines.sb3 import config as centralized_config
 from baselines.sb3.policy import Normalization
 from baselines.torchrl.networks import GaussianPolicy, TeamShape
@@ -31,10 +31,10 @@ SQUARE = Field(
 )
 
 
-class ConstantPolicy:
+class ConstantPolicy(Policy):
     """Every robot takes the same action at every step."""
 
-    observes: Literal["observations", "state"] = "state"
+    observes = "state"
 
     def __init__(self, x: float, y: float) -> None:
         self._action = np.array([x, y], np.float32)

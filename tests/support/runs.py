@@ -13,7 +13,7 @@ import pytest
 import torch
 from filelock import FileLock
 
-from baselines.evaluation.policy import load_trained
+from baselines.policies.trained import load_trained
 from baselines.runs.folder import RunFolder
 from baselines.training.config import TrainConfig
 from baselines.training.progress_bar import Report

@@ -11,7 +11,7 @@ import pytest
 from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_wrapper
 
 from baselines.evaluation.evaluate import evaluate
-from baselines.evaluation.policy import load_trained
+from baselines.policies.trained import load_trained
 from baselines.sb3.config import load
 from baselines.sb3.envs import ShrinkingRois, engines, make_env
 from baselines.sb3.learner import Learner

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from baselines.algorithms import find_algorithm
-from baselines.evaluation.policy import load_trained
+from baselines.policies.trained import load_trained
 from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import write_tensors

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +22,7 @@ from baselines.sweep.spec import read_spec
 from baselines.sweep.status import Status
 from baselines.tuning.study import open_study
 from tests.support.runs import recorded, same_policies
+from tests.support.terminal import MBN
 
 pytestmark = [pytest.mark.slow, pytest.mark.all]
 cluster_utils = pytest.importorskip("ray.cluster_utils", reason="needs the extra [ray]")
@@ -90,9 +90,7 @@ def test_a_grid_survives_the_loss_of_a_node(cluster: Any, tmp_path: Path) -> Non
     spec = spec_in(tmp_path / "ray")
     sweep = Sweep.of(read_spec(spec))
     words = ["grid", str(spec), "--engine", "ray", "--address", cluster.address]
-    driver = subprocess.Popen(
-        [sys.executable, "-m", "mbn_marl", *words], stdout=subprocess.PIPE, text=True
-    )
+    driver = subprocess.Popen([*MBN, *words], stdout=subprocess.PIPE, text=True)
     try:
         deadline = time.monotonic() + 300.0
         while (found := busy_node(cluster, sweep)) is None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from baselines.algorithms import ALGORITHMS
-from baselines.evaluation.policy import load_trained
+from baselines.policies.trained import load_trained
 from baselines.training.config import TrainConfig
 from baselines.training.train import train
 from mbn_marl.field import Field, save_field

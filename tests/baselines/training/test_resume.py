@@ -22,7 +22,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main
-from baselines.evaluation.policy import load_trained
+from baselines.policies.trained import load_trained
 from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
 from baselines.training import run_logger as recorder
@@ -31,6 +31,7 @@ from baselines.training.train import prepare, train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field, save_field
 from tests.support.runs import STAGES, TinyRuns, interrupted, recorded, same_policies, small_config
+from tests.support.terminal import MBN
 
 pytestmark = pytest.mark.slow
 
@@ -78,7 +79,7 @@ def test_a_killed_process_is_resumed(tmp_path: Path) -> None:
     model = "model.n_steps=32 model.batch_size=64"
     arguments = [*words.split(), *sets.split(), *model.split(), "--out"]
     assert main([*arguments, str(whole)]) == 0
-    command = [sys.executable, "-m", "mbn_marl", *arguments, str(killed)]
+    command = [*MBN, *arguments, str(killed)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     try:
         deadline = time.monotonic() + 600.0

@@ -13,10 +13,10 @@ import pytest
 from baselines import load_policy
 from baselines.cli import main
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
+from baselines.policies import trained
+from baselines.policies.trained import ENTRIES, entry_names, read_card
 from baselines.runs.files import write_json
 from baselines.runs.folder import RunFolder
-from baselines.zoo import entries
-from baselines.zoo.entries import FOLDER, entry_names, read_card
 from baselines.zoo.make import LARGEST, make_entry, plain_command, readme
 from mbn_marl.field import FieldSampler, catalogue_names, load_field, save_field
 from tests.baselines.conftest import Refusal
@@ -42,7 +42,7 @@ def zoo(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     """A zoo with the run as its only entry, ``zoo:tiny``."""
     folder = tmp_path / "baselines" / "zoo"
     make_entry(run, folder / "tiny")
-    monkeypatch.setattr(entries, "FOLDER", folder)
+    monkeypatch.setattr(trained, "ENTRIES", folder)
     return folder
 
 
@@ -53,7 +53,7 @@ ANYWHERE = ("generalist", "generalist-hint")
 def evaluation_of(name: str, out: Path) -> dict[str, Any]:
     """What ``mbn evaluate`` writes about ``zoo:<name>``, but for the single episodes."""
     if name in ANYWHERE:
-        loaded, fields = load_policy(f"zoo:{name}"), RunFolder.open(FOLDER / name).fields
+        loaded, fields = load_policy(f"zoo:{name}"), RunFolder.open(ENTRIES / name).fields
         where = unseen(fields, EVALUATION_SEED), loaded.settings
         both = evaluate_both(loaded.policy, *where, episodes=100)
         return {kind: evaluation.summary() for kind, evaluation in both.items()}
@@ -151,7 +151,7 @@ IN_THE_GATE = ("field_03", "field_07")
     ],
 )
 def test_a_shipped_entry_is_small_and_does_what_its_card_says(name: str, tmp_path: Path) -> None:
-    card, run = read_card(name), RunFolder.open(FOLDER / name)
+    card, run = read_card(name), RunFolder.open(ENTRIES / name)
     files = [path for path in run.path.rglob("*") if path.is_file()]
     assert sum(path.stat().st_size for path in files) <= LARGEST
     assert {path.suffix for path in files} == {".json", ".md", ".safetensors", ".yaml"}

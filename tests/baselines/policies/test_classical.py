@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.classical.controller import make_classical
 from baselines.cli import main
 from baselines.evaluation.evaluate import evaluate
+from baselines.policies.classical import make_classical
 from mbn_marl import BatchEngine
 from mbn_marl.config import Failures
 from mbn_marl.episode import check_episode, load_episode
-from mbn_marl.errors import MbnError
 from mbn_marl.field import load_field
 from mbn_marl.planning import plan
 
@@ -94,11 +93,6 @@ def test_replan_does_what_plan_does_while_nothing_disturbs_it() -> None:
         np.testing.assert_array_equal(policy.act(engine.state(), deterministic=True)[0], actions)
         engine.step(actions[None])
     assert engine.snapshot().success
-
-
-def test_unknown_classical_policy() -> None:
-    with pytest.raises(MbnError, match="magic"):
-        make_classical("magic", load_field("field_03"), {})
 
 
 def test_mbn_plan_prints_draws_and_saves(

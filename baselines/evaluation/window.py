@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.demo.resolve import Actor
 from baselines.evaluation.evaluate import sampling
-from baselines.evaluation.fitting import fitted
-from baselines.evaluation.policy import restart
+from baselines.policies.loaded import LoadedPolicy
+from baselines.policies.policy import Policy
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.errors import ConfigError
@@ -27,9 +26,9 @@ DIRECTIONS = {
 _KEYS = "space: pause, R: restart, Esc: close"
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Show:
-    """How episodes are shown."""
+    """The way in which episodes are shown."""
 
     deterministic: bool = True  # take the policy's mean action instead of a sampled one
     seed: int = 0  # of the worlds and of sampled actions
@@ -38,7 +37,6 @@ class Show:
     rest: float = 1.5  # seconds that the end of an episode stays
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         problems = []
         if not 0.0 < self.speed < math.inf:
             problems.append(f"speed: a finite number above 0, not {self.speed:g}")
@@ -48,28 +46,6 @@ class Show:
             raise ConfigError("window", problems)
 
 
-def watch(actor: Actor, how: Show) -> list[Episode]:
-    """Show episodes in a window, with its keys; return those that were shown.
-
-    Raises:
-        ImportError: pygame is not installed.
-        DisplayError: there is no display.
-    """
-    return _run(actor, how, None, _KEYS)
-
-
-def play(actor: Actor, how: Show, robot: int) -> list[Episode]:
-    """Show episodes as :func:`watch` does, while a person drives robot ``robot``.
-
-    Raises:
-        ConfigError: there is no such robot.
-    """
-    robots = actor.settings.get("n_robots") or len(actor.field.starts)
-    if not 0 <= robot < robots:
-        raise ConfigError("window", [f"robot: 0 to {robots - 1}, not {robot}"])
-    return _run(actor, how, robot, f"robot {robot} (ringed): arrows or WASD, {_KEYS}")
-
-
 def push(held: AbstractSet[str]) -> tuple[float, float]:
     """Return the action of the keys held down, in [-1, 1] along x and y; opposite keys cancel."""
     forces = [DIRECTIONS[key] for key in held if key in DIRECTIONS]
@@ -77,31 +53,42 @@ def push(held: AbstractSet[str]) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _run(actor: Actor, how: Show, driven: int | None, keys: str) -> list[Episode]:
-    caption = f"{actor.field.name} - {actor.name}"
+def watch(policy: LoadedPolicy, how: Show, driven: int | None = None) -> list[Episode]:
+    """Show episodes in a window and return them; a person may drive the robot ``driven``.
+
+    Raises:
+        ConfigError: there is no such robot.
+        ImportError: pygame is not installed.
+        DisplayError: there is no display.
+    """
+    keys, source = _KEYS, policy.name
+    engine = BatchEngine(policy.place, 1, seed=how.seed, autoreset=False, **policy.settings)
+    if driven is not None:
+        if not 0 <= driven < engine.n_robots:
+            raise ConfigError("window", [f"robot: 0 to {engine.n_robots - 1}, not {driven}"])
+        keys = f"robot {driven} (ringed): arrows or WASD, {_KEYS}"
+        source = f"a person as robot {driven}, with {policy.name}"
+    caption = f"{policy.place.name} - {policy.name}"
+    fitted, finished = policy.fit(engine), 0
     viewer = Viewer("human", frame_rate=how.speed, caption=caption, own=driven, keys=keys)
-    engine = BatchEngine(actor.field, 1, seed=how.seed, autoreset=False, **actor.settings)
-    actor = dataclasses.replace(actor, policy=fitted(actor.policy, engine))
-    name = actor.name if driven is None else f"a person as robot {driven}, with {actor.name}"
-    finished = 0
-    with sampling(how.seed), EpisodeRecorder(engine, source=name) as recorder:
+    with sampling(how.seed), EpisodeRecorder(engine, source=source) as recorder:
         while not viewer.closed and (how.episodes is None or finished < how.episodes):
-            finished += _one_episode(engine, viewer, actor, how, driven)
+            finished += _one_episode(engine, viewer, fitted, how, driven)
     viewer.close()
     return recorder.episodes
 
 
 def _one_episode(
-    engine: BatchEngine, viewer: Viewer, actor: Actor, how: Show, driven: int | None
+    engine: BatchEngine, viewer: Viewer, policy: Policy, how: Show, driven: int | None
 ) -> bool:
     """Show one episode and rest at its end; return False if it was cut short."""
-    policy, observations, paused = actor.policy, engine.reset(), False
-    restart(policy)
+    observations, paused = engine.reset(), False
+    policy.reset()
     viewer.draw(engine.snapshot())
     while engine.running[0]:
         if not paused:
-            seen = engine.state() if policy.observes == "state" else observations
-            actions = np.array(policy.act(seen, deterministic=how.deterministic), np.float64)
+            chosen = policy.act_in(engine, observations, deterministic=how.deterministic)
+            actions = np.array(chosen, np.float64)
             if driven is not None:
                 actions[0, driven] = push(viewer.held)
             observations = engine.step(actions)[0]

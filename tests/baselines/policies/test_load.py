@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from baselines import load_policy
-from baselines.classical.controller import make_classical
 from baselines.evaluation.evaluate import evaluate
-from baselines.evaluation.policy import Policy, load_trained
 from baselines.evaluation.rollout import record_episode
+from baselines.policies.classical import make_classical
+from baselines.policies.policy import Policy
+from baselines.policies.trained import ENTRIES, load_trained, open_run
 from baselines.runs.files import RunError
-from baselines.zoo.entries import FOLDER, open_run
 from mbn_marl import BatchEngine, Field, load_field, parallel_env
 from mbn_marl.errors import ConfigError, MbnError
 
@@ -93,7 +93,7 @@ def test_a_policy_of_the_zoo_acts_as_in_an_evaluation() -> None:
 
 
 def test_a_run_is_loaded_from_its_folder(tmp_path: Path) -> None:
-    shutil.copytree(FOLDER / "field_07", tmp_path / "run")
+    shutil.copytree(ENTRIES / "field_07", tmp_path / "run")
     seen = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, 55))
     actions = load_policy("zoo:field_07").act(seen)
     for source in (tmp_path / "run", str(tmp_path / "run")):
