@@ -7,7 +7,7 @@ import pytest
 from baselines.algorithms import find_algorithm
 from baselines.policies.trained import open_run
 from baselines.sweep.spec import GridSpec
-from baselines.training.hyperparameters import validate
+from baselines.training.config import validate
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError, MbnError, unknown
 from mbn_marl.field import load_field, load_split

@@ -19,8 +19,6 @@ SHAPE = "policy.json"
 
 
 class TeamPolicy(TrainedPolicy):
-    """Act with a team's network on the robots' observations."""
-
     network: GaussianPolicy
 
     def __init__(self, network: GaussianPolicy) -> None:
@@ -39,18 +37,12 @@ class TeamPolicy(TrainedPolicy):
         return self.network.means(self.network.norm.normalize(seen))
 
     def save(self, folder: Path) -> None:
-        """Write the weights (safetensors) and the network's shape (JSON) into ``folder``."""
         write_json(folder / SHAPE, asdict(self.network.shape))
         write_tensors(folder / WEIGHTS, self.network.state_dict())
 
 
 def load_policy(folder: Path) -> TeamPolicy:
-    """Load a policy that :meth:`TeamPolicy.save` wrote.
-
-    Raises:
-        RunError: a file is missing or does not fit.
-        DamageError: a file is not what was written.
-    """
+    """Load what :meth:`TeamPolicy.save` wrote; raise a RunError if it is missing or damaged."""
     with reading(folder / SHAPE):
         shape = TypeAdapter(TeamShape).validate_python(read_json(folder / SHAPE))
         with torch.device("meta"):  # without memory, of which a wrong shape may want much

@@ -11,8 +11,7 @@ import pytest
 from baselines.evaluation.rollout import record_episode
 from baselines.policies.classical import make_classical
 from baselines.policies.trained import load_trained, open_run
-from mbn_marl.checked import Uniform
-from mbn_marl.config import RewardProfile
+from mbn_marl.config import RewardProfile, Uniform
 from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 from mbn_marl.field import load_field

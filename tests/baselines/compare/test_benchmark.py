@@ -15,15 +15,17 @@ import pytest
 from baselines import load_policy
 from baselines.cli.main import main
 from baselines.compare.benchmark import (
+    METRICS,
     SettingsError,
     check_settings,
     load_protocol,
     load_tiers,
     numbers,
+    result_page,
+    result_tables,
     run_benchmark,
+    statistics,
 )
-from baselines.compare.benchmark_page import result_page, result_tables
-from baselines.compare.benchmark_statistics import METRICS, statistics
 from baselines.evaluation.evaluate import Evaluation, evaluate
 from baselines.policies import load
 from baselines.policies.load import Source
