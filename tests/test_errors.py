@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from baselines.algorithms import find_algorithm
-from baselines.policies.trained import open_run
+from baselines.policies.load import open_run
 from baselines.sweep.spec import GridSpec
 from baselines.training.config import validate
 from mbn_marl.config import make_config

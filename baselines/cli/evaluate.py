@@ -66,9 +66,8 @@ class Evaluate(Subject):
     def _subject(self) -> tuple[str, dict[str, Any]]:
         """Return the policy's name in titles, and the arguments of `evaluate`."""
         from baselines.evaluation.evaluate import EVALUATION_SEED
-        from baselines.policies.load import find_policy
+        from baselines.policies.load import find_policy, is_trained, open_run
         from baselines.policies.shielded import Shielded, behind
-        from baselines.policies.trained import is_trained, open_run
 
         seed = EVALUATION_SEED if self.seed is None else self.seed
         actor = find_policy(self.source, self.field, seed=seed, **self.asked)
@@ -202,7 +201,7 @@ class Zoo:
 
     def run(self, command_line: str) -> None:
         """Print the cards, after adding one if a run is named."""
-        from baselines.policies.trained import ENTRIES, entry_names, read_card
+        from baselines.policies.load import ENTRIES, entry_names, read_card
         from baselines.runs.folder import RunFolder
         from baselines.zoo.make import make_entry
         from mbn_marl.field import FieldSampler
@@ -253,8 +252,7 @@ class Export:
     def run(self, command_line: str) -> None:
         """Load the policy, write and check the file, and say what it needs."""
         from baselines.policies.export import ALLOWED, check_name, export_policy
-        from baselines.policies.load import check_known, find_policy
-        from baselines.policies.trained import is_trained
+        from baselines.policies.load import check_known, find_policy, is_trained
         from mbn_marl.config import make_config
 
         check_name(self.out)

@@ -139,7 +139,7 @@ class _Window(Subject):
 
     def run(self, command_line: str) -> None:
         """Show episodes until the window is closed, and keep the last one if asked to."""
-        from baselines.evaluation.window import Show, watch
+        from baselines.evaluation.window import watch
         from baselines.policies.load import find_policy, of_zoo
         from mbn_marl.episode import save_episode
         from mbn_marl.errors import MbnError
@@ -151,9 +151,14 @@ class _Window(Subject):
             if self.out.suffix.lower() != ".json":
                 raise MbnError(f"{self.out}: the file name has to end in .json")
             check_free(self.out, force=self.force)
-        show = Show(not self.sampled, self.seed, self.speed, self.episodes)
-        robot = self.robot if isinstance(self, Play) else None
-        shown = watch(actor, show, robot)
+        shown = watch(
+            actor,
+            driven=self.robot if isinstance(self, Play) else None,
+            deterministic=not self.sampled,
+            seed=self.seed,
+            speed=self.speed,
+            episodes=self.episodes,
+        )
         for episode in shown:
             print(result(episode))
         if self.out is not None and shown:

@@ -18,7 +18,7 @@ from baselines.compare.summary import Comparison, summarise
 from baselines.compare.tables import field_tables, gaps, overall_tables
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.rollout import record_episode, write_episode
-from baselines.policies.trained import load_trained
+from baselines.policies.load import load_trained
 from baselines.runs.files import write_json, write_text
 from baselines.runs.provenance import write_provenance
 from baselines.runs.report_path import Place

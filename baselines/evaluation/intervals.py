@@ -9,7 +9,6 @@ import numpy as np
 
 RETURN_THRESHOLD = 100_000.0
 """A mean return at or above this needs the success of nearly every episode (r_inf = 100 000)."""
-
 SUCCESS_THRESHOLD = 0.99
 """Share of the episodes with sampled actions that have to succeed for a policy to pass."""
 
@@ -56,8 +55,7 @@ def mean_interval(values: Sequence[float]) -> Interval:
 
     how: dict[str, Any] = {"n_resamples": 10_000, "method": "percentile"}
     found = stats.bootstrap((sample,), np.mean, rng=np.random.default_rng(0), **how)
-    bounds = found.confidence_interval
-    return Interval(mean, float(bounds.low), float(bounds.high))
+    return Interval(mean, *map(float, found.confidence_interval))
 
 
 def share_interval(outcomes: Sequence[bool]) -> Interval:
@@ -65,8 +63,8 @@ def share_interval(outcomes: Sequence[bool]) -> Interval:
     from scipy import stats
 
     test = stats.binomtest(sum(outcomes), len(outcomes))
-    bounds = test.proportion_ci(method="wilson")
-    return Interval(sum(outcomes) / len(outcomes), float(bounds.low), float(bounds.high))
+    low, high = test.proportion_ci(method="wilson")
+    return Interval(sum(outcomes) / len(outcomes), float(low), float(high))
 
 
 def mean_of_known(values: Iterable[float | None]) -> float | None:

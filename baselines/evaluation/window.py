@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
 
 import numpy as np
 
 from baselines.evaluation.evaluate import sampling
 from baselines.policies.loaded import LoadedPolicy
-from baselines.policies.policy import Policy
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.errors import ConfigError
@@ -26,26 +24,6 @@ DIRECTIONS = {
 _KEYS = "space: pause, R: restart, Esc: close"
 
 
-@dataclass(frozen=True)
-class Show:
-    """The way in which episodes are shown."""
-
-    deterministic: bool = True  # take the policy's mean action instead of a sampled one
-    seed: int = 0  # of the worlds and of sampled actions
-    speed: float = 10.0  # steps a second, above 0
-    episodes: int | None = None  # how many; ``None``: until the window is closed
-    rest: float = 1.5  # seconds that the end of an episode stays
-
-    def __post_init__(self) -> None:
-        problems = []
-        if not 0.0 < self.speed < math.inf:
-            problems.append(f"speed: a finite number above 0, not {self.speed:g}")
-        if self.episodes is not None and self.episodes < 1:
-            problems.append(f"episodes: at least 1, not {self.episodes}")
-        if problems:
-            raise ConfigError("window", problems)
-
-
 def push(held: AbstractSet[str]) -> tuple[float, float]:
     """Return the action of the keys held down, in [-1, 1] along x and y; opposite keys cancel."""
     forces = [DIRECTIONS[key] for key in held if key in DIRECTIONS]
@@ -53,51 +31,66 @@ def push(held: AbstractSet[str]) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def watch(policy: LoadedPolicy, how: Show, driven: int | None = None) -> list[Episode]:
+def watch(
+    policy: LoadedPolicy,
+    *,
+    driven: int | None = None,
+    deterministic: bool = True,
+    seed: int = 0,
+    speed: float = 10.0,
+    episodes: int | None = None,
+    rest: float = 1.5,
+) -> list[Episode]:
     """Show episodes in a window and return them; a person may drive the robot ``driven``.
 
+    There are ``speed`` > 0 steps a second. The end of an episode stays ``rest`` seconds. Without
+    a number of ``episodes``, they go on until the window is closed.
+
     Raises:
-        ConfigError: there is no such robot.
+        ConfigError: listing the arguments that are out of range.
         ImportError: pygame is not installed.
         DisplayError: there is no display.
     """
-    keys, source = _KEYS, policy.name
-    engine = BatchEngine(policy.place, 1, seed=how.seed, autoreset=False, **policy.settings)
-    if driven is not None:
-        if not 0 <= driven < engine.n_robots:
-            raise ConfigError("window", [f"robot: 0 to {engine.n_robots - 1}, not {driven}"])
-        keys = f"robot {driven} (ringed): arrows or WASD, {_KEYS}"
-        source = f"a person as robot {driven}, with {policy.name}"
-    caption = f"{policy.place.name} - {policy.name}"
+    engine = BatchEngine(policy.place, 1, seed=seed, autoreset=False, **policy.settings)
+    wrong = {
+        f"speed: a finite number above 0, not {speed:g}": not 0.0 < speed < math.inf,
+        f"episodes: at least 1, not {episodes}": episodes is not None and episodes < 1,
+        f"robot: 0 to {engine.n_robots - 1}, not {driven}": driven is not None
+        and not 0 <= driven < engine.n_robots,
+    }
+    if any(wrong.values()):
+        raise ConfigError("window", [problem for problem, found in wrong.items() if found])
+    person = driven is not None
     fitted, finished = policy.fit(engine), 0
-    viewer = Viewer("human", frame_rate=how.speed, caption=caption, own=driven, keys=keys)
-    with sampling(how.seed), EpisodeRecorder(engine, source=source) as recorder:
-        while not viewer.closed and (how.episodes is None or finished < how.episodes):
-            finished += _one_episode(engine, viewer, fitted, how, driven)
+    viewer = Viewer(
+        "human",
+        frame_rate=speed,
+        caption=f"{policy.place.name} - {policy.name}",
+        own=driven,
+        keys=f"robot {driven} (ringed): arrows or WASD, {_KEYS}" if person else _KEYS,
+    )
+    source = f"a person as robot {driven}, with {policy.name}" if person else policy.name
+    with sampling(seed), EpisodeRecorder(engine, source=source) as recorder:
+        while not viewer.closed and finished != episodes:
+            observations, paused = engine.reset(), False
+            fitted.reset()
+            viewer.draw(engine.snapshot())
+            while engine.running[0]:
+                if not paused:
+                    chosen = fitted.act_in(engine, observations, deterministic=deterministic)
+                    actions = np.array(chosen, np.float64)
+                    if person:
+                        actions[0, driven] = push(viewer.held)
+                    observations = engine.step(actions)[0]
+                viewer.draw(engine.snapshot())
+                paused ^= "space" in viewer.pressed
+                if viewer.closed or "r" in viewer.pressed:
+                    break
+            else:
+                finished += 1
+                for _ in range(round(rest * speed)):
+                    viewer.draw(engine.snapshot())
+                    if viewer.closed or viewer.pressed:
+                        break
     viewer.close()
     return recorder.episodes
-
-
-def _one_episode(
-    engine: BatchEngine, viewer: Viewer, policy: Policy, how: Show, driven: int | None
-) -> bool:
-    """Show one episode and rest at its end; return False if it was cut short."""
-    observations, paused = engine.reset(), False
-    policy.reset()
-    viewer.draw(engine.snapshot())
-    while engine.running[0]:
-        if not paused:
-            chosen = policy.act_in(engine, observations, deterministic=how.deterministic)
-            actions = np.array(chosen, np.float64)
-            if driven is not None:
-                actions[0, driven] = push(viewer.held)
-            observations = engine.step(actions)[0]
-        viewer.draw(engine.snapshot())
-        paused ^= "space" in viewer.pressed
-        if viewer.closed or "r" in viewer.pressed:
-            return False
-    for _ in range(round(how.rest * how.speed)):
-        viewer.draw(engine.snapshot())
-        if viewer.closed or viewer.pressed:
-            break
-    return True

@@ -6,20 +6,77 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from baselines.algorithms import find_algorithm
 from baselines.policies.classical import CLASSICAL, make_classical
 from baselines.policies.loaded import LoadedPolicy, needs_field
 from baselines.policies.own import FORM, OwnPolicy, import_own, is_own
-from baselines.policies.policy import Policy, RandomPolicy
-from baselines.policies.trained import PREFIX, entry_names, is_trained, load_trained, open_run
-from baselines.runs.files import RunError
-from mbn_marl.config import CONDITIONS, Condition, expand
+from baselines.policies.policy import Origin, RandomPolicy, TrainedPolicy
+from baselines.runs.files import RunError, read_json, reading
+from baselines.runs.folder import RunFolder
+from mbn_marl.config import CONDITIONS, Condition, expand, make_config
 from mbn_marl.episode import is_episode_file
-from mbn_marl.errors import ConfigError, FieldError, unknown
+from mbn_marl.errors import ConfigError, FieldError, MbnError, unknown
 from mbn_marl.field import Field, catalogue_names, load_field
 
+ENTRIES = Path(__file__).parents[1] / "zoo"
+PREFIX = "zoo:"
+CARD = "card.json"
 RANDOM = "random"
 ZOO = "zoo"
 """The zoo's policy of each field."""
+
+
+def entry_names() -> list[str]:
+    """The names of the zoo's entries, sorted."""
+    return sorted(path.parent.name for path in ENTRIES.glob(f"*/{CARD}"))
+
+
+def read_card(name: str) -> dict[str, Any]:
+    """The facts of an entry: see :func:`baselines.zoo.make.make_card`."""
+    card: dict[str, Any] = read_json(ENTRIES / name / CARD)
+    return card
+
+
+def open_run(source: str) -> RunFolder:
+    """The run that ``source`` means: ``zoo:NAME``, or the path of a run folder.
+
+    Raises:
+        MbnError: there is no such entry; the message lists those there are.
+        RunError: there is no run at the path.
+    """
+    if not source.startswith(PREFIX):
+        return RunFolder.open(Path(source))
+    name, known = source.removeprefix(PREFIX), entry_names()
+    if name not in known:
+        raise MbnError(f"{source}: {unknown('policy', name, known)}")
+    return RunFolder.open(ENTRIES / name)
+
+
+def load_trained(run: Path | RunFolder) -> TrainedPolicy:
+    """Load the latest policy of a run, with its origin.
+
+    Raises:
+        RunError: there is no run, or it has saved no policy yet.
+    """
+    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    with reading(folder.path / "config.json"):
+        algorithm = find_algorithm(folder.config["algorithm"])
+        origin = Origin(folder.fields, make_config(folder.config["environment"]))
+    while True:
+        place = folder.policy
+        try:
+            policy: TrainedPolicy = algorithm.load_policy(place)
+        except RunError:
+            if folder.policy == place:
+                raise
+            continue  # the run has written its next checkpoint meanwhile, and removed this one
+        policy.origin = origin
+        return policy
+
+
+def is_trained(source: str) -> bool:
+    """Return whether a source is one trained policy: of the zoo, or a run's folder."""
+    return source.startswith(PREFIX) or Path(source).is_dir()
 
 
 def is_policy(source: str) -> bool:
@@ -45,17 +102,13 @@ def check_known(source: str) -> None:
 
 
 class Source:
-    """A policy by name, with what is the same in all fields loaded: weights, or your module.
-
-    Args:
-        name: as for :func:`baselines.load_policy`.
-    """
+    """A policy by name, with what is the same in all fields loaded: weights, or your module."""
 
     def __init__(self, name: str) -> None:
         check_known(name)
         self.name = name
         self.run = open_run(name) if is_trained(name) else None
-        self._trained = None if self.run is None else load_trained(self.run)
+        self._trained: Any = None if self.run is None else load_trained(self.run)
         self._own = import_own(name) if self.run is None and is_own(name) else None
 
     def make(
@@ -67,24 +120,22 @@ class Source:
         **asked: Any,
     ) -> LoadedPolicy:
         """Return the policy for a field, with its settings; see :func:`baselines.load_policy`."""
-        place = None if field is None else load_field(field)
-        name = self.name if place is None else f"{self.name} in {place.name}"
+        place: Any = None if field is None else load_field(field)
         if place is None and self.name in (ZOO, *CLASSICAL):
             raise needs_field(self.name)
-        if self.name == ZOO and place is not None:
-            one = Source(f"{PREFIX}{place.name}").make(place, condition=condition, **asked)
-            return LoadedPolicy(name, one.policy, one.settings, place)
-        policy: Policy = RandomPolicy(seed)
+        source = Source(f"{PREFIX}{place.name}") if self.name == ZOO else self
+        name = self.name if place is None else f"{self.name} in {place.name}"
+        policy: Any = RandomPolicy(seed)
         brought: Mapping[str, Any] = {}
-        if self._own is not None:
-            policy = own = OwnPolicy(self.name, self._own, place)
-            brought = own.settings
-        elif self.run is not None and self._trained is not None:
-            policy, brought = self._trained, self.run.config["environment"]
-            if place is None and isinstance(home := self.run.fields, Field):
+        if source.run is not None:
+            policy, brought = source._trained, source.run.config["environment"]
+            if place is None and isinstance(home := source.run.fields, Field):
                 place = home
+        elif self._own is not None:
+            policy = OwnPolicy(self.name, self._own, place)
+            brought = policy.settings
         settings = merge_settings(brought, condition, **asked)
-        if self.name in CLASSICAL and place is not None:
+        if self.name in CLASSICAL:
             policy = make_classical(self.name, place, settings)
         return LoadedPolicy(name, policy, settings, place)
 
@@ -92,13 +143,9 @@ class Source:
 def find_policy(
     source: str, field: str | None = None, *, alone: Callable[[str], str] | None = None, **how: Any
 ) -> LoadedPolicy:
-    """Find the policy that a command line names, and its field.
+    """Find the policy that a command line names, and its field; see :meth:`Source.make`.
 
-    Args:
-        source: as for :func:`baselines.load_policy`; or, with ``alone``, a field's name or file.
-        field: a field's name or file; ``None`` for the policy's.
-        alone: returns the policy of a field that is named without one.
-        **how: the seed of random actions, and settings that replace those of the policy.
+    With ``alone``, ``source`` may also be a field's name or file; ``alone`` names its policy.
 
     Raises:
         MbnError: one of them is not there.

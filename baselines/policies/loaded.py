@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,9 +14,6 @@ from mbn_marl.config import MAX_ROBOTS, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import Field
-
-Actions = NDArray[np.float32]
-OfEach = dict[str, Actions]
 
 
 def needs_field(source: str) -> ConfigError:
@@ -69,15 +66,7 @@ class LoadedPolicy(Wrapped):
         shape = engine.state_low.shape if self.observes == "state" else sizes
         return self.policy.fit(engine), shape
 
-    @overload
-    def act(self, seen: Mapping[str, ArrayLike], deterministic: bool = True) -> OfEach: ...
-
-    @overload
-    def act(self, seen: ArrayLike, deterministic: bool = True) -> Actions: ...
-
-    def act(
-        self, seen: ArrayLike | Mapping[str, ArrayLike], deterministic: bool = True
-    ) -> Actions | OfEach:
+    def act(self, seen: ArrayLike | Mapping[str, ArrayLike], deterministic: bool = True) -> Any:
         """Choose actions, float32 in [-1, 1], shares of the full force.
 
         They are ``(W, n, 2)`` for W worlds, ``(n, 2)`` for one; for PettingZoo's dictionary, one
@@ -96,21 +85,21 @@ class LoadedPolicy(Wrapped):
         """
         if isinstance(seen, Mapping):
             return self._act_by_name(seen, deterministic)
-        _, shape = self.fitted
-        rank = 1 if self.observes == "state" else 2  # of one world
-        array = np.asarray(seen, None if self.observes == "state" else np.float32)
-        fits = shape is None or array.shape[-rank:] == shape
+        (fitted, shape), on_state = self.fitted, self.observes == "state"
+        rank = 1 if on_state else 2  # of one world
+        array = np.asarray(seen, None if on_state else np.float32)
+        alone, fits = array.ndim == rank, shape is None or array.shape[-rank:] == shape
         if array.ndim not in (rank, rank + 1) or not fits:
             raise ConfigError(self.name, [f"{self._wanted()}, not {array.shape}"])
-        if array.ndim == rank:
-            one: Actions = self._act(array[None], deterministic)[0]
-            return one
-        return self._act(array, deterministic)
+        actions = fitted.act(array[None] if alone else array, deterministic=deterministic)
+        clipped: NDArray[np.float32] = np.clip(np.asarray(actions, np.float32), -1.0, 1.0)
+        return clipped[0] if alone else clipped
 
     def act_in(self, world: Any, observations: Any, *, deterministic: bool = True) -> Any:
-        """Act in an engine or an environment that has shown ``observations``, whatever it observes.
+        """Act in an engine or an environment that has shown ``observations``.
 
-        Actions are as from :meth:`act`, a dictionary for PettingZoo's observations.
+        It gives every policy what it observes. Actions are as from :meth:`act`, a dictionary for
+        PettingZoo's observations.
         """
         if self.observes == "state" and isinstance(observations, Mapping):
             actions = self.act(world.state(), deterministic)
@@ -123,21 +112,18 @@ class LoadedPolicy(Wrapped):
         Args:
             worlds: in which worlds, ``(W,)`` bool; ``None``: in all.
         """
-        self.policy.reset(None if worlds is None else np.asarray(worlds, bool))
+        super().reset(None if worlds is None else np.asarray(worlds, bool))
 
-    def _act(self, seen: np.ndarray, deterministic: bool) -> Actions:
-        actions = self.fitted[0].act(seen, deterministic=deterministic)
-        return np.clip(np.asarray(actions, np.float32), -1.0, 1.0)
-
-    def _act_by_name(self, observations: Mapping[str, ArrayLike], deterministic: bool) -> OfEach:
+    def _act_by_name(
+        self, observations: Mapping[str, ArrayLike], deterministic: bool
+    ) -> dict[str, NDArray[np.float32]]:
         """Act for the agents that are there; of others, robots see zeros."""
         if self.observes == "state":
             raise ConfigError(self.name, [f"{self._wanted()}, not a dictionary"])
         rows = {agent: np.asarray(seen, np.float32) for agent, seen in observations.items()}
         if not rows:
             return {}
-        _, shape = self.fitted
-        most, size = shape or (MAX_ROBOTS, next(iter(rows.values())).size)
+        most, size = self.fitted[1] or (MAX_ROBOTS, next(iter(rows.values())).size)
         index = {f"robot_{robot}": robot for robot in range(most)}
         problems = [f"{agent}: {unknown('agent', agent, index)}" for agent in rows.keys() - index]
         problems += [
@@ -147,23 +133,20 @@ class LoadedPolicy(Wrapped):
         ]
         if problems:
             raise ConfigError(self.name, problems)
-        count = most if shape else max(index[agent] for agent in rows) + 1
-        seen = np.zeros((1, count, size), np.float32)
+        if self.field is None:
+            most = max(index[agent] for agent in rows) + 1
+        seen = np.zeros((most, size), np.float32)
         for agent, row in rows.items():
-            seen[0, index[agent]] = row
-        actions = self._act(seen, deterministic)[0]
+            seen[index[agent]] = row
+        actions = self.act(seen, deterministic)
         return {agent: actions[index[agent]] for agent in rows}
 
     def _wanted(self) -> str:
         """Return what it acts on, in words."""
         place = "" if self.field is None else f" in {self.field.name}"
-        shape = self.fitted[1]
         if self.observes == "state":
-            size = "size" if shape is None else shape[0]
+            (size,) = self.fitted[1] or ("size",)
             return f"it acts on state(){place}, (W, {size}) for W worlds or ({size},) for one"
-        n, size = shape or ("n", "obs_size")
-        kind = make_config(self.settings).observation
-        return (
-            f"it acts on observation={kind!r}{place}, (W, {n}, {size}) for W worlds or "
-            f"({n}, {size}) for one"
-        )
+        n, size = self.fitted[1] or ("n", "obs_size")
+        kind = f"observation={make_config(self.settings).observation!r}{place}"
+        return f"it acts on {kind}, (W, {n}, {size}) for W worlds or ({n}, {size}) for one"

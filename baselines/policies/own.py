@@ -41,16 +41,13 @@ class OwnPolicy(Policy):
         self.observes = getattr(made, "observes", "observations")
         self.settings: Mapping[str, Any] = getattr(made, "settings", {})
         self._act = act or (lambda seen, deterministic: made(seen))
+        asked, needed = (act, "(observations, deterministic)") if act else (made, "(observations)")
         problems: list[str] = []
-        if not callable(act or made):
+        if not callable(asked):
             what = "an object with act(observations, deterministic=True), or a function"
             problems.append(f"returned {type(made).__name__}; allowed: {what}")
-        elif act is not None and not _takes(act, np.zeros(0), deterministic=True):
-            problems.append(f"act{inspect.signature(act)}; needed: (observations, deterministic)")
-        elif act is None and not _takes(made, np.zeros(0)):
-            problems.append(
-                f"returned a function {inspect.signature(made)}; needed: (observations)"
-            )
+        elif not _takes(asked, np.zeros(0), **({"deterministic": True} if act else {})):
+            problems.append(f"{'act' if act else ''}{inspect.signature(asked)}; needed: {needed}")
         if self.observes not in get_args(Observes):
             allowed = " or ".join(map(repr, get_args(Observes)))
             problems.append(f"observes: {self.observes!r}; allowed: {allowed}")
@@ -58,8 +55,7 @@ class OwnPolicy(Policy):
             with collecting(problems):
                 make_config(self.settings)
         else:
-            kind = type(self.settings).__name__
-            problems.append(f"settings: {kind}; allowed: a dictionary of settings")
+            problems.append(f"settings: {type(self.settings).__name__}; allowed: a dictionary")
         if problems:
             raise ConfigError(source, problems)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -94,18 +95,18 @@ class Policy:
         return Selected(self, _places(self.observes, self.origin.config, engine))
 
 
-class TrainedPolicy(Policy):
+class TrainedPolicy(Policy, ABC):
     """A policy with a network, that can be kept."""
 
     network: Any  # a torch.nn.Module
 
+    @abstractmethod
     def means(self, seen: torch.Tensor) -> torch.Tensor:
         """Mean actions (worlds, n, 2), not clipped, as ``torch.export`` can follow them."""
-        raise NotImplementedError
 
+    @abstractmethod
     def save(self, folder: Path) -> None:
         """Write the policy's files into ``folder``, each one atomically."""
-        raise NotImplementedError
 
 
 class RandomPolicy(Policy):

@@ -12,8 +12,8 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
+from baselines.policies.load import load_trained, open_run
 from baselines.policies.policy import TrainedPolicy
-from baselines.policies.trained import load_trained, open_run
 from baselines.torchrl.networks import Key
 from baselines.training.config import Task
 from mbn_marl.adapters.torchrl import NavigationEnv

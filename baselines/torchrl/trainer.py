@@ -18,7 +18,7 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
-from baselines.policies.trained import load_trained, open_run
+from baselines.policies.load import load_trained, open_run
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import saved_at
 from baselines.runs.rng_state import restore_generators, save_generators

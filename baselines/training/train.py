@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from baselines.algorithms import find_algorithm
+from baselines.policies.load import CARD, PREFIX, open_run
 from baselines.policies.policy import acts_on
-from baselines.policies.trained import CARD, PREFIX, open_run
 from baselines.runs.files import RunError, alone, check_text, claim_folder, is_untouched
 from baselines.runs.folder import RunFolder
 from baselines.training.config import DivergenceError, Hyperparameters, Task, TrainConfig

@@ -10,7 +10,7 @@ import pytest
 
 from baselines.evaluation.rollout import record_episode
 from baselines.policies.classical import make_classical
-from baselines.policies.trained import load_trained, open_run
+from baselines.policies.load import load_trained, open_run
 from mbn_marl.config import RewardProfile, Uniform
 from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError

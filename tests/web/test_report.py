@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from baselines.cli import main
-from baselines.policies.trained import ENTRIES
+from baselines.policies.load import ENTRIES
 from tests.support.chromium import Chromium, fact
 
 

@@ -28,9 +28,8 @@ from baselines.compare.benchmark import (
 )
 from baselines.evaluation.evaluate import Evaluation, evaluate
 from baselines.policies import load
-from baselines.policies.load import Source
+from baselines.policies.load import Source, load_trained
 from baselines.policies.policy import TrainedPolicy
-from baselines.policies.trained import load_trained
 from baselines.runs.files import RunError, alone
 from baselines.runs.folder import RunFolder
 from mbn_marl import Field

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from baselines.cli import main
-from baselines.evaluation.window import Show, push, watch
+from baselines.evaluation.window import push, watch
 from baselines.policies.load import find_policy, of_zoo
 from baselines.policies.loaded import LoadedPolicy
 from baselines.policies.policy import RandomPolicy
@@ -24,7 +24,7 @@ from tests.baselines.conftest import Refusal
 pytestmark = [pytest.mark.slow, pytest.mark.all]
 pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
 
-FAST = Show(speed=5000.0, episodes=1, rest=0.0)
+FAST: dict[str, Any] = {"speed": 5000.0, "episodes": 1, "rest": 0.0}
 
 
 @pytest.fixture(autouse=True)
@@ -60,7 +60,7 @@ def still(max_steps: int = 6) -> LoadedPolicy:
 
 
 def test_watching_shows_whole_episodes() -> None:
-    (episode,) = watch(find_policy("zoo:field_03"), FAST)
+    (episode,) = watch(find_policy("zoo:field_03"), **FAST)
     assert (episode.outcome, episode.steps) == ("success", 17)
     assert not pygame.display.get_init(), "the window is closed"
 
@@ -76,7 +76,7 @@ def test_a_person_drives_one_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     """Right is held from the second frame to the fourth: the steps after those frames."""
     right = pygame.K_RIGHT
     at_frames(monkeypatch, {1: (pygame.KEYDOWN, right), 3: (pygame.KEYUP, right)})
-    (episode,) = watch(still(), FAST, 1)
+    (episode,) = watch(still(), **FAST, driven=1)
     assert episode.actions[:, 1, 0].tolist() == [0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
     assert not episode.actions[:, [0, 2]].any() and not episode.actions[:, 1, 1].any()
     assert episode.source == "a person as robot 1, with still"
@@ -86,7 +86,7 @@ def test_space_pauses_r_begins_anew_and_escape_leaves(monkeypatch: pytest.Monkey
     down = pygame.KEYDOWN
     keys = {2: pygame.K_SPACE, 8: pygame.K_SPACE, 10: pygame.K_r, 14: pygame.K_ESCAPE}
     at_frames(monkeypatch, {frame: (down, key) for frame, key in keys.items()})
-    first, second = watch(still(100), Show(speed=5000.0, rest=0.0))
+    first, second = watch(still(100), speed=5000.0, rest=0.0)
     assert first.steps == 4, "two before the pause and two after it"
     assert second.steps == 3 and second.outcome == "unfinished"
 
@@ -123,7 +123,7 @@ def test_a_show_that_cannot_be_is_refused(
     path = tmp_path / "small.yaml"
     save_field(small, path)
     with pytest.raises(ConfigError, match=r"robots: .*\n.*ROIs: "):
-        watch(find_policy("zoo:field_03", str(path)), FAST)
+        watch(find_policy("zoo:field_03", str(path)), **FAST)
     for name in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     assert "display" in refusal(["watch", "field_03"])

@@ -9,9 +9,8 @@ import pytest
 
 from baselines.evaluation.evaluate import evaluate
 from baselines.evaluation.rollout import record_episode
-from baselines.policies.load import merge_settings
+from baselines.policies.load import load_trained, merge_settings, open_run
 from baselines.policies.policy import Observes, Origin, Policy
-from baselines.policies.trained import load_trained, open_run
 from mbn_marl import BatchEngine, Uniform
 from mbn_marl.config import CONDITIONS, make_config
 from mbn_marl.errors import ConfigError

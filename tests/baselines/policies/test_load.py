@@ -16,8 +16,8 @@ from baselines import load_policy
 from baselines.evaluation.evaluate import evaluate
 from baselines.evaluation.rollout import record_episode
 from baselines.policies.classical import make_classical
+from baselines.policies.load import ENTRIES, load_trained, open_run
 from baselines.policies.policy import Policy
-from baselines.policies.trained import ENTRIES, load_trained, open_run
 from baselines.runs.files import RunError
 from mbn_marl import BatchEngine, Field, load_field, parallel_env
 from mbn_marl.errors import ConfigError, MbnError

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from baselines.cli import main
-from baselines.policies.trained import load_trained
+from baselines.policies.load import load_trained
 from baselines.runs.checksums import check
 from baselines.runs.files import RunError, read_arrays, seal, write_arrays
 from baselines.runs.folder import RunFolder

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.policies.trained import load_trained
+from baselines.policies.load import load_trained
 from baselines.runs.files import RunError, alone, claim_folder, read_arrays, seal, write_arrays
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import read_tensors, write_tensors

@@ -21,7 +21,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main
-from baselines.policies.trained import load_trained
+from baselines.policies.load import load_trained
 from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
 from baselines.training import run_logger as recorder
