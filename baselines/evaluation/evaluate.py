@@ -83,13 +83,12 @@ def evaluate(
 ) -> Evaluation:
     """Run ``episodes`` fresh episodes (> 0) side by side, one world each.
 
-    A sampler draws a field for each world. The settings are those of
-    :class:`mbn_marl.config.NavigationConfig`. ``deterministic`` takes the mean action instead of a
+    A sampler draws a field for each world. ``deterministic`` takes the mean action instead of a
     sampled one; the seed is that of the worlds and of sampled actions. The episodes of the worlds
     in ``record`` (from 0) are recorded, with the policy's name, ``source``.
 
     Raises:
-        ConfigError: the policy was trained for other observations, see :meth:`Policy.fit`.
+        ConfigError: the policy does not fit, see :meth:`~baselines.policies.policy.Policy.fit`.
     """
     engine = BatchEngine(field, episodes, seed=seed, threads=1, **settings)
     running = np.ones(episodes, dtype=bool)

@@ -23,9 +23,7 @@ ALLOWED = (
 
 
 def parse_speeds(text: str) -> list[float]:
-    """Read wind speeds from numbers between commas; ``..`` is even steps up to the next one.
-
-    ``0,0.1,..,0.5`` is ``0,0.1,0.2,0.3,0.4,0.5``.
+    """Read wind speeds: ``0,0.1,..,0.5`` is ``0,0.1,0.2,0.3,0.4,0.5``.
 
     Raises:
         ConfigError: naming the word that is no speed, or that even steps do not reach.

@@ -23,8 +23,6 @@ TOLERANCE = 1e-4
 """The largest difference of an action of the file: sums of float32 have another order."""
 ALLOWED = "has no network; allowed: zoo:NAME and the folders of runs"
 OPSET = 18
-METADATA = "mbn_marl"
-"""The name of the metadata, JSON, in the file."""
 CHECKED_WORLDS = 256
 
 
@@ -50,9 +48,9 @@ def export_policy(
 ) -> tuple[dict[str, Any], float]:
     """Write the mean actions of a policy as a function that needs none of its libraries.
 
-    The function takes float32, what W >= 1 worlds show, in their units, and returns (W, n, 2) in
-    [-1, 1]. It has to give the policy's actions before it is written; ``force`` moves a file that
-    is there aside. Returns the file's metadata, and the largest difference of an action.
+    The ONNX function takes float32, what W >= 1 worlds show, in their units, and returns (W, n, 2)
+    in [-1, 1]. It has to give the policy's actions; ``force`` moves a file that is there aside.
+    Returns the file's metadata (``mbn_marl``), and the largest difference of an action.
 
     Raises:
         ConfigError: the policy has no network, or no field.
@@ -86,7 +84,7 @@ def export_policy(
         )
     logging.disable(logging.NOTSET)
     model = program.model_proto
-    model.metadata_props.add(key=METADATA, value=json.dumps(metadata))
+    model.metadata_props.add(key="mbn_marl", value=json.dumps(metadata))
     content = model.SerializeToString()
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     difference = max(
@@ -101,10 +99,7 @@ def export_policy(
 
 
 def _drawn(engine: BatchEngine, observes: str) -> NDArray[np.float32]:
-    """Return what worlds may show, (W, n, obs_size) or (W, size), within its bounds.
-
-    A third is 0, as of what is not there to be seen, the rest uniform.
-    """
+    """Return numbers within the bounds of what W worlds show; a third is 0, as of absent things."""
     high = np.ones((engine.n_robots, engine.obs_size))
     low, high = (engine.state_low, engine.state_high) if observes == "state" else (-high, high)
     random = np.random.default_rng(0)

@@ -38,12 +38,7 @@ def read_card(name: str) -> dict[str, Any]:
 
 
 def open_run(source: str) -> RunFolder:
-    """The run that ``source`` means: ``zoo:NAME``, or the path of a run folder.
-
-    Raises:
-        MbnError: there is no such entry; the message lists those there are.
-        RunError: there is no run at the path.
-    """
+    """The run of ``zoo:NAME`` or a folder; an MbnError says that there is none."""
     if not source.startswith(PREFIX):
         return RunFolder.open(Path(source))
     name, known = source.removeprefix(PREFIX), entry_names()
@@ -53,11 +48,7 @@ def open_run(source: str) -> RunFolder:
 
 
 def load_trained(run: Path | RunFolder) -> TrainedPolicy:
-    """Load the latest policy of a run, with its origin.
-
-    Raises:
-        RunError: there is no run, or it has saved no policy yet.
-    """
+    """Load the latest policy of a run; a RunError says that it has saved none."""
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
     with reading(folder.path / "config.json"):
         algorithm = find_algorithm(folder.config["algorithm"])
@@ -85,12 +76,7 @@ def is_policy(source: str) -> bool:
 
 
 def check_known(source: str) -> None:
-    """Check that a source is that of a policy.
-
-    Raises:
-        RunError: it is none; listing those that there are.
-        MbnError: the zoo has no such policy.
-    """
+    """Check that a source is that of a policy; an MbnError lists those that there are."""
     if not is_policy(source):
         others = f"{PREFIX}NAME", FORM, "the folder of a run"
         problem = unknown("policy", source, (*CLASSICAL, RANDOM, ZOO, *others))
@@ -173,13 +159,10 @@ def of_zoo(field: str) -> str:
 def merge_settings(
     settings: Mapping[str, Any], condition: Condition | None, **asked: Any
 ) -> dict[str, Any]:
-    """Return the settings of a policy under a condition; ``None`` leaves them as they are.
+    """Return the settings of a policy, with what is asked for in their place.
 
-    Weather, disturbances and failures are those of the condition alone; ``asked`` are settings
-    that replace others too.
-
-    Raises:
-        ConfigError: the condition sets what is asked for.
+    Under a condition, weather, disturbances and failures are those of the condition alone; it is a
+    ConfigError to ask for what it sets.
     """
     if condition is None:
         return {**settings, **asked}

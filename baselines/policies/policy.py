@@ -42,17 +42,11 @@ class Policy:
     origin: Origin | None = None
 
     def act(self, seen: Any, *, deterministic: bool) -> Any:
-        """Actions (worlds, n, 2) for what ``observes`` names; the engine clips them to [-1, 1].
-
-        They are the mean ones if ``deterministic``, otherwise sampled from torch's generator.
-        """
+        """Actions (worlds, n, 2), not clipped; sampled by torch unless ``deterministic``."""
         raise NotImplementedError
 
     def act_in(self, world: Any, observations: Any, *, deterministic: bool = True) -> Any:
-        """Act in an engine or an environment that has shown ``observations``.
-
-        A policy that observes the state takes ``world.state()`` in their place.
-        """
+        """Act on the ``state()`` of an engine or environment, or on its ``observations``."""
         seen = world.state() if self.observes == "state" else observations
         return self.act(seen, deterministic=deterministic)
 
@@ -66,12 +60,11 @@ class Policy:
     def fit(self, engine: BatchEngine) -> Policy:
         """Return the policy on the entries that it was trained with, to act in this engine.
 
-        It sees no headings of robots and no flags of failures if it was trained without them, and
-        0 for flags that are not shown. Tokens (``entities``) fit fields and teams of any size.
+        Headings of robots and flags of failures are hidden from it if it was trained without them;
+        flags that are not shown are 0. Tokens (``entities``) fit fields and teams of any size.
 
         Raises:
-            ConfigError: naming all that it was trained with otherwise: robots, ROIs and, if it
-                acts on the robots' own observations, their kind and what they are scaled by.
+            ConfigError: naming all that it was trained with otherwise, and that it sees.
         """
         if self.origin is None:
             return self
