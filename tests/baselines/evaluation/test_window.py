@@ -14,10 +14,8 @@ from baselines.evaluation.window import push, watch
 from baselines.policies.load import find_policy, of_zoo
 from baselines.policies.loaded import LoadedPolicy
 from baselines.policies.policy import RandomPolicy
-from mbn_marl import Field, load_field
+from mbn_marl import load_field
 from mbn_marl.episode import load_episode
-from mbn_marl.errors import ConfigError
-from mbn_marl.field import save_field
 from mbn_marl.render import Viewer
 from tests.baselines.conftest import Refusal
 
@@ -119,11 +117,6 @@ def test_a_show_that_cannot_be_is_refused(
         ("watch field_03 -o a.txt", ".json"),
     ):
         assert place in refusal(words.split()), words
-    small = Field([(0, 0), (50, 0), (0, 50)], rois=[(9, 9)], starts=[(20, 20)], name="small")
-    path = tmp_path / "small.yaml"
-    save_field(small, path)
-    with pytest.raises(ConfigError, match=r"robots: .*\n.*ROIs: "):
-        watch(find_policy("zoo:field_03", str(path)), **FAST)
     for name in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     assert "display" in refusal(["watch", "field_03"])
