@@ -8,7 +8,7 @@ from typing import Any
 
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
 from baselines.policies.load import CARD, load_trained
-from baselines.runs.files import RunError, read_json, replacing_folder, seal, write_json
+from baselines.runs.files import RunError, read_json, replacing_folder, write_json
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
@@ -45,8 +45,6 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
         save_field(run.fields, folder / "field.yaml")
         load_trained(run).save(folder / "policy")
         write_json(folder / CARD, card)
-        for place in (folder / "policy", folder):
-            seal(place)
         size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
         if size > LARGEST:
             raise ConfigError(str(run.path), [f"{size:,} bytes; allowed: up to {LARGEST:,}"])

@@ -38,7 +38,7 @@ sys.meta_path.insert(0, Absent())
 from baselines.cli.main import main
 sys.exit(main(%r))
 """
-LEARNERS = ("torch", "filelock", "pandas", "safetensors", "optuna", "fsspec", "supersuit")
+LEARNERS = ("torch", "filelock", "pandas", "safetensors", "optuna", "supersuit")
 PLANNER = (*LEARNERS, "scipy", "highspy", "clarabel")
 PICTURES = (*PLANNER, "matplotlib", "pygame", "PIL")
 

@@ -66,8 +66,8 @@ def test_an_entry_is_a_small_run_that_acts_as_its_card_says(
     zoo: Path, run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     entry, files = RunFolder.open(zoo / "tiny"), {*zoo.rglob("*.*")}
-    weights = ("policy/checksums.json", "policy/policy.json", "policy/policy.safetensors")
-    names = ("card.json", "checksums.json", "config.json", "field.yaml", *weights)
+    weights = ("policy/policy.json", "policy/policy.safetensors")
+    names = ("card.json", "config.json", "field.yaml", *weights)
     assert files == {entry.path / name for name in names}
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
     patterns = settings["package-data"]["baselines"]
