@@ -17,8 +17,8 @@ from baselines.compare.records import Results, RunRecord, find_records
 from baselines.compare.summary import Comparison, summarise
 from baselines.compare.tables import field_tables, gaps, overall_tables
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.policy import load_trained
-from baselines.evaluation.rollout import record_episode, write_animation, write_trajectories
+from baselines.evaluation.rollout import record_episode, write_episode
+from baselines.policies.load import load_trained
 from baselines.runs.files import Place, write_json, write_text
 from baselines.runs.provenance import write_provenance
 from mbn_marl.episode import Episode
@@ -95,8 +95,8 @@ def write_comparison(results: Results, place: Place) -> Comparison:
         best = ranked(itertools.chain(*groups.values()))[0]
         episode = record_episode(load_trained(best.run), best.field, best.config["environment"])
         title = f"{best.run.path.name}: return {episode.team_return:,.0f}, {episode.steps} steps"
-        write_trajectories(episode, out / f"trajectories_{field}.png", title)
-        write_animation(episode, out / f"episode_{field}.gif")
+        write_episode(episode, out / f"trajectories_{field}.png", title)
+        write_episode(episode, out / f"episode_{field}.gif")
     tables = overall_tables(comparison) | field_tables(comparison)
     broken = [f"- {name}: {error}" for name, error in comparison.broken.items()]
     parts = [f"# {comparison.question}", comparison.verdict]

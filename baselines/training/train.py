@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from baselines.algorithms import find_algorithm
-from baselines.evaluation.fitting import acts_on
+from baselines.policies.load import CARD, PREFIX, open_run
+from baselines.policies.policy import acts_on
 from baselines.runs.files import RunError, alone, check_text, claim_folder, is_untouched
 from baselines.runs.folder import RunFolder
 from baselines.training.config import DivergenceError, Hyperparameters, Task, TrainConfig
 from baselines.training.run_logger import Listener, Recorder, find_wandb
-from baselines.zoo.entries import CARD, PREFIX, open_run
 from mbn_marl.config import expand, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting

@@ -15,8 +15,8 @@ import shapely
 pytest.importorskip("coppeliasim_zmqremoteapi_client", reason="needs mbn_marl[sim3d]")
 
 
-from baselines.classical.controller import make_classical
 from baselines.cli import main
+from baselines.policies.classical import make_classical
 from mbn_marl.errors import SimulatorError
 from mbn_marl.field import Field
 from mbn_marl.sim3d import Mission, Scale, deploy

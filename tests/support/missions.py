@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from baselines.policies.policy import Policy
 from mbn_marl.field import Field
 from mbn_marl.sim3d import Mission, Simulator
 
@@ -20,10 +21,8 @@ SMALL = Field(
 )
 
 
-class Wander:
+class Wander(Policy):
     """Actions that look at nothing but the observation, and push into walls."""
-
-    observes = "observations"
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         return (np.floor(seen[:, :, :2] * 185.0) % 3 - 1).astype(np.float32)

@@ -20,7 +20,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main
-from baselines.evaluation.policy import load_trained
+from baselines.policies.load import load_trained
 from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
 from baselines.training import run_logger as recorder

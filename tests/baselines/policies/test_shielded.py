@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
 
-from baselines.classical.controller import make_classical
 from baselines.cli import main
 from baselines.evaluation.evaluate import evaluate, is_one_episode, roll_out
-from baselines.evaluation.fitting import fitted
-from baselines.evaluation.policy import Origin, RandomPolicy
 from baselines.evaluation.rollout import record_episode
-from baselines.evaluation.shielded import Shielded
+from baselines.policies.classical import make_classical
+from baselines.policies.policy import Origin, Policy, RandomPolicy
+from baselines.policies.shielded import Shielded
 from mbn_marl import BatchEngine, Field, FieldSampler, load_field
 from mbn_marl.config import Failures, make_config
 from mbn_marl.errors import ConfigError
@@ -38,16 +37,15 @@ YARD = Field(  # with a hole
 FAILURES: dict[str, Any] = {"failures": Failures(at={1: 30})}
 
 
-class Pusher:
+class Pusher(Policy):
     """Full force in a direction that turns every 40 steps, and toward each other in between."""
 
-    observes: Literal["observations", "state"] = "state"
+    observes = "state"
 
     def __init__(self, field: Field) -> None:
         self.steps, self.robots = 0, len(field.starts)
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """Return the corners of the square of actions."""
         n, self.steps = self.robots, self.steps + 1
         places = seen[:, : 2 * n].reshape(-1, n, 2)
         turn = self.steps // 40
@@ -67,11 +65,10 @@ class Pusher:
 def test_a_team_that_pushes_against_walls_and_robots_does_not_touch_them(
     field: Field, settings: dict[str, Any]
 ) -> None:
-    how: dict[str, Any] = {"episodes": 2}
     world = {**settings, "max_steps": 300}
-    bare = evaluate(Pusher(field), field, world, **how)
+    bare = evaluate(Pusher(field), field, world, episodes=2)
     assert any(bare.collisions) and any(bare.wall_hits)
-    shielded = evaluate(Shielded(Pusher(field)), field, world, **how)
+    shielded = evaluate(Shielded(Pusher(field)), field, world, episodes=2)
     assert not any(shielded.collisions) and not any(shielded.wall_hits)
     assert min(shielded.steps) > max(bare.steps)
 
@@ -99,14 +96,13 @@ def test_a_policy_that_brakes_itself_acts_as_without() -> None:
     assert not is_one_episode(Shielded(RandomPolicy()), {}, deterministic=True)
 
 
-class Trained:
+class Trained(Policy):
     """Trained in ``YARD`` without failures; keeps what it sees."""
 
-    observes: Literal["observations", "state"] = "observations"
     origin = Origin(YARD, make_config({}))
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """Return an action that passes the test at the starts of ``YARD``."""
+        """Return an action that the shield leaves at the starts of ``YARD``."""
         self.seen = seen
         return np.full((len(seen), 3, 2), 0.1, np.float32)
 
@@ -114,14 +110,14 @@ class Trained:
 def test_a_trained_policy_is_fitted_behind_the_shield() -> None:
     policy, engine = Trained(), BatchEngine(YARD, 2, threads=1, **FAILURES)
     shown = engine.reset()
-    actions = fitted(Shielded(policy), engine).act(shown, deterministic=True)
+    actions = Shielded(policy).fit(engine).act_in(engine, shown)
     np.testing.assert_array_equal(actions, policy.act(policy.seen, deterministic=True))
     assert shown.shape[-1] - policy.seen.shape[-1] == 3, "without the flags of failures"
     with pytest.raises(ConfigError, match="robots: "):
-        fitted(Shielded(policy), BatchEngine(YARD, 1, threads=1, n_robots=2))
+        Shielded(policy).fit(BatchEngine(YARD, 1, threads=1, n_robots=2))
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal: Refusal) -> None:
     words = ["evaluate", "random", "--field", "field_03", "--episodes", "2", "--shield"]
     out = tmp_path / "out.json"
     assert main([*words, "--json", str(out)]) == 0
@@ -129,16 +125,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     found = json.loads(out.read_text())
     assert found["shield"] is True
     assert found["stochastic"]["collision_rate"] == 0.0
-    bare = evaluate(RandomPolicy(), "field_03", {}, episodes=2)
-    assert bare.collisions == [True, True]
-
-
-def test_where_there_is_no_shield_it_says_why(refusal: Refusal) -> None:
-    policy = Shielded(RandomPolicy())
-    with pytest.raises(ConfigError, match="engine: "):
-        policy.act(np.zeros((1, 3, 4)), deterministic=True)
+    assert evaluate(RandomPolicy(), "field_03", {}, episodes=2).collisions == [True, True]
     engine = BatchEngine("field_03", 1, threads=1, dynamics=("unicycle", "point_mass", "bicycle"))
     with pytest.raises(ConfigError, match="dynamics: 'bicycle', 'unicycle'"):
-        fitted(policy, engine)
-    words = ["random", "--field", "field_03", "--condition", "mixed", "--shield"]
-    assert "dynamics: " in refusal(["evaluate", *words])
+        Shielded(RandomPolicy()).fit(engine)
+    assert "dynamics: " in refusal([*words, "--condition", "mixed"])

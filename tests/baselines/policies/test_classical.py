@@ -9,32 +9,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.classical.controller import make_classical
 from baselines.cli import main
 from baselines.evaluation.evaluate import evaluate
+from baselines.policies.classical import make_classical
 from mbn_marl import BatchEngine
 from mbn_marl.config import Failures
 from mbn_marl.episode import check_episode, load_episode
-from mbn_marl.errors import MbnError
 from mbn_marl.field import load_field
 from mbn_marl.planning import plan
 
 pytestmark = pytest.mark.slow
+FIELD = load_field("field_03")
 
 
 @pytest.mark.parametrize(("name", "makespan"), [("greedy", 22), ("planner", 17), ("replan", 17)])
 def test_classical_policies(name: str, makespan: int) -> None:
-    field = load_field("field_03")
-    summary = evaluate(make_classical(name, field, {}), field, {}, episodes=3).summary()
-    assert summary["success_rate"] == 1.0
-    assert summary["wall_hits"] == 0.0
+    summary = evaluate(make_classical(name, FIELD, {}), FIELD, {}, episodes=3).summary()
+    assert (summary["success_rate"], summary["wall_hits"]) == (1.0, 0.0)
     assert 17.0 <= summary["makespan"] <= makespan + (name == "greedy")
 
 
 def test_the_planner_gets_there_in_wind_that_it_did_not_plan_for() -> None:
-    field, speed = load_field("field_01"), 0.3
+    field = load_field("field_01")
     policy = make_classical("planner", field, {})
-    summary = evaluate(policy, field, {"wind": (speed, 30.0)}, episodes=2).summary()
+    summary = evaluate(policy, field, {"wind": (0.3, 30.0)}, episodes=2).summary()
     assert summary["success_rate"] == 1.0
     assert summary["makespan"] < 70
 
@@ -42,7 +40,7 @@ def test_the_planner_gets_there_in_wind_that_it_did_not_plan_for() -> None:
 def test_one_policy_serves_many_worlds_and_episodes() -> None:
     engine = BatchEngine("field_03", 3, threads=1)
     engine.reset()
-    policy = make_classical("planner", load_field("field_03"), {})
+    policy = make_classical("planner", FIELD, {})
     ends = 0
     for _ in range(2 * 17):
         _, _, terminated, _ = engine.step(policy.act(engine.state(), deterministic=True))
@@ -59,9 +57,8 @@ FAULTS = tuple({"failures": Failures(at={i: t})} for i, t in ((0, 5), (1, 8), (2
 def test_a_policy_finds_out_what_each_of_its_worlds_is_like(
     name: str, most: int, worlds: tuple[dict[str, Any], ...]
 ) -> None:
-    field = load_field("field_03")
-    policy = make_classical(name, field, worlds[0])
-    engines = [BatchEngine(field, 1, autoreset="disabled", **world) for world in worlds]
+    policy = make_classical(name, FIELD, worlds[0])
+    engines = [BatchEngine(FIELD, 1, autoreset="disabled", **world) for world in worlds]
     for engine in engines:
         engine.reset()
     for _ in range(most):
@@ -77,12 +74,14 @@ def test_a_policy_finds_out_what_each_of_its_worlds_is_like(
 @pytest.mark.all
 @pytest.mark.parametrize(("name", "most"), [("greedy", 36), ("replan", 26)])
 def test_policies_hold_out_in_gusts_world_by_world(name: str, most: int) -> None:
-    field, gusty = load_field("field_03"), {"gust": 0.15}
-    both = evaluate(make_classical(name, field, gusty), field, gusty, episodes=4)
+    gusty = {"gust": 0.15}
+    both, first = (
+        evaluate(make_classical(name, FIELD, gusty), FIELD, gusty, episodes=count)
+        for count in (4, 1)
+    )
     assert both.successes == [True] * 4
     assert max(both.steps) <= most
     assert len(set(both.returns)) > 1
-    first = evaluate(make_classical(name, field, gusty), field, gusty, episodes=1)
     assert first.returns == both.returns[:1]
 
 
@@ -94,11 +93,6 @@ def test_replan_does_what_plan_does_while_nothing_disturbs_it() -> None:
         np.testing.assert_array_equal(policy.act(engine.state(), deterministic=True)[0], actions)
         engine.step(actions[None])
     assert engine.snapshot().success
-
-
-def test_unknown_classical_policy() -> None:
-    with pytest.raises(MbnError, match="magic"):
-        make_classical("magic", load_field("field_03"), {})
 
 
 def test_mbn_plan_prints_draws_and_saves(

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import copy
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.evaluation.policy import Policy
+from baselines.policies.policy import Policy
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.engine.mdp.disturbances import OF_ACTIONS, OF_SIGHT
-from mbn_marl.engine.snapshot import FloatArray
-from mbn_marl.errors import MbnError, unknown
+from mbn_marl.errors import MbnError
 from mbn_marl.field import Field
 
 if TYPE_CHECKING:  # the planner's packages are an extra
+    from mbn_marl.planning.greedy import Greedy
     from mbn_marl.planning.problem import Problem
+    from mbn_marl.planning.replanning import Replanner
+    from mbn_marl.planning.tracking import Tracker
 
-Flags = NDArray[np.bool_]
+    Controller = Greedy | Tracker | Replanner
 
 CLASSICAL = ("greedy", "planner", "replan")
 """The names of these policies."""
@@ -31,38 +33,21 @@ class NoPlanError(MbnError):
     """The planner found no plan in time."""
 
 
-class Controller(Protocol):
-    """Controls one team through one episode; a copy goes on from the same state."""
-
-    def act(
-        self, positions: FloatArray, velocities: FloatArray, visited: Flags, failed: Flags
-    ) -> NDArray[np.float32]:
-        """Actions (n, 2) in [-1, 1]; arguments as for :meth:`Greedy.act`."""
-        ...
-
-
-class ControllerPolicy:
+class ControllerPolicy(Policy):
     """A controller for each world; worlds share one as long as they have been the same.
 
-    It begins again in a world whose robots rest and have visited nothing.
-
-    Args:
-        problem: the instance.
-        begin: makes the controller of an episode.
+    ``begin`` makes the controller of an episode. Episodes begin where all robots rest and no ROI
+    is visited.
     """
 
-    observes: Literal["observations", "state"] = "state"
-    samples = False
+    observes = "state"
 
     def __init__(self, problem: Problem, begin: Callable[[], Controller]) -> None:
         self.problem, self.begin = problem, begin
         self._of_world: list[Controller | None] = []
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """Return actions (worlds, n, 2) for states (worlds, 4n+1); nothing is sampled.
-
-        Where robots may fail, states have n flags more, (worlds, 5n+1).
-        """
+        """Return actions (worlds, n, 2) for states (worlds, 4n+1), or (worlds, 5n+1) with flags."""
         n, m = self.problem.n, self.problem.m
         positions = seen[:, : 2 * n].reshape(-1, n, 2)
         velocities = seen[:, 2 * n : 4 * n].reshape(-1, n, 2)
@@ -86,12 +71,15 @@ class ControllerPolicy:
         self._of_world = before
         return actions
 
+    def draws(self, *, deterministic: bool) -> bool:
+        return False
+
 
 def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Policy:
     """Return one of :data:`CLASSICAL` for a field.
 
     Raises:
-        MbnError: there is no such policy, or (:class:`NoPlanError`) the planner found no plan.
+        NoPlanError: the planner found no plan.
     """
     from mbn_marl.planning import plan
     from mbn_marl.planning.greedy import Greedy
@@ -99,8 +87,6 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
     from mbn_marl.planning.replanning import Replanner
     from mbn_marl.planning.tracking import Tracker
 
-    if name not in CLASSICAL:
-        raise MbnError(f"{name}: {unknown('policy', name, CLASSICAL)}")
     problem = make_problem(field, make_config(settings), closed_loop=name != "planner")
     if name == "greedy":
         return ControllerPolicy(problem, lambda: Greedy(problem))

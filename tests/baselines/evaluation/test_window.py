@@ -10,20 +10,19 @@ import numpy as np
 import pytest
 
 from baselines.cli import main
-from baselines.demo.interactive import Show, play, push, watch
-from baselines.demo.resolve import Actor, find_actor, zoo_policy
-from baselines.evaluation.policy import RandomPolicy
-from mbn_marl import Field, load_field
+from baselines.evaluation.window import push, watch
+from baselines.policies.load import find_policy, of_zoo
+from baselines.policies.loaded import LoadedPolicy
+from baselines.policies.policy import RandomPolicy
+from mbn_marl import load_field
 from mbn_marl.episode import load_episode
-from mbn_marl.errors import ConfigError
-from mbn_marl.field import save_field
 from mbn_marl.render import Viewer
 from tests.baselines.conftest import Refusal
 
 pytestmark = [pytest.mark.slow, pytest.mark.all]
 pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
 
-FAST = Show(speed=5000.0, episodes=1, rest=0.0)
+FAST: dict[str, Any] = {"speed": 5000.0, "episodes": 1, "rest": 0.0}
 
 
 @pytest.fixture(autouse=True)
@@ -48,18 +47,18 @@ def at_frames(monkeypatch: pytest.MonkeyPatch, events: dict[int, tuple[int, int]
     monkeypatch.setattr(Viewer, "draw", drawing)
 
 
-def still(max_steps: int = 6) -> Actor:
+def still(max_steps: int = 6) -> LoadedPolicy:
     """Robots that a policy does not move."""
 
     class Still(RandomPolicy):
         def act(self, seen: Any, *, deterministic: bool) -> Any:
             return np.zeros((*seen.shape[:2], 2), np.float32)
 
-    return Actor(Still(), load_field("field_03"), {"max_steps": max_steps}, "still")
+    return LoadedPolicy("still", Still(), {"max_steps": max_steps}, load_field("field_03"))
 
 
 def test_watching_shows_whole_episodes() -> None:
-    (episode,) = watch(find_actor("zoo:field_03"), FAST)
+    (episode,) = watch(find_policy("zoo:field_03"), **FAST)
     assert (episode.outcome, episode.steps) == ("success", 17)
     assert not pygame.display.get_init(), "the window is closed"
 
@@ -75,7 +74,7 @@ def test_a_person_drives_one_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     """Right is held from the second frame to the fourth: the steps after those frames."""
     right = pygame.K_RIGHT
     at_frames(monkeypatch, {1: (pygame.KEYDOWN, right), 3: (pygame.KEYUP, right)})
-    (episode,) = play(still(), FAST, robot=1)
+    (episode,) = watch(still(), **FAST, driven=1)
     assert episode.actions[:, 1, 0].tolist() == [0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
     assert not episode.actions[:, [0, 2]].any() and not episode.actions[:, 1, 1].any()
     assert episode.source == "a person as robot 1, with still"
@@ -85,7 +84,7 @@ def test_space_pauses_r_begins_anew_and_escape_leaves(monkeypatch: pytest.Monkey
     down = pygame.KEYDOWN
     keys = {2: pygame.K_SPACE, 8: pygame.K_SPACE, 10: pygame.K_r, 14: pygame.K_ESCAPE}
     at_frames(monkeypatch, {frame: (down, key) for frame, key in keys.items()})
-    first, second = watch(still(100), Show(speed=5000.0, rest=0.0))
+    first, second = watch(still(100), speed=5000.0, rest=0.0)
     assert first.steps == 4, "two before the pause and two after it"
     assert second.steps == 3 and second.outcome == "unfinished"
 
@@ -101,7 +100,7 @@ def test_the_commands_save_what_was_shown(
     assert episode.source == "zoo:field_03 in field_03" and episode.config.wind == (0.1, 30.0)
     assert main(["play", "field_03", "--robot", "2", *quick, "-o", str(out)]) == 2
     assert "watched.json" in capsys.readouterr().err
-    assert zoo_policy("nowhere") == "random"
+    assert of_zoo("nowhere") == "random"
 
 
 def test_a_show_that_cannot_be_is_refused(
@@ -118,11 +117,6 @@ def test_a_show_that_cannot_be_is_refused(
         ("watch field_03 -o a.txt", ".json"),
     ):
         assert place in refusal(words.split()), words
-    small = Field([(0, 0), (50, 0), (0, 50)], rois=[(9, 9)], starts=[(20, 20)], name="small")
-    path = tmp_path / "small.yaml"
-    save_field(small, path)
-    with pytest.raises(ConfigError, match=r"robots: .*\n.*ROIs: "):
-        find_actor("zoo:field_03", str(path))
     for name in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     assert "display" in refusal(["watch", "field_03"])

@@ -5,21 +5,19 @@ from __future__ import annotations
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, get_args
 
 import numpy as np
 
-from baselines.evaluation.policy import restart
+from baselines.policies.policy import Observes, Policy
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import Field
 
 FORM = "module:callable"
-OBSERVES = ("observations", "state")
 
 
 def is_own(source: str) -> bool:
@@ -27,48 +25,41 @@ def is_own(source: str) -> bool:
     return re.fullmatch(r"\w+(\.\w+)*:\w+(\.\w+)*", source) is not None
 
 
-class OwnPolicy:
-    """The policy that a user's callable returned; its actions are checked.
-
-    Args:
-        source: ``module:callable``.
-        made: an object with ``act``, or a function of the observations.
+class OwnPolicy(Policy):
+    """The policy that a user's callable made for a field; its actions are checked.
 
     Raises:
         ConfigError: listing all that is wrong with it.
     """
 
-    def __init__(self, source: str, made: Any) -> None:
-        act = getattr(made, "act", None)
-        observes: Any = getattr(made, "observes", OBSERVES[0])
-        self.observes: Literal["observations", "state"] = observes
+    def __init__(self, source: str, make: Callable[[Field | None], Any], field: Field | None):
+        if not _takes(make, field):
+            problem = f"callable: {source.partition(':')[2]}{inspect.signature(make)}"
+            raise ConfigError(source, [f"{problem}; needed: one argument, the field"])
+        self._source, self._made = source, make(field)
+        made, act = self._made, getattr(self._made, "act", None)
+        self.observes = getattr(made, "observes", "observations")
         self.settings: Mapping[str, Any] = getattr(made, "settings", {})
-        self._source, self._made = source, made
         self._act = act or (lambda seen, deterministic: made(seen))
+        asked, needed = (act, "(observations, deterministic)") if act else (made, "(observations)")
         problems: list[str] = []
-        if not callable(act or made):
+        if not callable(asked):
             what = "an object with act(observations, deterministic=True), or a function"
             problems.append(f"returned {type(made).__name__}; allowed: {what}")
-        elif act is not None and not _takes(act, np.zeros(0), deterministic=True):
-            problems.append(f"act{inspect.signature(act)}; needed: (observations, deterministic)")
-        elif act is None and not _takes(made, np.zeros(0)):
-            problems.append(
-                f"returned a function {inspect.signature(made)}; needed: (observations)"
-            )
-        if self.observes not in OBSERVES:
-            allowed = " or ".join(map(repr, OBSERVES))
+        elif not _takes(asked, np.zeros(0), **({"deterministic": True} if act else {})):
+            problems.append(f"{'act' if act else ''}{inspect.signature(asked)}; needed: {needed}")
+        if self.observes not in get_args(Observes):
+            allowed = " or ".join(map(repr, get_args(Observes)))
             problems.append(f"observes: {self.observes!r}; allowed: {allowed}")
         if isinstance(self.settings, Mapping):
             with collecting(problems):
                 make_config(self.settings)
         else:
-            kind = type(self.settings).__name__
-            problems.append(f"settings: {kind}; allowed: a dictionary of settings")
+            problems.append(f"settings: {type(self.settings).__name__}; allowed: a dictionary")
         if problems:
             raise ConfigError(source, problems)
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """See :class:`~baselines.evaluation.policy.Policy`; a ConfigError says what it is not."""
         try:
             actions = np.asarray(self._act(seen, deterministic=deterministic), np.float32)
         except (TypeError, ValueError, RuntimeError) as error:
@@ -82,22 +73,22 @@ class OwnPolicy:
         return actions
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
-        """See :func:`~baselines.evaluation.policy.restart`."""
-        restart(self._made, worlds)
+        reset = getattr(self._made, "reset", None)
+        if reset is not None:
+            reset(worlds)
 
 
-def load_own(source: str, field: Field | None) -> OwnPolicy:
-    """Load a policy of a user: import the module, call the callable with the field.
-
-    The module may lie in the working directory.
+def import_own(source: str) -> Callable[[Field | None], Any]:
+    """Return a user's callable; its module may lie in the working directory.
 
     Raises:
-        ConfigError: there is no such module or callable, or it returns no policy.
+        ConfigError: there is no such module or callable.
     """
     module, _, name = source.partition(":")
+    path = [*sys.path]
+    sys.path.append(str(Path.cwd()))
     try:
-        with _working_directory_last():
-            make: Any = import_module(module)
+        make: Any = import_module(module)
         for part in name.split("."):
             make = getattr(make, part)
     except ModuleNotFoundError as error:
@@ -108,27 +99,13 @@ def load_own(source: str, field: Field | None) -> OwnPolicy:
         if error.name not in name.split("."):
             raise
         raise ConfigError(source, [f"callable: {error}"]) from None
+    finally:
+        sys.path[:] = path
     if not callable(make):
         problem = f"callable: {name} is {type(make).__name__}; allowed: a function or a class"
         raise ConfigError(source, [problem])
-    if not _takes(make, field):
-        problem = f"callable: {name}{inspect.signature(make)}; needed: one argument, the field"
-        raise ConfigError(source, [problem])
-    return OwnPolicy(source, make(field))
-
-
-@contextmanager
-def _working_directory_last() -> Iterator[None]:
-    """Look for modules in the working directory too."""
-    here = str(Path.cwd())
-    if here in sys.path:
-        yield
-        return
-    sys.path.append(here)
-    try:
-        yield
-    finally:
-        sys.path.remove(here)
+    found: Callable[[Field | None], Any] = make
+    return found
 
 
 def _takes(function: Callable[..., Any], *arguments: Any, **named: Any) -> bool:

@@ -13,19 +13,18 @@ import numpy as np
 import pytest
 
 from baselines import load_policy
-from baselines.classical.controller import make_classical
 from baselines.evaluation.evaluate import evaluate
-from baselines.evaluation.policy import Policy, load_trained
 from baselines.evaluation.rollout import record_episode
+from baselines.policies.classical import make_classical
+from baselines.policies.load import ENTRIES, load_trained, open_run
+from baselines.policies.policy import Policy
 from baselines.runs.files import RunError
-from baselines.zoo.entries import FOLDER, open_run
 from mbn_marl import BatchEngine, Field, load_field, parallel_env
 from mbn_marl.errors import ConfigError, MbnError
 
 LIDAR = {"observation": "lidar"}
 Write = Callable[[str], str]
 pytestmark = pytest.mark.slow
-
 
 WITHOUT = """
 import sys
@@ -39,41 +38,39 @@ sys.meta_path.insert(0, Absent())
 from baselines.cli.main import main
 sys.exit(main(%r))
 """
-PLANNER, PICTURES = ("scipy", "highspy", "clarabel"), ("matplotlib", "pygame", "PIL")
 LEARNERS = ("torch", "filelock", "pandas", "safetensors", "optuna", "supersuit")
+PLANNER = (*LEARNERS, "scipy", "highspy", "clarabel")
+PICTURES = (*PLANNER, "matplotlib", "pygame", "PIL")
 
 
 @pytest.mark.parametrize(
-    "command, absent",
+    ("command", "absent", "missing"),
     [
-        ("zoo", (*PLANNER, *PICTURES)),
-        ("fields", (*PLANNER, *PICTURES)),
-        ("evaluate random --field field_03 --episodes 2", (*PLANNER, *PICTURES)),
-        ("plan field_03 --out plan", ("pygame",)),
-        ("render field_03 -o actions.gif", PLANNER),
-        ("watch nobody", PLANNER),
+        ("zoo", PICTURES, ""),
+        ("fields", PICTURES, ""),
+        ("evaluate random --field field_03 --episodes 2", PICTURES, ""),
+        ("plan field_03 --out plan", (*LEARNERS, "pygame"), ""),
+        ("render field_03 -o actions.gif", PLANNER, ""),
+        ("watch nobody", PLANNER, "nobody: "),
+        ("evaluate zoo:field_03", ("torch",), "'torch'"),
     ],
 )
 def test_commands_need_no_other_extras(
-    command: str, absent: tuple[str, ...], tmp_path: Path
+    command: str, absent: tuple[str, ...], missing: str, tmp_path: Path
 ) -> None:
-    program = WITHOUT % ((*absent, *LEARNERS), command.split())
-    run = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True)
-    assert run.returncode == (2 if "nobody" in command else 0), run.stderr
-    assert b"No module" not in run.stderr
-
-
-def test_a_missing_extra_is_named() -> None:
-    program = WITHOUT % (("torch",), ["evaluate", "zoo:field_03"])
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert run.returncode == 2 and "'torch'" in run.stderr and ".[baselines]" in run.stderr
+    program = WITHOUT % (absent, command.split())
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert run.returncode == (2 if missing else 0), run.stderr
+    assert missing in run.stderr
+    assert ("No module" in run.stderr) == (".[baselines]" in run.stderr) == (absent == ("torch",))
 
 
 def test_a_policy_of_the_zoo_acts_as_in_an_evaluation() -> None:
-    name = "field_07"
-    run = open_run(f"zoo:{name}")
+    run = open_run("zoo:field_07")
     evaluated = record_episode(load_trained(run), run.field, run.config["environment"])
-    policy = load_policy("zoo", name)
+    policy = load_policy("zoo", "field_07")
     assert policy.observes == "observations" and policy.field == run.field
     env = parallel_env(policy.field, **policy.settings)
     seen, _ = env.reset(seed=0)
@@ -93,7 +90,7 @@ def test_a_policy_of_the_zoo_acts_as_in_an_evaluation() -> None:
 
 
 def test_a_run_is_loaded_from_its_folder(tmp_path: Path) -> None:
-    shutil.copytree(FOLDER / "field_07", tmp_path / "run")
+    shutil.copytree(ENTRIES / "field_07", tmp_path / "run")
     seen = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, 55))
     actions = load_policy("zoo:field_07").act(seen)
     for source in (tmp_path / "run", str(tmp_path / "run")):
@@ -108,17 +105,18 @@ def test_policies_on_the_state_take_it_and_begin_again(name: str) -> None:
     assert policy.observes == "state"
     env = parallel_env(field, **policy.settings)
     for limit in (5, None):  # a first episode is left in the middle
-        env.reset()
+        seen, _ = env.reset()
         for expected in evaluated.actions[:limit]:
-            actions = policy.act(env.state())
-            np.testing.assert_array_equal(actions, expected)
-            env.step(dict(zip(env.agents, actions, strict=True)))
+            np.testing.assert_array_equal(policy.act(env.state()), expected)
+            actions = policy.act_in(env, seen)
+            np.testing.assert_array_equal(list(actions.values()), expected)
+            seen, *_ = env.step(actions)
     assert not env.agents
 
 
 def test_settings_replace_those_of_the_policy_which_sees_what_it_was_trained_with() -> None:
     policy = load_policy("zoo:field_03", condition="failing", max_steps=7)
-    engine = BatchEngine(policy.field or "", 2, **policy.settings)
+    engine = BatchEngine(policy.place, 2, **policy.settings)
     assert engine.config.failures is not None and engine.config.max_steps == 7
     seen = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, engine.obs_size))
     known = [entry.offset for entry in engine.observation_table if "failed" not in entry.name]
@@ -158,7 +156,7 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
 
     def write(text: str) -> str:
         name = f"own_{abs(hash((tmp_path, text)))}"
-        (tmp_path / f"{name}.py").write_text(f"import numpy as np\n{text}", encoding="utf-8")
+        (tmp_path / f"{name}.py").write_text(f"import math\n{text}", encoding="utf-8")
         return name
 
     return write
@@ -187,9 +185,8 @@ def test_a_policy_of_ones_own(write: Write) -> None:
     np.testing.assert_array_equal(policy.act(seen), seen[..., :2])
     np.testing.assert_array_equal(policy.act(seen, deterministic=False), seen[..., :2] / 2)
     half: Policy = load_policy(f"{module}:function")  # of any field
-    np.testing.assert_array_equal(
-        half.act(seen[:, :2, :9], deterministic=True), seen[:, :2, :2] / 2
-    )
+    actions = half.act(seen[:, :2, :9], deterministic=True)
+    np.testing.assert_array_equal(actions, seen[:, :2, :2] / 2)
     summary = evaluate(policy, "field_03", policy.settings, episodes=2, deterministic=True)
     assert summary.steps == [3, 3]
     own: Any = policy.policy
@@ -197,13 +194,8 @@ def test_a_policy_of_ones_own(write: Write) -> None:
 
 
 BAD = """
-import math
-
 class Bad:
-    settings = {"obsevation": "lidar", "max_steps": 0}
-    observes = "everything"
-    act = None
-
+    settings, observes, act = {"obsevation": "lidar", "max_steps": 0}, "everything", None
     def __init__(self, field): pass
 
 class Deaf(Bad):
