@@ -17,8 +17,7 @@ Setting = Literal["A", "B", "C", "N", "J", "G"]
 
 @dataclass(frozen=True)
 class Protocol:
-    """A setting in a few words, and the seed and the budget in env-steps of its runs."""
-
+    # A setting in a few words, and the seed and the budget in env-steps of its runs.
     summary: str
     seed: int = 0
     steps: int = 655_360
@@ -42,18 +41,12 @@ ONE_BY_ONE = ("crossq", "tqc", "ars")
 
 @dataclass(frozen=True)
 class Algorithm:
-    """One algorithm.
-
-    Attributes:
-        name: as on the command line.
-        form: ``"centralized"``, the single MDP, or ``"decentralized"``, each robot acts on its own
-            observation.
-        package: the package of ``baselines`` that trains it: ``sb3`` or ``torchrl``.
-        settings: those it can be trained under.
-    """
+    """An algorithm, by its name on the command line."""
 
     name: str
+    # "centralized": the single MDP. "decentralized": each robot acts on its own observation.
     form: Form
+    # The package of baselines that trains it: sb3 or torchrl.
     package: str
     settings: tuple[Setting, ...] = ("N",)
 
@@ -66,23 +59,15 @@ class Algorithm:
         return import_module(f"baselines.{self.package}.{name}")
 
     def resolve(
-        self,
-        overrides: Mapping[str, Any],
-        *,
-        setting: Setting = "N",
-        num_envs: int | None = None,
-        file: Path | None = None,
+        self, overrides: Mapping[str, Any], *, setting: Setting = "N", **options: Any
     ) -> Any:
-        """Return the hyperparameters of a setting: the recorded ones with ``overrides``.
-
-        ``num_envs`` replaces the number of worlds side by side, and the block of the setting in the
-        YAML ``file`` the recorded block. A ConfigError names every wrong hyperparameter.
-        """
-        load = self._module("config").load
-        return load(self.name, setting, overrides, num_envs=num_envs, file=file)
+        """Return the recorded hyperparameters with ``overrides``; a ConfigError names all wrong."""
+        # Of the options ``num_envs`` replaces the number of worlds side by side, and the block of
+        # the setting in the YAML ``file`` the recorded block.
+        return self._module("config").load(self.name, setting, overrides, **options)
 
     def check(self, task: Any, hyperparameters: Any) -> None:
-        """Check that a learner can be made with the hyperparameters; a ConfigError says why not."""
+        """Raise a ConfigError if no learner can be made with the hyperparameters."""
         self._module("trainer").check(task, hyperparameters)
 
     def budget(self, task: Any, hyperparameters: Any) -> Any:
@@ -90,11 +75,9 @@ class Algorithm:
         return self._module("trainer").budget(task, hyperparameters)
 
     def train(self, task: Any, hyperparameters: Any, recorder: Any) -> None:
-        """Train to the end of the budget, and evaluate the result."""
         self._module("trainer").train(task, hyperparameters, recorder)
 
     def load_policy(self, folder: Path) -> Any:
-        """Load the policy in a run's folder ``policy``."""
         return self._module("policy").load_policy(folder)
 
 

@@ -40,7 +40,6 @@ class Conditions(Benchmark):
     """Of the episodes; by default that of all evaluations."""
 
     def measure(self) -> Findings:
-        """Evaluate every policy on every field under every condition."""
         problems: list[str] = []
         for policy in (name for name in self.policies if name not in POLICIES):
             with collecting(problems):

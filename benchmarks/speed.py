@@ -48,8 +48,6 @@ env.step(dict.fromkeys(env.agents, (0.0, 0.0)))
 
 @dataclass(frozen=True)
 class Budget:
-    """How much is measured."""
-
     rounds: int = 15  # turns of every case
     seconds: float = 0.06  # of a turn, about; at least one call
     warm_up: int = 1000  # steps before; as many as an episode has at most: episodes of all ages
@@ -66,7 +64,6 @@ class Speed(Benchmark):
     budget: ClassVar[Budget] = Budget()
 
     def measure(self) -> Findings:
-        """Measure the engine, its adapters, and the start of a process."""
         torch.set_num_threads(1)  # an engine with several threads would undo it
         startup = measure_startup() if self.budget.startup else []
         parts = (measure_engine, measure_pettingzoo, measure_torchrl)
@@ -296,7 +293,6 @@ def vmas_cases(scenario: str) -> list[Case]:
 
 
 def mpe2_cases() -> list[Case]:
-    """Return one world of MPE2 ``simple_spread``, in seconds per env-step."""
     if not find_spec("mpe2"):
         return []
     from mpe2 import simple_spread_v3

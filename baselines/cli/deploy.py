@@ -51,11 +51,8 @@ class Deploy(InWeather):
     --wind-speeds, else with --compare a panel for each field."""
     json: Path | None = None
     """Write all numbers to this file."""
-    force: bool = False
-    """If an output exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Deploy, print the table, and write what is asked for."""
         from baselines.demo.deploy3d import find_pilots, strongest_wind, summarise, sweep_wind
         from baselines.runs.files import write_json
         from mbn_marl.files import claim_file

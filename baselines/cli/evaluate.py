@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import OptionalOutput, Output, Subject, check_options
+from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check_options
 from mbn_marl.optimum import optimality_gap
 
 ONE_EPISODE = "deterministic:\none episode"
@@ -38,11 +38,8 @@ class Evaluate(Subject):
     """The direction of that wind, degrees from +x."""
     figure: Path | None = None
     """With --wind-speeds: the picture of an episode at each, by default RUN/wind.png."""
-    force: bool = False
-    """If an output exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Evaluate, print the summaries, and write the files that are asked for."""
         in_wind = self.wind_speeds is not None
         homeless = self.field is not None or not Path(self.source).is_dir()
         needed = "needed with --wind-speeds, unless POLICY is a run's folder in its field"
@@ -167,7 +164,6 @@ def print_evaluations(
 
 
 def print_winds(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print what ``evaluate_in_wind`` returns as a table, one entry a row."""
     from baselines.compare.text_table import TextTable, shown
 
     def with_interval(row: Mapping[str, Any], name: str, mean: str, form: str) -> str:
@@ -202,7 +198,6 @@ class Zoo:
     if it was trained on random fields."""
 
     def run(self, command_line: str) -> None:
-        """Print the cards, after adding one if a run is named."""
         from baselines.runs.folder import RunFolder
         from baselines.zoo.entries import FOLDER, entry_names, read_card
         from baselines.zoo.make import make_entry
@@ -219,7 +214,6 @@ class Zoo:
 
 
 def print_cards(cards: Iterable[Mapping[str, Any]]) -> None:
-    """Print cards as a table, one a row: returns with sampled and with mean actions."""
     from baselines.compare.text_table import TextTable, shown
 
     headings = ("policy", "algorithm", "env-steps", "sampled\nactions", "success", "mean\nactions")
@@ -239,7 +233,7 @@ def print_cards(cards: Iterable[Mapping[str, Any]]) -> None:
 
 
 @dataclass(frozen=True)
-class Export:
+class Export(Writes):
     """Write the mean actions of a trained policy as ONNX, torch.export or plain NumPy arrays."""
 
     policy: Positional[Annotated[str, arg(metavar="POLICY")]]
@@ -248,11 +242,8 @@ class Export:
     """The file to write: .onnx, .pt2 or .npz."""
     field: str | None = None
     """A name of `mbn fields`, or a field file; by default that of the run or of zoo:NAME."""
-    force: bool = False
-    """If the file exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Load the policy, write and check the file, and say what it needs."""
         from baselines import load_policy
         from baselines.evaluation.export import ALLOWED, export_policy, writer_of
         from baselines.zoo.sources import check_known, is_trained, needs_field

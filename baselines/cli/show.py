@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import OptionalOutput, Output, Subject, check_options
+from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check_options
 
 if TYPE_CHECKING:
     from mbn_marl.episode import Episode
@@ -29,11 +29,8 @@ class Render(Subject):
     """Of the world and of the sampled actions."""
     steps: int | None = None
     """Stop after so many steps; by default at the end of the episode."""
-    force: bool = False
-    """If the file exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Run the episode and write it."""
         from baselines.evaluation.rollout import check_ending, write_episode
         from mbn_marl.files import check_free, claim_file
 
@@ -83,7 +80,7 @@ def result(episode: Episode) -> str:
 
 
 @dataclass(frozen=True)
-class Replay:
+class Replay(Writes):
     """Write a self-contained HTML page that plays episodes side by side, without a server."""
 
     episodes: Positional[Annotated[tuple[Path, ...], arg(metavar="EPISODE ...")]]
@@ -92,11 +89,8 @@ class Replay:
     """The .html file to write."""
     title: str | None = None
     """Of the page; by default the fields' names."""
-    force: bool = False
-    """If the file exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Check every episode in the engine, and write the page."""
         from mbn_marl.episode import check_episode, load_episode
         from mbn_marl.errors import MbnError
         from mbn_marl.files import check_free, claim_file, replacing
@@ -135,11 +129,8 @@ class _Window(Subject):
     """Close the window after so many."""
     out: OptionalOutput = None
     """Write the last episode to this .json file (see `mbn replay`)."""
-    force: bool = False
-    """If that file exists, move it aside."""
 
     def run(self, command_line: str) -> None:
-        """Show episodes until the window is closed, and keep the last one if asked to."""
         from baselines.demo.interactive import Show, play, watch
         from baselines.demo.resolve import find_actor, zoo_policy
         from mbn_marl.episode import save_episode

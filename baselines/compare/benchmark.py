@@ -30,7 +30,6 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, load_episode, save_episode
 from mbn_marl.errors import (
     ConfigError,
-    DamageError,
     EpisodeError,
     FieldError,
     ProblemsError,
@@ -74,37 +73,20 @@ CAPTION = (
 
 
 class EpisodeCounts(Checked):
-    """How many episodes an instance has.
-
-    Attributes:
-        mean: with mean actions, where they are all the same.
-        mean_if_random: with mean actions, where they are not.
-        sampled: with sampled actions.
-    """
-
-    mean: int
-    mean_if_random: int
+    mean: int  # with mean actions, where they are all the same
+    mean_if_random: int  # with mean actions, where they are not
     sampled: int
 
 
 class Protocol(Checked):
-    """The rules that all policies are measured by.
+    """The rules that all policies are measured by."""
 
-    Attributes:
-        version: of the rules; results of different versions are not to be compared.
-        splits: the version of the frozen fields.
-        tiers: what a whole benchmark has.
-        episodes: how many an instance has.
-        seed: the seed of an instance is this, 1000 for each tier before its own, and its number.
-        settings: those that a policy may choose; all others are the paper's, or the condition's.
-    """
-
-    version: int
-    splits: int
-    tiers: tuple[str, ...]
-    episodes: EpisodeCounts
-    seed: int
-    settings: tuple[str, ...]
+    version: int  # results of different versions are not to be compared
+    splits: int  # the version of the frozen fields
+    tiers: tuple[str, ...]  # what a whole benchmark has
+    episodes: EpisodeCounts  # how many an instance has
+    seed: int  # of an instance: this, 1000 for each tier before its own, and its number
+    settings: tuple[str, ...]  # those that a policy may choose
 
 
 class SettingsError(ConfigError):
@@ -167,22 +149,14 @@ def run_benchmark(
 ) -> dict[str, Any]:
     """Measure a policy on all instances; write the result after each tier.
 
-    Args:
-        source: of the policy, as for :func:`baselines.load_policy`.
-        split: the name of the split.
-        tiers: the instances of each tier.
-        out: the folder to write.
-        command: what was typed.
-        shield: whether the policy acts behind the shield (:class:`Shielded`).
-        resume: keep the tiers that are in ``out``.
-        advance: called with the number of instances that are newly done.
+    The ``source`` is that of :func:`baselines.load_policy`. With ``resume`` the tiers that are in
+    ``out`` are kept; ``advance`` receives the number of instances that are newly done.
 
     Returns:
         The content of ``result.json``, as JSON values.
 
     Raises:
-        SettingsError: the policy's settings change the task.
-        ConfigError: the policy fits no tier.
+        ConfigError: the policy fits no tier, or its settings change the task (SettingsError).
         RunError: there is no such policy, or it failed; or what is in ``out`` is damaged, or of
             another command or version.
     """
@@ -254,7 +228,7 @@ def _run_tier(
     for k, one in enumerate(instances):
         try:
             row, episode = _run_instance(source, shield, one, seed + k, protocol)
-        except (SettingsError, RunError, DamageError, ImportError):
+        except (SettingsError, RunError, ImportError):
             raise
         except MISFITS as error:
             why = "; ".join(error.problems) if isinstance(error, ProblemsError) else str(error)
@@ -263,17 +237,14 @@ def _run_tier(
         except Exception as error:
             what = "".join(traceback.format_exception_only(error)).strip()
             last = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{tier}, {one.field.name}: {what} ({last.filename}, line {last.lineno})"
             kept = "--resume keeps the tiers that are done"
-            raise RunError(
-                f"{source} failed in {tier}, {one.field.name}: {what} "
-                f"({last.filename}, line {last.lineno}); {kept}"
-            ) from error
+            raise RunError(f"{source} failed in {place}; {kept}") from error
         rows.append(row)
         episodes.append(episode)
         advance(1)
     costs = [
-        row["mean"]["makespan_with_failures"] / (one.makespan_lower_bound or 1)
-        for row, one in zip(rows, instances, strict=True)
+        row["mean"]["makespan_with_failures"] / (row["makespan_lower_bound"] or 1) for row in rows
     ]
     order = np.argsort(costs, kind="stable")
     chosen = dict(zip(CHOSEN, (int(order[len(order) // 2]), int(order[-1])), strict=True))
@@ -288,7 +259,6 @@ def _run_tier(
 def _run_instance(
     source: str, shield: bool, one: Instance, seed: int, protocol: Protocol
 ) -> tuple[dict[str, Any], Episode]:
-    """Return the numbers of an instance, and its first episode with mean actions."""
     began = time.process_time()
     loaded = find_policy(source, one.field, seed=seed, condition=one.condition)
     begin = time.process_time() - began
@@ -332,8 +302,6 @@ def check_settings(settings: Mapping[str, Any], condition: Condition, protocol: 
 
 
 def numbers(found: Evaluation, one: Instance) -> dict[str, float | None]:
-    """Return the :data:`METRICS` of the episodes of an instance."""
-
     def gap(steps: float | None, least: int | None) -> float | None:
         return None if steps is None or least is None else steps / least - 1.0
 
@@ -356,7 +324,6 @@ def numbers(found: Evaluation, one: Instance) -> dict[str, float | None]:
 
 
 def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the statistics of each metric over instances, for both ways of acting."""
     found: dict[str, Any] = {}
     for way, names in ((WAYS[0], METRICS), (WAYS[1], METRICS), ("times", TIMES)):
         known = [row[way] for row in rows if row[way] is not None]
@@ -438,10 +405,6 @@ def cells(
     return tuple(map(cell, columns))
 
 
-def headings(columns: Iterable[str] = COLUMNS) -> tuple[str, ...]:
-    return tuple(COLUMNS[name][0] for name in columns)
-
-
 def result_tables(record: Mapping[str, Any], statistic: str = "mean") -> dict[str, TextTable]:
     """Return the tables of a result, one of :data:`STATISTICS`, by the way of acting in words."""
     misfits = {tier: one["misfit"] for tier, one in record["tiers"].items() if one["misfit"]}
@@ -457,14 +420,13 @@ def result_tables(record: Mapping[str, Any], statistic: str = "mean") -> dict[st
         lines += [(tier, "-", {}) for tier in misfits]
         tables[f"{way} actions, {STATISTICS[statistic]}"] = TextTable(
             "\n".join([CAPTION, *reasons]),
-            ("tier", "fields", *headings()),
+            ("tier", "fields", *(heading for heading, _ in COLUMNS.values())),
             [(tier, count, *cells(one, way, statistic)) for tier, count, one in lines],
         )
     return tables
 
 
 def result_page(record: Mapping[str, Any], out: Path) -> str:
-    """Return the HTML page of a result whose episodes are in the folder ``out``."""
     found = [result_tables(record, statistic).items() for statistic in STATISTICS]
     sections = [Section("All tiers", tables=dict(itertools.chain(*found)))]
     sections += [_section(tier, one, out) for tier, one in record["tiers"].items()]
@@ -478,7 +440,6 @@ def result_page(record: Mapping[str, Any], out: Path) -> str:
 
 
 def _section(tier: str, found: Mapping[str, Any], out: Path) -> Section:
-    """Return the paths and replays of the median and the worst instance of a tier."""
     if found["misfit"]:
         return Section(tier, texts={"Does not fit": found["misfit"]})
     try:

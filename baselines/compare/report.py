@@ -19,9 +19,8 @@ from baselines.compare.tables import field_tables, gaps, overall_tables
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.policy import load_trained
 from baselines.evaluation.rollout import record_episode, write_animation, write_trajectories
-from baselines.runs.files import write_json, write_text
+from baselines.runs.files import Place, write_json, write_text
 from baselines.runs.provenance import write_provenance
-from baselines.runs.report_path import Place
 from mbn_marl.episode import Episode
 from mbn_marl.files import claim_file, replacing
 from mbn_marl.render.figures import save, svg, trajectory_panels
@@ -33,17 +32,13 @@ PAGE = "comparison.md"
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a HTML page.
-
-    It has tables and figures by title, episodes to play side by side, and long texts by title,
-    folded away.
-    """
+    """A part of a HTML page; tables, figures and texts are by title."""
 
     title: str
     tables: Mapping[str, TextTable] = dataclasses.field(default_factory=dict)
     figures: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
-    episodes: Sequence[Episode] = ()
-    texts: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    episodes: Sequence[Episode] = ()  # to play side by side
+    texts: Mapping[str, str] = dataclasses.field(default_factory=dict)  # folded away
 
 
 def report_comparison(
@@ -81,7 +76,6 @@ def report_comparison(
 
 
 def is_page(out: Path) -> bool:
-    """Return whether a comparison at ``out`` is one self-contained page."""
     return out.suffix.lower() == ".html"
 
 
@@ -124,7 +118,6 @@ def ranked(records: Iterable[RunRecord]) -> list[RunRecord]:
 
 
 def comparison_page(results: Results, comparison: Comparison, command: str) -> str:
-    """Return the HTML page, which needs no other file and records the exact command."""
     runs = [record for cell in results.cells.values() for record in cell]
     made = "\n".join(record.run.command for record in runs)
     tables = overall_tables(comparison) | {"Optimality gap per field": gaps(comparison)}
@@ -159,10 +152,7 @@ def _field_section(results: Results, comparison: Comparison, field: str) -> Sect
 
 
 def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
-    """Return a self-contained HTML page of ``sections``, with links to each and to its player.
-
-    The ``summary`` is a sentence below the title.
-    """
+    """Return a self-contained HTML page, with links to each section and to its player."""
     links = []
     for number, section in enumerate(sections):
         replay = f' (<a href="#replay-{number}">replay</a>)' if section.episodes else ""

@@ -94,6 +94,11 @@ def _shares(shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
     return np.stack([(drawn == seed).mean(axis=2) for seed in range(shape[1])], axis=2)
 
 
+FIELDS_OF_JSON = {
+    **{name: name for name in ("question", "verdict", "rows", "aggregates")},
+    **{"probability_of_improvement": "improvement", "fields_without_proved_optimum": "unproved"},
+    "broken_runs": "broken",
+}
 Numbers = Mapping[str, Any]
 """A label's numbers by name; ``None`` is unknown."""
 
@@ -108,44 +113,28 @@ class Comparison:
     evaluation at 100 000, the mean env-steps and training seconds of the first such evaluation
     (``..._to_threshold``), and the mean training ``seconds`` of a run, without evaluations.
 
-    Attributes:
-        question: what is compared, on which fields, at which budget.
-        verdict: the result in a sentence.
-        looks: the labels in order, with the numbers of their looks in figures.
-        rows: every label on every field, field by field: besides, the mean return over seeds with
-            its 95 % bootstrap interval, the mean ``makespan`` of successful episodes, the proved
-            ``optimum``, the return's share of it, and the returns with mean actions.
-        aggregates: every label over the ``fields`` with a proved optimum; empty if there is none.
-            Besides: interquartile mean ``iqm`` and optimality ``gap`` of the scores, the returns
-            as shares of the optimum, also with mean actions (``deterministic_...``), and their
-            performance ``profile`` at ``THRESHOLDS``.
-        improvement: for each two labels how likely a run of the first has a higher return with
-            sampled actions than one of the second on the same field, over all fields.
-        unproved: the fields that the aggregates leave out.
-        broken: the error of each run that diverged, by its name; its label is left out.
+    Rows have besides the mean return over seeds with its 95 % bootstrap interval, the mean
+    ``makespan`` of successful episodes, the proved ``optimum``, the return's share of it, and the
+    returns with mean actions; aggregates have the interquartile mean ``iqm``, the optimality
+    ``gap`` and the performance ``profile`` (at ``THRESHOLDS``) of the scores, the returns as shares
+    of the optimum, also with mean actions (``deterministic_...``).
     """
 
     question: str
     verdict: str
-    looks: Mapping[str, int]
-    rows: Sequence[Numbers]
-    aggregates: Sequence[Numbers]
+    looks: Mapping[str, int]  # the labels in order, with the numbers of their looks in figures
+    rows: Sequence[Numbers]  # every label on every field, field by field
+    aggregates: Sequence[Numbers]  # every label over the fields with a proved optimum
+    # How likely a run of the first label has a higher return with sampled actions than one of the
+    # second on the same field, over all fields.
     improvement: Mapping[str, Mapping[str, Estimate]]
-    unproved: Sequence[str]
-    broken: Mapping[str, str]
+    unproved: Sequence[str]  # the fields that the aggregates leave out
+    broken: Mapping[str, str]  # the error of each run that diverged, whose label is left out
 
     def to_json(self) -> dict[str, Any]:
-        """Everything as JSON values."""
-        values: dict[str, Any] = _plain(
-            {
-                **{"question": self.question, "verdict": self.verdict, "rows": self.rows},
-                **{"aggregates": self.aggregates, "profile_thresholds": THRESHOLDS},
-                "probability_of_improvement": self.improvement,
-                "fields_without_proved_optimum": self.unproved,
-                "broken_runs": self.broken,
-            }
-        )
-        return values
+        values = {name: getattr(self, field) for name, field in FIELDS_OF_JSON.items()}
+        plain: dict[str, Any] = _plain({**values, "profile_thresholds": THRESHOLDS})
+        return plain
 
     def csv(self) -> str:
         """The rows as CSV; an unknown value is empty."""

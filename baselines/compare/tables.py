@@ -74,7 +74,6 @@ def field_tables(comparison: Comparison) -> dict[str, TextTable]:
 
 
 def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
-    """Return the tables over all fields, by title."""
     tables = {}
     if comparison.aggregates:
         first = comparison.aggregates[0]

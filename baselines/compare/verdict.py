@@ -54,7 +54,6 @@ def verdict(results: Results) -> str:
 
 
 def question(results: Results) -> str:
-    """Return who is compared, where, at which budget."""
     sides: dict[str, list[str]] = {}
     for label in results.labels:
         sides.setdefault(form_of(results, label), []).append(label)
@@ -80,7 +79,6 @@ def difference_interval(
 
 
 def form_of(results: Results, label: str) -> str:
-    """Return whether a label is centralised or decentralised, as its algorithm is."""
     return _algorithm(results, label).form
 
 

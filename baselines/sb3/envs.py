@@ -14,46 +14,26 @@ from baselines.training.aids import RoiCurriculum
 from baselines.training.config import Task
 from baselines.training.run_logger import EpisodeWindow
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
-from mbn_marl.engine import BatchEngine
 
 
-class LearnersView(VecEnvWrapper):
-    """The worlds as the learner gets them: rewards scaled, ended episodes noted.
-
-    A world has ``stride`` rows, of which the first one reports the world's episodes.
-    """
+class TrainingWorlds(VecEnvWrapper):
+    """Worlds as the learner gets them: rewards scaled, episodes noted, ROIs of a changing size."""
 
     def __init__(
-        self, venv: VecEnv, scale: float, episodes: EpisodeWindow, stride: int = 1
+        self,
+        make: Callable[[RoiCurriculum], NavigationVecEnv],
+        curriculum: RoiCurriculum,
+        episodes: EpisodeWindow,
+        scale: float = 1.0,
     ) -> None:
-        super().__init__(venv)
-        self._scale, self._episodes, self._stride = scale, episodes, stride
-
-    def reset(self) -> VecEnvObs:
-        return self.venv.reset()
-
-    def step_wait(self) -> VecEnvStepReturn:
-        observations, rewards, dones, infos = self.venv.step_wait()
-        ended = [infos[row] for row in np.flatnonzero(dones) if row % self._stride == 0]
-        self._episodes.add(
-            [info["episode_return"] for info in ended], [info["is_success"] for info in ended]
-        )
-        return observations, rewards * self._scale, dones, infos
-
-
-class ShrinkingRois(VecEnvWrapper):
-    """Worlds whose ROIs change size as a curriculum says; then new episodes begin in all of them.
-
-    Attributes:
-        curriculum: it counts each row's episodes.
-        every: the size may change after so many steps: the rollout of an on-policy learner.
-    """
-
-    def __init__(
-        self, make: Callable[[RoiCurriculum], VecEnv], curriculum: RoiCurriculum, every: int = 1
-    ) -> None:
-        self._make, self.curriculum, self.every, self._steps = make, curriculum, every, 0
+        self._make, self.curriculum, self._episodes, self._scale = make, curriculum, episodes, scale
         super().__init__(make(curriculum))
+        # The size of ROIs may change after so many steps: the rollout of an on-policy learner.
+        self.every, self._steps = 1, 0
+        # A world has so many rows, of which the first one reports its episodes. The curriculum
+        # counts those of every row.
+        self.stride = self.num_envs // curriculum.window
+        curriculum.window = self.num_envs
 
     def reset(self) -> VecEnvObs:
         return self.venv.reset()
@@ -61,7 +41,12 @@ class ShrinkingRois(VecEnvWrapper):
     def step_wait(self) -> VecEnvStepReturn:
         observations: Any
         observations, rewards, dones, infos = self.venv.step_wait()
-        self.curriculum.add([infos[row]["is_success"] for row in np.flatnonzero(dones)])
+        ended = np.flatnonzero(dones)
+        self.curriculum.add([infos[row]["is_success"] for row in ended])
+        worlds = [infos[row] for row in ended if row % self.stride == 0]
+        self._episodes.add(
+            [info["episode_return"] for info in worlds], [info["is_success"] for info in worlds]
+        )
         self._steps += 1
         if self._steps % self.every == 0 and self.curriculum.move():
             # Episodes that still run are cut off here: the learner bootstraps from the value of
@@ -70,7 +55,7 @@ class ShrinkingRois(VecEnvWrapper):
                 cut = {"TimeLimit.truncated": True, "terminal_observation": observations[row]}
                 infos[row].update(cut)
             observations, dones = self.begin(self.curriculum), np.ones_like(dones)
-        return observations, rewards, dones, infos
+        return observations, rewards * self._scale, dones, infos
 
     def begin(self, curriculum: RoiCurriculum) -> VecEnvObs:
         """Begin new episodes with ROIs of the size that ``curriculum`` says."""
@@ -78,29 +63,22 @@ class ShrinkingRois(VecEnvWrapper):
         return self.venv.reset()
 
 
-def make_env(task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> VecEnv:
+def make_env(
+    task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow
+) -> tuple[TrainingWorlds, VecEnv]:
     """The worlds of training: a row for each, or row ``w * n + i`` for robot i of world w."""
+    # The second is what the learner sees, which may be normalised.
     count, config = hyperparameters.num_envs, task.config
 
-    def make(curriculum: RoiCurriculum) -> VecEnv:
+    def make(curriculum: RoiCurriculum) -> NavigationVecEnv:
         how: dict[str, Any] = {"seed": curriculum.seed(config.seed), "threads": 1}
         how |= hyperparameters.in_training(task, curriculum, count)
-        worlds: NavigationVecEnv
         if config.algorithm == "ppo-shared":
-            worlds = SharedPolicyVecEnv(num_worlds=count, **how)
-        else:
-            joint = hyperparameters.joint_observation
-            worlds = CentralizedVecEnv(num_envs=count, joint_observation=joint, **how)
-        scale, stride = hyperparameters.reward_scale, worlds.num_envs // count
-        return LearnersView(worlds, scale, episodes, stride)
+            return SharedPolicyVecEnv(num_worlds=count, **how)
+        joint = hyperparameters.joint_observation
+        return CentralizedVecEnv(num_envs=count, joint_observation=joint, **how)
 
     curriculum = RoiCurriculum(hyperparameters.roi_radius, window=count)
-    env = ShrinkingRois(make, curriculum) if curriculum.radius > 1.0 else make(curriculum)
-    curriculum.window = env.num_envs  # it counts rows
-    return VecNormalize(env, norm_reward=False) if hyperparameters.normalize_observation else env
-
-
-def engine_of(env: VecEnv) -> BatchEngine:
-    """The engine of all worlds."""
-    engine: BatchEngine = env.get_attr("engine")[0]
-    return engine
+    worlds = TrainingWorlds(make, curriculum, episodes, hyperparameters.reward_scale)
+    normalized = hyperparameters.normalize_observation
+    return worlds, VecNormalize(worlds, norm_reward=False) if normalized else worlds

@@ -29,10 +29,7 @@ WEIGHTS, SHAPE, LEARNER = "policy.safetensors", "policy.json", "learner.safetens
 
 @dataclass(frozen=True)
 class Normalization:
-    """How ``VecNormalize`` treats an observation: ``clip((x - mean) / sqrt(var + epsilon))``.
-
-    The running mean and variance, (size,) each, are of ``count`` observations.
-    """
+    """How ``VecNormalize`` treats observations; mean and variance are of ``count`` of them."""
 
     mean: np.ndarray
     variance: np.ndarray
@@ -73,12 +70,10 @@ class Normalization:
 
 
 class SB3Policy:
-    """One policy for every robot's observation, or for the team's, or for the paper's state.
+    """One policy for every robot's observation, or for the team's, or for the paper's state."""
 
-    Its ``shape`` (JSON values) has the algorithm's name, which of these it ``observes``, the
-    library's name of the policy and its arguments, and the sizes of observation and action. A
-    ``model`` is the learner whose policy this is, and is saved too.
-    """
+    # ``shape`` is what :meth:`of` makes. A ``model`` is the learner whose policy this is, and is
+    # saved too.
 
     def __init__(
         self,
@@ -147,11 +142,7 @@ def _learned(model: Any) -> dict[str, torch.Tensor]:
 
 
 def put_into(model: Any, folder: Path) -> None:
-    """Load the policy in ``folder`` and all that was learned beside it into a fresh learner.
-
-    Raises:
-        RunError: a file is missing or damaged, or does not fit the learner.
-    """
+    """Load the policy in ``folder`` and all that was learned beside it into a fresh learner."""
     with reading(folder):
         weights = read_tensors(folder / WEIGHTS, model.policy.state_dict())
         learned = read_tensors(folder / LEARNER)
@@ -169,11 +160,7 @@ def put_into(model: Any, folder: Path) -> None:
 
 
 def load_policy(folder: Path) -> SB3Policy:
-    """Load a policy that :meth:`SB3Policy.save` wrote.
-
-    Raises:
-        RunError: a file is missing or damaged.
-    """
+    """Load what :meth:`SB3Policy.save` wrote; raise a RunError if it is missing or damaged."""
     with reading(folder / SHAPE):
         shape = read_json(folder / SHAPE)
         if shape["observes"] not in ("observations", "state"):

@@ -19,19 +19,19 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import unwrap_vec_wrapper
 
 from baselines.algorithms import find_algorithm
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import RunFolder, saved_at
-from baselines.runs.rng_state import restore_generators, save_generators
+from baselines.runs.tensors import restore_generators, save_generators
 from baselines.sb3.config import SB3Config, algorithm_class, model_arguments
-from baselines.sb3.envs import ShrinkingRois, engine_of, make_env
+from baselines.sb3.envs import make_env
 from baselines.sb3.policy import SHAPE, Normalization, SB3Policy, put_into
 from baselines.training.aids import RoiCurriculum
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import ROW_STEPS, EpisodeWindow, Recorder
 from mbn_marl.config import make_config
+from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 
 # The errors of the library and torch for arguments that make no learner.
@@ -57,33 +57,30 @@ class ResumableARS(ARS):
 
 
 class Learner:
-    """A fresh learner of the library on the worlds of a task; notes its ``episodes``.
-
-    Attributes:
-        model: the library's object.
-        stride: rows of a world: the library counts a step of each.
-        repeat: env-steps of a decision: the library counts those too, see :meth:`count_repeats`.
-    """
+    """A fresh learner of the library (``model``) on the worlds of a task."""
 
     def __init__(self, task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> None:
         config = task.config
         self._algorithm, self._steps, self._aids = config.algorithm, config.steps, hyperparameters
-        self._env = make_env(task, hyperparameters, episodes)
-        self.stride = self._env.num_envs // hyperparameters.num_envs
+        self._worlds, env = make_env(task, hyperparameters, episodes)
+        self.stride = self._worlds.stride  # the library counts a step of each row
         set_random_seed(config.seed, using_cuda=config.device == "cuda")
-        self._env.action_space.seed(config.seed)
+        env.action_space.seed(config.seed)
         kind: Any = algorithm_class(config.algorithm)
         self.model: Any = (ResumableARS if kind is ARS else kind)(
             hyperparameters.policy,
-            self._env,
+            env,
             device=config.device,
             **model_arguments(hyperparameters),
         )
-        self.repeat, self._gamma = 1, getattr(self.model, "gamma", 1.0)
-        self._rois = unwrap_vec_wrapper(self._env, ShrinkingRois)
-        if self._rois is not None:
-            assert isinstance(self.model, OnPolicyAlgorithm)  # no other offers it
-            self._rois.every = self.model.n_steps
+        self._repeat, self._gamma = 1, getattr(self.model, "gamma", 1.0)
+        self._worlds.every = getattr(self.model, "n_steps", 1)
+
+    @property
+    def engine(self) -> BatchEngine:
+        worlds: Any = self._worlds.venv
+        engine: BatchEngine = worlds.engine
+        return engine
 
     @property
     def env_steps(self) -> int:
@@ -91,19 +88,20 @@ class Learner:
 
     @property
     def diagnostics(self) -> dict[str, float]:
-        return {} if self._rois is None else {"roi_radius": self._rois.curriculum.radius}
+        curriculum = self._worlds.curriculum
+        return {"roi_radius": curriculum.radius} if curriculum.first > 1.0 else {}
 
     def begin_rollout(self) -> None:
         """Set the env-steps of the next rollout's decisions, and the discount of a decision."""
         if self._aids.action_repeat == (1, 1):
             return
-        self.repeat = self._aids.repeat_at(self.env_steps / self._steps)
-        self._env.set_attr("action_repeat", self.repeat)
-        self.model.gamma = self.model.rollout_buffer.gamma = self._gamma**self.repeat
+        self._repeat = self._aids.repeat_at(self.env_steps / self._steps)
+        self._worlds.set_attr("action_repeat", self._repeat)
+        self.model.gamma = self.model.rollout_buffer.gamma = self._gamma**self._repeat
 
     def count_repeats(self) -> None:
         """Count the env-steps of a decision that the library does not: all but the first."""
-        self.model.num_timesteps += (self.repeat - 1) * self._env.num_envs
+        self.model.num_timesteps += (self._repeat - 1) * self._worlds.num_envs
 
     @property
     def policy(self) -> SB3Policy:
@@ -121,7 +119,7 @@ class Learner:
 
     def save(self, folder: Path) -> None:
         """Write, beside the policy, all else that :meth:`restore` needs into ``folder``."""
-        model, worlds = self.model, engine_of(self._env).save_state()
+        model, worlds = self.model, self.engine.save_state()
         seen = {name: array for name in SEEN if (array := getattr(model, name)) is not None}
         write_arrays(folder / WORLDS, {**worlds, **seen}, compress=True)
         if (buffer := getattr(model, "replay_buffer", None)) is not None:
@@ -138,7 +136,7 @@ class Learner:
             "ep_success_buffer": list(map(float, model.ep_success_buffer)),
             "actions": model.action_space.np_random.bit_generator.state,
             "generators": save_generators(),
-            "curriculum": None if self._rois is None else asdict(self._rois.curriculum),
+            "curriculum": asdict(self._worlds.curriculum),
         }
         write_json(folder / COUNTERS, counters)
 
@@ -147,16 +145,14 @@ class Learner:
         model, counters = self.model, read_json(checkpoint / COUNTERS)
         model._setup_learn(0)  # makes what is filled here
         self.begin_with(checkpoint / "policy")
-        if self._rois is not None:
-            self._rois.begin(TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"]))
-        engine = engine_of(self._env)
-        arrays = read_arrays(checkpoint / WORLDS, engine.save_state())
+        self._worlds.begin(TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"]))
+        arrays = read_arrays(checkpoint / WORLDS)
         for name in SEEN:
             seen, own = arrays.pop(name, None), getattr(model, name)
             if getattr(seen, "shape", None) != getattr(own, "shape", None):
                 raise ValueError(f"{WORLDS}: {name} is of other worlds")
             setattr(model, name, seen)
-        engine.load_state(arrays)
+        self.engine.load_state(arrays)
         if (buffer := getattr(model, "replay_buffer", None)) is not None:
             saved = read_arrays(checkpoint / REPLAY)
             for name, array in _transitions(buffer).items():
@@ -182,8 +178,8 @@ class Passed(Exception):  # noqa: N818
     """A fresh evaluation met the run's criterion: not every learner can be stopped otherwise."""
 
 
-class Reporter(BaseCallback):
-    """Reports every update to a recorder, and saves between updates when that is due."""
+class Reporter(BaseCallback, KVWriter):
+    """Passes updates and what the library logs to a recorder; saves between updates when due."""
 
     def __init__(self, recorder: Recorder, learner: Learner) -> None:
         super().__init__()
@@ -215,13 +211,6 @@ class Reporter(BaseCallback):
             self._recorder.update(env_steps, learner.policy, learner.diagnostics)
             self._reported = env_steps
 
-
-class ToRecorder(KVWriter):
-    """Passes the numbers that the library logs to the recorder; a world has ``stride`` rows."""
-
-    def __init__(self, recorder: Recorder, stride: int) -> None:
-        self._recorder, self._stride = recorder, stride
-
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
@@ -230,7 +219,7 @@ class ToRecorder(KVWriter):
             for name, value in key_values.items()
             if "tensorboard" not in key_excluded[name] and isinstance(value, Real)
         }
-        self._recorder.scalars(step // self._stride, values)
+        self._recorder.scalars(step // self._learner.stride, values)
 
     def close(self) -> None:
         pass  # the recorder does
@@ -245,14 +234,15 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
             learner.restore(recorder.checkpoint)
     elif task.config.transferred_from is not None:
         learner.begin_with(RunFolder.open(task.config.transferred_from).policy)
-    model.set_logger(Logger(None, [ToRecorder(recorder, stride)]))
+    reporter = Reporter(recorder, learner)
+    model.set_logger(Logger(None, [reporter]))
     log_interval = 4  # episodes, or updates of ARS; below rollouts
     if isinstance(model, OnPolicyAlgorithm):
         log_interval = math.ceil(ROW_STEPS * stride / (model.n_steps * model.n_envs))
     with suppress(Passed):
         model.learn(
             task.config.steps * stride - model.num_timesteps,
-            callback=Reporter(recorder, learner),
+            callback=reporter,
             log_interval=log_interval,
             reset_num_timesteps=recorder.checkpoint is None,
         )

@@ -54,11 +54,9 @@ class Tokens:
         )
 
     def way_left(self, rows: torch.Tensor, n: int) -> torch.Tensor:
-        """Return how far a team has to go, as a robot sees it, (B,) units for rows (B, size).
-
-        It is the robot's own tour and the longest one, if it sees the assignment; otherwise the
-        sum of the ROIs' distances from their nearest robots. The row of an absent robot has 0.
-        """
+        """Return how far a team has to go, as a robot sees it, (B,) units for rows (B, size)."""
+        # It is the robot's own tour and the longest one, if it sees the assignment; otherwise the
+        # sum of the ROIs' distances from their nearest robots. The row of an absent robot has 0.
         own, _, rois = self.split(rows, n)
         if "own_tour" in self.own:
             at = [self.own.index(name) for name in ("own_tour", "team_tour")]
@@ -74,11 +72,10 @@ def in_units(scaled: torch.Tensor) -> torch.Tensor:
 
 
 class Turned(nn.Module):
-    """The symmetries of the square: tokens as they look when the next ROI lies in one eighth.
+    """The symmetries of the square: tokens as they look when the next ROI lies in one eighth."""
 
-    That ROI is the first of the robot's queue, if it sees the assignment, or else the nearest.
-    Robots with headings are left as they are, since their actions are no vectors.
-    """
+    # That ROI is the first of the robot's queue, if it sees the assignment, or else the nearest.
+    # Robots with headings are left as they are, since their actions are no vectors.
 
     _rays: torch.Tensor
 
@@ -102,8 +99,8 @@ class Turned(nn.Module):
         self.register_buffer("_rays", _turned_rays(), False)
         self._first_ray = tokens.own.index(RAYS[0])
 
-    # The signs (B, 2), and the swaps (B, 1), that bring the next ROI into the one eighth.
     def signs(self, rois: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the signs (B, 2), and the swaps (B, 1), that bring the next ROI there."""
         if self._fixed:
             toward = rois.new_ones(len(rois), 2)
         else:
@@ -143,6 +140,7 @@ class Turned(nn.Module):
 
     @staticmethod
     def back(actions: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor) -> torch.Tensor:
+        """Return actions (B, 2) as they are in the field."""
         return torch.where(swap, actions.flip(-1), actions) * signs
 
 
@@ -172,10 +170,9 @@ def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
 
 
 class Rivals(nn.Module):
-    """Features of the other robots for each ROI: how far from it they are, how fast they near it.
+    """Features of other robots for each ROI: how far from it they are, how fast they near it."""
 
-    A robot that does not see the assignment needs them to find out who goes where.
-    """
+    # A robot that does not see the assignment needs them to find out who goes where.
 
     WIDTH = 16
 
@@ -213,13 +210,10 @@ def _length(vectors: torch.Tensor) -> torch.Tensor:
 
 
 class SetEncoder(nn.Module):
-    """Make one vector of what a robot sees: pooled tokens of ROIs and robots beside its own.
+    """Make one vector of what a robot sees: pooled tokens of ROIs and robots beside its own."""
 
-    Where robots do not see the assignment, ROIs' tokens also have :class:`Rivals`, and are pooled
-    once more, knowing what was found the first time.
-
-    ``widths`` are those of the tokens' layers and of the last ones.
-    """
+    # Where robots do not see the assignment, ROIs' tokens also have Rivals, and are pooled once
+    # more, knowing what was found the first time. ``widths``: of the tokens' layers, and the last.
 
     def __init__(self, tokens: Tokens, widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -271,11 +265,10 @@ class SetEncoder(nn.Module):
         return named if self._assigned else {**named, **self.rivals.columns()}
 
 
-# The greatest of the features (K, width) of each row, and their mean by attention: with "query"
-# as the question of each row. The exponents' greatest is taken off, so that none overflows.
 def _pooled(
     blank: torch.Tensor, row: torch.Tensor, features: torch.Tensor, query: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the greatest of the features (K, width) of each row, and their mean by attention."""
     score = (features * query[row]).sum(-1) / math.sqrt(features.shape[-1])
     most = score.new_full((len(query),), -torch.inf)
     most = most.scatter_reduce(0, row, score.detach(), "amax")
@@ -285,20 +278,20 @@ def _pooled(
     return _most(blank, row, features), blank.index_add(0, row, weight * features)
 
 
-# The greatest of the features (K, width) >= 0 of each row, 0 without any.
 def _most(blank: torch.Tensor, row: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
+    """Return the greatest of the features (K, width) >= 0 of each row, 0 without any."""
     return blank.scatter_reduce(0, row.unsqueeze(-1).expand_as(features), features, "amax")
 
 
-# The rows (B, size) of (..., n, size) that are not all 0, and their numbers (B,).
 def _of_present(rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the rows (B, size) of (..., n, size) that are not all 0, and their numbers (B,)."""
     flat = rows.reshape(-1, rows.shape[-1])
     present = flat.any(-1).nonzero()[:, 0]
     return (flat if len(present) == len(flat) else flat[present]), present
 
 
-# (..., n, k): values (B, k) of those that are there, 0 of the others.
 def _to_all(values: torch.Tensor, present: torch.Tensor, shape: torch.Size) -> torch.Tensor:
+    """Return (..., n, k): ``values`` (B, k) of those that are there, 0 of the others."""
     whole = values.new_zeros(shape.numel(), values.shape[-1])
     return whole.index_copy(0, present, values).reshape(*shape, -1)
 
@@ -312,6 +305,7 @@ class SetActor(nn.Module):
         self.head = _linear(widths[-1], 2, 0.01)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        """Mean actions (..., n, 2) for rows (..., n, size)."""
         some, present = _of_present(rows)
         flow, signs, swap = self.encoder(some, rows.shape[-2])
         actions = self.encoder.turned.back(self.head(flow), signs, swap)
@@ -328,10 +322,9 @@ class SetActor(nn.Module):
 
 
 class SetCritic(nn.Module):
-    """Values of the robots of a team, 0 of absent ones.
+    """Values of the robots of a team, 0 of absent ones."""
 
-    If ``central``, each from its own observation and the mean of what all of the team see.
-    """
+    # If ``central``, each from its own observation and the mean of what all of the team see.
 
     def __init__(self, tokens: Tokens, widths: tuple[int, ...], *, central: bool) -> None:
         super().__init__()
@@ -341,6 +334,7 @@ class SetCritic(nn.Module):
         self.head = _linear(last, 1, 1.0)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        """Values (..., n, 1) for rows (..., n, size)."""
         some, present = _of_present(rows)
         flow, _, _ = self.encoder(some, rows.shape[-2])
         if self._central:

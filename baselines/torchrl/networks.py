@@ -40,16 +40,15 @@ HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 @dataclass(frozen=True)
 class TeamShape:
-    """The sizes of a team's networks; the last of them are as in ``MultiAgentPPOConfig``.
-
-    With ``tokens``, networks over sets have them, for teams of any size.
-    """
+    """The sizes of a team's networks."""
 
     obs_size: int
     n_robots: int
+    # These are as in MultiAgentPPOConfig.
     hidden: tuple[int, ...]
     sharing: Sharing
     actor: Actor = "decentralized"
+    # Of networks over sets, for teams of any size.
     tokens: Tokens | None = None
 
     @property
@@ -58,10 +57,9 @@ class TeamShape:
 
 
 class TeamMLP(nn.Module):
-    """A tanh network for all rows of a batch, or one for each of k groups of rows.
+    """A tanh network for all rows of a batch, or one for each of k groups of rows."""
 
-    ``sizes`` are inputs, hidden layers, outputs; weights start orthogonal, the last with its gain.
-    """
+    # ``sizes``: inputs, hidden layers, outputs. Weights start orthogonal, the last with its gain.
 
     def __init__(self, networks: int, sizes: tuple[int, ...], *, last_gain: float) -> None:
         super().__init__()
@@ -90,10 +88,9 @@ def joined(rows: torch.Tensor) -> torch.Tensor:
 
 
 class Normalize(TensorDictModuleBase):
-    """Running normalisation of observations, one for each network; none until the first update.
+    """Running normalisation of observations, one for each network; none until the first update."""
 
-    Tokens are left as they are: they are scaled, and one statistic for all slots would not be.
-    """
+    # Tokens are left as they are: one statistic for all of a kind would not fit each.
 
     def __init__(self, shape: TeamShape) -> None:
         super().__init__()
@@ -114,7 +111,6 @@ class Normalize(TensorDictModuleBase):
         return normalized.clamp_(-CLIP, CLIP)
 
     def scale(self) -> torch.Tensor:
-        """Return the scale that divides centred observations, (obs_size,) or (n, obs_size)."""
         return torch.where(self.statistics.count > 0, self.statistics.scale(), 1.0)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -159,10 +155,9 @@ DISTRIBUTIONS = {"decentralized": TeamNormal, "centralized": JointNormal}
 
 
 class GaussianPolicy(TensorDictModuleBase):
-    """Mean and (state-independent) standard deviation of the actions.
+    """Mean and (state-independent) standard deviation of the actions."""
 
-    ``norm`` normalises its input: a step of its own, so that an update normalises once.
-    """
+    # ``norm`` normalises its input, apart from it, so that an update normalises once.
 
     def __init__(self, shape: TeamShape, log_std: float = 0.0) -> None:
         super().__init__()

@@ -61,12 +61,7 @@ class TeamPolicy:
 
 
 def load_policy(folder: Path) -> TeamPolicy:
-    """Load a policy that :meth:`TeamPolicy.save` wrote.
-
-    Raises:
-        RunError: a file is missing or does not fit.
-        DamageError: a file is not what was written.
-    """
+    """Load what :meth:`TeamPolicy.save` wrote; raise a RunError if it is missing or damaged."""
     with reading(folder / SHAPE):
         shape = TypeAdapter(TeamShape).validate_python(read_json(folder / SHAPE))
         with torch.device("meta"):  # without memory, of which a wrong shape may want much

@@ -46,13 +46,9 @@ def check_teacher(source: str, task: Task) -> None:
 
 
 class Teacher:
-    """Follow the learner's rollouts in the same worlds, which show what the teacher sees.
+    """Follow the learner's rollouts in the same worlds, which show what the teacher sees."""
 
-    Args:
-        source: ``zoo:NAME`` or a run's folder.
-        learner: the settings of the learner's environment.
-        make_env: makes the learner's worlds, with these settings in place of their own.
-    """
+    # ``learner``: the settings of its environment, in place of which make_env takes some.
 
     def __init__(
         self, source: str, learner: Mapping[str, Any], make_env: Callable[..., NavigationEnv]
@@ -63,10 +59,7 @@ class Teacher:
         self._now = self._env.reset()
 
     def actions(self, rollout: TensorDictBase, repeat: int) -> torch.Tensor:
-        """Return the mean actions, clipped to [-1, 1], for a rollout (W, T): (W, T, n, 2).
-
-        ``rollout`` begins where the last one ended; a decision lasts ``repeat`` env-steps.
-        """
+        """Return the mean actions (W, T, n, 2) for a rollout (W, T) that follows the last one."""
         self._env.action_repeat = repeat
         answers = []
         for taken in rollout[Key.ACTION].unbind(1):

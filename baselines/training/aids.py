@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import numpy as np
 import pydantic
@@ -47,14 +47,6 @@ class TrainingAids(Hyperparameters):
     scattered: Share = 0.0
     # Training episodes are truncated after so many env-steps, if not before.
     episode_steps: Count | None = None
-
-    @pydantic.field_validator("*", mode="before")
-    @classmethod
-    def _one_number_is_both_ends(cls, value: Any, info: pydantic.ValidationInfo) -> Any:
-        kinds = get_args(cls.model_fields[info.field_name or ""].annotation)
-        is_pair = len(kinds) == 2 and kinds[0] == kinds[1]
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        return (value, value) if is_pair and is_number else value
 
     def repeat_at(self, progress: float) -> int:
         """The env-steps of a decision at ``progress``, the share of training done, in [0, 1]."""

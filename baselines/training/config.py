@@ -94,7 +94,6 @@ class TrainConfig:
     hyperparameters: Suppress[Mapping[str, Any]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill in the setting's own numbers; check the numbers and the names."""
         protocol = SETTINGS.get(self.setting, SETTINGS["N"])
         for name in ("seed", "steps"):
             if getattr(self, name) is None:
@@ -107,7 +106,7 @@ class TrainConfig:
 
     @property
     def name(self) -> str:
-        """The run's name, unique in a comparison: label or algorithm and setting; field; seed."""
+        """The run's name, unique in a comparison."""
         centralized = "A" in find_algorithm(self.algorithm).settings
         learner = f"{self.algorithm}-{self.setting}" if centralized else self.shown_as
         return f"{self.label or learner}-{Path(self.field).stem}-seed{self.seed}"
@@ -170,18 +169,15 @@ def default_label(algorithm: str, setting: str) -> str:
 
 
 class Hyperparameters(pydantic.BaseModel):
-    """The entries that all hyperparameters have.
-
-    Attributes:
-        source: where the numbers come from.
-        environment: the algorithm's own settings of the environment.
-        skipped: values of the source that the algorithm has no argument for; without effect.
-    """
+    """The entries that all hyperparameters have."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    # Where the numbers come from.
     source: str = pydantic.Field("", repr=False)
+    # The algorithm's own settings of the environment.
     environment: dict[str, Any] = pydantic.Field(default_factory=dict)
+    # Values of the source that the algorithm has no argument for; without effect.
     skipped: dict[str, Any] = pydantic.Field(default_factory=dict, repr=False)
 
 
@@ -220,13 +216,9 @@ def validate(model: type[Model], values: Mapping[str, Any], source: str) -> Mode
 
 
 def parse(words: Sequence[str]) -> dict[str, Any]:
-    """Read ``NAME=VALUE`` words into nested mappings.
+    """Read words: ``["model.gamma=0.9", "a=b"]`` is ``{"model": {"gamma": 0.9}, "a": "b"}``.
 
-    ``["model.gamma=0.9", "sharing=full"]`` is ``{"model": {"gamma": 0.9}, "sharing": "full"}``: a
-    value is JSON, or else the word as it is.
-
-    Raises:
-        ConfigError: naming every word of another form, and every name that is set twice.
+    A value is JSON, or else the word as it is. A ConfigError names all that is wrong.
     """
     values: dict[str, Any] = {}
     problems = []
@@ -270,23 +262,19 @@ def _value(text: str) -> Any:
 
 
 class Budget(NamedTuple):
-    """The env-steps of a run, rounded up to the ``unit`` in words that its algorithm learns from.
-
-    If it is not ``exact``, ``env_steps`` is the most that the run may take.
-    """
+    """The env-steps of a run, rounded up to the ``unit`` that its algorithm learns from."""
 
     env_steps: int
     unit: str
+    # If not, ``env_steps`` is the most that the run may take.
     exact: bool = True
 
 
 @dataclass(frozen=True)
 class Task:
-    """A request with its field loaded, or the sampler of its fields, as a trainer gets it.
-
-    ``settings`` are keyword arguments of the environment: the algorithm's own and the request's.
-    """
+    """A request as a trainer gets it."""
 
     config: TrainConfig
     field: Field | FieldSampler
+    # Keyword arguments of the environment: the algorithm's own and the request's.
     settings: Mapping[str, Any]

@@ -13,8 +13,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-from rich.table import Column
+from rich.progress import Progress, TextColumn
 from torch.utils.tensorboard import SummaryWriter
 
 from baselines.console import console
@@ -53,7 +52,6 @@ class Report:
     error: str | None = None
 
     def __str__(self) -> str:
-        """The speed and the last evaluation in words."""
         if self.error is not None:
             return "failed"
         speed = f"{self.steps_per_second:,.0f}/s"
@@ -67,18 +65,12 @@ Listener = Callable[[Report], None]
 
 @contextmanager
 def progress_bars(runs: Iterable[str], total: int) -> Iterator[Listener]:
-    """Show one bar per run with speed, return and success rate; yield what receives the reports.
-
-    On a terminal the bars are live. Elsewhere (a log file) each finished run prints one line.
-    """
-    name, state = (
-        TextColumn(f"{{task.fields[{part}]}}", table_column=Column(overflow="fold"))
-        for part in ("run", "state")
-    )
-    columns = (name, BarColumn(bar_width=10), TaskProgressColumn(), state, TimeElapsedColumn())
+    """Show one bar per run; yield what receives the reports."""
+    # Without a terminal (in a log file) each finished run prints one line.
     screen = console()
+    columns = (*Progress.get_default_columns(), TextColumn("{task.fields[state]}"))
     with Progress(*columns, console=screen, disable=not screen.is_terminal) as progress:
-        tasks = {run: progress.add_task("", False, total, run=run, state="waiting") for run in runs}
+        tasks = {run: progress.add_task(run, False, total, state="waiting") for run in runs}
 
         def show(report: Report) -> None:
             task, done = tasks[report.run], min(report.env_steps, total)
@@ -105,10 +97,9 @@ def find_wandb() -> ModuleType:
 
 
 class EpisodeWindow:
-    """Training episodes that ended since the last progress row.
+    """Training episodes that ended since the last progress row."""
 
-    Their mean is optimistic, since stuck worlds finish rarely: results are of fresh evaluations.
-    """
+    # Their mean is optimistic, since stuck worlds finish rarely: results are of fresh evaluations.
 
     def __init__(self) -> None:
         self._returns: list[float] = []
@@ -121,39 +112,30 @@ class EpisodeWindow:
 
     def pop(self) -> dict[str, float]:
         """Return count, mean, range and success rate since the last call; NaN without episodes."""
-        returns = np.asarray(self._returns or [np.nan])
+        count, returns = float(len(self._returns)), np.asarray(self._returns or [np.nan])
+        rate = float(np.mean(self._successes or [np.nan]))
+        self._returns, self._successes = [], []
         names = ("mean", "std", "min", "max")
-        row = {
-            "episodes": float(len(self._returns)),
-            **{f"return_{name}": float(getattr(returns, name)()) for name in names},
-            "success_rate": float(np.mean(self._successes or [np.nan])),
-        }
-        self._returns.clear()
-        self._successes.clear()
-        return row
+        row = {f"return_{name}": float(getattr(returns, name)()) for name in names}
+        return {"episodes": count, **row, "success_rate": rate}
 
 
 class Recorder:
-    """Records the run of a task in its folder, from the start or from the newest checkpoint.
+    """Records the run of a task in its folder, from the start or from the newest checkpoint."""
 
-    ``listener`` receives the progress after every row. Numbers go to TensorBoard's events too, and
-    to ``wandb``, a project of Weights & Biases.
-
-    Attributes:
-        episodes: the training episodes since the last row.
-        checkpoint: the checkpoint that the trainer has to resume, or ``None``.
-        passed: whether a fresh evaluation met the run's criterion for stopping early; the trainer
-            then goes straight to :meth:`finish`.
-        checkpoint_due: whether the trainer should call :meth:`save_checkpoint` as soon as it is
-            between two updates.
-    """
-
+    # ``listener`` receives the progress after every row. Numbers go to TensorBoard's events too,
+    # and to ``wandb``, a project of Weights & Biases.
     def __init__(
         self, folder: RunFolder, task: Task, listener: Listener, wandb: str | None = None
     ) -> None:
+        # The training episodes since the last row.
         self.episodes = EpisodeWindow()
+        # The checkpoint that the trainer has to resume.
         self.checkpoint = folder.checkpoint
-        self.checkpoint_due = self.passed = False
+        # Whether the trainer should call save_checkpoint as soon as it is between two updates.
+        self.checkpoint_due = False
+        # Whether a fresh evaluation met the criterion for stopping: the trainer then calls finish.
+        self.passed = False
         self._folder, self._task, self._listener = folder, task, listener
         self._diagnostics: Mapping[str, float] = {}
         self._started_at = self._wall_started_at = 0.0
@@ -194,10 +176,8 @@ class Recorder:
     def update(
         self, env_steps: int, policy: TrainedPolicy, diagnostics: Mapping[str, float]
     ) -> None:
-        """Record an update of the learner; make a fresh evaluation when one is due.
-
-        ``diagnostics`` are numbers for ``progress.csv``, with the same names every time.
-        """
+        """Record an update of the learner; make a fresh evaluation when one is due."""
+        # ``diagnostics`` are numbers for progress.csv, with the same names every time.
         self._diagnostics = diagnostics
         config = self._task.config
         every, last = config.evaluate_every, env_steps >= config.steps
@@ -224,10 +204,8 @@ class Recorder:
     def save_checkpoint(
         self, env_steps: int, policy: TrainedPolicy, save: Callable[[Path], None]
     ) -> None:
-        """Write a checkpoint; no step may have been taken since the last :meth:`update`.
-
-        ``save`` writes what the trainer needs to resume into a folder.
-        """
+        """Write a checkpoint; no step may have been taken since the last :meth:`update`."""
+        # ``save`` writes what the trainer needs to resume into a folder.
         self._stop()
         self._board.flush()
         with self._folder.new_checkpoint(env_steps) as folder:
@@ -274,10 +252,8 @@ class Recorder:
     def _evaluate(
         self, env_steps: int, policy: TrainedPolicy, number: int, mean_episodes: int
     ) -> tuple[Evaluation, Evaluation]:
-        """Evaluate with sampled and with mean actions, and append both to the history.
-
-        The seed is that of the evaluation's ``number``, in every run the same.
-        """
+        """Evaluate with sampled and with mean actions, and append both to the history."""
+        # The seed is that of the evaluation's ``number``, in every run the same.
         seed, settings = EVALUATION_SEED + number, self._task.settings
         fields = unseen(self._task.field, seed)
         sampled, mean = (

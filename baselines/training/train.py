@@ -42,21 +42,12 @@ def train(
 ) -> RunFolder:
     """Train one policy and evaluate it; everything is checked before the folder is made.
 
-    Torch has one thread meanwhile: the networks are small, and comparisons take a process per core.
-
-    Args:
-        config: what to train.
-        out: the run folder to make.
-        command: the exact command, recorded in the folder; by default the equivalent one.
-        force: move a folder that is already there aside.
-        resume: continue the interrupted run in ``out``, of the same configuration, from its newest
-            checkpoint; leave a finished one.
-        wandb: a project of Weights & Biases to log to as well.
-        listener: receives the progress.
+    ``out`` is the run folder to make, and ``command`` the exact command, recorded in it. ``force``
+    moves a folder that is already there aside; ``resume`` continues the interrupted run in it from
+    its newest checkpoint, and leaves a finished one. ``wandb`` is a project of Weights & Biases.
 
     Raises:
-        MbnError: the algorithm, the field, a setting or a hyperparameter is not valid; or ``out``
-            already holds something, or with ``resume`` no such run, or one that is running.
+        MbnError: an entry is not valid; or ``out`` holds something else, or is being trained.
         RunError: a file could not be written; what was saved before is as it was.
         DivergenceError: the learner's numbers are no longer finite.
         KeyboardInterrupt: naming the folder, its checkpoint and ``--resume``.
@@ -67,9 +58,8 @@ def train(
         raise ConfigError("training", ["device: torch finds no GPU here; allowed: cpu"])
     if wandb is not None:
         find_wandb()
-    algorithm = find_algorithm(config.algorithm)
-    task, hyperparameters = prepare(config)
-    resolved, command = resolve(task, hyperparameters), command or config.command
+    algorithm, (task, hyperparameters) = find_algorithm(config.algorithm), prepare(config)
+    command = command or config.command
     check_text(command)
     if resume := resume and not (out.is_dir() and is_untouched(out)):
         RunFolder.open(out)
@@ -78,7 +68,7 @@ def train(
         claim_folder(out, force=force)
     with _running(RunFolder(out)), alone(out, "mbn train"):
         begin = RunFolder.resume if resume else RunFolder.create
-        run = begin(out, resolved, task.field, command)
+        run = begin(out, resolve(task, hyperparameters), task.field, command)
         if not run.finished:
             try:
                 algorithm.train(task, hyperparameters, Recorder(run, task, listener, wandb))
@@ -146,6 +136,7 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
 @contextmanager
 def _running(run: RunFolder) -> Iterator[None]:
     """Give torch one thread, and name the run in errors that its user or its disk causes."""
+    # The networks are small, and comparisons take a process for each core.
     import torch
 
     threads, hook = torch.get_num_threads(), threading.excepthook
@@ -187,7 +178,7 @@ def sizes(theirs: Field, ours: Field) -> dict[str, tuple[Any, Any]]:
 
 
 def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameters) -> None:
-    """Check that the run that a task begins with is finished and fits; raise an error if not."""
+    """Raise an error if the run that a task begins with is not finished, or does not fit."""
     if not (source.finished or (source.path / CARD).is_file()):
         raise RunError(f"{source.path} is not finished; resume it first (--resume)")
     config, environment = source.config, make_config(task.settings)
@@ -216,10 +207,7 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
 
 
 def keep_freed_memory() -> None:
-    """Let glibc keep freed memory for the rest of the process.
-
-    A learner soon wants as much again, which Linux would have to clear.
-    """
+    # A learner soon wants as much memory as it frees, which Linux would have to clear.
     if sys.platform == "linux" and (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)):
         for option, size in KEPT.items():
             mallopt(option, size)

@@ -1,4 +1,4 @@
-"""Interrupted runs continue from their newest checkpoint as if nothing had happened."""
+"""A run: it is resumed as if nothing had happened, logged, and learns."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ import os
 import platform
 import resource
 import shutil
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -27,10 +25,11 @@ from baselines.evaluation.policy import load_trained
 from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
 from baselines.training import run_logger as recorder
+from baselines.training.config import TrainConfig
 from baselines.training.run_logger import Report
 from baselines.training.train import prepare, train
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import load_field, save_field
+from mbn_marl.field import Field, load_field, save_field
 from tests.support.runs import STAGES, TinyRuns, interrupted, recorded, same_policies, small_config
 
 pytestmark = pytest.mark.slow
@@ -77,26 +76,21 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     assert name != "tqc" or "train/critic_loss" in events.Tags()["scalars"]
 
 
-def test_a_killed_process_is_resumed(tmp_path: Path) -> None:
+def test_killed_process_is_resumed(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    words = "train ppo-shared field_03 --episodes 2 --steps 4000 --evaluate-every 500 --num-envs 2"
-    sets = "--set action_repeat=[4,1] roi_radius=20.0 episode_steps=50"
-    model = "model.n_steps=32 model.batch_size=64"
-    arguments = [*words.split(), *sets.split(), *model.split(), "--out"]
+    words = "train ppo-shared field_03 --episodes 2 --steps 4000 --evaluate-every 500 --num-envs 2 "
+    words += "--set action_repeat=[4,1] roi_radius=20.0 episode_steps=50 model.n_steps=32 "
+    arguments = [*f"{words} model.batch_size=64 --out".split()]
     assert main([*arguments, str(whole)]) == 0
     command = [sys.executable, "-m", "mbn_marl", *arguments, str(killed)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    try:
-        deadline = time.monotonic() + 600.0
-        while not list(killed.glob("checkpoints/[0-9]*")):
-            assert process.poll() is None, "the run ended before it could be interrupted"
-            assert time.monotonic() < deadline, "no checkpoint appeared"
-            time.sleep(0.01)
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+    deadline = time.monotonic() + 600.0
+    while not list(killed.glob("checkpoints/[0-9]*")) and time.monotonic() < deadline:
+        assert process.poll() is None, "the run ended before it could be interrupted"
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
     assert RunFolder.open(killed).unfinished is not None
-    assert not (killed / "evaluation.json").exists()
     assert main([*arguments, str(killed), "--resume"]) == 0
     assert_equal(RunFolder.open(killed), RunFolder.open(whole))
     assert read_json(killed / "resumed.json")[0]["command"].endswith("--resume")
@@ -128,20 +122,6 @@ def test_slow_training_is_saved_between_evaluations(
     assert stopped.evaluations == []
 
 
-def test_a_checkpoint_that_fails_leaves_the_one_before(tmp_path: Path) -> None:
-    run = RunFolder(tmp_path)
-    (tmp_path / "config.json").touch()
-    with run.new_checkpoint(100) as folder:
-        (folder / "part").write_text("whole")
-    with pytest.raises(InterruptedError), run.new_checkpoint(200) as folder:
-        (folder / "part").write_text("half")
-        raise InterruptedError
-    assert run.checkpoint == tmp_path / "checkpoints" / "000000000100"
-    with run.new_checkpoint(1000) as folder:
-        (folder / "part").write_text("newer")
-    assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["000000001000"]
-
-
 def test_a_policy_can_be_looked_at_before_the_run_is_finished(
     tmp_path: Path, tiny_runs: TinyRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -154,35 +134,27 @@ def test_a_policy_can_be_looked_at_before_the_run_is_finished(
         _ = stopped.evaluation
 
 
-def test_an_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(
-    tmp_path: Path,
+def test_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    threads, during = torch.get_num_threads(), []
+    threads: list[int] = [3]
+    monkeypatch.setattr(torch, "get_num_threads", lambda: threads[-1])
+    monkeypatch.setattr(torch, "set_num_threads", threads.append)
 
     def stop(report: Report) -> None:
-        during.append(torch.get_num_threads())
-        if (tmp_path / "run" / "checkpoints").exists():
-            raise KeyboardInterrupt
+        raise KeyboardInterrupt
 
-    torch.set_num_threads(3)
-    try:
-        with pytest.raises(KeyboardInterrupt, match="--resume") as caught:
-            train(SMALL, tmp_path / "run", listener=stop)
-        assert torch.get_num_threads() == 3 and set(during) == {1}
-    finally:
-        torch.set_num_threads(threads)
-    assert str(tmp_path / "run") in str(caught.value)
+    with pytest.raises(KeyboardInterrupt, match=rf"{tmp_path}.*--resume"):
+        train(SMALL, tmp_path / "run", listener=stop)
+    assert threads == [3, 1, 3]
 
 
 MEMORY = """
 import numpy as np
 from pathlib import Path
 from baselines.training.train import keep_freed_memory
-
-def held():
-    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
-
 keep_freed_memory()
+held = lambda: int(Path("/proc/self/statm").read_text().split()[1]) * 4096
 before, block = held(), np.ones(2**24)
 del block
 print(held() - before)
@@ -217,30 +189,14 @@ def test_only_the_same_run_can_be_resumed(tmp_path: Path, tiny_runs: TinyRuns) -
     assert stopped.progress.read_bytes() == before and stopped.checkpoint is not None
 
 
-def test_a_run_that_another_process_trains_is_left_alone(tmp_path: Path) -> None:
-    out, refused = tmp_path / "run", []
-
+@pytest.mark.parametrize("options", [{"resume": True}, {"force": True}])
+def test_run_that_is_being_trained_is_left_alone(options: dict[str, Any], tmp_path: Path) -> None:
     def interfere(report: Report) -> None:
-        for options in ({"resume": True}, {"force": True}):
-            with pytest.raises(RunError, match=f"{out}.*process {os.getpid()} on"):
-                train(SMALL, out, **options)
-            refused.append(options)
-        raise InterruptedError
+        train(SMALL, tmp_path / "run", **options)
 
-    with pytest.raises(InterruptedError):
-        train(SMALL, out, listener=interfere)
-    assert len(refused) == 2 and [path.name for path in tmp_path.iterdir()] == ["run"]
-
-
-@contextmanager
-def files_up_to(size: int) -> Iterator[None]:
-    """No file can grow beyond ``size`` bytes, as on a disk that is full."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with pytest.raises(RunError, match=f"{tmp_path / 'run'}.*process {os.getpid()} on"):
+        train(SMALL, tmp_path / "run", listener=interfere)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 @pytest.mark.parametrize("name", ["mappo", "ppo"])
@@ -250,10 +206,95 @@ def test_a_full_disk_leaves_the_checkpoint_before(
     run = tiny_runs.stopped(name, tmp_path / "run")
     kept: Any = run.checkpoint
     before = {path: path.read_bytes() for path in kept.rglob("*") if path.is_file()}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     for size in (0, 300, 3_000):
-        with files_up_to(size), pytest.raises(RunError, match=str(run.path)):
-            train(small_config(name), run.path, resume=True)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+        try:
+            with pytest.raises(RunError, match=str(run.path)):
+                train(small_config(name), run.path, resume=True)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert run.checkpoint == kept
         assert {path: path.read_bytes() for path in kept.rglob("*") if path.is_file()} == before
     assert_equal(train(small_config(name), run.path, resume=True), tiny_runs.finished(name))
     assert not list(run.path.glob(".*"))
+
+
+def test_resumed_run_is_logged_to_the_same_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, out, wandb = small_config("ppo"), tmp_path / "run", MagicMock()
+    monkeypatch.setitem(sys.modules, "wandb", wandb)
+    logging = wandb.init.return_value
+    interrupted(config, out, wandb="robots")
+    assert not logging.finish.called
+    first_logged = list(logging.log.call_args_list)
+    run = train(config, out, wandb="robots", resume=True)
+    assert logging.finish.called
+    logged = logging.log.call_args_list[len(first_logged) :]
+    for calls in (first_logged, logged):
+        steps = [one.kwargs["step"] for one in calls]
+        assert steps and steps == sorted(steps)
+    first, second = (one.kwargs for one in wandb.init.call_args_list)
+    assert (first["project"], first["name"], first["config"]) == ("robots", config.name, run.config)
+    assert first["id"] == second["id"] == read_json(out / "wandb.json")["id"]
+    assert second["resume"] == "allow"
+    values = {name: value for one in logged for name, value in one.args[0].items()}
+    assert values["evaluation/return_mean"] == run.evaluation["stochastic"]["return_mean"]
+    assert values["training/seconds"] > 0.0
+
+
+@pytest.mark.parametrize("command", ["train ippo field_03", "compare"])
+def test_without_the_package_nothing_is_begun(
+    command: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    assert main([*command.split(), "--wandb", "robots", "--out", str(tmp_path / "out")]) == 2
+    assert "wandb: " in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+EASY = Field([(0, 0), (100, 0), (100, 100), (0, 100)], rois=[(50, 50)], starts=[(30, 50)])
+
+
+def train_on(field: Field, algorithm: str, out: Path, **how: Any) -> RunFolder:
+    out.mkdir()
+    save_field(field, out / "field.yaml")
+    return train(TrainConfig(algorithm, str(out / "field.yaml"), **how), out / "run")
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "ars", "tqc", "mappo", "ppo-joint", "ppo-shared"])
+def test_easy_field_is_solved_and_then_the_run_stops(algorithm: str, tmp_path: Path) -> None:
+    how: dict[str, Any] = {"stop_at": 100_000.0, "environment": {"max_steps": 100}}
+    how |= {"steps": 200_000, "episodes": 20}
+    how["evaluate_every"] = 1024 if algorithm == "tqc" else 16_384
+    run = train_on(EASY, algorithm, tmp_path / "easy", **how)
+    *earlier, passed, final = run.evaluations
+    assert passed["env_steps"] == final["env_steps"] < 200_000
+    assert passed["return_mean"] >= 100_000.0 and passed["success_rate"] >= 0.99
+    assert passed["deterministic_return_mean"] == final["deterministic_return_mean"]
+    assert all(entry["success_rate"] < 0.99 for entry in earlier[:1])
+    assert run.finished and not (run.path / "checkpoints").exists()
+    single_mdp = "A" in ALGORITHMS[algorithm].settings
+    assert load_trained(run).observes == ("state" if single_mdp else "observations")
+
+
+TINY = Field(
+    [(0, 0), (160, 0), (160, 100), (0, 100)], rois=[(70, 50)], starts=[(20, 50), (140, 50)]
+)
+# Full thrust covers t (t + 1) / 4 units in t steps; robot 0 needs 40 (50 less the ROI's radius):
+# 45.5 at t = 13, and robot 1 needs 60. Two robots pay 10 a step each.
+OPTIMUM = 110_000.0 - 2 * 10 * 13
+
+
+@pytest.mark.all
+@pytest.mark.parametrize("algorithm", ALGORITHMS.keys() - {"crossq", "tqc"})
+def test_field_of_two_robots_is_solved_to_the_optimum(algorithm: str, tmp_path: Path) -> None:
+    how: dict[str, Any] = {"steps": 196_608, "evaluate_every": 98_304, "episodes": 50}
+    run = train_on(TINY, algorithm, tmp_path / "tiny", environment={"max_steps": 200}, **how)
+    sampled, mean = run.evaluation["stochastic"], run.evaluation["deterministic"]
+    assert sampled["success_rate"] == 1.0
+    assert 0.99 * OPTIMUM < sampled["return_mean"] <= OPTIMUM
+    assert 0.999 * OPTIMUM < mean["return_mean"] <= OPTIMUM

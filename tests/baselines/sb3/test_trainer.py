@@ -1,4 +1,4 @@
-"""Training aids of the learners of Stable-Baselines3, what they observe, and where they stop."""
+"""Learners of Stable-Baselines3: their worlds, training aids, policies; rows of robots."""
 
 from __future__ import annotations
 
@@ -8,21 +8,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_wrapper
+import torch
 
+from baselines.algorithms import find_algorithm
 from baselines.evaluation.evaluate import evaluate
 from baselines.evaluation.policy import load_trained
 from baselines.sb3.config import load
-from baselines.sb3.envs import ShrinkingRois, engine_of, make_env
+from baselines.sb3.envs import TrainingWorlds, make_env
+from baselines.sb3.policy import SB3Policy, load_policy
 from baselines.sb3.trainer import Learner
 from baselines.training import aids, run_logger
 from baselines.training.aids import RoiCurriculum
-from baselines.training.config import TrainConfig
+from baselines.training.config import Task, TrainConfig
 from baselines.training.run_logger import EpisodeWindow
 from baselines.training.train import notes, prepare, train
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
 from mbn_marl.errors import ConfigError
-from tests.support.runs import recorded
+from mbn_marl.field import load_field
+from tests.support.runs import TinyRuns, recorded, same_policies, small_config
 
 pytestmark = pytest.mark.slow
 
@@ -32,7 +35,7 @@ LIVELY = {"safety_distance": 50.0, "random_starts": True, "max_steps": 10, "seed
 AIDS: dict[str, Any] = {"action_repeat": [2, 1], "episode_steps": 24, "roi_radius": 4.0}
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def two_stages(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let any success rate be enough for the next of two stages."""
     monkeypatch.setattr(aids, "STAGES", 2)
@@ -49,17 +52,19 @@ def config_of(name: str, **changes: Any) -> TrainConfig:
     return TrainConfig(name, "field_03", environment={"safety_distance": 0.0}, **how)
 
 
+@pytest.mark.usefixtures("two_stages")
 @pytest.mark.parametrize("kind", [CentralizedVecEnv, SharedPolicyVecEnv])
 def test_change_of_size_truncates_the_episodes_that_run(kind: type[NavigationVecEnv]) -> None:
     made: list[NavigationVecEnv] = []
 
-    def make(curriculum: RoiCurriculum) -> VecEnv:
+    def make(curriculum: RoiCurriculum) -> NavigationVecEnv:
         made.append(kind("field_03", WORLDS, roi_radius=10.0 * curriculum.radius, **LIVELY))
         return made[-1]
 
     plain = kind("field_03", WORLDS, roi_radius=40.0, **LIVELY)
-    curriculum = RoiCurriculum(4.0, window=plain.num_envs)
-    env = ShrinkingRois(make, curriculum, every=11)
+    curriculum = RoiCurriculum(4.0, window=WORLDS)
+    env = TrainingWorlds(make, curriculum, EpisodeWindow())
+    env.every = 11
     np.testing.assert_array_equal(env.reset(), plain.reset())
     shape = (11, env.num_envs, *env.action_space.shape)
     for actions in np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32):
@@ -84,6 +89,7 @@ def test_change_of_size_truncates_the_episodes_that_run(kind: type[NavigationVec
     assert not all(info["TimeLimit.truncated"] for info in infos)
 
 
+@pytest.mark.usefixtures("two_stages")
 @pytest.mark.parametrize(("name", "stride"), [("ppo", 1), ("ppo-shared", 3)])
 def test_decisions_become_shorter_and_rois_smaller_over_the_budget(
     name: str, stride: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -117,12 +123,6 @@ def test_decisions_become_shorter_and_rois_smaller_over_the_budget(
     assert [float(row["roi_radius"]) for row in rows] == [4.0, 2.0, 2.0, 2.0, 1.0, 1.0, 1.0]
     assert run.config["environment"]["roi_radius"] == 10.0
     assert min(run.evaluation["deterministic"]["per_episode"]["steps"]) > 24
-
-
-def test_robots_are_scattered_in_a_share_of_the_worlds() -> None:
-    task, hyperparameters = prepare(config_of("ppo", scattered=0.25))
-    engine = engine_of(make_env(task, hyperparameters, EpisodeWindow()))
-    assert engine.fields[:3] == (task.field,) * 3 and engine.fields[3] != task.field
 
 
 def test_policy_of_all_robots_observations_is_kept_and_evaluated(tmp_path: Path) -> None:
@@ -183,14 +183,90 @@ def test_evaluation_is_of_the_policy_after_the_update(name: str, tmp_path: Path)
     assert during["deterministic_return_mean"] == last["deterministic_return_mean"]
 
 
+@pytest.mark.usefixtures("two_stages")
 def test_every_stage_of_the_curriculum_draws_other_starts() -> None:
     task, hyperparameters = prepare(config_of("ppo"))
     settings = {**task.settings, "random_starts": True}
-    env = make_env(replace(task, settings=settings), hyperparameters, EpisodeWindow())
-    starts = [env.reset()[:, :6]]
-    rois: Any = unwrap_vec_wrapper(env, ShrinkingRois)
+    worlds: Any = make_env(replace(task, settings=settings), hyperparameters, EpisodeWindow())[0]
+    starts = [worlds.reset()[:, :6]]
     for _ in range(2):
-        rois.curriculum.add([1.0] * rois.curriculum.window)
-        assert rois.curriculum.move()
-        starts.append(rois.begin(rois.curriculum)[:, :6])
+        worlds.curriculum.add([1.0] * worlds.curriculum.window)
+        assert worlds.curriculum.move()
+        starts.append(worlds.begin(worlds.curriculum)[:, :6])
     assert all(not np.array_equal(starts[a], starts[b]) for a, b in ((0, 1), (0, 2), (1, 2)))
+
+
+ROBOTS = 3
+
+
+def test_another_seed_makes_another_policy(tmp_path: Path, tiny_runs: TinyRuns) -> None:
+    other = train(replace(small_config("ppo-shared"), seed=6), tmp_path / "other")
+    assert not same_policies(other, tiny_runs.finished("ppo-shared"))
+
+
+def test_env_steps_are_steps_of_worlds(tmp_path: Path) -> None:
+    model = {"n_steps": 16, "batch_size": 64, "policy_kwargs": {"net_arch": [8]}}
+    how: dict[str, Any] = {"steps": 128, "evaluate_every": 64, "episodes": 2}
+    how |= {"environment": {"max_steps": 20}, "hyperparameters": {"num_envs": 4, "model": model}}
+    run = train(TrainConfig("ppo-shared", "field_03", **how), tmp_path / "run")
+    rows = recorded(run)["rows"]
+    # Two rollouts of 4 worlds x 16 steps, although the library counts 384 steps of robots.
+    assert [int(row["env_steps"]) for row in rows] == [64, 128]
+    assert run.evaluation["env_steps"] == 128
+    assert [entry["env_steps"] for entry in run.evaluations] == [64, 128]
+    # After 16 steps no episode of 20 has ended, after 32 one of each world.
+    assert [int(row["episodes"]) for row in rows] == [0, 4]
+    assert not list(run.path.rglob("*.zip")) and not list(run.path.rglob("*.pkl"))
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "rewards", "row"),
+    [
+        # Two of the three robots start in an ROI: 10,000 - 10 each; then 100 for standing still.
+        ("ppo-shared", {}, [[-0.0005, 0.4995, 0.4995] * 2, [-0.005] * 6], (2, 19_670.0, 0.0)),
+        # The first step visits all ROIs.
+        ("ppo-shared", {"roi_radius": 1000.0}, [], (2, None, 1.0)),
+    ],
+)
+def test_learner_sees_scaled_rewards_and_the_window_true_team_returns(
+    name: str, settings: dict[str, Any], rewards: list[list[float]], row: tuple[Any, ...]
+) -> None:
+    window = EpisodeWindow()
+    config = TrainConfig(name, "field_03", environment={"max_steps": 2, **settings})
+    changes: dict[str, Any] = {"num_envs": 2, "normalize_observation": False}
+    hyperparameters = find_algorithm(name).resolve(changes)
+    settings = {**hyperparameters.environment, **config.environment}
+    task = Task(config, load_field("field_03"), settings)
+    env, _ = make_env(task, hyperparameters, window)
+    env.reset()
+    still = np.zeros((env.num_envs, *env.action_space.shape), np.float32)
+    for expected in rewards or [[]]:
+        found = env.step(still)[1]
+        assert not expected or sorted(found[:ROBOTS]) == pytest.approx(sorted(expected[:ROBOTS]))
+    seen = window.pop()
+    assert (seen["episodes"], seen["success_rate"]) == (row[0], row[2])
+    assert row[1] is None or (seen["return_mean"], seen["return_std"]) == (row[1], 0.0)
+
+
+def test_saved_policy_acts_as_before(tmp_path: Path, tiny_runs: TinyRuns) -> None:
+    policy = load_trained(tiny_runs.finished("ppo-shared"))
+    assert isinstance(policy, SB3Policy) and policy.normalization is not None
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (5, ROBOTS, 33)).astype(np.float32)
+    mean = policy.act(seen, deterministic=True)
+    assert mean.shape == (5, ROBOTS, 2)
+    raw = SB3Policy(policy.network, policy.shape, None)
+    assert not np.array_equal(raw.act(seen, deterministic=True), mean)
+    for name, one in (("whole", policy), ("raw", raw)):
+        (tmp_path / name).mkdir()
+        one.save(tmp_path / name)
+        written = {path.name for path in (tmp_path / name).iterdir()}
+        assert written == {"policy.json", "policy.safetensors"}
+        for deterministic in (True, False):
+            acts = []
+            for each in (one, load_policy(tmp_path / name)):
+                torch.manual_seed(1)
+                acts.append(each.act(seen, deterministic=deterministic))
+            np.testing.assert_array_equal(*acts)
+    # Each robot's action follows from its own observation, by the same network for all.
+    turned = policy.act(seen[:, ::-1], deterministic=True)[:, ::-1]
+    np.testing.assert_allclose(turned, mean, atol=1e-6)
