@@ -51,15 +51,14 @@ class Conditions(Benchmark):
             for policy in self.policies
         }
         size = f"{len(self.fields)} fields, {self.episodes} episodes each, seed {self.seed}"
+        shown = {
+            "success: mean over fields (lowest)": _success,
+            "return: mean over fields": _return,
+        }
         tables = {}
-        for title, show in (
-            ("success: mean over fields (lowest)", _success),
-            ("return: mean over fields", _return),
-        ):
-            lines = [
-                (condition, *(show(cells[condition]) for cells in found.values()))
-                for condition in self.conditions
-            ]
+        for title, show in shown.items():
+            cells = [[show(one[name]) for one in found.values()] for name in self.conditions]
+            lines = [(name, *row) for name, row in zip(self.conditions, cells, strict=True)]
             tables[title] = TextTable(size, ("condition", *found), lines)
         return Findings(tables, {"evaluations": found})
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import time
@@ -428,16 +427,13 @@ def result_tables(record: Mapping[str, Any], statistic: str = "mean") -> dict[st
 
 
 def result_page(record: Mapping[str, Any], out: Path) -> str:
-    found = [result_tables(record, statistic).items() for statistic in STATISTICS]
-    sections = [Section("All tiers", tables=dict(itertools.chain(*found)))]
+    means, iqms = (result_tables(record, statistic) for statistic in STATISTICS)
+    sections = [Section("All tiers", tables=means | iqms)]
     sections += [_section(tier, one, out) for tier, one in record["tiers"].items()]
     sections.append(Section("Command", texts={"This benchmark": record["command"]}))
-    policy = f"{record['policy']}{behind(record['shield'])}"
-    summary = (
-        f"{policy} on the split {record['split']}, protocol {record['protocol']}. "
-        f"Made by mbn_marl {__version__}."
-    )
-    return report_page("Benchmark", summary, sections)
+    policy = f"{record['policy']}{behind(record['shield'])} on the split {record['split']}"
+    by = f"protocol {record['protocol']}. Made by mbn_marl {__version__}."
+    return report_page("Benchmark", f"{policy}, {by}", sections)
 
 
 def _section(tier: str, found: Mapping[str, Any], out: Path) -> Section:
