@@ -63,8 +63,7 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Resul
     from baselines.compare.run import train_all_runs
     from baselines.compare.tables import print_comparison
     from baselines.console import console
-    from baselines.runs.files import RunError
-    from baselines.runs.report_path import Place
+    from baselines.runs.files import Place, RunError
     from baselines.training.run_logger import progress_bars
 
     hours = config.core_hours
@@ -216,11 +215,8 @@ def line_of(run: RunFolder) -> tuple[str, ...]:
     try:
         asked = validate(Listed, run.config, run.path / "config.json")
         if run.finished:
-            state, last = "finished", run.evaluation.get("stochastic")
+            last = run.evaluation.get("stochastic")
         else:
-            saved = run.saved_steps
-            state = f"{saved:,} of {asked.steps:,} env-steps" if saved else "begun"
-            state = "not evaluated" if (run.path / "policy").exists() else state
             history = run.evaluations if (run.path / "evaluations.json").exists() else []
             last = history[-1] if history else None
         known = None if last is None else validate(Summary, last, run.path)
@@ -228,4 +224,4 @@ def line_of(run: RunFolder) -> tuple[str, ...]:
         return name, "-", "-", "-", str(error).removeprefix(f"{run.path}/"), "-", "-"
     numbers = [known and known.success_rate, known and known.makespan]
     cells = map(shown, numbers, ("{:.1%}", "{:.1f}"))
-    return name, asked.algorithm, Path(asked.field).stem, str(asked.seed), state, *cells
+    return name, asked.algorithm, Path(asked.field).stem, str(asked.seed), run.state, *cells

@@ -135,7 +135,7 @@ class Transfer:
             problem = "already exists; choose another --out, or pass --resume"
             raise RunError(f"{', '.join(there)} {problem}")
         with progress_bars([run.name for run in runs], self.steps) as show:
-            outcomes = train_runs(runs, str(self.out), engine, listener=show)
+            outcomes = train_runs(runs, self.out, engine, listener=show)
         if source.finished:
             print(f"from: {source.path}, {source.evaluation['env_steps']:,} env-steps")
         for folder in (source, *(RunFolder(self.out / run.name) for run in targets)):

@@ -29,7 +29,6 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, load_episode, save_episode
 from mbn_marl.errors import (
     ConfigError,
-    DamageError,
     EpisodeError,
     FieldError,
     ProblemsError,
@@ -228,7 +227,7 @@ def _run_tier(
     for k, one in enumerate(instances):
         try:
             row, episode = _run_instance(source, shield, one, seed + k, protocol)
-        except (SettingsError, RunError, DamageError, ImportError):
+        except (SettingsError, RunError, ImportError):
             raise
         except MISFITS as error:
             why = "; ".join(error.problems) if isinstance(error, ProblemsError) else str(error)

@@ -58,7 +58,7 @@ def train_all_runs(
             write_json(out / "config.json", config.to_json())
             write_provenance(out, command)
         engine = LocalEngine(processes)
-        outcomes = train_runs(runs, str(out), engine, wandb=wandb, listener=listener)
+        outcomes = train_runs(runs, out, engine, wandb=wandb, listener=listener)
     broken = {name: one for name, one in outcomes.items() if one.state == "diverged"}
     check_outcomes([one for name, one in outcomes.items() if name not in broken], out)
     left_out = {run.shown_as for run in runs if run.name in broken}

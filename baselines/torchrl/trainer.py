@@ -21,8 +21,14 @@ from torchrl.objectives.value import MultiAgentGAE
 from baselines.evaluation.policy import load_trained
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import saved_at
-from baselines.runs.rng_state import restore_generators, save_generators
-from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
+from baselines.runs.tensors import (
+    moments_of,
+    read_tensors,
+    restore_generators,
+    save_generators,
+    with_moments,
+    write_tensors,
+)
 from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
@@ -315,11 +321,10 @@ class Trainer:
             counters = read_json(folder / COUNTERS)
             self.curriculum = TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"])
             env = self._make_env()
-            env.load_state(read_arrays(folder / WORLDS, env.save_state()))
+            env.load_state(read_arrays(folder / WORLDS))
             self._collect_from(env)
             if self.teacher is not None:
-                own = self.teacher.save_state()
-                self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS, own))
+                self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS))
             restore_generators(counters["generators"])  # last: a new collector tries the policy
             env_steps = saved_at(folder, counters["env_steps"])
         return env_steps

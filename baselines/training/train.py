@@ -47,8 +47,7 @@ def train(
     its newest checkpoint, and leaves a finished one. ``wandb`` is a project of Weights & Biases.
 
     Raises:
-        MbnError: an entry of ``config`` is not valid; or ``out`` already holds something, or with
-            ``resume`` no such run, or one that is running.
+        MbnError: an entry is not valid; or ``out`` holds something else, or is being trained.
         RunError: a file could not be written; what was saved before is as it was.
         DivergenceError: the learner's numbers are no longer finite.
         KeyboardInterrupt: naming the folder, its checkpoint and ``--resume``.

@@ -27,7 +27,6 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(entry, run)
         config = json.loads((run / "config.json").read_text())
         (run / "config.json").write_text(json.dumps({**config, "seed": seed}))
-        (run / "checksums.json").unlink()
         (run / "command.txt").write_text(f"mbn train --seed {seed} <field>\n")
         evaluation = {name: card[name] for name in ("stochastic", "deterministic")}
         evaluation |= {"env_steps": 4096, "seconds": 2.0}

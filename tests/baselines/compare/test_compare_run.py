@@ -90,7 +90,7 @@ def test_broken_runs_leave_their_label_out(tmp_path: Path, monkeypatch: pytest.M
             raise DivergenceError("loc is nan")
         return train(config, out, **options)
 
-    monkeypatch.setattr("baselines.sweep.worker.train", train_or_break)
+    monkeypatch.setattr("baselines.sweep.run.train", train_or_break)
     results = train_all_runs(CONFIG, tmp_path / "out", command="mbn compare", processes=1)
     assert (results.labels, results.seeds) == (("mappo-tiny",), 2)
     assert results.broken == dict.fromkeys(broken, "loc is nan")
