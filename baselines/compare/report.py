@@ -93,7 +93,7 @@ def write_comparison(results: Results, place: Place) -> Comparison:
         write_trajectories(episode, out / f"trajectories_{field}.png", title)
         write_animation(episode, out / f"episode_{field}.gif")
     tables = overall_tables(comparison) | field_tables(comparison)
-    broken = [f"- {name}: {error}" for name, error in comparison.broken.items()]
+    broken = [f"- {name}: {error}" for name, error in comparison.broken_runs.items()]
     parts = [f"# {comparison.question}", comparison.verdict]
     if broken:
         parts += ["## Runs that diverged: their variants are left out", "\n".join(broken)]

@@ -73,7 +73,7 @@ def test_a_comparison_by_hand(tmp_path: Path) -> None:
     assert (mappo["reached"], mappo["fields"], mappo["seeds"]) == (2, 2, 2)
     assert (central["form"], central["success_rate"]) == ("centralized", 0.6)
     # In each field one run of two is above 0.6 of the optimum.
-    assert found.improvement["mappo"]["central"].value == 0.5
+    assert found.probability_of_improvement["mappo"]["central"].value == 0.5
     share = dict(zip(THRESHOLDS.round(3), mappo["profile"].share, strict=True))
     assert (share[0.2], share[0.3], share[0.45]) == (0.75, 0.5, 0.25)
 
@@ -125,7 +125,7 @@ def test_fields_without_a_proof_are_left_out_of_the_aggregates(tmp_path: Path) -
     unproved = make_run(tmp_path, 0.5, field_object=own)
     assert summarise(Results.of([unproved])).aggregates == []
     both = summarise(Results.of([unproved, make_run(tmp_path, 0.5)]))
-    assert both.unproved == ["own"]
+    assert both.fields_without_proved_optimum == ["own"]
     assert both.aggregates[0]["fields"] == 1
     assert both.aggregates[0]["deterministic_gap"].value == pytest.approx(0.5)
 
@@ -182,7 +182,7 @@ def test_labels_may_name_different_tasks(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"environment\.gust_time: "):
         Results.of(lulls)
     comparison = summarise(Results.of([plain, make_run(tmp_path, label="windy", environment=WIND)]))
-    assert not comparison.aggregates and comparison.unproved == ["field_03"]
+    assert not comparison.aggregates and comparison.fields_without_proved_optimum == ["field_03"]
     (line,) = gaps(comparison).lines
     cells = dict(zip(comparison.looks, line[1:], strict=True))
     assert cells["windy"] == "-" and cells["mappo"].endswith("%")
