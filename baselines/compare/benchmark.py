@@ -27,13 +27,7 @@ from baselines.zoo.sources import find_policy, is_trained
 from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, load_episode, save_episode
-from mbn_marl.errors import (
-    ConfigError,
-    EpisodeError,
-    FieldError,
-    ProblemsError,
-    collecting,
-)
+from mbn_marl.errors import ConfigError, EpisodeError, FieldError, ProblemsError, collecting
 from mbn_marl.field import Instance, load_split, splits
 from mbn_marl.planning import UnsolvableError
 from mbn_marl.render.figures import trajectory_panels
