@@ -29,13 +29,13 @@ class Conditions(Benchmark):
     name: ClassVar[str] = "conditions"
 
     policies: tuple[str, ...] = POLICIES
-    """Which of them; or a run or zoo:NAME, with mean actions."""
+    """Some of them; or a run or zoo:NAME, with mean actions."""
     conditions: tuple[Condition, ...] = get_args(Condition)
     """Under which conditions."""
     fields: tuple[str, ...] = tuple(catalogue_names())
     """Names of `mbn fields`."""
     episodes: int = 100
-    """How many episodes of each."""
+    """The number of episodes of each."""
     seed: int = EVALUATION_SEED
     """Of the episodes; by default that of all evaluations."""
 

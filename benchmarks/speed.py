@@ -178,7 +178,7 @@ class Case:
 
     name: str
     run: Callable[[int], object]  # does it so many times
-    units: float = 1.0  # how many units (env-steps, say) it does each time
+    units: float = 1.0  # units (env-steps, say) of a call
     prepare: Callable[[int], object] = lambda calls: None  # before the clock starts
 
 

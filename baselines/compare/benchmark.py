@@ -76,8 +76,8 @@ class Protocol(Checked):
 
     version: int  # results of different versions are not to be compared
     splits: int  # the version of the frozen fields
-    tiers: tuple[str, ...]  # what a whole benchmark has
-    episodes: EpisodeCounts  # how many an instance has
+    tiers: tuple[str, ...]  # of a whole benchmark
+    episodes: EpisodeCounts  # of an instance
     seed: int  # of an instance: this, 1000 for each tier before its own, and its number
     settings: tuple[str, ...]  # those that a policy may choose
 

@@ -58,7 +58,7 @@ def optimality_gap(scores: FloatArray) -> Estimate:
 
 
 def probability_of_improvement(ours: FloatArray, theirs: FloatArray) -> Estimate:
-    """How likely a run of ``ours`` is to score more than one of ``theirs``, mean over fields.
+    """The chance that a run of ``ours`` scores more than one of ``theirs``, mean over fields.
 
     Equal scores count half, so that the two directions sum to 1.
     """
@@ -89,7 +89,7 @@ def _estimate(scores: FloatArray, statistic: Callable[[FloatArray], Any]) -> Est
 
 
 def _shares(shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
-    # How often each resample draws each run, as a share of its field's: (resamples, *shape).
+    # The count of each run in each resample, as a share of its field's: (resamples, *shape).
     drawn = rng.integers(0, shape[1], (RESAMPLES, *shape))
     return np.stack([(drawn == seed).mean(axis=2) for seed in range(shape[1])], axis=2)
 
@@ -107,8 +107,8 @@ class Comparison:
     looks: Mapping[str, int]  # the labels in order, with the numbers of their looks in figures
     rows: Sequence[Numbers]  # every label on every field, field by field
     aggregates: Sequence[Numbers]  # every label over the fields with a proved optimum
-    # How likely a run of the first label has a higher return with sampled actions than one of the
-    # second on the same field, over all fields.
+    # The chance that a run of the first label has a higher return with sampled actions than one of
+    # the second on the same field, over all fields.
     probability_of_improvement: Mapping[str, Mapping[str, Estimate]]
     fields_without_proved_optimum: Sequence[str]  # the aggregates leave them out
     broken_runs: Mapping[str, str]  # the error of each that diverged; its label is left out

@@ -31,7 +31,7 @@ from mbn_marl.field import catalogue_names, safe_yaml
 STUDIES = sorted(path.stem for path in Path(__file__).parent.glob("*.yaml"))
 PAPER = published.by_field()
 STEPS = 1_441_792  # env-steps of a run
-NEAR = 0.0025  # how far below the optimum a return may be to count as near it
+NEAR = 0.0025  # a return so far below the optimum still counts as near it
 BUDGET = 1_500_000  # env-steps within which a run has to pass
 CAPTION = (
     "A run passes when the mean return of fresh sampled episodes is 100 000 or more, 99 % of them "
