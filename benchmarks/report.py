@@ -28,7 +28,7 @@ class Measurement:
     value: float | None  # None if it was not measured (the note says why), infinite for never
     unit: str
     target: float | None = None
-    at_least: bool = True  # whether the target is a lower bound; otherwise it is an upper one
+    at_least: bool = True  # the target is a lower bound; otherwise it is an upper one
     note: str = ""
 
     @property

@@ -167,4 +167,4 @@ class Play(_Window):
     """Drive one robot with the arrow keys or W, A, S, D, while a policy drives the others."""
 
     robot: int = 0
-    """Which robot is yours."""
+    """The number of your robot."""

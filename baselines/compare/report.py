@@ -53,12 +53,7 @@ def report_comparison(
 
     ``out`` is an ``.html`` file for one self-contained page, otherwise see :meth:`Place.of`; it
     records the exact command, and ``force`` moves one that is there aside. ``note`` receives what
-    is left out, and why.
-
-    Raises:
-        RunError: a path holds no run, a run is not finished, or something is at ``out`` already.
-        MbnError: there is a page at ``out`` already.
-        ConfigError: naming everything that keeps the runs from being compared.
+    is left out, and why. Errors are those of :meth:`Results.of` and :func:`find_records`.
     """
     results = Results.of(find_records(paths, note))
     if is_page(out):
@@ -98,7 +93,7 @@ def write_comparison(results: Results, place: Place) -> Comparison:
         write_episode(episode, out / f"trajectories_{field}.png", title)
         write_episode(episode, out / f"episode_{field}.gif")
     tables = overall_tables(comparison) | field_tables(comparison)
-    broken = [f"- {name}: {error}" for name, error in comparison.broken.items()]
+    broken = [f"- {name}: {error}" for name, error in comparison.broken_runs.items()]
     parts = [f"# {comparison.question}", comparison.verdict]
     if broken:
         parts += ["## Runs that diverged: their variants are left out", "\n".join(broken)]

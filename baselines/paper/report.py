@@ -115,10 +115,8 @@ def _page(
         curves="\n\n".join(shown),
         against="\n\n".join(pairs),
         study="\n\n".join(
-            [
-                picture("study_history", "History of the study"),
-                picture("study_importances", "Importance of each hyperparameter in the study"),
-            ]
+            picture(f"study_{name}", f"{title} of the study")
+            for name, title in (("history", "History"), ("importances", "Importances"))
         ),
         overview=picture("fields", "The ten fields, each to a scale of its own"),
         commands="\n".join(trainings.runs.command),
