@@ -22,8 +22,7 @@ from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
 from baselines.evaluation.intervals import mean_interval, mean_of_known
 from baselines.evaluation.policy import Origin, Policy, restart, show
 from baselines.evaluation.shielded import Shielded, behind
-from baselines.runs.files import RunError, differences, read_json, write_json
-from baselines.runs.provenance import versions
+from baselines.runs.files import RunError, differences, read_json, versions, write_json
 from baselines.zoo.sources import find_policy, is_trained
 from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine

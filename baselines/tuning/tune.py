@@ -20,9 +20,8 @@ from optuna.visualization import matplotlib as plots
 from baselines.algorithms import find_algorithm
 from baselines.paper import published
 from baselines.runs import files
-from baselines.runs.files import RunError, write_text
+from baselines.runs.files import RunError, write_provenance, write_text
 from baselines.runs.folder import RunFolder
-from baselines.runs.provenance import write_provenance
 from baselines.sb3.config import accepted_arguments
 from baselines.sweep.processes import Failure
 from baselines.sweep.run import Engine
