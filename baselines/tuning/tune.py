@@ -114,13 +114,11 @@ def suggest(trial: Trial, algorithm: str) -> dict[str, Any]:
 
 def begin_study(folder: Path) -> None:
     """Write the journal of a study without trials."""
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
     optuna.create_study(study_name="study", storage=_storage(folder), direction="maximize")
 
 
 def load_study(folder: Path) -> Study:
     """Load the study of ``folder``; raise a RunError if its journal is missing or damaged."""
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
     place = folder / JOURNAL
     if not place.is_file():
         raise RunError(f"{folder} is not the folder of a study: it has no {JOURNAL}")
@@ -135,6 +133,7 @@ def load_study(folder: Path) -> Study:
 
 
 def _storage(folder: Path) -> JournalStorage:
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
     return JournalStorage(journal.JournalFileBackend(str(folder / JOURNAL)))
 
 

@@ -90,7 +90,6 @@ def test_wrong_values_are_refused_by_place_and_nothing_is_made(
         assert place in refusal(["grid", str(path)]), changes
     path.write_text(yaml.safe_dump({"store": "runs", **TINY}))
     for words, place in (
-        ("", "SPEC"),
         ("nothing.yaml", "nothing.yaml: "),
         ("grid.yaml --address here:1", "address: "),
         ("grid.yaml --processes 0", "processes: "),
