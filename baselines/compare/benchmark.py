@@ -22,8 +22,7 @@ from baselines.policies.classical import NoPlanError
 from baselines.policies.load import Source
 from baselines.policies.policy import Policy, Wrapped
 from baselines.policies.shielded import Shielded, behind
-from baselines.runs.files import RunError, differences, read_json, write_json
-from baselines.runs.provenance import versions
+from baselines.runs.files import RunError, differences, read_json, versions, write_json
 from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, load_episode, save_episode

@@ -19,8 +19,7 @@ from baselines.compare.tables import field_tables, gaps, overall_tables
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.rollout import record_episode, write_episode
 from baselines.policies.load import load_trained
-from baselines.runs.files import Place, write_json, write_text
-from baselines.runs.provenance import write_provenance
+from baselines.runs.files import Place, write_json, write_provenance, write_text
 from mbn_marl.episode import Episode
 from mbn_marl.files import claim_file, replacing
 from mbn_marl.render.figures import save, svg, trajectory_panels
