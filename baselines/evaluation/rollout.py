@@ -99,16 +99,4 @@ def write_trajectories(episode: Episode, path: Path, title: str | None = None) -
 
 def draw_trajectories(episode: Episode, title: str | None = None) -> Figure:
     """Draw the robots' paths."""
-    last = episode.snapshot(episode.steps)
-    return figures.trajectory_figure(
-        last.field,
-        last.trail,
-        visited=last.visited,
-        collision=last.collision,
-        wind=last.winds,
-        headings=last.headings,
-        failed=last.failed,
-        gone=last.gone,
-        roi_radius=last.roi_radius,
-        title=title,
-    )
+    return figures.trajectory_figure(episode.snapshot(episode.steps), title)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from html import escape
 
 from mbn_marl.episode import Episode
-from mbn_marl.web import page
+from mbn_marl.render import web
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
         "contents": "\n".join(links),
         "sections": "\n".join(_section(*numbered) for numbered in enumerate(sections)),
     }
-    return page.whole("report.html", title, values, extra_styles=("report.css",))
+    return web.whole("report.html", title, values, extra_styles=("report.css",))
 
 
 def _section(number: int, section: Section) -> str:
@@ -64,7 +64,7 @@ def _section(number: int, section: Section) -> str:
         pictures = "".join(_figure(*named) for named in section.figures.items())
         parts.append(f'<div class="figures">{pictures}</div>')
     if section.episodes:
-        data = page.episodes_data(section.episodes)
+        data = web.episodes_data(section.episodes)
         parts += [
             f'<div id="replay-{number}" data-replay="episodes-{number}"></div>',
             f'<script type="application/json" id="episodes-{number}">{data}</script>',

@@ -14,7 +14,7 @@ from mbn_marl import Field
 from mbn_marl.config import make_config
 from mbn_marl.episode import Episode
 from mbn_marl.errors import MbnError
-from mbn_marl.web.replay import replay_page
+from mbn_marl.render.web import replay_page
 from tests.support.chromium import Chromium, fact
 
 BOX = "getBoundingClientRect()"
