@@ -10,9 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from baselines.compare.benchmark import load_protocol, load_tiers
-from baselines.compare.benchmark_page import CAPTION, cells, headings
-from baselines.compare.benchmark_statistics import WAYS, is_summary, tier_problems
+from baselines.compare.benchmark import (
+    CAPTION,
+    WAYS,
+    cells,
+    headings,
+    is_summary,
+    load_protocol,
+    load_tiers,
+    tier_problems,
+)
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.shielded import behind
 from baselines.runs.files import read_json, write_text

@@ -16,15 +16,14 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LAYERS = [
     {"mbn_marl.errors", "mbn_marl.version"},
-    {"mbn_marl.compiled", "mbn_marl.checked", "mbn_marl.files"},
-    {"mbn_marl.config"},
+    {"mbn_marl.jit", "mbn_marl.config", "mbn_marl.files"},
     {"mbn_marl.field"},
     {"mbn_marl.optimum"},
     {"mbn_marl.engine"},
     {"mbn_marl.planning"},
     {"mbn_marl.episode"},
     {"mbn_marl.render"},
-    {"mbn_marl.web", "mbn_marl.sim3d"},
+    {"mbn_marl.sim3d"},
     {"mbn_marl.adapters", "mbn_marl.registration"},
     {"mbn_marl.navigation_v0"},
     {"mbn_marl"},

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import CORES, check_options
+from baselines.cli.options import CORES, OptionalOutput, check_options
 
 if TYPE_CHECKING:
     from baselines.sweep.run import Sweep
@@ -35,7 +35,7 @@ class Grid:
     """ray: HOST:PORT of the cluster; by default $RAY_ADDRESS, or the cluster this machine is in."""
     check: bool = False
     """Check the file and say what there is to do, but do nothing."""
-    out: Path | None = None
+    out: OptionalOutput = None
     """fetch: the folder that the runs are copied into."""
 
     def run(self, command_line: str) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import CORES, check_options
+from baselines.cli.options import CORES, OptionalOutput, check_options
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Tune:
     have to see the database, or else the folder."""
     address: str | None = None
     """ray: HOST:PORT of the cluster; by default $RAY_ADDRESS, or the cluster this machine is in."""
-    out: Path | None = None
+    out: OptionalOutput = None
     """The folder of the study; by default runs/tune-ALGO-FIELD."""
     resume: bool = False
     """Continue the study that is there; a trial that was interrupted is run again."""

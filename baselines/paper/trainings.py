@@ -128,7 +128,6 @@ def find_trainings(
 
 
 def _one_of_each(found: Sequence[_Training], note: Callable[[str], None]) -> list[_Training]:
-    """One run for each cell and seed."""
     chosen: dict[tuple[Any, ...], _Training] = {}
     for one in sorted(found, key=lambda training: not training.run["finished"]):
         other = chosen.setdefault(tuple(one.run[name] for name in RUN), one)
@@ -146,8 +145,12 @@ def _one_of_each(found: Sequence[_Training], note: Callable[[str], None]) -> lis
 def _of_record(record: RunRecord) -> _Training:
     progress, run = read_progress(record.run.progress), record.run
     final = record.evaluation["stochastic"] if run.finished else {}
+    cell = {name: record.config[name] for name in RUN}
+    if cell["field"] not in catalogue_names():  # a file has its name, marked if it is a known one
+        name = Path(cell["field"]).stem
+        cell["field"] = f"{name} (file)" if name in catalogue_names() else name
     row = {
-        **_cell(record),
+        **cell,
         "env_steps": int(progress.env_steps.max()) if len(progress) else 0,
         "optimum": optimal_return(record.field),
         "reach": first_reach(progress, RETURN_THRESHOLD),
@@ -177,15 +180,6 @@ def _read_table(path: Path, types: dict[str, type]) -> DataFrame:
         return pandas.read_csv(path, usecols=list(types), dtype=types)
     except (OSError, ValueError, EOFError, LZMAError) as error:
         raise RunError(f"{path} cannot be read: {error}") from None
-
-
-def _cell(record: RunRecord) -> dict[str, Any]:
-    """The cell and the seed; a file's field has its name, marked if the catalogue has it too."""
-    cell = {name: record.config[name] for name in RUN}
-    if cell["field"] not in catalogue_names():
-        name = Path(cell["field"]).stem
-        cell["field"] = f"{name} (file)" if name in catalogue_names() else name
-    return cell
 
 
 def _known_first(known: Iterable[str], found: Iterable[str]) -> list[str]:

@@ -15,7 +15,7 @@ from baselines.sweep.spec import GridSpec, Resources, runs_of, without_source
 from baselines.sweep.store import Note, Store, open_store
 from baselines.sweep.worker import Outcome, TrainJob, source_of, train_in_store
 from baselines.training.config import TrainConfig
-from baselines.training.progress_bar import Listener, Report
+from baselines.training.run_logger import Listener, Report
 from baselines.training.train import prepare, resolve
 from mbn_marl.errors import ConfigError
 

@@ -16,10 +16,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from baselines.algorithms import Setting, find_algorithm
 from baselines.sweep.store import open_store
 from baselines.training.aids import Count, NonNegative, Positive
-from baselines.training.config import MOST_SEED, TrainConfig, default_label
-from baselines.training.overrides import ENVIRONMENT, parse
+from baselines.training.config import ENVIRONMENT, MOST_SEED, TrainConfig, default_label, parse
 from baselines.training.train import found_anywhere, prepare, sizes
-from mbn_marl.checked import describe
+from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, MbnError, ProblemsError
 from mbn_marl.field import catalogue_names, load_field
 

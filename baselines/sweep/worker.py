@@ -14,7 +14,7 @@ from baselines.runs.files import RunError, alone, claim_folder
 from baselines.runs.folder import RunFolder
 from baselines.sweep.store import Note, Store, open_store
 from baselines.training.config import DivergenceError, TrainConfig
-from baselines.training.progress_bar import Report
+from baselines.training.run_logger import Report
 from baselines.training.train import train
 from mbn_marl.errors import MbnError
 

@@ -6,10 +6,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.table import Column
 
-from baselines.console import FittingProgress
 from baselines.tuning.trial import News
 
 
@@ -22,7 +27,7 @@ def tune_display(
     bar, elapsed = BarColumn(bar_width=20), TimeElapsedColumn()
     words = TextColumn("{task.fields[running]}", table_column=Column(overflow="fold"))
     columns = (TextColumn("trials"), bar, MofNCompleteColumn(), words, elapsed)
-    with FittingProgress(*columns, spare=(bar, elapsed), screen=console) as progress:
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=trials, completed=ended, running="")
 
         def show(news: News) -> None:

@@ -17,7 +17,7 @@ from baselines.paper import published
 from baselines.runs.folder import RunFolder
 from baselines.sb3.config import accepted_arguments
 from baselines.training.config import MOST_SEED, DivergenceError, TrainConfig
-from baselines.training.progress_bar import Report
+from baselines.training.run_logger import Report
 from baselines.training.train import train
 from baselines.tuning.study import DIVERGED, load_study
 from mbn_marl.errors import MbnError

@@ -12,7 +12,7 @@ from optuna import Study
 from optuna.trial import TrialState
 
 from baselines.algorithms import find_algorithm
-from baselines.paper.figures import draw_study
+from baselines.paper.report import draw_study
 from baselines.runs.files import (
     RunError,
     alone,

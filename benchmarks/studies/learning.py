@@ -23,7 +23,7 @@ from baselines.compare.variants import CompareConfig, labelled
 from baselines.evaluation import intervals as statistics
 from baselines.paper import published
 from baselines.runs.files import write_json, write_text
-from baselines.training.hyperparameters import validate
+from baselines.training.config import validate
 from benchmarks.report import Benchmark, Measurement, measurement_table
 from mbn_marl.field import catalogue_names, safe_yaml
 

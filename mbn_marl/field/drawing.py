@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.rng import GOLDEN, mix
 from mbn_marl.field.layout import COUNTER, LENGTH, NEXT, X, Y
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.random_numbers import GOLDEN, mix
 
 HALF_WORD = np.uint64(32)
 TURN, QUARTER = 1 << 16, 1 << 14

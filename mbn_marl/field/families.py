@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled, entry_point
-from mbn_marl.compiled.rng import FOR_FIELDS, stream_key, stream_of
 from mbn_marl.field.drawing import (
     QUARTER,
     SHIFT,
@@ -45,6 +43,8 @@ from mbn_marl.field.layout import (
 )
 from mbn_marl.field.outlines import make_outline
 from mbn_marl.field.placing import place_holes, place_points
+from mbn_marl.jit.compile import compiled, entry_point
+from mbn_marl.jit.random_numbers import FOR_FIELDS, stream_key, stream_of
 
 ATTEMPTS = 100
 SHARP, REFLEX = 82, 30

@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from mbn_marl.checked import describe
+from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, FieldError, unknown
 from mbn_marl.field import authors
 from mbn_marl.field.catalogue import catalogue_file, catalogue_names, sampler_file, sampler_names

@@ -6,9 +6,9 @@ too narrow or too sharp is found later (``families.is_sound``).
 
 from __future__ import annotations
 
-from mbn_marl.compiled.jit import compiled
 from mbn_marl.field.drawing import QUARTER, SHIFT, TURN, add_corner, below, between, sine
 from mbn_marl.field.layout import CONCAVE, CONVEX, CORRIDORS, FARM, LENGTH, NEXT, OBSTACLES, X, Y
+from mbn_marl.jit.compile import compiled
 
 ONE = 1 << 20
 PERCENT = ONE // 100

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from mbn_marl.compiled.jit import compiled
 from mbn_marl.field.drawing import (
     QUARTER,
     SHIFT,
@@ -25,6 +24,7 @@ from mbn_marl.field.layout import (
     WALL,
     WALL_WISH,
 )
+from mbn_marl.jit.compile import compiled
 
 TRIES = 96
 """How many points are tried for an ROI or a start; what is wished shrinks from one to the next."""

@@ -40,14 +40,12 @@ def circle(corners: int) -> list[tuple[float, float]]:
 
 
 def write(folder: Path, text: str, name: str = "user.yaml") -> Path:
-    """A file ``name`` in ``folder`` that holds ``text``."""
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
 
 
 def problems_of_file(folder: Path, text: str) -> list[str]:
-    """The problems of a file that holds ``text``."""
     with pytest.raises(FieldError) as caught:
         load_field(write(folder, text))
     return caught.value.problems

@@ -22,7 +22,6 @@ TINY: dict[str, Any] = {
 
 
 def spec_of(store: Path | str, **changes: Any) -> GridSpec:
-    """Return a grid of tiny runs."""
     return GridSpec.model_validate({"store": str(store), **TINY, **changes})
 
 

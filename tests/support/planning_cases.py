@@ -15,17 +15,9 @@ from tests.support.worlds import points_within, ring
 
 SQUARE = [(100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0)]
 
+BASE, BAY = [(100, 100), (400, 100), (400, 400)], [(300, 400), (300, 150), (200, 150), (200, 400)]
 U_SHAPE = Field(
-    [
-        (100, 100),
-        (400, 100),
-        (400, 400),
-        (300, 400),
-        (300, 150),
-        (200, 150),
-        (200, 400),
-        (100, 400),
-    ],
+    [*BASE, *BAY, (100, 400)],
     rois=[(350, 380), (150, 380), (250, 110)],
     starts=[(120, 390), (140, 390)],
 )
@@ -80,15 +72,17 @@ def brute_force(
 ) -> int:
     """The least makespan without collisions: every partition, every order, all visit times.
 
-    All robots have the same ``velocity`` at their starts.
-
-    One linear program in the forces for each, discs as 48-gons of circumradius ``radius`` (so a
-    radius of 10 is at most optimistic about nothing, 10 / cos(pi / 48) about everything).
+    One linear program in the forces for each; discs are 48-gons of circumradius ``radius``. All
+    robots have the same ``velocity`` at their starts.
     """
     robots, rois = range(len(field.starts)), range(len(field.rois))
     for steps in range(1, 200):
         reach = {
-            (i, chosen): _can_visit(field, i, chosen, steps, radius, wind, velocity)
+            (i, chosen): any(
+                _feasible(field, i, order, times, steps, radius, wind, velocity)
+                for order in itertools.permutations(chosen)
+                for times in itertools.combinations_with_replacement(range(1, steps + 1), size)
+            )
             for i in robots
             for size in range(len(rois) + 1)
             for chosen in itertools.combinations(rois, size)
@@ -98,22 +92,6 @@ def brute_force(
             if all(reach[i, share] for i, share in enumerate(shares)):
                 return steps
     raise AssertionError("not within 200 steps")
-
-
-def _can_visit(
-    field: Field,
-    i: int,
-    chosen: tuple[int, ...],
-    steps: int,
-    radius: float,
-    wind: Pair,
-    velocity: Pair,
-) -> bool:
-    return any(
-        _feasible(field, i, order, times, steps, radius, wind, velocity)
-        for order in itertools.permutations(chosen)
-        for times in itertools.combinations_with_replacement(range(1, steps + 1), len(chosen))
-    )
 
 
 def _feasible(

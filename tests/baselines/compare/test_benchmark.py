@@ -16,15 +16,17 @@ from baselines import load_policy
 from baselines.cli.main import main
 from baselines.compare import benchmark
 from baselines.compare.benchmark import (
+    METRICS,
     SettingsError,
     check_settings,
     load_protocol,
     load_tiers,
     numbers,
+    result_page,
+    result_tables,
     run_benchmark,
+    statistics,
 )
-from baselines.compare.benchmark_page import result_page, result_tables
-from baselines.compare.benchmark_statistics import METRICS, statistics
 from baselines.evaluation.evaluate import Evaluation, evaluate
 from baselines.runs.files import RunError, alone
 from mbn_marl import Field

@@ -14,7 +14,7 @@ from baselines.compare.summary import summarise
 from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.training.config import DivergenceError, TrainConfig
-from baselines.training.progress_bar import Report
+from baselines.training.run_logger import Report
 from baselines.training.train import train
 from mbn_marl.errors import ConfigError
 from tests.support.records import CONFIG, TINY

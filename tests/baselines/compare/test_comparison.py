@@ -12,12 +12,11 @@ import pytest
 from pandas import DataFrame
 
 from baselines.algorithms import ALGORITHMS
-from baselines.compare.records import find_records, ordered
-from baselines.compare.results import Results
+from baselines.compare.records import Results, find_records, ordered
 from baselines.compare.summary import THRESHOLDS, summarise
 from baselines.compare.tables import gaps, print_comparison
 from baselines.compare.text_table import TextTable, csv_text
-from baselines.console import WholeCells
+from rich.console import Console
 from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import NavigationConfig
@@ -127,7 +126,7 @@ def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
         make_run(tmp_path / "runs", 0.9, seed=seed, label="other")
     out = io.StringIO()
     comparison = summarise(Results.of(find_records([tmp_path / "runs"])))
-    print_comparison(comparison, WholeCells(width=200, file=out))
+    print_comparison(comparison, Console(width=200, file=out))
     text = out.getvalue()
     assert "field_03: 400 env-steps a run, 2 seeds each" in text
     line = next(line for line in text.splitlines() if "25.0..50.0" in line)
@@ -149,7 +148,7 @@ def test_a_comparison_is_printed_whole_in_80_columns(tmp_path: Path) -> None:
             final = {"env_steps": 400, "seconds": 1.0, "stochastic": sampled, "deterministic": low}
             make_run(tmp_path, label=label, seed=seed, recorded=(history, final))
     found = summarise(Results.of(find_records([tmp_path])))
-    print_comparison(found, WholeCells(width=80, file=out))
+    print_comparison(found, Console(width=80, file=out))
     lines = out.getvalue().splitlines()
     words = {word for line in lines for word in re.split(r"\s{2,}", line.strip())}
     # Means over the two seeds, and the bounds that one seed alone gives.

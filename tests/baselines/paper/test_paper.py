@@ -13,8 +13,8 @@ from pandas.testing import assert_frame_equal
 
 from baselines.cli import main
 from baselines.compare.text_table import TextTable
-from baselines.paper import figures, glance, published
-from baselines.paper.tables import paper_tables
+from baselines.paper import published, tables
+from baselines.paper.report import against, learning_curves
 from baselines.paper.trainings import find_trainings, first_reach, read_progress
 from baselines.runs.files import RunError, write_json
 from baselines.runs.folder import RunFolder
@@ -150,9 +150,9 @@ def test_what_was_run_and_who_got_there(tmp_path: Path) -> None:
     make_run(tmp_path, [(1, 0, 0, 0, 0), good], every=200_000)
     make_run(tmp_path, [(1, 0, 0, 0, 0)], seed=34, finished=False)
     runs = find_trainings([tmp_path])
-    assert glance.coverage(runs).lines[4][:3] == ("PPO", "A", "2 x 1k to 400k, 1 unfinished")
-    assert glance.success(runs).lines[4][:3] == ("PPO", "A", "25%, -1,234")
-    assert glance.reached(runs).lines[1] == ("PPO", "1 of 2, soonest 400k", *["missing"] * 3)
+    assert tables.coverage(runs).lines[4][:3] == ("PPO", "A", "2 x 1k to 400k, 1 unfinished")
+    assert tables.success(runs).lines[4][:3] == ("PPO", "A", "25%, -1,234")
+    assert tables.reached(runs).lines[1] == ("PPO", "1 of 2, soonest 400k", *["missing"] * 3)
 
 
 def test_rankings_are_compared_by_kendalls_tau(tmp_path: Path) -> None:
@@ -162,13 +162,13 @@ def test_rankings_are_compared_by_kendalls_tau(tmp_path: Path) -> None:
         make_run(tmp_path, [NOTHING], algorithm=algorithm, field="field_03", seed=7)
     make_run(tmp_path, [(1, -9e6, 0, -9e6, -9e6)], algorithm="ppo", field="field_03")
     make_run(tmp_path, [(1, 0, 0, 0, 0)], algorithm="ars", setting="B", field="field_03")
-    lines = glance.ranking(find_trainings([tmp_path])).lines
+    lines = tables.ranking(find_trainings([tmp_path])).lines
     paper = "CrossQ > TRPO > TQC > PPO > ARS > A2C"
     here = ("PPO > CrossQ > TRPO", "-0.33", "field_01")
     assert lines[0] == ("A", "single episodes", paper, *here)
     assert lines[2][3:] == ("ARS", "missing", "field_03") and lines[4][3:] == ("missing",) * 3
     make_run(tmp_path, [(1, 0, 0, 0, 0)], algorithm="a2c", setting="B")  # on another field
-    assert glance.ranking(find_trainings([tmp_path])).lines[2][3:] == ("missing",) * 3
+    assert tables.ranking(find_trainings([tmp_path])).lines[2][3:] == ("missing",) * 3
 
 
 def test_curves_have_a_panel_a_field_and_a_look_an_algorithm(tmp_path: Path) -> None:
@@ -176,14 +176,14 @@ def test_curves_have_a_panel_a_field_and_a_look_an_algorithm(tmp_path: Path) -> 
     make_run(tmp_path, rows)
     make_run(tmp_path, rows, field="field_03", algorithm="tqc")
     make_run(tmp_path, rows, field="field_07", setting="B")
-    figure = figures.learning_curves(find_trainings([tmp_path]), "A")
+    figure = learning_curves(find_trainings([tmp_path]), "A")
     assert figure is not None
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles == ["field_01", "field_03"]
     ppo, tqc = (axes.lines[0] for axes in figure.axes)
     assert ppo.get_xydata().tolist() == [[1000, 10], [2000, 20]]
     assert ppo.get_color() != tqc.get_color() and ppo.get_marker() != tqc.get_marker()
-    assert figures.learning_curves(find_trainings([tmp_path]), "C") is None
+    assert learning_curves(find_trainings([tmp_path]), "C") is None
 
 
 def test_settings_are_set_against_each_other_in_the_cells_that_both_have(tmp_path: Path) -> None:
@@ -191,7 +191,7 @@ def test_settings_are_set_against_each_other_in_the_cells_that_both_have(tmp_pat
         make_run(tmp_path, [(1, mean, 0, mean, mean)], setting=setting)
     make_run(tmp_path, [(1, 0, 0, 0, 0)], field="field_03")
     runs = find_trainings([tmp_path])
-    figure = figures.against(runs, "A", "B")
+    figure = against(runs, "A", "B")
     assert figure is not None
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["PPO"]
     labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
@@ -199,7 +199,7 @@ def test_settings_are_set_against_each_other_in_the_cells_that_both_have(tmp_pat
     joined = [line.get_xdata() for line in figure.axes[0].lines if len(line.get_xdata()) == 2]
     assert list(joined[0]) == [-3e5, 1e5]
     assert list(joined[2]) == pytest.approx([-0.2128e6, -0.1807e6])
-    assert figures.against(runs, "A", "C") is None
+    assert against(runs, "A", "C") is None
 
 
 def test_a_page_can_stand_beside_its_folder_with_notes_on_top(tmp_path: Path) -> None:
@@ -338,8 +338,8 @@ def test_progress_that_cannot_be_read_names_the_place(tmp_path: Path) -> None:
 def test_a_run_without_an_ended_episode_is_missing(rows: list[Row], tmp_path: Path) -> None:
     make_run(tmp_path, rows, finished=False)
     runs = find_trainings([tmp_path])
-    assert glance.coverage(runs).lines[4][2] == f"1 x {len(rows)}k, 1 unfinished"
-    assert {table.text().lines[4][3] for table in paper_tables(runs)[:2]} == {"missing"}
-    assert figures.learning_curves(runs, "A") is None
-    assert figures.against(runs, "A", "A") is None
+    assert tables.coverage(runs).lines[4][2] == f"1 x {len(rows)}k, 1 unfinished"
+    assert {table.text().lines[4][3] for table in tables.paper_tables(runs)[:2]} == {"missing"}
+    assert learning_curves(runs, "A") is None
+    assert against(runs, "A", "A") is None
     assert np.isnan(runs.runs.reach).all()

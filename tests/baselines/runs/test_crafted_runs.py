@@ -23,7 +23,7 @@ from baselines.runs.files import RunError, alone, claim_folder, read_arrays, sea
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import read_tensors, write_tensors
 from baselines.torchrl import policy as team_policy
-from baselines.training.progress_bar import Report
+from baselines.training.run_logger import Report
 from baselines.training.train import train
 from mbn_marl.errors import MbnError
 from tests.support.runs import TinyRuns, small_config

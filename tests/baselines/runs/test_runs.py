@@ -13,7 +13,7 @@ import pytest
 from baselines.runs.files import RunError, alone, claim_folder, read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.training.config import TrainConfig
-from baselines.training.progress_bar import Report
+from baselines.training.run_logger import Report
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import load_field
 

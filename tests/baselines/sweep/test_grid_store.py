@@ -15,7 +15,7 @@ from baselines.sweep import worker
 from baselines.sweep.run import Sweep
 from baselines.sweep.status import Status
 from baselines.sweep.worker import Outcome, TrainJob, train_in_store
-from baselines.training.progress_bar import Report
+from baselines.training.run_logger import Report
 from baselines.training.train import train
 from tests.support.grids import spec_of
 from tests.support.runs import recorded, same_policies

@@ -1,4 +1,4 @@
-"""Instructions that Numba has no words for: prefetching memory, and turning squares over."""
+"""Instructions that Numba does not offer: prefetch memory, transpose squares, call an address."""
 
 from __future__ import annotations
 

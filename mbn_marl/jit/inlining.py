@@ -1,4 +1,4 @@
-"""How rules are compiled: into parts of what calls them, without machine code of their own."""
+"""A compiler of functions that are inlined and never compiled alone."""
 
 from __future__ import annotations
 
@@ -41,27 +41,23 @@ class Whole(tuple[Any, ...]):
 
 
 class _WholePacker:
-    """What Numba wants of an ``ArgPacker``, for arguments that are passed as they are."""
+    """Numba's ``ArgPacker`` for arguments that are passed as they are."""
 
     def __init__(self, models: Any, kinds: Whole) -> None:
         self.argument_types = tuple(models.lookup(kind).get_value_type() for kind in kinds)
 
     def as_arguments(self, builder: Any, values: Any) -> Any:
-        """Return the arguments of a call with these values."""
         return values
 
     def from_arguments(self, builder: Any, arguments: Any) -> Any:
-        """Return the values of the arguments of a call."""
         return arguments
 
     def assign_names(self, arguments: Any, names: Any) -> None:
-        """Name the arguments in the code."""
         for argument, name in zip(arguments, names, strict=True):
             argument.name = name
 
 
 def _packer(kinds: tuple[Any, ...]) -> Any:
-    """Return what packs arguments of these types for a call."""
     models = cpu_target.target_context.data_model_manager
     make: Any = _WholePacker if isinstance(kinds, Whole) else ArgPacker
     return make(models, kinds)
@@ -82,7 +78,6 @@ class _PartLowering(Lower):
         super().__init__(context, library, function, *rest, **named)  # type: ignore[no-untyped-call]
 
     def _find_singly_assigned_variable(self) -> None:
-        """Find the variables that are assigned once, before all their uses."""
         blocks = self.func_ir.blocks
         above = compute_cfg_from_blocks(blocks).dominators()  # type: ignore[no-untyped-call]
         uses = compute_use_defs(blocks).usemap  # type: ignore[no-untyped-call]
@@ -111,7 +106,6 @@ class _Settle(FunctionPass):
         super().__init__()  # type: ignore[no-untyped-call]
 
     def run_pass(self, state: Any) -> bool:
-        """Replace ``argument.field`` wherever the field's type tells its value."""
         code = state.func_ir
         for block in code.blocks.values():
             for assignment in block.find_insts(ir.Assign):
@@ -137,15 +131,14 @@ class _LowerPart(BaseNativeLowering):
 
     @property
     def lowering_class(self) -> type[Lower]:
-        """Return what writes the code."""
         return _PartLowering
 
 
 class _NoEnvironment:
-    """Stands where Numba would tell the machine code of a function its globals."""
+    """Takes a function's globals, which without machine code nobody needs."""
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Do nothing: there is no machine code."""
+        pass
 
 
 class _Part(JITCodeLibrary):
@@ -154,7 +147,7 @@ class _Part(JITCodeLibrary):
     codegen = _NoEnvironment()
 
     def get_pointer_to_function(self, name: str) -> int:
-        """There is no such function in memory, which Numba writes as 0."""
+        """Return 0, by which Numba means a function that is not in memory."""
         return 0
 
     def _optimize_final_module(self) -> None:
@@ -182,7 +175,6 @@ class PartCompiler(CompilerBase):
         super().__init__(typing, target, part, *rest)  # type: ignore[no-untyped-call]
 
     def define_pipelines(self) -> list[Any]:
-        """Return the passes."""
         passes: Any = PassManager("part")  # type: ignore[no-untyped-call]
         for one in PASSES:
             passes.add_pass(one)

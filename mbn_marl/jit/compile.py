@@ -1,4 +1,4 @@
-"""How functions are compiled, and when compiled code is reused."""
+"""Compile functions, and keep their machine code on disk."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import hashlib
 import logging
 import os
 import pickle
-import sys
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, cached_property
@@ -28,6 +26,7 @@ from mbn_marl.errors import MbnError
 if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
     raise MbnError("NUMBA_DISABLE_JIT: set; allowed: unset, since the engine runs only compiled")
 
+LOG = logging.getLogger("mbn_marl")
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Compiled code runs without the GIL, divides as NumPy does, and is not for C to call."""
 
@@ -39,20 +38,20 @@ DAMAGED = "mbn_marl: %s is damaged, so its code is compiled again: %s"
 NOT_USED = "mbn_marl: NUMBA_CACHE_DIR=%s cannot be written, so compiled code in it is not used"
 NOT_KEPT = "mbn_marl: %s cannot be written, so compiled code is not kept: %s"
 PLAIN = "MBN_PLAIN_JIT"
-"""The environment variable that turns the compiler of ``part`` off, if it is set."""
+"""The environment variable that turns ``PartCompiler`` off, if it is set."""
 PROVEN = ("0.61.", "0.68.")
 """The versions of Numba that the engine was run with; others are tried first."""
-SOURCES_OF = ("config.py", "compiled", "engine", "field")
+SOURCES_OF = ("config.py", "jit", "engine", "field")
 """The files, and the folders, that compiled functions and the numbers in them come from."""
 
 
 def digest_of_sources(package: Path) -> str:
-    """A hash of all source files of ``SOURCES_OF`` and the folders in them, and their places."""
+    """Return a hash of all source files of ``SOURCES_OF``, and of their places."""
     digest = hashlib.sha256()
-    inside = (path for name in SOURCES_OF for path in (package / name).rglob("*.py"))
-    files = (path for path in map(package.joinpath, SOURCES_OF) if path.is_file())
-    for path in sorted([*files, *inside]):
-        digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
+    for path in sorted(package.rglob("*.py")):
+        place = path.relative_to(package)
+        if place.parts[0] in SOURCES_OF:
+            digest.update(place.as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 
 
@@ -60,65 +59,49 @@ SOURCES = digest_of_sources(Path(__file__).parents[1])
 
 
 class _Announcer(event.Listener):
-    """Warns, once in a process, that functions of ours are compiled; a terminal sees progress.
+    """Warns, once in a process, that functions of this package are compiled.
 
     Meanwhile nothing collects garbage, which would take a tenth of the time and find none.
     """
 
-    def __init__(self) -> None:
-        self.functions, self.depth = 0, 0
-        self.outermost, self.began, self.collects = "", 0.0, True
+    announced, depth, collects = False, 0, True
 
     def on_start(self, event: Any) -> None:
-        """Hear that Numba begins to compile a function."""
-        if not self._is_ours(event):
-            return
-        name = event.data["dispatcher"].py_func.__name__
-        if self.functions == 0:
-            logging.getLogger("mbn_marl").warning(ANNOUNCEMENT, name)
-        if self.depth == 0:
-            self.outermost, self.began = name, time.perf_counter()
-            self.collects = gc.isenabled()
-            gc.disable()
-        self.functions += 1
-        self.depth += 1
-        self._show(f"{self.outermost}: {self.functions} functions, {self._seconds():.0f} s")
+        function = event.data["dispatcher"].py_func
+        if _is_ours(function):
+            if not self.announced:
+                LOG.warning(ANNOUNCEMENT, function.__name__)
+                self.announced = True
+            if self.depth == 0:
+                self.collects = gc.isenabled()
+                gc.disable()
+            self.depth += 1
 
     def on_end(self, event: Any) -> None:
-        """Hear that it has ended."""
-        if self._is_ours(event):
+        if _is_ours(event.data["dispatcher"].py_func):
             self.depth -= 1
-            if self.depth == 0:
-                self._show("")
-                if self.collects:
-                    gc.enable()
+            if self.depth == 0 and self.collects:
+                gc.enable()
 
-    def _is_ours(self, event: Any) -> bool:
-        module = event.data["dispatcher"].py_func.__module__ or ""  # code of ``exec`` has none
-        return bool(module.startswith("mbn_marl."))
 
-    def _seconds(self) -> float:
-        return time.perf_counter() - self.began
-
-    def _show(self, progress: str) -> None:
-        if sys.stderr.isatty():
-            print(f"\r{progress:40}\r", end="", file=sys.stderr, flush=True)
+def _is_ours(function: Any) -> bool:
+    return (function.__module__ or "").startswith("mbn_marl.")  # code of ``exec`` has none
 
 
 event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
 
 
 class Rule(CPUDispatcher):
-    """A compiled function that is made to become part of the compiled functions that call it.
+    """A compiled function that becomes part of the compiled functions that call it.
 
-    It has no machine code and no wrappers of its own, which take Numba longer than all the rest.
-    A call from Python, by a test or a curious reader, compiles the function alone.
+    It has no machine code and no wrappers, which take Numba longer than all the rest. A call from
+    Python, by a test or a curious reader, compiles the function alone.
     """
 
     returns_views = False
 
     def get_call_template(self, arguments: Any, keywords: Any) -> Any:
-        """Check that no caller that counts references is given arrays whose own were not."""
+        """Refuse to give a caller that counts references arrays whose references do not count."""
         template = super().get_call_template(arguments, keywords)
         models = self.targetctx.data_model_manager
         caller: Any = ConfigStack.top_or_none()  # type: ignore[no-untyped-call]
@@ -130,7 +113,6 @@ class Rule(CPUDispatcher):
         return template
 
     def __call__(self, *arguments: Any) -> Any:
-        """Call the function alone."""
         result = self.alone(*arguments)
         parts = result if isinstance(result, tuple) else (result,)
         if not self.returns_views and any(isinstance(part, np.ndarray) for part in parts):
@@ -144,17 +126,17 @@ class Rule(CPUDispatcher):
 
 
 def compiler_of_rules() -> type[CompilerBase]:
-    """The compiler of ``part``, or Numba's where that does not work: slower, with the same bits."""
+    """Return ``PartCompiler``, or Numba's own where that fails: slower, with the same bits."""
     if PLAIN in os.environ:
         return Compiler
     try:
-        from mbn_marl.compiled.part import PartCompiler
+        from mbn_marl.jit.inlining import PartCompiler
 
         if not numba.__version__.startswith(PROVEN):
             _prove(PartCompiler)
     except Exception as error:  # whatever has moved in Numba
         warning = "Numba %s: %s; rules are compiled by its usual compiler, which takes longer"
-        logging.getLogger("mbn_marl").warning(warning, numba.__version__, repr(error))
+        LOG.warning(warning, numba.__version__, repr(error))
         return Compiler
     return PartCompiler
 
@@ -168,10 +150,7 @@ def _prove(compiler: type[CompilerBase]) -> None:
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a rule or a pass, to become part of what calls it.
-
-    It neither makes arrays nor counts references to those it is given, which takes time.
-    """
+    """Compile a function as a part of its callers; it neither makes nor counts arrays."""
     return _rule(function, COMPILER)
 
 
@@ -191,7 +170,7 @@ def returning_views(function: Callable[..., Any]) -> Any:
 
 
 def generated(name: str, source: str, as_rule: Callable[..., Any] = compiled, **names: Any) -> Any:
-    """Compile the function ``name`` of a source text that was put together from fields' names."""
+    """Compile the function ``name`` of a generated source text."""
     module = {"__name__": __name__, **names}
     exec(source, module)
     return as_rule(module[name])
@@ -203,17 +182,17 @@ def entry_point(function: Callable[..., Any]) -> Any:
 
 
 def entry_point_of_one_file(function: Callable[..., Any]) -> Any:
-    """Compile what Python calls and what calls nothing of another file: Numba renews it then."""
+    """Compile what Python calls and what calls nothing of another file."""
     return _kept(numba.njit(function))
 
 
 def parallel_entry_point(function: Callable[..., Any]) -> Any:
-    """Compile what Python calls and what shares its ``prange`` loops among Numba's threads."""
+    """Compile what Python calls and what spreads its ``prange`` loops over Numba's threads."""
     return _cached(function, parallel=True)
 
 
 def address_of(function: Any, *arguments: Any) -> int:
-    """Return where the machine code of an entry point for arguments of these types is."""
+    """Return the address of an entry point's machine code for arguments of these types."""
     kinds = tuple(map(numba.typeof, arguments))
     function.compile(kinds)
     result = function.overloads[kinds]
@@ -252,9 +231,7 @@ class CodeFiles(IndexDataCacheFile):
 class CodeCache(FunctionCache):
     """Numba's cache of a function; a program runs without it where it cannot be written.
 
-    Args:
-        function: the function.
-        stamp: what its code depends on; without one, Numba's: its own file.
+    Code is renewed when its ``stamp`` changes; without one, when the function's file does.
     """
 
     def __init__(self, function: Callable[..., Any], stamp: Any = None) -> None:
@@ -263,17 +240,15 @@ class CodeCache(FunctionCache):
         self._cache_file = CodeFiles(self._cache_path, self._impl.filename_base, ours or theirs)  # type: ignore[no-untyped-call]
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Save compiled code, or warn that its folder cannot be written."""
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError as error:
             _warn(NOT_KEPT, self._cache_path, error.strerror)
 
 
-@cache
+@cache  # once about a file or a folder
 def _warn(message: str, *parts: str | None) -> None:
-    """Warn once about a file or a folder."""
-    logging.getLogger("mbn_marl").warning(message, *parts)
+    LOG.warning(message, *parts)
 
 
 def _digest(code: bytes) -> bytes:
@@ -281,7 +256,7 @@ def _digest(code: bytes) -> bytes:
 
 
 def _kept(dispatcher: Any, stamp: Any = None) -> Any:
-    """Let a dispatcher keep its code on disk, if there is a folder that can be written."""
+    """Let a dispatcher keep its code on disk, if a folder can be written."""
     asked, found = numba.config.CACHE_DIR, ""  # type: ignore[attr-defined]
     with suppress(RuntimeError):  # there is none
         dispatcher._cache = CodeCache(dispatcher.py_func, stamp)
@@ -292,11 +267,7 @@ def _kept(dispatcher: Any, stamp: Any = None) -> Any:
 
 
 def _cached(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile for the types of each call, and keep the machine code on disk.
-
-    Numba renews a cached function when its own file changes, but a rule is compiled into every
-    function that calls it, wherever that is. So the cache is stamped with all such sources
-    instead. Where nothing can be written, each process compiles for itself.
-    """
+    # Numba renews a cached function when its own file changes. A rule is compiled into every
+    # function that calls it, in any file, so the stamp is of all sources instead.
     dispatcher = numba.njit(**COMMON, **options)(function)
     return _kept(dispatcher, (SOURCES, COMPILER.__name__))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled
+from mbn_marl.jit.compile import compiled
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
