@@ -22,9 +22,9 @@ from baselines.policies.load import load_trained
 from baselines.runs.files import Place, write_json, write_provenance, write_text
 from mbn_marl.episode import Episode
 from mbn_marl.files import claim_file, replacing
+from mbn_marl.render import web
 from mbn_marl.render.figures import save, svg, trajectory_panels
 from mbn_marl.version import __version__
-from mbn_marl.web import page
 
 PAGE = "comparison.md"
 
@@ -157,7 +157,7 @@ def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
         "contents": "\n".join(links),
         "sections": "\n".join(_section(*numbered) for numbered in enumerate(sections)),
     }
-    return page.whole("report.html", title, values, extra_styles=("report.css",))
+    return web.whole("report.html", title, values, extra_styles=("report.css",))
 
 
 def _section(number: int, section: Section) -> str:
@@ -167,7 +167,7 @@ def _section(number: int, section: Section) -> str:
         pictures = "".join(_figure(*named) for named in section.figures.items())
         parts.append(f'<div class="figures">{pictures}</div>')
     if section.episodes:
-        data = page.episodes_data(section.episodes)
+        data = web.episodes_data(section.episodes)
         parts += [
             f'<div id="replay-{number}" data-replay="episodes-{number}"></div>',
             f'<script type="application/json" id="episodes-{number}">{data}</script>',
