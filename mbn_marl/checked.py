@@ -41,8 +41,9 @@ def _flag(value: object) -> object:
     return value
 
 
-RealNumber = Annotated[float, BeforeValidator(_number)]
-WholeNumber = Annotated[int, BeforeValidator(_number)]
+NOT_A_WORD = BeforeValidator(_number)
+RealNumber = Annotated[float, NOT_A_WORD]
+WholeNumber = Annotated[int, NOT_A_WORD]
 Flag = Annotated[bool, BeforeValidator(_flag)]
 """Types that a word, or a truth value in place of a number, is not converted to."""
 _ONE, _EACH, _DRAWN = "for all", "for each", "(drawn)"
@@ -155,15 +156,21 @@ def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
             message = unknown("name", str(name), [name for name, field in known if field.repr])
         elif problem["type"] == "literal_error":
             choices = re.findall(r"'(.*?)'", problem["ctx"]["expected"])
-            message = (
-                f"{problem['input']!r:.80}: {unknown('choice', str(problem['input']), choices)}"
-            )
+            shown = _shown(problem["input"])
+            message = f"{shown}: " + unknown("choice", shown.strip("'"), choices)
         else:
             message = problem["msg"].removeprefix("Value error, ")
             if problem["type"] != "missing":  # else the input is all that is around it
-                message += f" (got {_SHORT.repr(problem['input'])})"
+                message += f" (got {_shown(problem['input'])})"
         lines.append(f"{place}: {message}")
     return lines
+
+
+def _shown(value: object) -> str:
+    try:
+        return _SHORT.repr(value)
+    except ValueError:  # a whole number of more digits than Python shows
+        return type(value).__name__
 
 
 def _level(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseModel]:

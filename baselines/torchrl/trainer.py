@@ -75,7 +75,7 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
         problems.append(f"hidden: {widths}; allowed with network entities: two widths")
     if sets and settings.one_hot:
         problems.append("one_hot: True; allowed with network entities: False")
-    most = task.field.most_robots if drawn else len(task.field.starts)  # type: ignore[union-attr]
+    most = task.field.robots[1] if drawn else len(task.field.starts)  # type: ignore[union-attr]
     if sets and (settings.n_robots or most) < 2:
         problems.append("robots: 1; allowed with network entities: at least 2")
     if sets and settings.observation != "entities":

@@ -16,7 +16,7 @@ from baselines.training.hyperparameters import Hyperparameters
 from mbn_marl.checked import Uniform
 from mbn_marl.config import make_config
 from mbn_marl.field import Field, FieldSampler
-from mbn_marl.field.limits import SAFETY_DISTANCE
+from mbn_marl.field.schema import SAFETY_DISTANCE
 
 Count = Annotated[int, pydantic.Field(ge=1)]
 Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]

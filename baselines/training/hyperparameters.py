@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mbn_marl.checked import describe
 from mbn_marl.errors import ConfigError, FieldError, unknown
-from mbn_marl.field import safe_yaml
+from mbn_marl.field.files import parse_yaml
 
 
 class Hyperparameters(BaseModel):
@@ -36,7 +36,7 @@ def read_blocks(path: Path) -> dict[str, Any]:
     """Read a YAML file of named blocks; raise a ConfigError if it is none."""
     try:
         data = path.read_bytes()
-        blocks = safe_yaml.parse_yaml(data, str(path), max_scalar=safe_yaml.MAX_TEXT)
+        blocks = parse_yaml(data, str(path))
     except FieldError as error:
         raise ConfigError(str(path), error.problems) from None
     except OSError as error:

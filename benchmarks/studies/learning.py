@@ -25,7 +25,8 @@ from baselines.paper import published
 from baselines.runs.files import write_json, write_text
 from baselines.training.hyperparameters import validate
 from benchmarks.report import Benchmark, Measurement, measurement_table
-from mbn_marl.field import catalogue_names, safe_yaml
+from mbn_marl.field import catalogue_names
+from mbn_marl.field.files import parse_yaml
 
 StudyName = Literal[
     "ablations",
@@ -125,7 +126,7 @@ class Study(Benchmark):
         """Return the study, with the options in it."""
         given = {name: getattr(self, name) for name in ("fields", "seeds", "steps")}
         path = Path(__file__).with_name(f"{self.study}.yaml")
-        values: Any = safe_yaml.parse_yaml(path.read_bytes(), str(path))
+        values: Any = parse_yaml(path.read_bytes(), str(path))
         plan = validate(Plan, values, str(path))
         return plan.model_copy(update={name: value for name, value in given.items() if value})
 

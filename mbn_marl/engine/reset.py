@@ -29,7 +29,7 @@ from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
 from mbn_marl.engine.mdp.visits import all_visited, visit_code
 from mbn_marl.engine.mdp.ways import lay_ways
 from mbn_marl.engine.state import HEADING, OPTIONAL, Episode
-from mbn_marl.field.families import make_field
+from mbn_marl.field.generator.families import make_field
 
 DRAWS_PER_ROBOT = 1000
 """How many random starts are tried for a robot before the field's own starts are used instead."""
