@@ -19,7 +19,7 @@ from benchmarks.speed.peers import plain_case, vmas_cases
 from benchmarks.speed.timing import Budget, engine_case, interleaved
 from mbn_marl import BatchEngine, FieldSampler
 from mbn_marl.field import catalogue_names
-from mbn_marl.field.generator.sampler import FAMILIES
+from mbn_marl.field.generator.layout import FAMILIES
 
 MILLION, RATE = 1e6, "M env-steps/s"
 SCENARIOS = "simple_spread", "navigation"

@@ -17,7 +17,8 @@ from mbn_marl.engine.mdp.observations import WITH_RAYS
 from mbn_marl.engine.mdp.ways import Ways, make_ways, no_ways
 from mbn_marl.engine.state import Array, Geometry
 from mbn_marl.field import Field, FieldSampler
-from mbn_marl.field.generator.sampler import Tables, field_of, make_tables, scratch_rows
+from mbn_marl.field.generator.layout import Tables, make_tables, scratch_rows
+from mbn_marl.field.generator.sampler import field_of
 
 MARGIN = 1.02
 """Safety distances between starts: discs about them are polygons, and they are rounded."""

@@ -15,7 +15,7 @@ from mbn_marl.engine.constants import AUTORESET_MODES
 from mbn_marl.engine.geometry import FieldSource, Sizes, sizes_of
 from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import Field, FieldSampler
-from mbn_marl.field.generator.sampler import MILLI, STARTS_APART
+from mbn_marl.field.generator.layout import MILLI, STARTS_APART
 
 SPACING = STARTS_APART / MILLI
 """The least distance of starts that are drawn, units."""

@@ -20,13 +20,8 @@ from shapely.geometry import mapping, shape
 from mbn_marl.errors import FieldError
 from mbn_marl.field.field import Field
 from mbn_marl.field.files import name_from, read_bytes, split_location
-from mbn_marl.field.generator.sampler import (
-    MILLI,
-    ROIS_APART,
-    STARTS_APART,
-    WALL,
-    FieldSampler,
-)
+from mbn_marl.field.generator.layout import MILLI, ROIS_APART, STARTS_APART, WALL
+from mbn_marl.field.generator.sampler import FieldSampler
 from mbn_marl.field.schema import DEFAULT_ARENA, MAX_COORDINATE, MAX_VERTICES, ROI_RADIUS
 
 Coordinates = npt.NDArray[np.float64]  # (k, 2)

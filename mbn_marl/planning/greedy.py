@@ -85,7 +85,6 @@ class Greedy(Cautious):
         self.queues = assign(self.roadmap, works, visited)
 
     def _wishes(self, i: int, position: Floats, visited: NDArray[np.bool_]) -> list[Floats]:
-        """Return the velocities for robot i to try, the best first."""
         left = [j for j in self.queues[i] if not visited[j]]
         if not left:
             stir = STIRS[self.stirred % len(STIRS)] * self.problem.forces[i]

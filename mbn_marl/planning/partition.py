@@ -63,7 +63,6 @@ def cheapest_partition(masks: Ints, costs: Ints, whole: int) -> list[int] | None
 
 
 def _table(masks: Ints, values: Ints, whole: int) -> Ints:
-    """Return (n, whole + 1): the values of all subsets."""
     table = np.full((len(values), whole + 1), NEVER)
     table[:, masks] = values
     return table
@@ -97,11 +96,7 @@ def _best(costs: Ints, sums: bool) -> tuple[Ints, Ints]:
 
 
 def _covered(masks: Ints, allowed: np.ndarray, whole: int) -> list[int] | None:
-    """Return a partition into allowed sets, (n, K) bool, or ``None``: there is none.
-
-    Raises:
-        UndecidedError: after :data:`MOST_NODES` branches.
-    """
+    """Return a partition into allowed sets, (n, K) bool, or ``None``: there is none."""
     owners, sets = [], []
     for i, row in enumerate(allowed):
         largest: list[int] = []  # of a robot's sets those that no other one contains
@@ -148,7 +143,6 @@ def _cover(owners: Ints, sets: Ints, rest: int, chosen: Ints, budget: Ints) -> b
 
 @entry_point_of_one_file
 def _size(mask: int) -> int:
-    """Return how many ROIs a set has."""
     size = 0
     while mask:
         mask &= mask - 1
@@ -158,7 +152,6 @@ def _size(mask: int) -> int:
 
 @entry_point_of_one_file
 def _rarest(parts: Ints, rest: int) -> int:
-    """Return the ROI of ``rest`` that is in the fewest parts, as a set."""
     least, rarest = len(parts) + 1, 0
     while rest:
         roi = rest & -rest

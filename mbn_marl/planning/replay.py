@@ -57,7 +57,6 @@ class Player:
         self._start["now.visited"] |= sum(1 << last - j for j in set(visited))
 
     def replay(self, actions: NDArray[np.float32]) -> Playback:
-        """Play the actions (T, n, 2) until they or the episode end."""
         rows = iter(actions)
         return self.play(lambda *_: next(rows, None))
 
@@ -72,7 +71,6 @@ class Player:
         return None
 
     def play(self, choose: ChooseActions) -> Playback:
-        """Play one episode to its end, or until ``choose`` returns ``None``."""
         engine, actions = self._engine, []
         engine.load_state(self._start)
         seen = engine.snapshot()

@@ -35,9 +35,7 @@ MARGIN = 1e-3
 class Cautious:
     """Base of controllers whose robots can always brake, for one team and episode.
 
-    Args:
-        problem: the instance; its ``starts`` do not matter.
-        weather: what the team knows of the wind; by default the instance's.
+    ``weather`` is what the team knows of the wind; by default the instance's.
     """
 
     def __init__(self, problem: Problem, weather: Weather | None = None) -> None:
@@ -47,7 +45,6 @@ class Cautious:
         shapely.prepare(problem.area)
 
     def _look(self, velocities: Floats, works: Flags) -> None:
-        """Find out from the last step what the wind does."""
         if self.before is not None:
             self.weather = self.weather.after(self.instance, *self.before, velocities, works)
             self.problem = self.weather.problem(self.instance)
@@ -60,12 +57,10 @@ class Cautious:
         return ways
 
     def _within_force(self, i: int, change: Floats) -> Floats:
-        """Return the possible change of velocity that is nearest to ``change``."""
         force, wind = self.problem.forces[i], self.problem.wind
         return np.clip(change, wind - force, wind + force)
 
     def _toward(self, i: int, speed: Floats, wishes: Iterable[Floats]) -> Iterator[Floats]:
-        """Yield the changes of robot i's velocity that bring it nearest to the velocities."""
         return (self._within_force(i, wanted - speed) for wanted in wishes)
 
     def _action(self, i: int, change: Floats) -> Floats:
@@ -74,10 +69,9 @@ class Cautious:
         return np.clip(force, -1.0, 1.0)
 
     def _coast(self, i: int, position: Floats, velocity: Floats) -> Floats:
-        """Return (k, 2): robot i's positions while it brakes.
+        """Return (k, 2): robot i's positions while it brakes, to rest or the episode's end.
 
-        The last one is where it rests, unless the episode has ended by then. A robot that the wind
-        pushes on with more than its force never rests: that has ``FORESEEN`` positions.
+        A robot that the wind pushes on with more than its force has ``FORESEEN`` positions.
         """
         top, config = self.problem.drives[i].top, self.problem.config
         force, wind = self.problem.forces[i], self.problem.wind
@@ -106,9 +100,8 @@ class Cautious:
     ) -> tuple[Floats, Floats]:
         """Return the change of robot i's velocity, and its way if it brakes after that.
 
-        It is the first of the ``changes``, and of some more, after which it can brake clear of
-        walls and of the others' ``plans``; if a failed robot leaves none, the one that keeps the
-        farthest away.
+        It is the first of the ``changes`` after which it can brake clear of walls and of the
+        others' ``plans``; if a failed robot leaves none, the one that keeps the farthest away.
         """
         top = self.problem.drives[i].top
         others = [plan for j, plan in plans.items() if j != i]
@@ -139,13 +132,10 @@ class Cautious:
 
 
 class Shield(Cautious):
-    """Lets robots of one team do, through one episode, what they could brake after.
+    """Replaces actions after which a robot of one team could no longer brake in time.
 
-    The guarantee is the braking test's: robots keep within the field and apart as long as forces
-    can stop them and the wind does not change.
-
-    Args:
-        problem: the instance; its ``starts`` do not matter.
+    Robots keep within the field and apart as long as forces can stop them and the wind does not
+    change. The ``starts`` of the problem do not matter.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -164,11 +154,8 @@ class Shield(Cautious):
         In place of one that does not, a robot goes more slowly, turns, brakes or escapes. Robots
         decide in index order: the others' ways are what they have decided, or to brake.
 
-        Args:
-            actions: (n, 2), finite; values outside [-1, 1] count as clipped.
-            positions: (n, 2), units.
-            velocities: (n, 2), units/step.
-            failed: (n,), which robots have failed; ``None``: none has.
+        ``actions`` are finite; values outside [-1, 1] count as clipped. The rest as for
+        :meth:`Greedy.act`.
         """
         places, speeds = np.asarray(positions, float), np.asarray(velocities, float)
         works = np.ones(self.problem.n, bool) if failed is None else ~failed
@@ -187,10 +174,7 @@ class Shield(Cautious):
 
 def around(wanted: Floats) -> list[Floats]:
     """Return a velocity (2,), units/step, and slower and turned ones to try in its place."""
-    turned = [_turn(wanted, math.radians(angle)) for angle in TURNS]
-    return [wanted, 0.5 * wanted, 0.25 * wanted, *(0.5 * one for one in turned)]
-
-
-def _turn(vector: Floats, angle: float) -> Floats:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
+    x, y = wanted
+    turns = [(math.cos(math.radians(angle)), math.sin(math.radians(angle))) for angle in TURNS]
+    turned = [0.5 * np.array([c * x - s * y, s * x + c * y]) for c, s in turns]
+    return [wanted, 0.5 * wanted, 0.25 * wanted, *turned]

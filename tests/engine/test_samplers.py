@@ -15,7 +15,7 @@ from mbn_marl.engine.constants import constants_of
 from mbn_marl.engine.mdp.failures import fail
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, FieldSampler, load_field
-from mbn_marl.field.generator.sampler import FAMILIES
+from mbn_marl.field.generator.layout import FAMILIES
 from tests.support.configurations import SAMPLER as ALL
 from tests.support.configurations import STORM
 

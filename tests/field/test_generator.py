@@ -18,14 +18,8 @@ from mbn_marl.engine.geometry import make_geometry
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, FieldSampler, generate
 from mbn_marl.field.generator.families import make_fields, root
-from mbn_marl.field.generator.sampler import (
-    FAMILIES,
-    Tables,
-    field_of,
-    least_size,
-    make_tables,
-    scratch_rows,
-)
+from mbn_marl.field.generator.layout import FAMILIES, Tables, make_tables, scratch_rows
+from mbn_marl.field.generator.sampler import field_of, least_size
 from tests.support.field_cases import circle
 
 ROUNDING = 1e-6

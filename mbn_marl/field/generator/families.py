@@ -17,7 +17,7 @@ import numpy as np
 
 from mbn_marl.compiled.jit import compiled, entry_point
 from mbn_marl.compiled.rng import FOR_FIELDS, GOLDEN, mix, stream_key, stream_of
-from mbn_marl.field.generator.sampler import (
+from mbn_marl.field.generator.layout import (
     CORNERS,
     FAMILIES,
     MILLI,
