@@ -40,14 +40,8 @@ class Field:
             every ROI, with the default dynamics and no wind; ``None`` if unknown.
 
     Attributes:
-        vertices: float64 array of shape (k, 2), read-only, like all arrays here.
-        rois: float64 (m, 2).
-        starts: float64 (s, 2).
-        holes: tuple of float64 arrays (k, 2).
+        vertices: as given, float64 and read-only, like ``rois``, ``starts`` and each of ``holes``.
         edges: float64 (E, 4), ``(ax, ay, bx, by)`` of each edge: the outline's, then each hole's.
-        arena: ``(width, height)``.
-        name: the field's name.
-        optimal_makespan: steps, or ``None``.
         polygon: the field as a shapely polygon.
 
     Raises:

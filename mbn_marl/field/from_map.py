@@ -22,9 +22,10 @@ from mbn_marl.field.field import Field
 from mbn_marl.field.files import name_from, read_bytes, split_location
 from mbn_marl.field.generator.layout import MILLI, ROIS_APART, STARTS_APART, WALL
 from mbn_marl.field.generator.sampler import FieldSampler
-from mbn_marl.field.schema import DEFAULT_ARENA, MAX_COORDINATE, MAX_VERTICES, ROI_RADIUS
+from mbn_marl.field.schema import MAX_COORDINATE, MAX_VERTICES, ROI_RADIUS
 
 Coordinates = npt.NDArray[np.float64]  # (k, 2)
+Point = tuple[float, float]
 Scale = Callable[[Coordinates], Coordinates]
 
 MAX_MAP_BYTES = 16 * 1024 * 1024
@@ -104,8 +105,7 @@ def load_map(
                 notes.append(f"{kind}: none in the map: {count} placed at random")
         rings = [polygon.exterior, *polygon.interiors]
         outline, *inner = [shapely.get_coordinates(ring)[:-1] for ring in rings]
-        sides = zip(DEFAULT_ARENA, polygon.bounds[2:], strict=True)
-        arena = [max(side, 10.0 * math.ceil(most / 10.0)) for side, most in sides]
+        arena = [max(1000.0, 10.0 * math.ceil(most / 10.0)) for most in polygon.bounds[2:]]
         name = name_from(chosen.name or Path(path).stem)
         field = Field(outline, found["roi"], found["start"], inner, arena=arena, name=name)
     except FieldError as error:
@@ -264,14 +264,10 @@ def _simplified(polygon: shapely.Polygon, place: str, notes: list[str]) -> shape
 
 
 def _points(
-    shapes: Sequence[_Shape],
-    polygon: shapely.Polygon,
-    scale: Scale,
-    several: bool,
-    notes: list[str],
-) -> dict[str, list[tuple[float, float]]]:
+    shapes: Sequence[_Shape], polygon: Any, scale: Scale, several: bool, notes: list[str]
+) -> dict[str, list[Point]]:
     """Return the map's ROIs and starts in units; a point without a kind is an ROI."""
-    found: dict[str, list[tuple[float, float]]] = {"roi": [], "start": []}
+    found: dict[str, list[Point]] = {"roi": [], "start": []}
     problems: list[str] = []
     for one in shapes:
         kind = one.kind or "roi"
@@ -298,25 +294,19 @@ def _points(
 
 
 def _placed(
-    polygon: shapely.Polygon,
-    count: int,
-    apart: float,
-    taken: list[tuple[float, float]],
-    rng: np.random.Generator,
-) -> list[tuple[float, float]]:
+    polygon: Any, count: int, apart: float, taken: list[Point], rng: np.random.Generator
+) -> list[Point]:
     """Return random points, each the one of several candidates that is farthest from all others."""
     room = polygon.buffer(-WALL / MILLI)
     low, high = np.reshape(polygon.bounds, (2, 2))
-    placed: list[tuple[float, float]] = []
+    placed: list[Point] = []
     for _ in range(count):
         points = np.round(rng.uniform(low, high, (CANDIDATES, 2)), 3)
         points = points[shapely.covers(room, shapely.points(points))]
         others = np.array([*taken, *placed]).reshape(-1, 2)
         gaps = np.linalg.norm(points[:, None] - others, axis=2).min(1, initial=math.inf)
         if len(points) == 0 or gaps.max() < apart:
-            raise _error(
-                f"outline: no room for {count} points {apart:g} units apart and from walls"
-            )
+            raise _error(f"outline: no room for {count} points {apart:g} units apart")
         x, y = points[gaps.argmax()].tolist()
         placed.append((x, y))
     return placed

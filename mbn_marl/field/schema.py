@@ -1,17 +1,4 @@
-"""The file format ``mbn-field/1``: one model, whose check lists all problems of a field.
-
-A file is one YAML mapping. Lengths are in arena units::
-
-    format: mbn-field/1
-    name: square                # optional; the file's stem when absent
-    arena: [1000, 1000]         # optional; width, height
-    vertices: [[0, 0], [100, 0], [100, 100], [0, 100]]
-    holes:                      # optional
-    - [[40, 40], [60, 40], [50, 60]]
-    rois: [[90, 90]]
-    starts: [[10, 10], [10, 90]]
-    optimal_makespan: 24        # optional; proved, for robots on all starts and no wind
-"""
+"""The file format ``mbn-field/1`` (docs/fields.md): one model, and the check of all its rules."""
 
 from __future__ import annotations
 

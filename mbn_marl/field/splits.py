@@ -49,10 +49,9 @@ class Instance:
     Attributes:
         field: the field; its name is unique in the split's tier.
         condition: that of the environment, ``"calm"`` but in the tier ``5-weather``.
-        makespan_lower_bound: steps, the proved least number in which the team visits every ROI
-            without pushing outside the field; ``None`` under a condition.
-        best_known: steps, the shortest makespan that is known, at least the bound; ``None`` under
-            a condition.
+        makespan_lower_bound: steps, proved for a team that never pushes outside the field;
+            ``None`` under a condition.
+        best_known: steps, the shortest makespan that is known; ``None`` under a condition.
     """
 
     field: Field
@@ -62,8 +61,6 @@ class Instance:
 
 
 class _Calm(BaseModel):
-    """The keys of an instance that are read."""
-
     candidate: Annotated[int, Described(ge=0)]
     geometry: str
     tier: None = None
@@ -80,8 +77,6 @@ class _Calm(BaseModel):
 
 
 class _Weathered(BaseModel):
-    """The keys of an instance of the tier 5-weather."""
-
     candidate: Annotated[int, Described(ge=0)]
     geometry: str
     tier: Literal["1-convex", "2-sizes", "3-shapes"]

@@ -71,11 +71,7 @@ class Search:
         return solved.bound <= self.slack
 
     def visits(self, discs: tuple[Disc, ...], windows: StepWindows) -> Visits | None:
-        """Return steps for the discs, within the windows; ``None`` is a proof that none exist.
-
-        Raises:
-            OutOfTimeError: at the deadline.
-        """
+        """Return steps for the discs, within the windows; ``None`` is a proof that none exist."""
         best: Visits | None = None
         relaxation = Relaxation(self.start, self.drive, self.region, discs)
         nodes = [(windows, relaxation.tangents())]

@@ -42,11 +42,8 @@ def least_makespan(masks: Ints, bounds: Ints, whole: int) -> int:
 def cheapest_partition(masks: Ints, costs: Ints, whole: int) -> list[int] | None:
     """Return a partition of all ROIs with a small sum of costs, or ``None`` if there is none.
 
-    For few ROIs the sum is the least. Arguments as for :func:`least_makespan`, with costs instead
-    of steps.
-
-    Raises:
-        UndecidedError: for many ROIs, the search is too long.
+    Arguments as for :func:`least_makespan`. For few ROIs the sum is the least; for many the search
+    may raise an UndecidedError.
     """
     if whole >= 1 << FEW_ROIS:
         cover = _covered(masks, costs < NEVER, whole)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from mbn_marl.engine.snapshot import FloatArray
-from mbn_marl.planning.foresight import GUST_SHARE, Flags, Weather, ways_of_failed
 from mbn_marl.planning.greedy import Greedy
 from mbn_marl.planning.legs import proved_legs
 from mbn_marl.planning.motion import coordinate
@@ -23,6 +22,7 @@ from mbn_marl.planning.orders import OutOfTimeError
 from mbn_marl.planning.partition import FEW_ROIS
 from mbn_marl.planning.planner import Plan
 from mbn_marl.planning.problem import CALM, Floats, Problem
+from mbn_marl.planning.shield import GUST_SHARE, Flags, Weather, ways_of_failed
 from mbn_marl.planning.team import Team, make_guide
 
 TUBE = 3.0
@@ -60,27 +60,25 @@ class Motion:
     works: Flags  # (n,)
     weather: Weather  # for which it was made
 
-    def holds(self, step: int, places: Floats, visited: Flags, works: Flags) -> bool:
-        """Return whether the world is where it was to be after ``step`` steps."""
-        return (
+    def holds(
+        self, step: int, places: Floats, visited: Flags, works: Flags, weather: Weather
+    ) -> bool:
+        """Return whether the world is as it was to be after ``step`` steps."""
+        steady = np.abs(weather.push - self.weather.push).max() < CALM
+        return bool(
             step < len(self.efforts)
             and np.array_equal(works, self.works)
-            and bool(np.abs(self.path[step] - places).max() <= TUBE)
+            and np.abs(self.path[step] - places).max() <= TUBE
             and not np.any((step > self.due) & ~visited)
+            and weather.gusty == self.weather.gusty
+            and (weather.gusty or steady)
         )
-
-    def suits(self, weather: Weather) -> bool:
-        if weather.gusty or self.weather.gusty:
-            return weather.gusty and self.weather.gusty
-        return bool(np.abs(weather.push - self.weather.push).max() < CALM)
 
 
 class Replanner:
-    """Controls one team through one episode. A copy goes on from the same state.
+    """Controls one team through one episode, from a plan for the problem without wind.
 
-    Args:
-        problem: the instance, without wind.
-        found: the plan to begin with.
+    A copy continues from the same state.
     """
 
     def __init__(self, problem: Problem, found: Plan) -> None:
@@ -104,7 +102,8 @@ class Replanner:
         works = np.ones(self.problem.n, bool) if failed is None else ~failed
         if self.before is not None:
             self.weather = self.weather.after(self.problem, *self.before, speeds, works)
-        if not self._goes_on(places, visited, works):
+        now = self.step, places, visited, works, self.weather
+        if not (self.motion.holds(*now) if self.motion else self.step < PATIENCE):
             self.motion, self.step = self._plan(places, speeds, visited, works), 0
             self.rest = Greedy(self.problem, self.weather)
         if self.motion is None:
@@ -115,12 +114,6 @@ class Replanner:
         self.step += 1
         self.before = speeds, actions.astype(float)
         return actions
-
-    def _goes_on(self, places: Floats, visited: Flags, works: Flags) -> bool:
-        if self.motion is None:
-            return self.step < PATIENCE
-        holds = self.motion.holds(self.step, places, visited, works)
-        return holds and self.motion.suits(self.weather)
 
     def _follow(self, motion: Motion, places: Floats, speeds: Floats) -> NDArray[np.float32]:
         forces, k = self.problem.forces, self.step
@@ -210,11 +203,7 @@ def _verified(problem: Problem, paths: Floats, _: NDArray[np.float32]) -> Floats
 
 
 def corrected(problem: Problem, actions: Floats, lag: Floats, slip: Floats) -> NDArray[np.float32]:
-    """Return actions (n, 2) that also make up for a lag and a slip.
-
-    These are by how much positions and velocities fall short of what was planned, (n, 2) each,
-    units and units/step.
-    """
+    """Return actions that also make up for a lag in position and a slip in velocity, (n, 2)."""
     lag, slip = (np.where(np.abs(one) < EXACT, 0.0, one) for one in (lag, slip))
     change = POSITION_GAIN * lag / problem.config.tau + VELOCITY_GAIN * slip
     return np.clip(actions + change / problem.forces, -1.0, 1.0).astype(np.float32)
@@ -223,12 +212,8 @@ def corrected(problem: Problem, actions: Floats, lag: Floats, slip: Floats) -> N
 class Tracker:
     """Follows a plan for one team through one episode; a greedy controller visits what is left.
 
-    The first step reveals the wind. In another wind than the planned one, the plan is followed more
+    The first step reveals the wind. In another wind than the problem's, the plan is followed more
     slowly, as the remaining force requires, still with a step at every planned visit.
-
-    Args:
-        problem: the instance, with the wind that the plan was made for.
-        plan: a plan with a makespan.
     """
 
     def __init__(self, problem: Problem, plan: Plan) -> None:

@@ -34,16 +34,10 @@ ChooseActions = Callable[[FloatArray, FloatArray, NDArray[np.bool_]], NDArray[np
 
 
 class Player:
-    """Plays episodes of an instance in an engine with one world.
-
-    The observation is always the default one: others would be compiled and never read.
-
-    Args:
-        problem: the instance, with the velocities at the starts.
-        visited: the ROIs that have been visited before.
-    """
+    """Plays episodes of an instance in an engine with one world, some ROIs ``visited`` before."""
 
     def __init__(self, problem: Problem, visited: Sequence[int] = ()) -> None:
+        # Another observation would be compiled and never read.
         plain = {"observation": "relative", "assignment": False, "one_hot": False}
         config = problem.config.model_copy(update=plain)
         settings = {name: getattr(config, name) for name in NavigationConfig.model_fields}

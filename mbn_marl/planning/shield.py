@@ -1,4 +1,4 @@
-"""The braking test, and a shield that puts any actions to it.
+"""Estimates of the wind, the braking test, and a shield that puts any actions to it.
 
 A robot takes an action only if it could then brake to rest inside the field and apart from the
 others, if they brake too. Every step shows what the wind does.
@@ -8,28 +8,111 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from mbn_marl.engine.snapshot import FloatArray
-from mbn_marl.planning.foresight import (
-    FORESEEN,
-    Flags,
-    Weather,
-    steps_to_rest,
-    ways_of_failed,
-)
-from mbn_marl.planning.problem import Floats, Problem
+from mbn_marl.planning.problem import CALM, Floats, Problem
 
+Flags = NDArray[np.bool_]
+
+FORESEEN = 60
+"""Steps in which a robot that never rests is foreseen."""
+TINY = 1e-200
+"""Below any change of velocity; units/step per step."""
+DISTURBED = 0.1
+"""Pushes on robots that differ by more than this, units/step per step, are not the wind's."""
+GUST_MEMORY = 10
+"""Steps without wind that the mean of pushes in gusts begins with."""
+GUST_SHARE = 0.6
+"""Share of the force to count on in gusts; the rest is for holding out against them."""
 TURNS = (60.0, -60.0, 120.0, -120.0)
 """Directions to try in turn, in degrees from the wanted one."""
 ESCAPES = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
 """Directions in which a robot leaves the way of one that has failed and does not stop."""
 MARGIN = 1e-3
 """How far the shield keeps robots from walls, in units: more than float32 rounds a position by."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weather:
+    """The pushes on the team so far, estimated from its changes of velocity."""
+
+    push: Floats  # (2,), in the last step, units/step per step
+    gusty: bool = False  # whether it has changed
+    count: int = 0
+    total: Floats = field(default_factory=lambda: np.zeros(2))  # (2,), the sum of all pushes
+
+    def after(
+        self, problem: Problem, before: Floats, actions: Floats, now: Floats, works: Flags
+    ) -> Weather:
+        """Return the weather after a step with ``actions`` from velocities ``before`` to ``now``.
+
+        All are (n, 2); ``works`` (n,) leaves out robots that have failed. Robots at rest or at the
+        speed limit show nothing: a wall may have stopped them.
+        """
+        tops = np.array([[drive.top] for drive in problem.drives])
+        shown = works[:, None] & (np.abs(now) < tops) & now.any(axis=1, keepdims=True)
+        found, push = now - before - actions * problem.forces, self.push.copy()
+        for axis in (0, 1):
+            pushes = found[shown[:, axis], axis]
+            if len(pushes) and np.ptp(pushes) < DISTURBED:
+                push[axis] = np.median(pushes)
+        if np.abs(push - self.push).max() < CALM:
+            push = self.push
+        gusty = self.gusty or (self.count > 0 and push is not self.push)
+        return Weather(push, gusty, self.count + 1, self.total + push)
+
+    def problem(self, problem: Problem, share: float = GUST_SHARE) -> Problem:
+        """Return the instance to plan for: in gusts with their mean, and a share of the force."""
+        if not self.gusty:
+            return problem.in_wind(self.push)
+        mean = self.total / (self.count + GUST_MEMORY)
+        return problem.in_wind(mean, share)
+
+
+def ways_of_failed(
+    problem: Problem, places: Floats, speeds: Floats, works: Flags, push: Floats
+) -> dict[int, Floats]:
+    """Return by robot (k, 2) where those that have failed, but not vanished, will be, units.
+
+    The positions go on until all of them rest; there are FORESEEN of robots that coast. ``push``
+    is the wind's, units/step per step.
+    """
+    kind = problem.config.failures.kind if problem.config.failures else "brake"
+    failed = ~works & (kind != "vanish")
+    steps = FORESEEN
+    if kind == "brake":
+        steps = steps_to_rest(speeds[failed], problem.forces[failed], problem.config.max_steps)
+    numbers = np.flatnonzero(failed).tolist()
+    return {i: _way(problem, i, kind, places[i], speeds[i], push, steps) for i in numbers}
+
+
+def steps_to_rest(velocities: Floats, slower: Floats, most: int) -> int:
+    """Return steps after which all velocities, which fall by ``slower`` a step, are 0."""
+    needed = np.abs(velocities) / np.maximum(slower, TINY)
+    return math.floor(min(float(needed.max(initial=0.0)), most)) + 2
+
+
+def _way(
+    problem: Problem, i: int, kind: str, place: Floats, speed: Floats, push: Floats, steps: int
+) -> Floats:
+    force, top = problem.forces[i], problem.drives[i].top
+    way = np.empty((steps, 2))
+    for k in range(steps):
+        braked = speed - np.clip(speed, -force, force)
+        speed = np.clip(speed + push, -top, top) if kind == "coast" else braked
+        ahead = place + speed * problem.config.tau
+        if shapely.intersects_xy(problem.area, *ahead):
+            place = ahead
+        else:
+            speed = np.zeros(2)
+        way[k] = place
+    return way
 
 
 class Cautious:

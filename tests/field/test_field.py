@@ -165,16 +165,13 @@ def test_points_that_rounding_puts_outside_are_on_the_border() -> None:
             Field(slanted, [away], [(200, 100)], [hole])
 
 
-def test_environments_limit_how_near_starts_may_be() -> None:
+def test_environments_check_starts_and_scale() -> None:
     near = square(starts=[(10, 10), (16, 18 - 1e-9)])  # 6-8-10, but for 1e-9
     with pytest.raises(ConfigError, match=r"safety_distance: 10.*starts 0 and 1"):
         parallel_env(near)
     parallel_env(near, safety_distance=9.9)
     parallel_env(near, n_robots=1)
     parallel_env(square(starts=[(10, 10), (16, 18)]))
-
-
-def test_degrees_as_units_are_warned_of() -> None:
     parcel = Field([(5.1, 52.1), (5.2, 52.1), (5.2, 52.2)], [(5.18, 52.15)], [(5.15, 52.12)])
     with pytest.warns(UserWarning, match="smaller than an ROI"):
         parallel_env(parcel)
@@ -207,39 +204,3 @@ def test_any_arguments_are_a_field_or_a_field_error(**values: Any) -> None:
         assert error.problems
     else:
         assert field.polygon.is_valid
-
-
-GRID = st.tuples(st.integers(0, 4), st.integers(0, 4))
-
-
-@settings(max_examples=100)
-@given(ring=st.lists(GRID, min_size=3, max_size=7, unique=True), point=GRID)
-def test_inside_agrees_with_exact_integer_arithmetic(
-    ring: list[tuple[int, int]], point: tuple[int, int]
-) -> None:
-    corner = ring[0]
-    try:
-        Field(ring, rois=[corner], starts=[corner])
-    except FieldError:
-        return  # not a simple polygon
-    try:
-        Field(ring, rois=[point], starts=[corner])
-    except FieldError as error:
-        assert [problem.split(":")[0] for problem in error.problems] == ["rois[0]"]
-        assert not _inside_or_on(ring, point)
-    else:
-        assert _inside_or_on(ring, point)
-
-
-def _inside_or_on(ring: list[tuple[int, int]], point: tuple[int, int]) -> bool:
-    """Even-odd rule on integers, the boundary included; exact."""
-    x, y = point
-    inside = False
-    for (ax, ay), (bx, by) in zip(ring, [*ring[1:], ring[0]], strict=True):
-        cross = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-        within = min(ax, bx) <= x <= max(ax, bx) and min(ay, by) <= y <= max(ay, by)
-        if cross == 0 and within:
-            return True
-        if (ay > y) != (by > y) and (cross > 0) == (by > ay):
-            inside = not inside
-    return inside

@@ -68,9 +68,6 @@ def test_fields_are_the_same_everywhere() -> None:
     assert field == sampler_of(*FAMILIES, seed=3).field(4, 5)
     others = [sampler.field(), sampler.field(5, 4), sampler_of(*FAMILIES, seed=4).field(4, 5)]
     assert len({millis(each) for each in (field, *others)}) == 4
-
-
-def test_the_name_is_that_of_the_family_seed_world_and_episode() -> None:
     sampler = sampler_of("concave", "farm", seed=7)
     field = sampler.field(12, 3)
     family = field.name.split("-")[0]
@@ -278,13 +275,10 @@ def test_all_problems_at_once(given: dict[str, Any], places: str) -> None:
     assert [problem.split(":")[0] for problem in caught.value.problems] == places.split()
 
 
-def test_numbers_of_worlds_and_episodes() -> None:
+def test_numbers_of_samplers_worlds_and_episodes() -> None:
     with pytest.raises(ConfigError) as caught:
         FieldSampler().field(-1, 2**32)
     assert [problem.split(":")[0] for problem in caught.value.problems] == ["world", "episode"]
-
-
-def test_lengths_in_milli_units() -> None:
     sampler = FieldSampler(size=(110.1, 120.0006), arena=(120.0006, 500.3))
     assert sampler.numbers()[:4].tolist() == [120_000, 500_300, 110_100, 120_000]
     assert sampler.numbers()[8:].tolist() == [2**30] * 5

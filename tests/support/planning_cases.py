@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import shapely
@@ -15,17 +16,9 @@ from tests.support.worlds import points_within, ring
 
 SQUARE = [(100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0)]
 
+_LEFT, _RIGHT = [(200, 150), (200, 400), (100, 400)], [(400, 400), (300, 400), (300, 150)]
 U_SHAPE = Field(
-    [
-        (100, 100),
-        (400, 100),
-        (400, 400),
-        (300, 400),
-        (300, 150),
-        (200, 150),
-        (200, 400),
-        (100, 400),
-    ],
+    [(100, 100), (400, 100), *_RIGHT, *_LEFT],
     rois=[(350, 380), (150, 380), (250, 110)],
     starts=[(120, 390), (140, 390)],
 )
@@ -80,10 +73,8 @@ def brute_force(
 ) -> int:
     """The least makespan without collisions: every partition, every order, all visit times.
 
-    All robots have the same ``velocity`` at their starts.
-
-    One linear program in the forces for each, discs as 48-gons of circumradius ``radius`` (so a
-    radius of 10 is at most optimistic about nothing, 10 / cos(pi / 48) about everything).
+    One linear program in the forces for each, discs as 48-gons of circumradius ``radius``: 10 is
+    never optimistic, 10 / cos(pi / 48) never pessimistic. All robots start at ``velocity``.
     """
     robots, rois = range(len(field.starts)), range(len(field.rois))
     for steps in range(1, 200):
@@ -100,17 +91,9 @@ def brute_force(
     raise AssertionError("not within 200 steps")
 
 
-def _can_visit(
-    field: Field,
-    i: int,
-    chosen: tuple[int, ...],
-    steps: int,
-    radius: float,
-    wind: Pair,
-    velocity: Pair,
-) -> bool:
+def _can_visit(field: Field, i: int, chosen: tuple[int, ...], steps: int, *how: Any) -> bool:
     return any(
-        _feasible(field, i, order, times, steps, radius, wind, velocity)
+        _feasible(field, i, [*zip(order, times, strict=True)], steps, *how)
         for order in itertools.permutations(chosen)
         for times in itertools.combinations_with_replacement(range(1, steps + 1), len(chosen))
     )
@@ -119,8 +102,7 @@ def _can_visit(
 def _feasible(
     field: Field,
     i: int,
-    order: tuple[int, ...],
-    times: tuple[int, ...],
+    visits: list[tuple[int, int]],
     steps: int,
     radius: float,
     wind: Pair,
@@ -152,7 +134,7 @@ def _feasible(
         x, y = b[1] - a[1], a[0] - b[0]
         for step in range(1, steps + 1):
             add(step, x, y, x * a[0] + y * a[1])
-    for j, step in zip(order, times, strict=True):
+    for j, step in visits:
         for k in range(48):
             angle = (2 * k + 1) * math.pi / 48
             x, y = math.cos(angle), math.sin(angle)

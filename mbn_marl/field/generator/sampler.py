@@ -178,12 +178,10 @@ class FieldSampler(Checked):
         return max(bent, default=3) - 3  # an outline has three corners at least where it is convex
 
     def numbers(self) -> npt.NDArray[np.int64]:
-        """Return all but the seed as the whole numbers that ``families.make_field`` reads.
+        """Return all but the seed as the whole numbers (13,) that ``families.make_field`` reads.
 
-        Returns:
-            Shape (13,), lengths in milli-units, each range as its two ends. The arena's sides; the
-            ranges of sizes, of robots and of ROIs; for each family, in the order of
-            ``FAMILIES``, the sum of the weights up to it, 2^30 in all.
+        These are the arena's sides, the ranges of sizes, robots and ROIs, and for each of
+        ``FAMILIES`` the sum of the weights up to it, 2^30 in all; lengths in milli-units.
         """
         given = self.weights or (1.0,) * len(self.families)
         weights = dict.fromkeys(FAMILIES, Fraction(0))
@@ -195,16 +193,10 @@ class FieldSampler(Checked):
         return np.array([*arena, *sizes, *self.robots, *self.rois, *shares], np.int64)
 
     def field(self, world: int = 0, episode: int = 0) -> Field:
-        """Return the field that a world has in an episode.
+        """Return the field of a world (0 to 2^63 - 1) in an episode (0 to 2^32 - 1).
 
-        Args:
-            world: number of the world, 0 to 2^63 - 1.
-            episode: number of the episode, 0 to 2^32 - 1.
-
-        Returns:
-            The field, named by family, seed, world and episode: ``concave-7`` or
-            ``concave-7-12-3``. Fields of the same name are equal if ``robots``, ``rois``, ``size``
-            and ``arena`` are, whatever the other families are.
+        Its name is such as ``concave-7`` or ``concave-7-12-3``: family, seed, world and episode.
+        Fields of the same name are equal if ``robots``, ``rois``, ``size`` and ``arena`` are.
 
         Raises:
             ConfigError: a number is not in its range.
