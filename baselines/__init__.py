@@ -38,7 +38,6 @@ def load_policy(
             or (:class:`baselines.runs.files.RunError`) there is no run, or it has saved no policy,
             or an older version wrote it.
         FieldError: the field is unknown or not valid.
-        DamageError: a file of the policy is not what was written.
         ModuleNotFoundError: the extra ``baselines`` is not installed.
     """
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -12,117 +12,89 @@ from typing import Any, Literal
 from mbn_marl.errors import MbnError, unknown
 
 Form = Literal["centralized", "decentralized"]
-Setting = Literal["A", "B", "C", "N", "J"]
+Setting = Literal["A", "B", "C", "N", "J", "G"]
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """A setting in a few words, and the seed and the budget in env-steps of its runs."""
-
+    # A setting in a few words, and the seed and the budget in env-steps of its runs.
     summary: str
-    seed: int
-    steps: int
+    seed: int = 0
+    steps: int = 655_360
 
 
 SETTINGS: Mapping[Setting, Protocol] = {
     "A": Protocol("the paper's: library defaults, raw observation and reward", 33, 5_000_000),
     "B": Protocol("the paper's: as A, with its Optuna values", 33, 5_000_000),
     "C": Protocol("the paper's: as A, from a policy trained on another field", 33, 5_000_000),
-    "N": Protocol("normalised observation, scaled reward", 0, 655_360),
-    "J": Protocol("as N, with the observations and training aids of ppo-joint", 0, 655_360),
+    "N": Protocol("normalised observation, scaled reward"),
+    "J": Protocol("as N, with the observations and training aids of ppo-joint"),
+    "G": Protocol("one policy for every field: a network over sets, shaped reward"),
 }
-JOINT = ("ppo", "trpo")
-"""The algorithms with a setting J."""
+# Env-steps a second of one core with one world, as docs/grid.md measured them.
 SPEEDS = {"a2c": 835.0, "ppo": 1039.0, "trpo": 1084.0, "ars": 4229.0, "crossq": 10.0, "tqc": 50.0}
-"""Env-steps a second of one core with one world, as docs/grid.md measured them."""
+# Those of PPO's relatives with 128 worlds, from the demo's runs.
 SIDE_BY_SIDE = 9000.0
-"""Those of PPO's relatives with 128 worlds, from the demo's runs."""
-SLOW = ("crossq", "tqc")
-"""Algorithms whose gradient steps take the time, however many worlds there are."""
+# Algorithms that more worlds make no faster.
+ONE_BY_ONE = ("crossq", "tqc", "ars")
 
 
 @dataclass(frozen=True)
 class Algorithm:
-    """One algorithm.
-
-    Attributes:
-        name: as on the command line.
-        form: ``"centralized"``, the single MDP, or ``"decentralized"``, each robot acts on its own
-            observation.
-        package: the package of ``baselines`` that trains it: ``sb3`` or ``torchrl``.
-    """
+    """An algorithm, by its name on the command line."""
 
     name: str
+    # "centralized": the single MDP. "decentralized": each robot acts on its own observation.
     form: Form
+    # The package of baselines that trains it: sb3 or torchrl.
     package: str
-
-    @property
-    def settings(self) -> tuple[Setting, ...]:
-        """The settings it can be trained under."""
-        if self.form != "centralized" or self.package != "sb3":
-            return ("N",)
-        return tuple(one for one in SETTINGS if one != "J" or self.name in JOINT)
+    settings: tuple[Setting, ...] = ("N",)
 
     def speed(self, setting: Setting) -> float:
         """About how many env-steps a second one core trains, evaluations excluded."""
-        alone = setting in ("A", "B", "C") or self.name in SLOW
+        alone = setting in ("A", "B", "C") or self.name in ONE_BY_ONE
         return SPEEDS[self.name] if alone else SIDE_BY_SIDE
 
     def _module(self, name: str) -> ModuleType:
         return import_module(f"baselines.{self.package}.{name}")
 
     def resolve(
-        self,
-        overrides: Mapping[str, Any],
-        *,
-        setting: Setting = "N",
-        num_envs: int | None = None,
-        file: Path | None = None,
+        self, overrides: Mapping[str, Any], *, setting: Setting = "N", **options: Any
     ) -> Any:
-        """Return the hyperparameters of a setting: the recorded ones with ``overrides``.
-
-        ``num_envs`` replaces the number of worlds side by side, and the block of the setting in the
-        YAML ``file`` the recorded block. A ConfigError names every wrong hyperparameter.
-        """
-        load = self._module("config").load
-        return load(self.name, setting, overrides, num_envs=num_envs, file=file)
+        """Return the recorded hyperparameters with ``overrides``; a ConfigError names all wrong."""
+        # Of the options ``num_envs`` replaces the number of worlds side by side, and the block of
+        # the setting in the YAML ``file`` the recorded block.
+        return self._module("config").load(self.name, setting, overrides, **options)
 
     def check(self, task: Any, hyperparameters: Any) -> None:
-        """Check that a learner can be made with the hyperparameters; a ConfigError says why not."""
+        """Raise a ConfigError if no learner can be made with the hyperparameters."""
         self._module("trainer").check(task, hyperparameters)
 
     def budget(self, task: Any, hyperparameters: Any) -> Any:
         """Return the :class:`~baselines.training.config.Budget` of a run."""
         return self._module("trainer").budget(task, hyperparameters)
 
-    @property
-    def train(self) -> Callable[..., None]:
-        """``train(task, hyperparameters, recorder)``."""
-        train: Callable[..., None] = self._module("trainer").train
-        return train
+    def train(self, task: Any, hyperparameters: Any, recorder: Any) -> None:
+        self._module("trainer").train(task, hyperparameters, recorder)
 
-    @property
-    def load_policy(self) -> Callable[..., Any]:
-        """``load_policy(folder)``, of a run's folder ``policy``."""
-        load: Callable[..., Any] = self._module("policy").load_policy
-        return load
+    def load_policy(self, folder: Path) -> Any:
+        return self._module("policy").load_policy(folder)
 
 
+PAPER: tuple[Setting, ...] = ("A", "B", "C", "N")
 ALGORITHMS: Mapping[str, Algorithm] = {
     algorithm.name: algorithm
     for algorithm in (
-        Algorithm("a2c", "centralized", "sb3"),
-        Algorithm("ppo", "centralized", "sb3"),
-        Algorithm("trpo", "centralized", "sb3"),
-        Algorithm("ars", "centralized", "sb3"),
-        Algorithm("crossq", "centralized", "sb3"),
-        Algorithm("tqc", "centralized", "sb3"),
-        Algorithm("mappo", "decentralized", "torchrl"),
-        Algorithm("ippo", "decentralized", "torchrl"),
+        Algorithm("a2c", "centralized", "sb3", PAPER),
+        Algorithm("ppo", "centralized", "sb3", (*PAPER, "J")),
+        Algorithm("trpo", "centralized", "sb3", (*PAPER, "J")),
+        Algorithm("ars", "centralized", "sb3", PAPER),
+        Algorithm("crossq", "centralized", "sb3", PAPER),
+        Algorithm("tqc", "centralized", "sb3", PAPER),
+        Algorithm("mappo", "decentralized", "torchrl", ("N", "G")),
+        Algorithm("ippo", "decentralized", "torchrl", ("N", "G")),
         Algorithm("ppo-joint", "centralized", "torchrl"),
-        Algorithm("generalist", "decentralized", "torchrl"),
         Algorithm("ppo-shared", "decentralized", "sb3"),
-        Algorithm("ppo-supersuit", "decentralized", "sb3"),
     )
 }
 

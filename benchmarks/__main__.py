@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
-from baselines.cli.options import UsageError, read_options
+from baselines.cli.options import read_options
 from mbn_marl.errors import MbnError, unknown
 
 PROGRAM = "python -m benchmarks"
 
 SUBJECTS = {
-    "speed": ("speed.measure", "Speed", "engine and adapters, against a plain loop and peers"),
+    "speed": ("speed", "Speed", "engine and adapters, against a plain loop and peers"),
     "conditions": ("conditions", "Conditions", "the zoo and classical policies, every condition"),
     "study": ("studies.learning", "Study", "comparisons of learning, benchmarks/studies/*.yaml"),
     "splits": ("splits", "Splits", "the frozen fields of a benchmark: made, proved, verified"),
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     subject, *options = words
     try:
         if subject not in SUBJECTS:
-            raise UsageError(f"{subject}: {unknown('subject', subject, SUBJECTS)}")
+            raise MbnError(f"{subject}: {unknown('subject', subject, SUBJECTS)}")
         benchmark: Any = read_options(benchmark_class(subject), options, f"{PROGRAM} {subject}")
         return 0 if benchmark.run(f"{PROGRAM} {shlex.join(words)}") else 1
     except (MbnError, OSError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar, get_args
 
@@ -39,7 +40,6 @@ class Conditions(Benchmark):
     """Of the episodes; by default that of all evaluations."""
 
     def measure(self) -> Findings:
-        """Evaluate every policy on every field under every condition."""
         problems: list[str] = []
         for policy in (name for name in self.policies if name not in POLICIES):
             with collecting(problems):
@@ -51,34 +51,27 @@ class Conditions(Benchmark):
             for policy in self.policies
         }
         size = f"{len(self.fields)} fields, {self.episodes} episodes each, seed {self.seed}"
-        success, returns = (
-            TextTable(
-                size,
-                ("condition", *found),
-                tuple(
-                    (condition, *(show(cells[condition]) for cells in found.values()))
-                    for condition in self.conditions
-                ),
-            )
-            for show in (_success, _return)
-        )
-        tables = {
-            "success: mean over fields (lowest)": success,
-            "return: mean over fields": returns,
-        }
+        tables = {}
+        for title, show in (
+            ("success: mean over fields (lowest)", _success),
+            ("return: mean over fields", _return),
+        ):
+            lines = [
+                (condition, *(show(cells[condition]) for cells in found.values()))
+                for condition in self.conditions
+            ]
+            tables[title] = TextTable(size, ("condition", *found), lines)
         return Findings(tables, {"evaluations": found})
 
     def _cells(self, policy: str, condition: Condition) -> dict[str, dict[str, Any]]:
-        """Evaluate on every field; none is left where the policy refuses the condition."""
+        # There is no cell where the policy refuses the condition.
         cells = {}
         how: dict[str, Any] = {"episodes": self.episodes, "seed": self.seed}
         how["deterministic"] = ZOO.get(policy, policy not in CLASSICAL)
         for name in self.fields:
-            try:
+            with suppress(ConfigError):
                 loaded = load_policy("zoo" if policy in ZOO else policy, name, condition=condition)
                 cells[name] = evaluate(loaded, name, loaded.settings, **how).summary()
-            except ConfigError:
-                continue
         return cells
 
 

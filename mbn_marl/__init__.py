@@ -13,40 +13,27 @@ from mbn_marl.registration import register_environments
 from mbn_marl.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from mbn_marl.adapters.gymnasium import centralized_env
-    from mbn_marl.checked import Uniform
-    from mbn_marl.config import Failures
-    from mbn_marl.engine import BatchEngine
-    from mbn_marl.field import Field, FieldSampler, generate, load_field
-    from mbn_marl.navigation_v0 import env, parallel_env, raw_env
+    from mbn_marl.adapters.gymnasium import centralized_env as centralized_env
+    from mbn_marl.config import Failures as Failures
+    from mbn_marl.config import Uniform as Uniform
+    from mbn_marl.engine import BatchEngine as BatchEngine
+    from mbn_marl.field import Field as Field
+    from mbn_marl.field import FieldSampler as FieldSampler
+    from mbn_marl.field import generate as generate
+    from mbn_marl.field import load_field as load_field
+    from mbn_marl.navigation_v0 import env as env
+    from mbn_marl.navigation_v0 import parallel_env as parallel_env
+    from mbn_marl.navigation_v0 import raw_env as raw_env
 
-__all__ = [
-    "BatchEngine",
-    "Failures",
-    "Field",
-    "FieldSampler",
-    "Uniform",
-    "centralized_env",
-    "env",
-    "generate",
-    "load_field",
-    "parallel_env",
-    "raw_env",
-]
-
-_HOMES = {
-    "BatchEngine": "mbn_marl.engine",
-    "Failures": "mbn_marl.config",
-    "Field": "mbn_marl.field",
-    "FieldSampler": "mbn_marl.field",
-    "Uniform": "mbn_marl.checked",
-    "centralized_env": "mbn_marl.adapters.gymnasium",
-    "env": "mbn_marl.navigation_v0",
-    "generate": "mbn_marl.field",
-    "load_field": "mbn_marl.field",
-    "parallel_env": "mbn_marl.navigation_v0",
-    "raw_env": "mbn_marl.navigation_v0",
+_NAMES = {
+    "adapters.gymnasium": ["centralized_env"],
+    "config": ["Failures", "Uniform"],
+    "engine": ["BatchEngine"],
+    "field": ["Field", "FieldSampler", "generate", "load_field"],
+    "navigation_v0": ["env", "parallel_env", "raw_env"],
 }
+_HOMES = {name: f"mbn_marl.{module}" for module, names in _NAMES.items() for name in names}
+__all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> object:

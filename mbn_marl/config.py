@@ -1,77 +1,169 @@
-"""The configuration of the MDP: every number and rule of it, validated, in one frozen object."""
+"""The settings of the MDP, validated: one table of every number and rule."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import re
+import reprlib
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle, islice
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args
 
-from pydantic import Field, ValidationInfo, field_validator
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    GetPydanticSchema,
+    Tag,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
 
-from mbn_marl.checked import Checked, Flag, RealNumber, Uniform, WholeNumber, or_drawn, or_each
 from mbn_marl.errors import ConfigError, unknown
 
-__all__ = [
-    *("CONDITIONS", "LIMITS", "MAX_ROBOTS", "MAX_ROIS", "NUMBERS", "REWARD_PROFILES"),
-    *("Condition", "Dynamics", "Failures", "FixedSettings", "NavigationConfig", "Observation"),
-    *("RewardProfile", "Settings", "TeamDynamics", "expand", "make_config"),
-]
-
 MAX_ROBOTS = 64
-MAX_ROIS = 24
-"""More ROIs than this would make the visit code inexact in float32."""
+MAX_ROIS = 24  # with more, the visit code would be inexact in float32
 LEAST, MOST = 1e-12, 1e12
 """The range of what must be above 0: in float32 squares and quotients are finite, above 0 too."""
-
-RobotIndex = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
-StepNumber = Annotated[WholeNumber, Field(ge=1, le=1_000_000)]
-Finite = Annotated[RealNumber, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
-Probability = Annotated[RealNumber, Field(ge=0.0, le=1.0)]
-Positive = Annotated[RealNumber, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
-NonNegative = Annotated[RealNumber, Field(ge=0.0, le=MOST, allow_inf_nan=False)]
-Turn = Annotated[RealNumber, Field(ge=LEAST, le=math.pi)]
-Steering = Annotated[RealNumber, Field(ge=LEAST, le=1.5)]
-Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
-TeamDynamics = Literal[Dynamics, "mixed"]
-Observation = Literal["relative", "state", "local", "lidar", "lidar_local", "entities"]
-WITHOUT_RADIUS = ("relative", "state")
-"""Observations that do not depend on the sensing radius."""
-MIXED: tuple[Dynamics, ...] = ("point_mass", "unicycle", "bicycle")
-"""The dynamics of a ``"mixed"`` team's robots, in turn."""
-
-if TYPE_CHECKING:  # a setting that draws its number has none before an episode: see ``drawn``
-    DynamicsOfEach = TeamDynamics | tuple[Dynamics, ...]
-    PositiveOfEach = float | tuple[float, ...]
-    AnyNumber = float
-    AnyPositive = float
-    AnyNonNegative = float
-    AnyProbability = float
-    AnyTurn = float
-    AnySteering = float
-else:
-    AnyNumber, AnyPositive, AnyNonNegative = map(or_drawn, (Finite, Positive, NonNegative))
-    AnyProbability, AnyTurn, AnySteering = map(or_drawn, (Probability, Turn, Steering))
-    DynamicsOfEach = or_each(Dynamics, MAX_ROBOTS, TeamDynamics)
-    PositiveOfEach = or_each(AnyPositive, MAX_ROBOTS)
-
-Number = float | Uniform
-"""A number, or the range that each episode draws it from."""
+_ONE, _EACH, _DRAWN = "for all", "for each", "(drawn)"
+"""Marks of a setting's forms: one value, one for each robot, a range; not in messages."""
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 80
 
 
-class RewardProfile(Checked):
-    """A named set of reward rules and weights (mdp.md, "Reward profiles").
+def _number(value: object) -> object:
+    if isinstance(value, bool | np.bool_ | str | bytes):
+        raise ValueError("Input should be a number")
+    return value
 
-    Attributes:
-        name: how the profile is called.
-        rules: ``"released"`` (the authors' released code) or ``"formal"`` (the paper's section 3).
-        small: r_s, the charge of a step on new ground (reward units, >= 0).
-        medium: r_m, the charge of a step on known ground (reward units, >= 0).
-        large: r_l, for a visited ROI, and against leaving the field (reward units, >= 0).
-        infinite: r_inf, finite in place of infinity: success and collision (reward units, >= 0).
+
+def _flag(value: object) -> object:
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError("Input should be True or False")
+    return value
+
+
+class Checked(BaseModel):
+    """A model whose constructor lists all problems of its arguments as one error.
 
     Raises:
         ConfigError: naming every unknown or invalid argument and what is allowed.
+    """
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", validate_default=True, use_attribute_docstrings=True
+    )
+
+    if not TYPE_CHECKING:  # type checkers know the arguments from the fields
+
+        def __init__(self, **values: Any) -> None:
+            try:
+                super().__init__(**values)
+            except ValidationError as error:
+                raise ConfigError(self._source(), describe(error, type(self))) from None
+
+    @classmethod
+    def _source(cls) -> str:
+        return cls.__name__
+
+
+# Words, and truth values in place of numbers, are not converted to these types.
+NOT_A_WORD = BeforeValidator(_number)
+RealNumber = Annotated[float, NOT_A_WORD]
+WholeNumber = Annotated[int, NOT_A_WORD]
+Flag = Annotated[bool, BeforeValidator(_flag)]
+Finite = Annotated[RealNumber, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
+Positive = Annotated[RealNumber, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
+NonNegative = Annotated[RealNumber, Field(ge=0.0, le=MOST, allow_inf_nan=False)]
+Probability = Annotated[RealNumber, Field(ge=0.0, le=1.0)]
+Turn = Annotated[RealNumber, Field(ge=LEAST, le=math.pi)]
+Steering = Annotated[RealNumber, Field(ge=LEAST, le=1.5)]
+RobotIndex = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
+StepNumber = Annotated[WholeNumber, Field(ge=1, le=1_000_000)]
+
+
+class Uniform(Checked):
+    """A range from which each episode draws a number (mdp.md, "Drawn numbers")."""
+
+    low: Annotated[RealNumber, Field(allow_inf_nan=False)]
+    """The lower end, in the unit of the setting."""
+    high: Annotated[RealNumber, Field(allow_inf_nan=False)]
+    """The upper end, in the unit of the setting, at least ``low``."""
+
+    def __init__(self, low: Any = None, high: Any = None, **others: Any) -> None:
+        super().__init__(**{"low": low, "high": high, **others})
+
+    @field_validator("high")
+    @classmethod
+    def _in_order(cls, high: float, info: ValidationInfo) -> float:
+        if high < info.data.get("low", high):
+            raise ValueError(f"Input should be greater than or equal to low, {info.data['low']}")
+        return high
+
+
+def _or_other(one: Any, other: Any, mark: str, kinds: tuple[type, ...]) -> GetPydanticSchema:
+    """Have a value validated as ``other`` if it is of these kinds, else as ``one``."""
+    form = Discriminator(lambda value: mark if isinstance(value, kinds) else _ONE)
+    both = Annotated[Annotated[one, Tag(_ONE)] | Annotated[other, Tag(mark)], form]
+    return GetPydanticSchema(lambda _, handler: handler.generate_schema(both))
+
+
+def or_drawn(kind: Any) -> GetPydanticSchema:
+    """Allow a :class:`Uniform` with ends of a ``kind`` in place of a number of that kind.
+
+    Type checkers see the number: an episode's configuration has what was drawn in its place.
+    """
+    ends = TypeAdapter(kind)
+
+    def check_ends(drawn: Uniform) -> Uniform:
+        for name in ("low", "high"):
+            try:
+                ends.validate_python(getattr(drawn, name))
+            except ValidationError as error:
+                raise ValueError(f"{name}: {error.errors()[0]['msg']}") from None
+        return drawn
+
+    drawn = Annotated[Uniform, AfterValidator(check_ends)]
+    return _or_other(kind, drawn, _DRAWN, (Uniform, Mapping))
+
+
+def or_each(kind: Any, one: Any = None) -> GetPydanticSchema:
+    """Allow a tuple with one value of a ``kind`` per robot in place of one for all robots.
+
+    ``one`` is the type of the value for all if it differs.
+    """
+    each = Annotated[tuple[kind, ...], Field(min_length=1, max_length=MAX_ROBOTS)]
+    return _or_other(one or kind, each, _EACH, (tuple, list))
+
+
+AnyNumber = Annotated[float, or_drawn(Finite)]
+AnyPositive = Annotated[float, or_drawn(Positive)]
+AnyNonNegative = Annotated[float, or_drawn(NonNegative)]
+AnyProbability = Annotated[float, or_drawn(Probability)]
+AnyTurn = Annotated[float, or_drawn(Turn)]
+AnySteering = Annotated[float, or_drawn(Steering)]
+PositiveOfEach = Annotated[float | tuple[float, ...], or_each(AnyPositive)]
+Number = float | Uniform
+"""A number, or the range that each episode draws it from."""
+
+Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
+TeamDynamics = Literal[Dynamics, "mixed"]
+DynamicsOfEach = Annotated[TeamDynamics | tuple[Dynamics, ...], or_each(Dynamics, TeamDynamics)]
+MIXED: tuple[Dynamics, ...] = ("point_mass", "unicycle", "bicycle")
+"""The dynamics of a ``"mixed"`` team's robots, in turn."""
+Observation = Literal["relative", "state", "local", "lidar", "lidar_local", "entities"]
+WITHOUT_RADIUS = ("relative", "state")
+"""Observations that do not depend on the sensing radius."""
+
+
+class RewardProfile(Checked):
+    """A named set of reward rules and weights, in reward units (mdp.md, "Reward profiles").
 
     Source:
         Choton, Woods, Hsu, section 3 (``"formal"``) and the authors' released code
@@ -80,10 +172,15 @@ class RewardProfile(Checked):
 
     name: str
     rules: Literal["released", "formal"] = "released"
+    """``"released"`` (the authors' released code) or ``"formal"`` (the paper's section 3)."""
     small: NonNegative = 10.0
+    """r_s, the charge of a step on new ground, >= 0."""
     medium: NonNegative = 100.0
+    """r_m, the charge of a step on known ground, >= 0."""
     large: NonNegative = 10_000.0
+    """r_l, for a visited ROI, and against leaving the field, >= 0."""
     infinite: NonNegative = 100_000.0
+    """r_inf, finite in place of infinity: success and collision, >= 0."""
 
 
 REWARD_PROFILES: Mapping[str, RewardProfile] = {
@@ -93,26 +190,18 @@ REWARD_PROFILES: Mapping[str, RewardProfile] = {
 
 
 class Failures(Checked):
-    """How robots fail during an episode (mdp.md, "Failures").
-
-    Attributes:
-        rate: the probability that a robot fails in a step, in [0, 1].
-        at: the step, from 1 on, in which a robot fails, by the robot's index, from 0 on.
-        between: a first and a last step: each episode draws one robot, and the step from the first
-            to the last in which it fails; ``None``: it draws none.
-        kind: what a failed robot does: ``"brake"``, ``"coast"`` or ``"vanish"``.
-        most: how many robots of the team can have failed before ``rate`` fails no more, 0 to n;
-            ``None`` is n - 1.
-
-    Raises:
-        ConfigError: naming every unknown or invalid argument and what is allowed.
-    """
+    """How robots fail during an episode (mdp.md, "Failures")."""
 
     rate: AnyProbability = 0.0
+    """The probability that a robot fails in a step, in [0, 1]."""
     at: dict[RobotIndex, StepNumber] = Field(default_factory=dict)
+    """The step, from 1 on, in which a robot fails, by the robot's index, from 0 on."""
     between: tuple[StepNumber, StepNumber] | None = None
+    """A first and a last step, between which one robot fails; each episode draws both."""
     kind: Literal["brake", "coast", "vanish"] = "brake"
+    """The rule for a failed robot: ``"brake"``, ``"coast"`` or ``"vanish"``."""
     most: Annotated[WholeNumber, Field(ge=0, le=MAX_ROBOTS)] | None = None
+    """The number of failed robots at which ``rate`` ends, 0 to n; ``None`` is n - 1."""
 
     @field_validator("between")
     @classmethod
@@ -122,99 +211,77 @@ class Failures(Checked):
         return value
 
 
-_NO_FAILURES = Failures()
-NUMBERS = (
-    *("gust", "gust_time", "action_noise", "action_loss"),
-    *("position_noise", "velocity_noise", "dropout"),
-    *("tau", "turn_max", "wheelbase", "steer_max", "safety_distance", "roi_radius"),
-)
-"""Settings that are one number, which may be drawn."""
-LIMITS = ("mass", "f_max", "v_clip")
-"""Settings that are a number of each robot, which may be drawn."""
-
-
 class NavigationConfig(Checked):
     """Everything about the MDP that is not the field. Symbols are those of the paper.
-
-    A number that may be drawn (*drawn* below) may be given as a :class:`Uniform`: each episode then
-    draws it (mdp.md, "Drawn numbers").
-
-    Attributes:
-        n_robots: team size, 1 to 64; ``None`` takes as many as the field has starts.
-        reward: the name of a reward profile, or a :class:`RewardProfile`.
-        reward_sharing: ``"individual"`` (each robot its own share; the shares sum to the team's
-            reward) or ``"team"`` (every robot gets the team's reward).
-        dynamics: how robots move: ``"point_mass"``, ``"holonomic"``, ``"unicycle"`` or
-            ``"bicycle"`` (mdp.md, "Dynamics"); one name for all robots or one per robot;
-            ``"mixed"``: point mass, unicycle and bicycle in turn.
-        observation: ``"relative"``, ``"state"``, ``"local"``, ``"lidar"``, ``"lidar_local"`` or
-            ``"entities"``, see ``engine.mdp.observations``.
-        assignment: only with ``"entities"``: who visits which ROI when; ``"fresh"``: as of now.
-        one_hot: append the robot's index as a one-hot vector to its observation.
-        sensing_radius: how far ``"local"``, ``"lidar"`` and ``"lidar_local"`` see, and the rays of
-            ``"entities"``, in units; with other observations nothing else than 100 is allowed.
-        wind: ``(v_a, beta_a)``: units/step per step, degrees from +x; both may be drawn.
-        gust: standard deviation of gusts along each axis, units/step per step; may be drawn.
-        gust_time: correlation time of the gusts, steps, > 0; may be drawn.
-        action_noise: standard deviation of each number of an action, >= 0; may be drawn.
-        action_loss: probability that the action before is repeated, in [0, 1]; may be drawn.
-        action_delay: how late actions arrive, steps, 0 to 100.
-        position_noise: standard deviation of observed positions, units, >= 0; may be drawn.
-        velocity_noise: the same of velocities, units/step, >= 0; may be drawn.
-        dropout: probability that a robot or ROI is not observed, in [0, 1]; may be drawn.
-        max_steps: T_max; reaching it truncates the episode.
-        dtype: precision of the simulation, ``"float32"`` or ``"float64"``.
-        f_max: force of a full-scale action, mass x units/step^2, > 0; one number for all robots
-            or one per robot; may be drawn.
-        v_clip: speed limit, units/step, > 0, per axis, or along the heading of a robot that has
-            one; one number for all robots or one per robot; may be drawn.
-        tau: time of one step, > 0; may be drawn.
-        mass: M_i, one number for all robots or one per robot, > 0; may be drawn.
-        turn_max: the most that a unicycle turns, rad/step, > 0 and at most pi; may be drawn.
-        wheelbase: distance of a bicycle's axles, units, > 0; may be drawn.
-        steer_max: the most that a bicycle steers, rad, > 0 and at most 1.5; may be drawn.
-        safety_distance: C; robots strictly closer than this have collided, units; may be drawn.
-        roi_radius: rho; an ROI within this distance of a robot is visited, units; may be drawn.
-        random_starts: start at random points, at least C apart; at the starts if none are found.
-        failures: how robots fail during an episode, :class:`Failures`; ``None``: they do not.
-
-    Raises:
-        ConfigError: naming every unknown or invalid setting and what is allowed.
 
     Source:
         Choton, Woods, Hsu, sections 3 and 4: symbols, dynamics and default numbers.
     """
 
     n_robots: Annotated[WholeNumber, Field(ge=1, le=MAX_ROBOTS)] | None = None
+    """Team size, 1 to 64; ``None`` takes as many as the field has starts."""
     reward: RewardProfile = REWARD_PROFILES["released"]
+    """The name of a reward profile, or a :class:`RewardProfile`."""
     reward_sharing: Literal["individual", "team"] = "individual"
+    """``"individual"``: each robot its own share of the team's reward; ``"team"``: all of it."""
     dynamics: DynamicsOfEach = "point_mass"
+    """One name for all robots or one per robot (mdp.md, "Dynamics"): ``"point_mass"``,
+    ``"holonomic"``, ``"unicycle"`` or ``"bicycle"``; ``"mixed"``: all but holonomic in turn."""
     observation: Observation = "relative"
+    """``"relative"``, ``"state"``, ``"local"``, ``"lidar"``, ``"lidar_local"`` or ``"entities"``,
+    see ``engine.mdp.observations``."""
     assignment: Literal[False, True, "fresh"] = False
+    """Only with ``"entities"``: show who visits which ROI when; ``"fresh"``: as of now."""
     one_hot: Flag = False
+    """Append the robot's index as a one-hot vector to its observation."""
     sensing_radius: Positive = 100.0
+    """Range of ``"local"``, ``"lidar"``, ``"lidar_local"`` and the rays of ``"entities"``, units;
+    with other observations nothing else than 100 is allowed."""
     wind: tuple[AnyNonNegative, AnyNumber] = (0.0, 0.0)
+    """``(v_a, beta_a)``: units/step per step, degrees from +x; both may be drawn."""
     gust: AnyNonNegative = 0.0
+    """Standard deviation of gusts along each axis, units/step per step, >= 0."""
     gust_time: AnyPositive = 10.0
+    """Correlation time of the gusts, steps, > 0."""
     action_noise: AnyNonNegative = 0.0
+    """Standard deviation of each number of an action, >= 0."""
     action_loss: AnyProbability = 0.0
+    """Probability that the action before is repeated, in [0, 1]."""
     action_delay: Annotated[WholeNumber, Field(ge=0, le=100)] = 0
+    """Delay of actions, steps, 0 to 100."""
     position_noise: AnyNonNegative = 0.0
+    """Standard deviation of observed positions, units, >= 0."""
     velocity_noise: AnyNonNegative = 0.0
+    """Standard deviation of observed velocities, units/step, >= 0."""
     dropout: AnyProbability = 0.0
+    """Probability that a robot or ROI is not observed, in [0, 1]."""
     max_steps: StepNumber = 1000
+    """T_max; reaching it truncates the episode."""
     dtype: Literal["float32", "float64"] = "float32"
+    """Precision of the simulation, ``"float32"`` or ``"float64"``."""
     f_max: PositiveOfEach = 0.5
+    """Force of a full-scale action, mass x units/step^2, > 0; one number, or one per robot."""
     v_clip: PositiveOfEach = 5.0
+    """Speed limit, units/step, > 0, per axis, or along the heading of a robot that has one; one
+    number, or one per robot."""
     tau: AnyPositive = 1.0
+    """Time of one step, > 0."""
     mass: PositiveOfEach = 1.0
+    """M_i, > 0; one number, or one per robot."""
     turn_max: AnyTurn = 0.3
+    """The most that a unicycle turns, rad/step, > 0 and at most pi."""
     wheelbase: AnyPositive = 4.0
+    """Distance of a bicycle's axles, units, > 0."""
     steer_max: AnySteering = 0.5
+    """The most that a bicycle steers, rad, > 0 and at most 1.5."""
     safety_distance: AnyNonNegative = 10.0
+    """C; robots strictly closer than this have collided, units, >= 0."""
     roi_radius: AnyNonNegative = 10.0
+    """rho; an ROI within this distance of a robot is visited, units, >= 0."""
     random_starts: Flag = False
+    """Start at random points, at least C apart; at the starts if none are found."""
     failures: Failures | None = None
+    """Failures of robots during an episode, :class:`Failures`; ``None``: none fails."""
 
     @classmethod
     def _source(cls) -> str:
@@ -255,28 +322,31 @@ class NavigationConfig(Checked):
 
     @property
     def is_random(self) -> bool:
-        """Return whether episodes or observations depend on random numbers."""
-        chances = (self.gust, self.action_noise, self.action_loss)
-        sight = (self.position_noise, self.velocity_noise, self.dropout)
-        failures = self.failures or _NO_FAILURES
-        fails = bool(failures.rate) or failures.between is not None
-        return bool(self.random_starts or fails or self.drawn or any((*chances, *sight)))
+        """Whether episodes or observations depend on random numbers."""
+        failures = self.failures or Failures()
+        return bool(
+            any(getattr(self, name) for name in RANDOM)
+            or self.drawn
+            or failures.rate
+            or failures.between
+        )
 
     @property
     def drawn(self) -> dict[str, Uniform]:
-        """Return the ranges of drawn numbers by name, such as ``wind_speed`` or ``mass_0``."""
+        """The ranges of drawn numbers by name, such as ``wind_speed`` or ``mass_0``."""
         return {name: one for name, one in self.numbers() if isinstance(one, Uniform)}
 
     def numbers(self) -> Iterator[tuple[str, Number]]:
         """Yield all numbers that may be drawn, by name, a robot's own last."""
         yield from zip(("wind_speed", "wind_angle"), self.wind, strict=True)
-        for name in NUMBERS:
-            yield name, getattr(self, name)
-        yield "failure_rate", (self.failures or _NO_FAILURES).rate
+        yield from ((name, getattr(self, name)) for name in NUMBERS)
+        yield "failure_rate", (self.failures or Failures()).rate
         for name in LIMITS:
             value = getattr(self, name)
-            own = isinstance(value, tuple)
-            yield from ((f"{name}_{i}", v) for i, v in enumerate(value)) if own else [(name, value)]
+            if isinstance(value, tuple):
+                yield from ((f"{name}_{i}", one) for i, one in enumerate(value))
+            else:
+                yield name, value
 
     def with_drawn(self, drawn: Mapping[str, float]) -> NavigationConfig:
         """Return the configuration of an episode that has ``drawn`` these, in settings' units."""
@@ -286,10 +356,8 @@ class NavigationConfig(Checked):
         update: dict[str, Any] = {name: known[name] for name in NUMBERS}
         update["wind"] = known["wind_speed"], known["wind_angle"]
         for name in LIMITS:
-            value = getattr(self, name)
-            own = isinstance(value, tuple)
-            each = tuple(known[f"{name}_{i}"] for i in range(len(value))) if own else known[name]
-            update[name] = each
+            own = tuple(value for key, value in known.items() if key.startswith(f"{name}_"))
+            update[name] = own or known[name]
         if self.failures is not None:
             update["failures"] = self.failures.model_copy(update={"rate": known["failure_rate"]})
         return self.model_copy(update=update)
@@ -309,6 +377,20 @@ class NavigationConfig(Checked):
         speed, angle = self.wind
         return speed * math.cos(math.radians(angle)), speed * math.sin(math.radians(angle))
 
+
+NUMBERS = tuple(
+    name
+    for name, field in NavigationConfig.model_fields.items()
+    if field.annotation is float and any(isinstance(m, GetPydanticSchema) for m in field.metadata)
+)
+"""Settings that are one number, which may be drawn."""
+LIMITS = ("mass", "f_max", "v_clip")
+"""Settings that are a number of each robot, which may be drawn."""
+RANDOM = (
+    *("random_starts", "gust", "action_noise", "action_loss"),
+    *("position_noise", "velocity_noise", "dropout"),
+)
+"""Settings that make episodes random unless they are off."""
 
 Condition = Literal["calm", "windy", "gusty", "noisy", "delayed", "failing", "mixed", "storm"]
 _NOISY = {"position_noise": 1.0, "velocity_noise": 0.1, "action_noise": 0.05}
@@ -334,7 +416,10 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
 
 
 class FixedSettings(TypedDict, total=False):
-    """The keyword arguments of :class:`NavigationConfig` but the team size, and ``condition``."""
+    """The arguments of :class:`NavigationConfig` without the team size, with ``condition``.
+
+    Keyword arguments can only be typed by such a class, so it lists them again.
+    """
 
     condition: Condition
     reward: str | RewardProfile
@@ -369,7 +454,7 @@ class FixedSettings(TypedDict, total=False):
 
 
 class Settings(FixedSettings, total=False):
-    """All keyword arguments of :class:`NavigationConfig`, and ``condition``, typed."""
+    """The arguments of :class:`NavigationConfig`, and ``condition``."""
 
     n_robots: int | None
 
@@ -392,22 +477,18 @@ def expand(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def make_config(settings: Mapping[str, Any]) -> NavigationConfig:
-    """Validate ``settings``, values by name, into a configuration.
-
-    Args:
-        settings: the arguments of :class:`NavigationConfig`; ``condition``, the name of one of
-            ``CONDITIONS``, stands for the settings listed there.
+    """Validate the arguments of :class:`NavigationConfig`, or a ``condition`` in place of some.
 
     Raises:
         ConfigError: naming every unknown or invalid setting and what is allowed; a setting that is
             given beside a condition that sets it is one of them.
     """
-    problems: list[str] = []
+    values, problems = dict(settings), []
     try:
         values = expand(settings)
     except ConfigError as error:
         problems += error.problems
-        values = {name: value for name, value in settings.items() if name != "condition"}
+        values.pop("condition")
     try:
         config = NavigationConfig(**values)
     except ConfigError as error:
@@ -415,3 +496,49 @@ def make_config(settings: Mapping[str, Any]) -> NavigationConfig:
     if problems:
         raise ConfigError("configuration", problems)
     return config
+
+
+def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
+    """Return one line for each problem of a ``model``: place, what is wrong, what is allowed.
+
+    The fields of the model, and of the models in it, are the known names.
+    """
+    lines = []
+    for problem in error.errors():
+        path = [part for part in problem["loc"] if part not in (_ONE, _EACH, _DRAWN)]
+        place = ".".join(map(str, path)) or model.__name__
+        kind, given, context = problem["type"], problem["input"], problem.get("ctx", {})
+        if isinstance(cause := context.get("error"), ConfigError):  # of a part that is a model
+            lines += [f"{place}.{line}" for line in cause.problems]
+            continue
+        if kind == "too_short" and len(given) > context["actual_length"]:
+            continue  # an entry has a line of its own
+        message = problem["msg"].removeprefix("Value error, ")
+        if kind == "extra_forbidden":
+            *path, name = problem["loc"]
+            known = _level(model, path).model_fields.items()  # without repr: not to be set by hand
+            message = unknown("name", str(name), [name for name, field in known if field.repr])
+        elif kind == "literal_error":
+            choices = re.findall(r"'(.*?)'", context["expected"])
+            shown = _shown(given)
+            message = f"{shown}: " + unknown("choice", shown.strip("'"), choices)
+        elif kind != "missing":  # else the input is all that is around it
+            message += f" (got {_shown(given)})"
+        lines.append(f"{place}: {message}")
+    return lines
+
+
+def _shown(value: object) -> str:
+    try:
+        return _SHORT.repr(value)
+    except ValueError:  # a whole number of more digits than Python shows
+        return type(value).__name__
+
+
+def _level(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseModel]:
+    """Return the model that the value at ``path`` inside ``model`` is validated as."""
+    for name in path:
+        field = model.model_fields.get(str(name))
+        if field is not None and isinstance(field.annotation, type):
+            model = field.annotation if issubclass(field.annotation, BaseModel) else model
+    return model

@@ -12,13 +12,7 @@ class MbnError(ValueError):
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> str:
-    """Return what is wrong with a name that is none of ``known``: what may be meant, and all.
-
-    Args:
-        kind: of the name, such as ``"field"``.
-        name: as it was given.
-        known: the names that there are.
-    """
+    """Return a message about a name that is none of ``known``: similar names, and all."""
     names = list(known)
     ends = {one.rpartition(".")[2]: one for one in reversed(names)}  # gamma means model.gamma
     close = get_close_matches(name[:100], [*dict.fromkeys([*ends, *names])], n=3, cutoff=0.7)
@@ -29,11 +23,7 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> str:
 
 
 def install(extra: str) -> str:
-    """Return the command that brings an extra; the package is on no index.
-
-    Args:
-        extra: its name in ``pyproject.toml``, such as ``"render"``.
-    """
+    """Return the command that installs an extra of ``pyproject.toml``, such as ``"render"``."""
     return f"pip install '.[{extra}]' in a clone of mbn_marl"
 
 
@@ -55,14 +45,16 @@ class ProblemsError(MbnError):
 
 @contextmanager
 def collecting(problems: list[str]) -> Iterator[None]:
-    """Add what an error says to ``problems``, once and with its place, instead of raising it."""
+    """Add an error's problems to ``problems``, once each and with their place; raise nothing."""
     try:
         yield
     except ProblemsError as error:
         found = [f"{error.source}: {problem}" for problem in error.problems]
-        problems += [problem for problem in found if problem not in problems]
     except MbnError as error:
-        problems += [str(error)] if str(error) not in problems else []
+        found = [str(error)]
+    else:
+        return
+    problems += [problem for problem in found if problem not in problems]
 
 
 class FieldError(ProblemsError):
@@ -75,10 +67,6 @@ class ConfigError(ProblemsError):
 
 class EpisodeError(ProblemsError):
     """An episode or its file is not valid, or does not replay."""
-
-
-class DamageError(MbnError):
-    """A file was changed, cut off or damaged after it was written."""
 
 
 class DisplayError(MbnError, RuntimeError):

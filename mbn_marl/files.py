@@ -32,15 +32,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def check_free(path: Path, *, force: bool = False) -> None:
-    """Check that a new file can be at ``path``, before the work; touch nothing.
-
-    Args:
-        path: where a new file is to be.
-        force: an existing file may be moved aside.
-
-    Raises:
-        MbnError: ``path`` is a folder, or a file and ``force`` is not set.
-    """
+    """Raise an MbnError if ``path`` is a folder, or a file and ``force`` is not set."""
     if path.is_dir():
         raise MbnError(f"{path} is a folder; the output must be a file")
     if path.exists() and not force:
@@ -50,10 +42,9 @@ def check_free(path: Path, *, force: bool = False) -> None:
 
 
 def claim_file(path: Path, *, force: bool = False) -> Path:
-    """Make ``path`` free for a new file, and return it; call it when that file is about to come.
+    """Make ``path`` free for a new file, and return it; errors as :func:`check_free`.
 
-    With ``force`` an existing file moves aside to ``<path>.1``, ``<path>.2``, ... (the first free
-    name), so that nothing is lost. Arguments and errors as :func:`check_free`.
+    With ``force`` an existing file moves to :func:`free_name`, so that nothing is lost.
     """
     check_free(path, force=force)
     if path.exists():

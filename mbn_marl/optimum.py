@@ -10,14 +10,11 @@ VIEW = (
     *("reward_sharing", "observation", "assignment", "one_hot", "sensing_radius", "dtype"),
     *("position_noise", "velocity_noise", "dropout", "gust_time"),
 )
-"""Settings that change what a learner sees, but not the best return; or nothing without a gust."""
+"""Settings that change observations, but not the best return; or nothing without a gust."""
 
 
 def optimality_gap(return_: float, optimum: float | None) -> float | None:
-    """Return the gap of ``return_`` to ``optimum``, as a share of it; ``None`` without one.
-
-    Both are in reward units.
-    """
+    """Return the gap of ``return_`` to ``optimum``, as a share of it; ``None`` without one."""
     return None if optimum is None else 1.0 - return_ / optimum
 
 
@@ -27,9 +24,7 @@ def optimal_return(field: Field, config: NavigationConfig | None = None) -> floa
     It is proved for the default dynamics, the released rewards and the field's own starts and
     team, as long as ``r_l``, the cost of the abrupt stop at a wall, exceeds that of all the steps.
 
-    Args:
-        field: the field, with its proved makespan if there is one.
-        config: the configuration of the environment; ``None`` for the default one.
+    ``config`` is that of the environment; ``None`` is the default one.
 
     Source:
         The formula is that of ``docs/mdp.md`` for a clean success, T* the planner's.

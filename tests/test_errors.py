@@ -6,7 +6,7 @@ import pytest
 
 from baselines.algorithms import find_algorithm
 from baselines.sweep.spec import GridSpec
-from baselines.training.hyperparameters import validate
+from baselines.training.config import validate
 from baselines.zoo.entries import open_run
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError, MbnError, unknown

@@ -16,8 +16,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LAYERS = [
     {"mbn_marl.errors", "mbn_marl.version"},
-    {"mbn_marl.compiled", "mbn_marl.checked", "mbn_marl.files"},
-    {"mbn_marl.config"},
+    {"mbn_marl.jit", "mbn_marl.config", "mbn_marl.files"},
     {"mbn_marl.field"},
     {"mbn_marl.optimum"},
     {"mbn_marl.engine"},

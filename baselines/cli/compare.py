@@ -1,45 +1,25 @@
-"""``mbn compare``: algorithms on fields, several seeds each, equal budgets."""
+"""``mbn compare``, ``report``, ``benchmark`` and ``runs``: what runs and policies are worth."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import arg
-from tyro.constructors import PrimitiveConstructorSpec, PrimitiveTypeInfo
+from tyro.conf import Positional, arg
 
-from baselines.cli.options import CORES, REGISTRY, Reading, check_options
-from baselines.compare.variants import CompareConfig, Variant, parse_variant, read_variants
-from mbn_marl.errors import ConfigError
+from baselines.cli.options import CORES, OptionalOutput, Output, Writes, check_options
+from baselines.compare.variants import CompareConfig, read_variants
 
 if TYPE_CHECKING:
-    from baselines.compare.results import Results
-
-
-@REGISTRY.primitive_rule
-def read_variant(info: PrimitiveTypeInfo) -> Reading | None:
-    """Read a variant from ``ALGO`` or ``ALGO:SETTING``."""
-    if info.type is not Variant:
-        return None
-
-    def read(words: list[str]) -> Variant:
-        try:
-            return parse_variant(words[0])
-        except ConfigError as error:
-            raise ValueError(f"{words[0]!r}; {', '.join(error.problems)}") from None
-
-    return PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="ALGO",
-        instance_from_str=read,
-        is_instance=lambda value: isinstance(value, Variant),
-        str_from_instance=lambda value: [value.name],
-    )
+    from baselines.compare.records import Results
+    from baselines.runs.folder import RunFolder
 
 
 @dataclass(frozen=True)
-class Compare:
+class Compare(Writes):
     """Train every algorithm on every field with every seed, then print and write a comparison."""
 
     config: Annotated[CompareConfig, arg(name="")]
@@ -47,10 +27,8 @@ class Compare:
     """Instead of --algos: a YAML file of labelled variants, see docs/comparison.md."""
     processes: int = CORES
     """Runs at a time; each takes one core."""
-    out: Path = Path("runs/comparison")
+    out: Output = Path("runs/comparison")
     """The folder to write: tables, figures, GIFs, and a run folder for every run."""
-    force: bool = False
-    """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
     resume: bool = False
     """Resume the comparison in the folder: finished runs are kept, interrupted ones are resumed,
     missing ones are started. The rest of the command must be the same."""
@@ -58,19 +36,17 @@ class Compare:
     """Log every run to this project of Weights & Biases too (pip install wandb)."""
 
     def run(self, command_line: str) -> None:
-        """Train with a bar for every run, then print the tables."""
         config = self.config
+        both = self.variants is not None and config.variants != CompareConfig.variants
         wrong = {
-            "algos and variants: allowed is one of them": self.variants is not None
-            and config.variants != CompareConfig.variants,
+            "algos and variants: allowed is one of them": both,
             f"processes: at least 1, not {self.processes}": self.processes < 1,
             "force and resume: allowed is one of them": self.force and self.resume,
         }
         check_options("comparison", wrong)
         if self.variants is not None:
             config = replace(config, variants=read_variants(self.variants))
-        names = ("processes", "force", "resume", "wandb")
-        how = {name: getattr(self, name) for name in names}
+        how = {name: getattr(self, name) for name in ("processes", "force", "resume", "wandb")}
         train_and_compare(config, self.out, command=command_line, **how)
         print(f"written to {self.out}: comparison.md, comparison.json, table.csv, figures, runs")
 
@@ -87,9 +63,8 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Resul
     from baselines.compare.run import train_all_runs
     from baselines.compare.tables import print_comparison
     from baselines.console import console
-    from baselines.runs.files import RunError
-    from baselines.runs.report_path import Place
-    from baselines.training.progress_bar import progress_bars
+    from baselines.runs.files import Place, RunError
+    from baselines.training.run_logger import progress_bars
 
     hours = config.core_hours
     spent = f"{hours:.1f} hours" if hours >= 1.0 else f"{60 * hours + 0.5:.0f} minutes"
@@ -101,3 +76,152 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Resul
         errors = "\n".join(results.broken.values())
         raise RunError(f"{out / PAGE} leaves out the variants of runs that diverged:\n{errors}")
     return results
+
+
+@dataclass(frozen=True)
+class Report(Writes):
+    """Report on runs: the paper's tables and figures with ours beside them, or a comparison."""
+
+    runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUN ...")]]
+    """Run folders, or folders that hold some; studies and what --force moved aside are left out
+    there, with --paper comparisons too. With --paper also folders of earlier reports."""
+    out: Output
+    """The folder to write, with the page paper.md or comparison.md in it; NAME.md for the page,
+    beside its folder NAME; or NAME.html for a comparison on one self-contained page."""
+    paper: bool = False
+    """The paper's experiments: its tables as Markdown, CSV and LaTeX, and its figures."""
+    comparison: bool = False
+    """The statistics of `mbn compare`, on runs that are there already."""
+    study: Path | None = None
+    """The folder of an `mbn tune`, to draw."""
+    notes: Path | None = None
+    """A Markdown file to put at the top of the page."""
+
+    def run(self, command_line: str) -> None:
+        from baselines.compare.report import is_page, report_comparison
+        from baselines.compare.tables import print_comparison
+        from baselines.console import console
+
+        page = is_page(self.out)
+        wrong = {
+            f"out: --paper writes a folder or .md, not {self.out}": page and self.paper,
+            "kind: --paper or --comparison is needed, or an out that ends in .html": not page
+            and self.paper == self.comparison,
+            "study and notes: allowed with --paper": not self.paper and (self.study or self.notes),
+            "RUN: at least one folder is needed": not self.runs,
+        }
+        check_options("report", wrong)
+        screen = console()
+        note = partial(screen.print, soft_wrap=True, highlight=False)
+        how: dict[str, Any] = {"command": command_line, "force": self.force, "note": note}
+        if self.paper:
+            from baselines.paper.report import write_report
+
+            write_report(self.runs, self.out, study=self.study, notes=self.notes, **how)
+        else:
+            found = report_comparison(self.runs, self.out, **how)
+            print_comparison(found, screen)
+        note(f"written to {self.out}")
+
+
+@dataclass(frozen=True)
+class Benchmark(Writes):
+    """Measure a policy on frozen fields with proved bounds, by the same rules for all."""
+
+    source: Positional[Annotated[str, arg(metavar="POLICY")]]
+    """zoo:NAME, a policy of `mbn zoo`; the folder of a run; greedy, planner, replan or random;
+    or module:callable, your own."""
+    split: Literal["test", "validation"] = "test"
+    """Which fields: those to choose by are of validation."""
+    shield: bool = False
+    """Let robots do only what they could brake after, whatever the policy wants."""
+    tiers: tuple[str, ...] = ()
+    """Some of 1-convex, 2-sizes, 3-shapes, 4-crowds, 5-weather; by default all."""
+    out: OptionalOutput = None
+    """The folder to write: result.json, page.html, episodes; by default
+    runs/benchmark-POLICY-SPLIT, or runs/benchmark-POLICY-shield-SPLIT."""
+    resume: bool = False
+    """Go on with a benchmark that was interrupted: tiers that are done are kept."""
+
+    def run(self, command_line: str) -> None:
+        from rich.progress import Progress
+
+        from baselines.compare.benchmark import (
+            PAGE,
+            load_protocol,
+            load_tiers,
+            result_page,
+            result_tables,
+            run_benchmark,
+        )
+        from baselines.console import console
+        from baselines.evaluation.shielded import behind
+        from baselines.runs.files import alone, claim_folder, write_text
+        from baselines.zoo.sources import check_known
+
+        wrong = {"force and resume: allowed is one of them": self.force and self.resume}
+        check_options("benchmark", wrong)
+        check_known(self.source)
+        tiers = load_tiers(self.split, self.tiers or load_protocol().tiers)
+        policy = f"{self.source}{behind(self.shield)}"
+        name = re.sub(r"[^\w.-]+", "-", policy).strip("-")
+        out = self.out or Path(f"runs/benchmark-{name}-{self.split}")
+        if not self.resume:
+            claim_folder(out, force=self.force)
+        out.mkdir(parents=True, exist_ok=True)
+        with alone(out, "mbn benchmark"), Progress(console=console(), transient=True) as progress:
+            task = progress.add_task(name, total=sum(map(len, tiers.values())))
+            how: dict[str, Any] = {"command": command_line, "shield": self.shield}
+            how |= {"resume": self.resume, "advance": partial(progress.advance, task)}
+            try:
+                record = run_benchmark(self.source, self.split, tiers, out, **how)
+            except KeyboardInterrupt:
+                problem = f"{out} has the tiers that are done; continue with --resume"
+                raise KeyboardInterrupt(problem) from None
+        write_text(out / PAGE, result_page(record, out))
+        for title, table in result_tables(record).items():
+            table.print(f"{policy} on {self.split}: {title}")
+        print(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+@dataclass(frozen=True)
+class Runs:
+    """List runs: finished, interrupted or under way, with success and makespan so far."""
+
+    folders: Positional[Annotated[tuple[Path, ...], arg(metavar="[FOLDER ...]")]] = (Path("runs"),)
+    """Run folders, or folders that hold some."""
+
+    def run(self, command_line: str) -> None:
+        from baselines.compare.text_table import TextTable
+        from baselines.runs.discover import run_folders
+        from baselines.runs.folder import RunFolder
+
+        lines = [
+            line_of(RunFolder.open(path)) for path in run_folders(self.folders, comparisons=True)
+        ]
+        headings = ("run", "algorithm", "field", "seed", "state", "success", "makespan")
+        caption = "sampled actions in the final evaluation, or the last one so far"
+        TextTable(caption, headings, lines, words=5).print("runs")
+
+
+def line_of(run: RunFolder) -> tuple[str, ...]:
+    """Return a run's line of the table; of one that cannot be read, why."""
+    from baselines.compare.records import Listed, Summary, validate
+    from baselines.compare.text_table import shown
+    from mbn_marl.errors import MbnError
+
+    here = Path.cwd()
+    name = str(run.path.relative_to(here) if run.path.is_relative_to(here) else run.path)
+    try:
+        asked = validate(Listed, run.config, run.path / "config.json")
+        if run.finished:
+            last = run.evaluation.get("stochastic")
+        else:
+            history = run.evaluations if (run.path / "evaluations.json").exists() else []
+            last = history[-1] if history else None
+        known = None if last is None else validate(Summary, last, run.path)
+    except MbnError as error:
+        return name, "-", "-", "-", str(error).removeprefix(f"{run.path}/"), "-", "-"
+    numbers = [known and known.success_rate, known and known.makespan]
+    cells = map(shown, numbers, ("{:.1%}", "{:.1f}"))
+    return name, asked.algorithm, Path(asked.field).stem, str(asked.seed), run.state, *cells

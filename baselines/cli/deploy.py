@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from baselines.cli.options import check_options
-from baselines.cli.subject import InWeather
+from baselines.cli.options import InWeather, check_options
 from mbn_marl.config import CONDITIONS
 
 if TYPE_CHECKING:
@@ -52,11 +51,8 @@ class Deploy(InWeather):
     --wind-speeds, else with --compare a panel for each field."""
     json: Path | None = None
     """Write all numbers to this file."""
-    force: bool = False
-    """If an output exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Deploy, print the table, and write what is asked for."""
         from baselines.demo.deploy3d import find_pilots, strongest_wind, summarise, sweep_wind
         from baselines.runs.files import write_json
         from mbn_marl.files import claim_file
@@ -96,29 +92,27 @@ class Deploy(InWeather):
             write_json(claim_file(self.json, force=self.force), numbers)
 
     def _check(self) -> tuple[list[float], float]:
-        """Check the options and the outputs before anything is touched; return the winds.
-
-        There is none where the policy's own, or the condition's, is to stay.
-        """
+        # No wind where the policy's, or the condition's, is to stay.
         from baselines.evaluation.wind import parse_speeds
         from mbn_marl.files import check_free
         from mbn_marl.render.figures import check_name
 
-        blown = "wind" in CONDITIONS[self.condition or "calm"]
-        other = f"vehicle: {self.vehicle!r}; allowed with coppeliasim: quadrotor"
-        ending = f"video: {self.video}; allowed: a name that ends in .mp4"
-        checks = {
+        blown = self.wind_speeds and "wind" in CONDITIONS[self.condition or "calm"]
+        panels = self.compare or self.wind_speeds
+        wrong = {
             "compare: allowed with mujoco and coppeliasim": self.compare and self.sim == "plane",
-            other: self.vehicle != "quadrotor" and self.sim == "coppeliasim",
+            f"vehicle: {self.vehicle!r}; allowed with coppeliasim: quadrotor": (
+                self.vehicle != "quadrotor" and self.sim == "coppeliasim"
+            ),
             "video: allowed with mujoco": self.video and self.sim != "mujoco",
-            ending: self.video and self.video.suffix.lower() != ".mp4",
-            "figure: allowed with --compare or --wind-speeds": self.figure
-            and not (self.compare or self.wind_speeds),
+            f"video: {self.video}; allowed: a name that ends in .mp4": (
+                self.video and self.video.suffix.lower() != ".mp4"
+            ),
+            "figure: allowed with --compare or --wind-speeds": self.figure and not panels,
             "wind: allowed without --wind-speeds": self.wind_speeds and self.wind,
-            f"wind_speeds: allowed without --condition {self.condition}, which has wind": blown
-            and self.wind_speeds,
+            f"wind_speeds: allowed without --condition {self.condition}, which has wind": blown,
         }
-        check_options("deployment", checks)
+        check_options("deployment", wrong)
         if self.figure is not None:
             check_name(self.figure)
         for output in filter(None, (self.video, self.figure, self.json)):
@@ -128,7 +122,6 @@ class Deploy(InWeather):
         return [], 0.0
 
     def _simulators(self, scale: Scale) -> dict[str, Simulator]:
-        """Return the simulator by name, and the plane before it to compare with."""
         from mbn_marl.sim3d import PlaneSimulator
 
         simulators: dict[str, Simulator] = {}
@@ -148,7 +141,6 @@ class Deploy(InWeather):
         return simulators
 
     def _draw(self, flights: Sequence[Mapping[str, list[Deployment]]], path: Path) -> None:
-        """Draw the paths of each actor by simulator."""
         from mbn_marl.render import figures
 
         def last(deployment: Deployment) -> Any:
@@ -171,35 +163,32 @@ class Deploy(InWeather):
 
 def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Print deployments (as ``summarise`` has them, with ``sim``) as a table, one a row."""
-    from baselines.compare.text_table import TextTable
+    from baselines.compare.text_table import TextTable, shown
 
     caption = (
         "ratio: to the plane's makespan; apart: least distance of robots, units;\n"
         "error: of tracking, units a step; speed: times real time on one core"
     )
     headings = ("field", "sim", "outcome", "wind", "makespan", "ratio", "return", "apart")
-
-    def shown(value: float | None, digits: int) -> str:
-        return "-" if value is None else f"{value:,.{digits}f}"
-
-    def world(row: Mapping[str, Any]) -> tuple[str, float]:
-        return row["field"], row["wind_speed"]
-
-    plane = {world(row): row["makespan"] for row in rows if row["sim"] == "plane"}
+    plane = {
+        (row["field"], row["wind_speed"]): row["makespan"] for row in rows if row["sim"] == "plane"
+    }
     lines = []
     for row in rows:
         flat, makespan = row["sim"] == "plane", row["makespan"]
-        best = None if flat else plane.get(world(row))
+        best = None if flat else plane.get((row["field"], row["wind_speed"]))
         failed = sum(step is not None for step in row["failed"])
-        outcome = row["outcome"] + (f", {failed} failed" if failed else "")
-        line = (
-            *(row["field"], row["sim"], outcome, f"{row['wind_speed']:g}"),
-            shown(makespan, 0),
-            shown(makespan / best if makespan and best else None, 2),
-            shown(row["return"], 0),
-            shown(row["separation"], 1),
-            shown(row["tracking_error"], 2),
-            shown(None if flat else row["times_real_time"], 0),
+        lines.append(
+            (
+                *(row["field"], row["sim"]),
+                row["outcome"] + (f", {failed} failed" if failed else ""),
+                f"{row['wind_speed']:g}",
+                shown(makespan),
+                shown(makespan / best if makespan and best else None, "{:.2f}"),
+                shown(row["return"]),
+                shown(row["separation"], "{:,.1f}"),
+                shown(row["tracking_error"], "{:,.2f}"),
+                shown(None if flat else row["times_real_time"]),
+            )
         )
-        lines.append(line)
-    TextTable(caption, (*headings, "error", "speed"), tuple(lines), words=3).print(title)
+    TextTable(caption, (*headings, "error", "speed"), lines, words=3).print(title)

@@ -1,4 +1,4 @@
-"""``mbn evaluate``: fresh episodes of a trained policy, or of a classical one."""
+"""``mbn evaluate``, ``zoo`` and ``export``: trained policies, and classical ones."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from baselines.cli.options import check_options
-from baselines.cli.subject import Subject
+from tyro.conf import Positional, arg
+
+from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check_options
 from mbn_marl.optimum import optimality_gap
 
 ONE_EPISODE = "deterministic:\none episode"
@@ -37,23 +38,21 @@ class Evaluate(Subject):
     """The direction of that wind, degrees from +x."""
     figure: Path | None = None
     """With --wind-speeds: the picture of an episode at each, by default RUN/wind.png."""
-    force: bool = False
-    """If an output exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Evaluate, print the summaries, and write the files that are asked for."""
         in_wind = self.wind_speeds is not None
         homeless = self.field is not None or not Path(self.source).is_dir()
         needed = "needed with --wind-speeds, unless POLICY is a run's folder in its field"
         wrong = {
             f"episodes: at least 1, not {self.episodes}": self.episodes < 1,
             "figure: allowed with --wind-speeds": self.figure is not None and not in_wind,
-            "record: allowed without --wind-speeds": self.record is not None and in_wind,
             f"json: {needed}": in_wind and homeless and self.json is None,
             f"figure: {needed}": in_wind and homeless and self.figure is None,
-            "condition: allowed without --wind-speeds": self.condition is not None and in_wind,
-            "wind: allowed without --wind-speeds": self.wind is not None and in_wind,
         }
+        for name in ("record", "condition", "wind"):
+            wrong[f"{name}: allowed without --wind-speeds"] = (
+                in_wind and getattr(self, name) is not None
+            )
         check_options("evaluation", wrong)
         title, how = self._subject()
         if self.wind_speeds is None:
@@ -62,7 +61,7 @@ class Evaluate(Subject):
             self._evaluate_in_wind(title, how, command_line, self.wind_speeds)
 
     def _subject(self) -> tuple[str, dict[str, Any]]:
-        """Return who is evaluated, in words, and the arguments of `evaluate`."""
+        """Return the policy's name in titles, and the arguments of `evaluate`."""
         from baselines.demo.resolve import find_actor
         from baselines.evaluation.evaluate import EVALUATION_SEED
         from baselines.evaluation.shielded import Shielded, behind
@@ -80,7 +79,6 @@ class Evaluate(Subject):
         }
 
     def _evaluate(self, title: str, how: dict[str, Any], command_line: str) -> None:
-        """Evaluate as the policy was trained, or under the condition."""
         from baselines.evaluation.evaluate import evaluate_both, is_one_episode, record_evaluation
         from baselines.runs.files import claim_folder, write_json
         from mbn_marl.config import make_config
@@ -117,7 +115,6 @@ class Evaluate(Subject):
     def _evaluate_in_wind(
         self, title: str, how: dict[str, Any], command_line: str, speeds: str
     ) -> None:
-        """Evaluate at several wind speeds; write the episodes and the picture."""
         from baselines.evaluation.wind import evaluate_in_wind, parse_speeds, write_panels
         from baselines.runs.files import write_json
         from mbn_marl.files import check_free, claim_file
@@ -147,48 +144,125 @@ def print_evaluations(
     ``optimum`` is the proved best return, if there is one; ``one(deterministic=...)`` says whether
     all episodes of a row are the same.
     """
-    from baselines.compare.text_table import TextTable
+    from baselines.compare.text_table import TextTable, shown
 
     caption = "" if optimum is None else f"gap: to the proved optimum, {optimum:,.0f}"
     headings = ("actions", "episodes", "return", "min", "max", "success", "makespan", "gap")
-    lines = []
-    for summary in summaries:
-        makespan, deterministic = summary["makespan"], summary["deterministic"]
-        gap = optimality_gap(summary["return_mean"], optimum)
-        lines.append(
-            (
-                "mean" if deterministic else "sampled",
-                ONE_EPISODE if one(deterministic=deterministic) else str(summary["episodes"]),
-                *(f"{summary[f'return_{name}']:,.0f}" for name in ("mean", "min", "max")),
-                f"{summary['success_rate']:.1%}",
-                "-" if makespan is None else f"{makespan:.1f}",
-                *([] if gap is None else [f"{gap:.2%}"]),
-            )
+    lines = [
+        (
+            "mean" if row["deterministic"] else "sampled",
+            ONE_EPISODE if one(deterministic=row["deterministic"]) else str(row["episodes"]),
+            *(shown(row[f"return_{name}"]) for name in ("mean", "min", "max")),
+            f"{row['success_rate']:.1%}",
+            shown(row["makespan"], "{:.1f}"),
+            shown(optimality_gap(row["return_mean"], optimum), "{:.2%}"),
         )
-    TextTable(caption, headings[: len(lines[0])], tuple(lines)).print(title)
+        for row in summaries
+    ]
+    columns = slice(7 if optimum is None else 8)
+    TextTable(caption, headings[columns], [line[columns] for line in lines]).print(title)
 
 
 def print_winds(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print what ``evaluate_in_wind`` returns as a table, one entry a row."""
-    from baselines.compare.text_table import TextTable
+    from baselines.compare.text_table import TextTable, shown
 
-    def shown(row: Mapping[str, Any], name: str, mean: str, form: str) -> str:
-        """Return a mean with its interval below, if it has one; a dash for none."""
-        interval = row[f"{name}_interval"] or {"low": None, "high": None}
-        ends = f"\n{form} .. {form}" if interval["low"] is not None else ""
-        whole = f"{form}{ends.format(interval['low'], interval['high'])}"
-        return "-" if row[mean] is None else whole.format(row[mean])
+    def with_interval(row: Mapping[str, Any], name: str, mean: str, form: str) -> str:
+        ends = row[f"{name}_interval"]
+        if ends is None or ends["low"] is None:
+            return shown(row[mean], form)
+        return f"{form}\n{form} .. {form}".format(row[mean], ends["low"], ends["high"])
 
-    lines = tuple(
+    lines = [
         (
             f"{row['wind_speed']:g}",
             "mean" if row["deterministic"] else "sampled",
             str(row["episodes"]) if row["return_interval"] else ONE_EPISODE,
-            shown(row, "success", "success_rate", "{:.0%}"),
-            shown(row, "return", "return_mean", "{:,.0f}"),
-            shown(row, "makespan", "makespan", "{:.1f}"),
+            with_interval(row, "success", "success_rate", "{:.0%}"),
+            with_interval(row, "return", "return_mean", "{:,.0f}"),
+            with_interval(row, "makespan", "makespan", "{:.1f}"),
         )
         for row in rows
-    )
+    ]
     headings = ("wind", "actions", "episodes", "success", "return", "makespan")
     TextTable("intervals: 95 % over the episodes", headings, lines, words=2).print(title)
+
+
+@dataclass(frozen=True)
+class Zoo:
+    """List the trained policies that `mbn evaluate` and `mbn render` take as zoo:NAME."""
+
+    add: Annotated[Path | None, arg(metavar="RUN")] = None
+    """Make an entry of this finished run: evaluate its policy and write its card."""
+    out: OptionalOutput = None
+    """The folder to make; by default the package's own, named as the run's field, or as its label
+    if it was trained on random fields."""
+
+    def run(self, command_line: str) -> None:
+        from baselines.runs.folder import RunFolder
+        from baselines.zoo.entries import FOLDER, entry_names, read_card
+        from baselines.zoo.make import make_entry
+        from mbn_marl.field import FieldSampler
+
+        check_options("zoo", {"out: allowed with --add": self.out and self.add is None})
+        if self.add is None:
+            print_cards([read_card(name) for name in entry_names()])
+            return
+        run = RunFolder.open(self.add)
+        sampled, config = isinstance(run.fields, FieldSampler), run.config
+        name = (config["label"] or config["algorithm"]) if sampled else run.field.name
+        print_cards([make_entry(run, self.out or FOLDER / name)])
+
+
+def print_cards(cards: Iterable[Mapping[str, Any]]) -> None:
+    from baselines.compare.text_table import TextTable, shown
+
+    headings = ("policy", "algorithm", "env-steps", "sampled\nactions", "success", "mean\nactions")
+    lines = [
+        (
+            f"zoo:{card['name']}",
+            card["algorithm"],
+            f"{card['env_steps']:,}",
+            shown(card["stochastic"]["return_mean"]),
+            f"{card['stochastic']['success_rate']:.0%}",
+            shown(card["deterministic"]["return_mean"]),
+            shown(card["optimum"]),
+        )
+        for card in cards
+    ]
+    TextTable("", (*headings, "optimum"), lines).print()
+
+
+@dataclass(frozen=True)
+class Export(Writes):
+    """Write the mean actions of a trained policy as ONNX, torch.export or plain NumPy arrays."""
+
+    policy: Positional[Annotated[str, arg(metavar="POLICY")]]
+    """The folder of a run, or zoo:NAME (see `mbn zoo`)."""
+    out: Output
+    """The file to write: .onnx, .pt2 or .npz."""
+    field: str | None = None
+    """A name of `mbn fields`, or a field file; by default that of the run or of zoo:NAME."""
+
+    def run(self, command_line: str) -> None:
+        from baselines import load_policy
+        from baselines.evaluation.export import ALLOWED, export_policy, writer_of
+        from baselines.zoo.sources import check_known, is_trained, needs_field
+        from mbn_marl.config import make_config
+
+        writer_of(self.out)
+        check_known(self.policy)
+        check_options("export", {f"{self.policy}: {ALLOWED}": not is_trained(self.policy)})
+        policy = load_policy(self.policy, self.field)
+        if policy.field is None:
+            raise needs_field(self.policy)
+        metadata, difference = export_policy(policy, self.out, force=self.force)
+        config, clip = make_config(policy.settings), metadata["clip"]
+        shape, returned = (", ".join(map(str, metadata[name])) for name in ("shape", "returns"))
+        print(f"takes    {metadata['takes']} ({shape}) of W worlds")
+        if metadata["takes"] == "observations":
+            print(f"         observation={config.observation!r}, one_hot={config.one_hot}")
+        clipped = "" if clip is None else f"; normalises them, clipped to +-{clip:g}, itself"
+        print(f"         raw numbers{clipped}")
+        print(f"returns  actions ({returned}), means in [-1, 1]")
+        print(f"made for {metadata['field']}; all settings are in the file, under mbn_marl")
+        print(f"written to {self.out}; differs from the policy by {difference:.0e} at most")

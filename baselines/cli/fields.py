@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import check_options
+from baselines.cli.options import OptionalOutput, Writes, check_options
 
 if TYPE_CHECKING:
     from mbn_marl.field import Field
 
 
 @dataclass(frozen=True)
-class Fields:
+class Fields(Writes):
     """List fields: robots, ROIs, edges, area, proved optimum. Or make random ones, or a map's."""
 
     fields: Positional[Annotated[tuple[str, ...], arg(metavar="[FIELD ...]")]] = ()
@@ -37,21 +37,16 @@ class Fields:
     """Of each random field, or of a map without ROIs."""
     size: tuple[float, float] | None = None
     """The longest side of random fields, from and to, units; by default 110 420, or more."""
-    out: Path | None = None
+    out: OptionalOutput = None
     """The folder to write random fields to, or the field file to make of a map."""
     figure: Path | None = None
     """Draw them in this file (.png, .pdf or .svg), side by side."""
-    force: bool = False
-    """If files to write exist, move them aside."""
 
     def run(self, command_line: str) -> None:
-        """Print the table; write what is asked for."""
         from mbn_marl.field import catalogue_names, load_field
 
         self._check()
-        made = [self._make(family, k) for k in range(self.count) for family in self.generate]
-        made += self._mapped()
-        fields = made or [load_field(name) for name in self.fields or catalogue_names()]
+        fields = self._made() or [load_field(name) for name in self.fields or catalogue_names()]
         self._print(fields)
         if self.out is not None:
             random = [self.out / f"{field.name}.yaml" for field in fields]
@@ -63,55 +58,54 @@ class Fields:
         names = ("seed", "count", "robots", "rois", "size", "out", "metres_per_unit")
         own = [name for name in names if getattr(self, name) != getattr(Fields, name)]
         of_sampler = [name for name in own if name in ("count", "size")]
-        of_map = [name for name in own if name == "metres_per_unit"]
-        made = self.generate or self.map
+        no_yaml = self.out and self.out.suffix not in (".yaml", ".yml")
         wrong: dict[str, object] = {
-            f"{', '.join(own)}: only with --generate or --from": own and not made,
+            f"{', '.join(own)}: only with --generate or --from": (
+                own and not (self.generate or self.map)
+            ),
             f"{', '.join(of_sampler)}: only with --generate": of_sampler and self.map,
-            f"{', '.join(of_map)}: only with --from": of_map and self.generate,
+            "metres_per_unit: only with --from": "metres_per_unit" in own and self.generate,
             "generate: not with names or files": self.generate and self.fields,
-            "from: not with --generate, names or files": self.map
-            and (self.generate or self.fields),
+            "from: not with --generate, names or files": (
+                self.map and (self.generate or self.fields)
+            ),
             f"count: at least 1, not {self.count}": self.count < 1,
-            f"out: a name that ends in .yaml, not {self.out}": self.map
-            and self.out
-            and self.out.suffix not in (".yaml", ".yml"),
+            f"out: a name that ends in .yaml, not {self.out}": self.map and no_yaml,
         }
         check_options("fields", wrong)
 
-    def _mapped(self) -> list[Field]:
-        """Return the field of the map, if there is one; print how it was read."""
-        if self.map is None:
-            return []
-        from mbn_marl.field import load_map
+    def _made(self) -> list[Field]:
+        from mbn_marl.field import generate, load_map
 
-        counts = {"robots": self.robots, "rois": self.rois, "seed": self.seed}
-        field, notes = load_map(self.map, metres_per_unit=self.metres_per_unit, **counts)
-        print("\n".join(notes))
-        return [field]
-
-    def _make(self, family: str, k: int) -> Field:
-        from mbn_marl.field import generate
-
-        seed = self.seed + k
-        return generate(family, seed, robots=self.robots, rois=self.rois, size=self.size)
+        counts: dict[str, Any] = {"robots": self.robots, "rois": self.rois}
+        if self.map is not None:
+            scale = self.metres_per_unit
+            field, notes = load_map(self.map, metres_per_unit=scale, seed=self.seed, **counts)
+            print("\n".join(notes))
+            return [field]
+        return [
+            generate(family, self.seed + k, size=self.size, **counts)
+            for k in range(self.count)
+            for family in self.generate
+        ]
 
     def _print(self, fields: Sequence[Field]) -> None:
-        from baselines.compare.text_table import TextTable
+        from baselines.compare.text_table import TextTable, shown
         from mbn_marl.optimum import optimal_return
 
-        lines = []
-        for field in fields:
-            makespan, optimum = field.optimal_makespan, optimal_return(field)
-            counts = (field.starts, field.rois, field.holes, field.edges)
-            best = "-" if optimum is None else f"{optimum:,.0f}"
-            area = f"{field.polygon.area:,.0f}"
-            lines.append(
-                (field.name, *(str(len(one)) for one in counts), area, str(makespan or "-"), best)
+        lines = [
+            (
+                field.name,
+                *(str(len(one)) for one in (field.starts, field.rois, field.holes, field.edges)),
+                shown(field.polygon.area),
+                str(field.optimal_makespan or "-"),
+                shown(optimal_return(field)),
             )
+            for field in fields
+        ]
         headings = ("field", "robots", "ROIs", "holes", "edges", "area", "makespan", "return")
         title = "fields (makespan, return: proved optima, released rewards, no wind)"
-        TextTable("", headings, tuple(lines)).print(title)
+        TextTable("", headings, lines).print(title)
 
     def _write(self, fields: Sequence[Field], paths: Sequence[Path]) -> None:
         from mbn_marl.field import save_field

@@ -12,30 +12,30 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
-from baselines.cli.options import WIDTH, UsageError, read_options
+from baselines.cli.options import read_options
 from mbn_marl.errors import MbnError, install, unknown
 from mbn_marl.version import __version__
 
 COMMANDS = {
     "fields": "fields:Fields",
     "train": "train:Train",
-    "transfer": "transfer:Transfer",
+    "transfer": "train:Transfer",
     "evaluate": "evaluate:Evaluate",
-    "benchmark": "benchmark:Benchmark",
+    "benchmark": "compare:Benchmark",
     "compare": "compare:Compare",
     "grid": "grid:Grid",
     "tune": "tune:Tune",
-    "report": "report:Report",
-    "runs": "runs:Runs",
+    "report": "compare:Report",
+    "runs": "compare:Runs",
     "plan": "plan:Plan",
-    "render": "render:Render",
-    "replay": "replay:Replay",
-    "watch": "watch:Watch",
-    "play": "watch:Play",
+    "render": "show:Render",
+    "replay": "show:Replay",
+    "watch": "show:Watch",
+    "play": "show:Play",
     "deploy": "deploy:Deploy",
-    "warmup": "warmup:Warmup",
-    "zoo": "zoo:Zoo",
-    "export": "export:Export",
+    "warmup": "plan:Warmup",
+    "zoo": "evaluate:Zoo",
+    "export": "evaluate:Export",
 }
 """The module of each command, and its class; none imports anything heavy itself."""
 
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``mbn`` with ``arguments``, by default those of the process.
 
     Returns:
-        The exit code: 0, 2 for wrong input (one message, no traceback), 130 after Ctrl-C, 1 if
+        The exit code: 0, 2 for wrong input (a message, no traceback), 130 after Ctrl-C, 1 if
         nobody reads the output any more.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
@@ -70,20 +70,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"mbn_marl {__version__}")
         else:
             read_command(words).run(shlex.join(["mbn", *words]))
-    except SystemExit as end:  # after the help of a command, or rich's own if nobody reads
-        return READER_LEFT * bool(end.code or _reader_left())
+    except SystemExit as end:  # of tyro after --help or wrong options, of rich if nobody reads
+        return int(end.code or READER_LEFT * _reader_left())
     except MbnError as error:
         return _fail(str(error))
     except OSError as error:
         if isinstance(error, BrokenPipeError) and _reader_left(probe="\n"):
             return READER_LEFT
-        return _fail(_with_places(error))
+        places = [str(name) for name in (error.filename, error.filename2) if name is not None]
+        return _fail(f"{' -> '.join(places)}: {error.strerror}" if places else str(error))
     except ImportError as error:
         package = (error.name or "").split(".")[0]
         if package in ("", *OWN_PACKAGES):
             raise
-        extra = EXTRAS.get(package, "baselines")
-        return _fail(f"{error}: {install(extra)} brings it")
+        return _fail(f"{error}: {install(EXTRAS.get(package, 'baselines'))} brings it")
     except KeyboardInterrupt as error:
         print(f"interrupted{': ' if error.args else ''}{error}", file=sys.stderr)
         return INTERRUPTED
@@ -95,9 +95,9 @@ def read_command(words: Sequence[str]) -> Any:
     name, *options = words
     for word in words:
         if any("\ud800" <= letter <= "\udfff" for letter in word):  # as Python has other bytes
-            raise UsageError(f"{word!a}: is not UTF-8; allowed: names in UTF-8")
+            raise MbnError(f"{word!a}: is not UTF-8; allowed: names in UTF-8")
     if name not in COMMANDS:
-        raise UsageError(f"{name}: {unknown('command', name, COMMANDS)}")
+        raise MbnError(f"{name}: {unknown('command', name, COMMANDS)}")
     return read_options(_command(name), options, f"mbn {name}")
 
 
@@ -107,21 +107,12 @@ def _command(name: str) -> Any:
 
 
 def _help() -> str:
-    """Return the commands, each with the first paragraph of its docstring."""
-    lines = ["usage: mbn COMMAND ...", ""]
-    lines += ["Multi-robot navigation: train, evaluate, compare, plan.", ""]
+    lines = ["usage: mbn COMMAND ...", "", "Multi-robot navigation: train, evaluate, plan.", ""]
     for name in COMMANDS:
         summary = " ".join((inspect.getdoc(_command(name)) or "").split("\n\n")[0].split())
-        lines += textwrap.wrap(
-            summary, WIDTH, initial_indent=f"  {name:10}", subsequent_indent=" " * 12
-        )
+        start = f"  {name:10}"
+        lines += textwrap.wrap(summary, 80, initial_indent=start, subsequent_indent=" " * 12)
     return "\n".join([*lines, "", "mbn COMMAND --help: its options; mbn --version: the version"])
-
-
-def _with_places(error: OSError) -> str:
-    """Return the message of a system's error, which begins with the files concerned."""
-    places = [str(name) for name in (error.filename, error.filename2) if name is not None]
-    return f"{' -> '.join(places)}: {error.strerror}" if places else str(error)
 
 
 def _fail(message: str) -> int:
@@ -140,5 +131,5 @@ def _reader_left(probe: str = "") -> bool:
 
 
 def _leave(number: int, frame: object) -> None:
-    """End as after Ctrl-C, so that the training processes are ended too."""
+    # As after Ctrl-C, so that the training processes are ended too.
     raise KeyboardInterrupt

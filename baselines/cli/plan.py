@@ -1,9 +1,10 @@
-"""``mbn plan``: the proved optimum of a field and its plan."""
+"""``mbn plan``: the proved optimum of a field; ``mbn warmup``: the engine, compiled."""
 
 from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import check_options
+from baselines.cli.options import OptionalOutput, Writes, check_options
+from mbn_marl.config import Condition, Observation
 
 if TYPE_CHECKING:
     from mbn_marl.field import Field
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(Writes):
     """Find the fewest steps in which the robots can visit every ROI, and prove it."""
 
     field: Positional[Annotated[str, arg(metavar="FIELD")]]
@@ -32,20 +34,25 @@ class Plan:
     """Write a proved optimum into the field file, as its `optimal_makespan`."""
     time_limit: float = 60.0
     """Seconds after which the best interval so far is returned."""
-    out: Path | None = None
+    out: OptionalOutput = None
     """The folder to write; by default runs/plan-FIELD."""
-    force: bool = False
-    """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Plan, print, and write the files."""
         from baselines.runs.files import claim_folder, write_json
         from mbn_marl.config import make_config
         from mbn_marl.field import load_field
         from mbn_marl.planning import plan
         from mbn_marl.planning.problem import make_problem
 
-        self._check()
+        changed = self.n_robots is not None or any(self.wind)
+        wrong = {
+            f"time_limit: more than 0 seconds, not {self.time_limit}": not self.time_limit > 0.0,
+            f"write: allowed with a field file of yours, not {self.field}": (
+                self.write and not Path(self.field).is_file()
+            ),
+            "write: allowed without --n-robots and --wind": self.write and changed,
+        }
+        check_options("plan", wrong)
         field = load_field(self.field)
         settings: dict[str, Any] = {"n_robots": self.n_robots, "wind": self.wind}
         make_problem(field, make_config(settings))  # says what is wrong before anything is moved
@@ -65,31 +72,18 @@ class Plan:
         if found.makespan is not None:
             names += _write_plan(found, folder, settings)
         print(f"written to {folder}: {', '.join(names)}")
-        self._keep_optimum(found)
+        self._keep_optimum(found, changed)
 
-    def _check(self) -> None:
-        """Check that the options fit together."""
-        task = self.n_robots is not None or any(self.wind)
-        wrong = {
-            f"time_limit: more than 0 seconds, not {self.time_limit}": not self.time_limit > 0.0,
-            f"write: allowed with a field file of yours, not {self.field}": self.write
-            and not Path(self.field).is_file(),
-            "write: allowed without --n-robots and --wind": self.write and task,
-        }
-        check_options("plan", wrong)
-
-    def _keep_optimum(self, found: FoundPlan) -> None:
-        """Say which line keeps a proved optimum in the field file, or write it there."""
+    def _keep_optimum(self, found: FoundPlan, changed: bool) -> None:
         from mbn_marl.errors import MbnError
 
-        path, usual = Path(self.field), self.n_robots is None and not any(self.wind)
-        line = f"optimal_makespan: {found.makespan}"
+        path, line = Path(self.field), f"optimal_makespan: {found.makespan}"
         if self.write and not found.optimal:
             raise MbnError(f"{path} is left as it is, since this plan is not proved optimal")
         if self.write:
             write_optimum(path, found.makespan)
             print(f"written to {path}: {line}")
-        elif path.is_file() and usual and found.optimal and found.field.optimal_makespan is None:
+        elif path.is_file() and not (changed or found.field.optimal_makespan) and found.optimal:
             print(f"to keep it, add this line to {path} (--write does): {line}")
 
 
@@ -99,10 +93,9 @@ def proved_makespan(folder: Path, field: Field, settings: Mapping[str, Any]) -> 
 
     path = folder / "plan.json"
     found = read_json(path) if path.is_file() else None
-    if not isinstance(found, dict) or found.get("optimal") is not True:
-        return None
-    wanted = json.loads(json.dumps({"field": field.to_dict(), "settings": settings}))
-    if any(found.get(name) != value for name, value in wanted.items()):
+    wanted = {"field": field.to_dict(), "settings": settings, "optimal": True}
+    wanted = json.loads(json.dumps(wanted))
+    if not isinstance(found, dict) or any(found.get(name) != wanted[name] for name in wanted):
         return None
     makespan = found.get("makespan")
     return makespan if isinstance(makespan, int) else None
@@ -130,7 +123,6 @@ def write_optimum(path: Path, makespan: int | None) -> None:
 
 
 def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> list[str]:
-    """Write the plan's arrays, episode and picture; return the files' names."""
     import numpy as np
 
     from baselines.runs.files import write_arrays
@@ -155,7 +147,6 @@ def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> lis
 
 
 def print_plan(found: FoundPlan) -> None:
-    """Print a plan as a table."""
     from rich.table import Table
 
     from baselines.console import console
@@ -170,3 +161,35 @@ def print_plan(found: FoundPlan) -> None:
         table.add_row(f"robot_{robot} visits", ", ".join(f"w{roi + 1}" for roi in rois) or "-")
     table.add_row("took", f"{found.seconds:.2f} s")
     console().print(table)
+
+
+@dataclass(frozen=True)
+class Warmup:
+    """Compile the engine ahead of its first use, as for the image of a cluster's machines.
+
+    What is compiled lies in NUMBA_CACHE_DIR, or beside the sources: keep that folder.
+    """
+
+    observation: tuple[Observation, ...] = ("relative",)
+    """The kinds of observation to compile for."""
+    condition: tuple[Condition, ...] = ("calm",)
+    """The named conditions to compile for."""
+
+    def run(self, command_line: str) -> None:
+        from mbn_marl import BatchEngine
+
+        for observation in self.observation:
+            for condition in self.condition:
+                start = time.perf_counter()
+                how: dict[str, Any] = {"observation": observation, "condition": condition}
+                how |= {"autoreset": "disabled", "max_steps": 1}
+                for threads in (1, 2):
+                    engine = BatchEngine("field_03", 2, threads=threads, **how)
+                    engine.reset(seed=0)
+                    engine.step(engine.sample_actions())
+                engine.reset_worlds([True, False])
+                engine.step(engine.sample_actions(), [True, False])
+                engine.state()
+                engine.metrics()
+                seconds = time.perf_counter() - start
+                print(f"{observation}, {condition}: {seconds:.1f} s")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,64 +15,78 @@ from typing import Any
 import numpy as np
 
 from baselines.classical.controller import NoPlanError
-from baselines.compare.benchmark_statistics import summarise, tier_problems
+from baselines.compare.report import Section, report_page
+from baselines.compare.summary import interquartile_mean
+from baselines.compare.text_table import TextTable
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
-from baselines.evaluation.intervals import mean_of_known
+from baselines.evaluation.intervals import mean_interval, mean_of_known
 from baselines.evaluation.policy import Origin, Policy, restart, show
-from baselines.evaluation.shielded import Shielded
+from baselines.evaluation.shielded import Shielded, behind
 from baselines.runs.files import RunError, differences, read_json, write_json
 from baselines.runs.provenance import versions
 from baselines.zoo.sources import find_policy, is_trained
-from mbn_marl.checked import Checked
-from mbn_marl.config import Condition, NavigationConfig, make_config
+from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
-from mbn_marl.episode import Episode, save_episode
-from mbn_marl.errors import ConfigError, DamageError, FieldError, ProblemsError, collecting
-from mbn_marl.field import Field, Instance, load_split, splits
+from mbn_marl.episode import Episode, load_episode, save_episode
+from mbn_marl.errors import (
+    ConfigError,
+    EpisodeError,
+    FieldError,
+    ProblemsError,
+    collecting,
+)
+from mbn_marl.field import Instance, load_split, splits
 from mbn_marl.planning import UnsolvableError
+from mbn_marl.render.figures import trajectory_panels
+from mbn_marl.version import __version__
 
-RESULT = "result.json"
-EPISODES = "episodes"
-"""The folder of the episodes of the median and the worst instance of each tier."""
+RESULT, PAGE, EPISODES = "result.json", "page.html", "episodes"
 CHOSEN = ("median", "worst")
+"""The instances of a tier whose episodes are kept."""
 T_MAX = NavigationConfig().max_steps
 MISFITS = (ConfigError, NoPlanError, UnsolvableError)
 """The errors of a policy that does not fit a field."""
 FORCE_HINT = "use --force to move the folder aside and start again"
+WAYS = ("mean", "sampled")
+"""Of acting: with the mean actions, with sampled ones."""
+METRICS: Mapping[str, tuple[str, str]] = {
+    "success_rate": ("success", "{:.1%}"),
+    "clean_rate": ("clean", "{:.1%}"),
+    "collision_rate": ("collisions", "{:.1%}"),
+    "wall_hits": ("wall hits", "{:.2f}"),
+    "steps": ("steps", "{:.1f}"),
+    "makespan": ("makespan", "{:.1f}"),
+    "makespan_with_failures": ("makespan,\nfailed: T_max", "{:.1f}"),
+    "gap": ("gap", "{:.1%}"),
+    "gap_to_best_known": ("gap to\nbest known", "{:.1%}"),
+    "gap_with_failures": ("gap,\nfailed: T_max", "{:.1%}"),
+}
+"""The numbers of an instance and a way of acting, see docs/benchmark.md: heading and form."""
+TIMES = {"decision_ms": ("ms a\ndecision", "{:.2f}"), "begin_s": ("s to\nbegin", "{:.2f}")}
+"""Processor time of a decision of the team, and of what comes before the first one."""
+COLUMNS = {**METRICS, **TIMES}
+STATISTICS = {"mean": "means", "iqm": "interquartile means"}
+CAPTION = (
+    "Intervals: 95 % over the instances. Gap: makespan over the proved bound, of successes. With "
+    "failed: T_max, failures count as 1000 steps. Times: of the processor, with mean actions."
+)
 
 
 class EpisodeCounts(Checked):
-    """How many episodes an instance has.
-
-    Attributes:
-        mean: with mean actions, where they are all the same.
-        mean_if_random: with mean actions, where they are not.
-        sampled: with sampled actions.
-    """
-
-    mean: int
-    mean_if_random: int
+    mean: int  # with mean actions, where they are all the same
+    mean_if_random: int  # with mean actions, where they are not
     sampled: int
 
 
 class Protocol(Checked):
-    """The rules that all policies are measured by.
+    """The rules that all policies are measured by."""
 
-    Attributes:
-        version: of the rules; another one gives results that are not to be compared.
-        splits: the version of the frozen fields.
-        tiers: what a whole benchmark has.
-        episodes: how many an instance has.
-        seed: the seed of an instance is this, 1000 for each tier before its own, and its number.
-        settings: those that a policy may choose; all others are the paper's, or the condition's.
-    """
-
-    version: int
-    splits: int
-    tiers: tuple[str, ...]
-    episodes: EpisodeCounts
-    seed: int
-    settings: tuple[str, ...]
+    version: int  # results of different versions are not to be compared
+    splits: int  # the version of the frozen fields
+    tiers: tuple[str, ...]  # what a whole benchmark has
+    episodes: EpisodeCounts  # how many an instance has
+    seed: int  # of an instance: this, 1000 for each tier before its own, and its number
+    settings: tuple[str, ...]  # those that a policy may choose
 
 
 class SettingsError(ConfigError):
@@ -78,15 +94,7 @@ class SettingsError(ConfigError):
 
 
 class Timed:
-    """A policy whose decisions are timed.
-
-    Args:
-        policy: the policy.
-
-    Attributes:
-        seconds: of the processors, for all decisions.
-        decisions: how many; those for several worlds at once count as several.
-    """
+    """A policy whose decisions are timed: ``seconds`` of the processors, how many ``decisions``."""
 
     def __init__(self, policy: Policy) -> None:
         self.observes = policy.observes
@@ -95,7 +103,6 @@ class Timed:
         self._policy = policy
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """See :class:`Policy`."""
         began = time.process_time()
         actions = self._policy.act(seen, deterministic=deterministic)
         self.seconds += time.process_time() - began
@@ -103,16 +110,13 @@ class Timed:
         return actions
 
     def watch(self, engine: BatchEngine) -> None:
-        """See :func:`~baselines.evaluation.policy.show`."""
         show(self._policy, engine)
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
-        """See :func:`~baselines.evaluation.policy.restart`."""
         restart(self._policy, worlds)
 
 
 def load_protocol() -> Protocol:
-    """Return the protocol that is installed."""
     path = splits.FOLDER / "protocol.json"
     protocol = Protocol(**json.loads(path.read_text(encoding="utf-8")))
     if protocol.splits != splits.VERSION:
@@ -121,11 +125,7 @@ def load_protocol() -> Protocol:
 
 
 def load_tiers(split: str, tiers: Sequence[str]) -> dict[str, tuple[Instance, ...]]:
-    """Return the instances of each tier.
-
-    Raises:
-        FieldError: listing what :func:`mbn_marl.field.load_split` says of each.
-    """
+    """Return the instances of each tier; a FieldError lists what ``load_split`` says of each."""
     problems: list[str] = []
     loaded = {}
     for tier in tiers:
@@ -149,22 +149,14 @@ def run_benchmark(
 ) -> dict[str, Any]:
     """Measure a policy on all instances; write the result after each tier.
 
-    Args:
-        source: of the policy, as for :func:`baselines.load_policy`.
-        split: the name of the split.
-        tiers: the instances of each tier.
-        out: the folder to write.
-        command: what was typed.
-        shield: whether the policy acts behind the shield (:class:`Shielded`).
-        resume: keep the tiers that are in ``out``.
-        advance: called with the number of instances that are newly done.
+    The ``source`` is that of :func:`baselines.load_policy`. With ``resume`` the tiers that are in
+    ``out`` are kept; ``advance`` receives the number of instances that are newly done.
 
     Returns:
         The content of ``result.json``, as JSON values.
 
     Raises:
-        SettingsError: the policy's settings change the task.
-        ConfigError: the policy fits no tier.
+        ConfigError: the policy fits no tier, or its settings change the task (SettingsError).
         RunError: there is no such policy, or it failed; or what is in ``out`` is damaged, or of
             another command or version.
     """
@@ -176,23 +168,22 @@ def run_benchmark(
         record = _resumed(path, record, asked, tiers)
     if is_trained(source):  # with settings that are the same in all fields
         check_settings(find_policy(source, condition="calm").settings, "calm", protocol)
+    done = record["tiers"]
     for tier, instances in tiers.items():
-        if tier in record["tiers"]:
+        if tier in done:
             advance(len(instances))
             continue
-        measured = _run_tier(source, shield, tier, instances, protocol, advance)
-        record["tiers"][tier], episodes = measured
-        if all(one["misfit"] for one in record["tiers"].values()):
+        done[tier], episodes = _run_tier(source, shield, tier, instances, protocol, advance)
+        if all(one["misfit"] for one in done.values()):
             continue  # nothing is measured yet
         for name, episode in episodes.items():
             save_episode(episode, out / EPISODES / f"{tier}-{name}.json")
         write_json(path, record)
-    found = record["tiers"].values()
-    if all(one["misfit"] for one in found):
-        problems = [f"{tier}: {one['misfit']}" for tier, one in record["tiers"].items()]
-        raise ConfigError(source, problems)
-    whole = set(record["tiers"]) == set(protocol.tiers) and not any(one["misfit"] for one in found)
-    rows = [row for one in found for row in one["instances"]]
+    misfits = [f"{tier}: {one['misfit']}" for tier, one in done.items() if one["misfit"]]
+    if len(misfits) == len(done):
+        raise ConfigError(source, misfits)
+    rows = [row for one in done.values() for row in one["instances"]]
+    whole = set(done) == set(protocol.tiers) and not misfits
     record["all"] = {"instances": len(rows), **summarise(rows)} if whole else None
     write_json(path, record)
     return record
@@ -204,16 +195,15 @@ def _resumed(
     asked: Mapping[str, Any],
     tiers: Mapping[str, Sequence[Instance]],
 ) -> dict[str, Any]:
-    """Return the result to go on with; a RunError says why that is not possible."""
+    """Return the result to continue; a RunError says why that is not possible."""
     try:
         record = read_json(path)
-    except RunError as error:
-        raise RunError(f"{error}; {FORCE_HINT}") from None
-    ours = new["versions"]["packages"]["mbn-marl"]
-    try:
-        theirs, done = record["versions"]["packages"]["mbn-marl"], record["tiers"]
+        ours, theirs = (one["versions"]["packages"]["mbn-marl"] for one in (new, record))
+        done = record["tiers"]
         problems = [] if isinstance(record["command"], str) else ["command: missing"]
         both = done.keys() & tiers.keys()
+    except RunError as error:
+        raise RunError(f"{error}; {FORCE_HINT}") from None
     except (KeyError, TypeError, AttributeError):
         raise RunError(f"{path} is no result of mbn benchmark; {FORCE_HINT}") from None
     problems += differences({**record, "mbn-marl": theirs}, {**asked, "mbn-marl": ours})
@@ -238,7 +228,7 @@ def _run_tier(
     for k, one in enumerate(instances):
         try:
             row, episode = _run_instance(source, shield, one, seed + k, protocol)
-        except (SettingsError, RunError, DamageError, ImportError):
+        except (SettingsError, RunError, ImportError):
             raise
         except MISFITS as error:
             why = "; ".join(error.problems) if isinstance(error, ProblemsError) else str(error)
@@ -247,17 +237,14 @@ def _run_tier(
         except Exception as error:
             what = "".join(traceback.format_exception_only(error)).strip()
             last = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{tier}, {one.field.name}: {what} ({last.filename}, line {last.lineno})"
             kept = "--resume keeps the tiers that are done"
-            raise RunError(
-                f"{source} failed in {tier}, {one.field.name}: {what} "
-                f"({last.filename}, line {last.lineno}); {kept}"
-            ) from error
+            raise RunError(f"{source} failed in {place}; {kept}") from error
         rows.append(row)
         episodes.append(episode)
         advance(1)
     costs = [
-        row["mean"]["makespan_with_failures"] / (one.makespan_lower_bound or 1)
-        for row, one in zip(rows, instances, strict=True)
+        row["mean"]["makespan_with_failures"] / (row["makespan_lower_bound"] or 1) for row in rows
     ]
     order = np.argsort(costs, kind="stable")
     chosen = dict(zip(CHOSEN, (int(order[len(order) // 2]), int(order[-1])), strict=True))
@@ -272,12 +259,13 @@ def _run_tier(
 def _run_instance(
     source: str, shield: bool, one: Instance, seed: int, protocol: Protocol
 ) -> tuple[dict[str, Any], Episode]:
-    """Return the numbers of an instance, and its first episode with mean actions."""
     began = time.process_time()
     loaded = find_policy(source, one.field, seed=seed, condition=one.condition)
     begin = time.process_time() - began
     check_settings(loaded.settings, one.condition, protocol)
-    _check_team(loaded.settings, one.field)
+    team, fixed = len(one.field.starts), make_config(loaded.settings).n_robots
+    if fixed not in (None, team):
+        raise ConfigError("policy", [f"n_robots: {fixed}; the field has {team}"])
     policy = Shielded(loaded) if shield else loaded.policy
     counts = protocol.episodes
     timed, where = Timed(policy), (one.field, loaded.settings)
@@ -298,10 +286,9 @@ def _run_instance(
 
 
 def check_settings(settings: Mapping[str, Any], condition: Condition, protocol: Protocol) -> None:
-    """Check that the settings of a policy leave the task as it is, but for the size of the team.
+    """Raise a SettingsError that lists the settings of a policy that change the task.
 
-    Raises:
-        SettingsError: listing those that do not.
+    The size of the team is none of them.
     """
     ours, theirs = make_config({"condition": condition}), make_config(settings)
     problems = [
@@ -314,15 +301,10 @@ def check_settings(settings: Mapping[str, Any], condition: Condition, protocol: 
         raise SettingsError("settings of the policy, which change the task", problems)
 
 
-def _check_team(settings: Mapping[str, Any], field: Field) -> None:
-    """Raise a ConfigError where settings fix another number of robots than a field has."""
-    team, fixed = len(field.starts), make_config(settings).n_robots
-    if fixed not in (None, team):
-        raise ConfigError("policy", [f"n_robots: {fixed}; the field has {team}"])
-
-
 def numbers(found: Evaluation, one: Instance) -> dict[str, float | None]:
-    """Return the :data:`~.benchmark_statistics.METRICS` of the episodes of an instance."""
+    def gap(steps: float | None, least: int | None) -> float | None:
+        return None if steps is None or least is None else steps / least - 1.0
+
     ends = [*zip(found.steps, found.successes, strict=True)]
     makespan = mean_of_known(found.makespans)
     capped = float(np.mean([steps if success else T_MAX for steps, success in ends]))
@@ -335,11 +317,135 @@ def numbers(found: Evaluation, one: Instance) -> dict[str, float | None]:
         "steps": float(np.mean(found.steps)),
         "makespan": makespan,
         "makespan_with_failures": capped,
-        "gap": _gap(makespan, one.makespan_lower_bound),
-        "gap_to_best_known": _gap(makespan, one.best_known),
-        "gap_with_failures": _gap(capped, one.makespan_lower_bound),
+        "gap": gap(makespan, one.makespan_lower_bound),
+        "gap_to_best_known": gap(makespan, one.best_known),
+        "gap_with_failures": gap(capped, one.makespan_lower_bound),
     }
 
 
-def _gap(steps: float | None, least: int | None) -> float | None:
-    return None if steps is None or least is None else steps / least - 1.0
+def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for way, names in ((WAYS[0], METRICS), (WAYS[1], METRICS), ("times", TIMES)):
+        known = [row[way] for row in rows if row[way] is not None]
+        each = {name: statistics([row[name] for row in known]) for name in names}
+        found[way] = each if known else None
+    return found
+
+
+def statistics(values: Sequence[float | None]) -> dict[str, Any] | None:
+    """Return mean and interquartile mean with 95 % intervals, of the values that are known.
+
+    Both are bootstrapped over the values; one value alone has no interval.
+    """
+    known = [value for value in values if value is not None]
+    if not known:
+        return None
+    mean, low, high = mean_interval(known)
+    same = len(set(known)) == 1
+    iqm, iqm_low, iqm_high = (
+        (mean, low, high) if same else interquartile_mean(np.array([known], float))
+    )
+    return {
+        **{"instances": len(known), "mean": mean, "low": low, "high": high},
+        **{"iqm": iqm, "iqm_low": iqm_low, "iqm_high": iqm_high},
+    }
+
+
+def tier_problems(one: Any, instances: Sequence[Instance]) -> Iterator[str]:
+    """Yield why what a result has of a tier is not what its rows say of today's instances."""
+    try:
+        if one["misfit"] is not None:
+            if not isinstance(one["misfit"], str) or one["instances"]:
+                yield "misfit: has instances, or gives no reason"
+            return
+        names = ("field", "condition", "makespan_lower_bound", "best_known")
+        known = [tuple(row[name] for name in names) for row in one["instances"]]
+        now = [
+            (each.field.name, *(getattr(each, name) for name in names[1:])) for each in instances
+        ]
+        if known != now:
+            yield "fields or bounds are not those of today; run it again"
+        elif not all(isinstance(row["mean"], dict) for row in one["instances"]):
+            yield "mean: missing"
+        elif not is_summary(one, one["instances"]):
+            yield "statistics are not those of its instances"
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        yield f"is not as mbn benchmark writes it: {type(error).__name__}: {error}"
+
+
+def is_summary(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> bool:
+    """Return whether statistics that were found are those of the rows, but for rounding."""
+    return all(_close(found[name], again) for name, again in summarise(rows).items())
+
+
+def _close(one: Any, other: Any) -> bool:
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_close(one[name], other[name]) for name in one)
+    if isinstance(one, float | int) and isinstance(other, float | int):
+        return math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12)
+    return bool(one == other)
+
+
+def cells(
+    found: Mapping[str, Any], way: str, statistic: str, columns: Iterable[str] = COLUMNS
+) -> tuple[str, ...]:
+    """Return a tier's statistics with their intervals below; dashes for what is not known."""
+    known = {**(found.get(way) or {}), **(found.get("times") or {})}
+    ends = ("iqm_low", "iqm_high") if statistic == "iqm" else ("low", "high")
+
+    def cell(name: str) -> str:
+        if (one := known.get(name)) is None:
+            return "-"
+        form, (low, high) = COLUMNS[name][1], (one[end] for end in ends)
+        alone = low is None or low == high
+        return form.format(one[statistic]) + (
+            "" if alone else f"\n{form} .. {form}".format(low, high)
+        )
+
+    return tuple(map(cell, columns))
+
+
+def result_tables(record: Mapping[str, Any], statistic: str = "mean") -> dict[str, TextTable]:
+    """Return the tables of a result, one of :data:`STATISTICS`, by the way of acting in words."""
+    misfits = {tier: one["misfit"] for tier, one in record["tiers"].items() if one["misfit"]}
+    reasons = [f"{tier} does not fit: {reason}" for tier, reason in misfits.items()]
+    tables = {}
+    for way in WAYS:
+        found = [(tier, one) for tier, one in record["tiers"].items() if one.get(way)]
+        if not found:
+            continue
+        lines = [(tier, str(len(one["instances"])), one) for tier, one in found]
+        if (every := record["all"]) is not None:
+            lines.append(("all", str(every["instances"]), every))
+        lines += [(tier, "-", {}) for tier in misfits]
+        tables[f"{way} actions, {STATISTICS[statistic]}"] = TextTable(
+            "\n".join([CAPTION, *reasons]),
+            ("tier", "fields", *(heading for heading, _ in COLUMNS.values())),
+            [(tier, count, *cells(one, way, statistic)) for tier, count, one in lines],
+        )
+    return tables
+
+
+def result_page(record: Mapping[str, Any], out: Path) -> str:
+    found = [result_tables(record, statistic).items() for statistic in STATISTICS]
+    sections = [Section("All tiers", tables=dict(itertools.chain(*found)))]
+    sections += [_section(tier, one, out) for tier, one in record["tiers"].items()]
+    sections.append(Section("Command", texts={"This benchmark": record["command"]}))
+    policy = f"{record['policy']}{behind(record['shield'])}"
+    summary = (
+        f"{policy} on the split {record['split']}, protocol {record['protocol']}. "
+        f"Made by mbn_marl {__version__}."
+    )
+    return report_page("Benchmark", summary, sections)
+
+
+def _section(tier: str, found: Mapping[str, Any], out: Path) -> Section:
+    if found["misfit"]:
+        return Section(tier, texts={"Does not fit": found["misfit"]})
+    try:
+        episodes = [load_episode(out / EPISODES / f"{tier}-{name}.json") for name in CHOSEN]
+    except (EpisodeError, OSError) as error:  # of a tier that was done before
+        return Section(tier, texts={"Not shown": str(error)})
+    lasts = {episode.source: episode.snapshot(episode.steps) for episode in episodes}
+    title = f"Paths in the median and the worst instance of {tier}"
+    return Section(tier, {}, {title: trajectory_panels(lasts, columns=2)}, episodes)

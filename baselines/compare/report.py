@@ -2,25 +2,43 @@
 
 from __future__ import annotations
 
+import base64
+import dataclasses
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 
-from baselines.compare.html import comparison_page
-from baselines.compare.pictures import draw_learning_curves, draw_statistics, ranked
-from baselines.compare.records import find_records
-from baselines.compare.results import Results
+from matplotlib.figure import Figure
+
+from baselines.compare.curves import draw_learning_curves, draw_statistics
+from baselines.compare.records import Results, RunRecord, find_records
 from baselines.compare.summary import Comparison, summarise
-from baselines.compare.tables import field_tables, overall_tables
+from baselines.compare.tables import field_tables, gaps, overall_tables
+from baselines.compare.text_table import TextTable
 from baselines.evaluation.policy import load_trained
 from baselines.evaluation.rollout import record_episode, write_animation, write_trajectories
-from baselines.runs.files import write_json, write_text
+from baselines.runs.files import Place, write_json, write_text
 from baselines.runs.provenance import write_provenance
-from baselines.runs.report_path import Place
+from mbn_marl.episode import Episode
 from mbn_marl.files import claim_file, replacing
-from mbn_marl.render.figures import save
+from mbn_marl.render.figures import save, svg, trajectory_panels
+from mbn_marl.version import __version__
+from mbn_marl.web import page
 
 PAGE = "comparison.md"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a HTML page; tables, figures and texts are by title."""
+
+    title: str
+    tables: Mapping[str, TextTable] = dataclasses.field(default_factory=dict)
+    figures: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
+    episodes: Sequence[Episode] = ()  # to play side by side
+    texts: Mapping[str, str] = dataclasses.field(default_factory=dict)  # folded away
 
 
 def report_comparison(
@@ -47,9 +65,9 @@ def report_comparison(
         if not force and out.exists():
             claim_file(out)  # raises before the work
         comparison = summarise(results)
-        page = comparison_page(results, comparison, command)
+        text = comparison_page(results, comparison, command)
         with replacing(claim_file(out, force=force)) as temporary:
-            temporary.write_text(page, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8")
         return comparison
     place = Place.of(out, PAGE)
     place.claim(force=force)
@@ -58,7 +76,6 @@ def report_comparison(
 
 
 def is_page(out: Path) -> bool:
-    """Return whether a comparison at ``out`` is one self-contained page."""
     return out.suffix.lower() == ".html"
 
 
@@ -72,32 +89,106 @@ def write_comparison(results: Results, place: Place) -> Comparison:
         name = pictures[title] = f"{title.lower().split()[-1]}.png"
         save(figure, out / name)
     for field in results.fields:
+        groups = results.of_field(field)
         name = pictures[f"Learning curves, {field}"] = f"learning_curves_{field}.png"
-        save(draw_learning_curves(results.of_field(field), results.looks), out / name)
-        _draw_best(results, field, out)
-    write_text(place.page, _markdown(comparison, pictures, place))
+        save(draw_learning_curves(field, groups, results.looks), out / name)
+        best = ranked(itertools.chain(*groups.values()))[0]
+        episode = record_episode(load_trained(best.run), best.field, best.config["environment"])
+        title = f"{best.run.path.name}: return {episode.team_return:,.0f}, {episode.steps} steps"
+        write_trajectories(episode, out / f"trajectories_{field}.png", title)
+        write_animation(episode, out / f"episode_{field}.gif")
+    tables = overall_tables(comparison) | field_tables(comparison)
+    broken = [f"- {name}: {error}" for name, error in comparison.broken.items()]
+    parts = [f"# {comparison.question}", comparison.verdict]
+    if broken:
+        parts += ["## Runs that diverged: their variants are left out", "\n".join(broken)]
+    parts += [table.markdown(title) for title, table in tables.items()]
+    parts += ["## Figures", *(f"![{one}]({place.link(name)})" for one, name in pictures.items())]
+    write_text(place.page, "\n\n".join(parts) + "\n")
     return comparison
 
 
-def _markdown(comparison: Comparison, pictures: Mapping[str, str], place: Place) -> str:
-    tables = overall_tables(comparison) | field_tables(comparison)
-    images = [f"![{title}]({place.link(name)})" for title, name in pictures.items()]
-    broken = [f"- {name}: {error}" for name, error in comparison.broken.items()]
-    if broken:
-        broken = ["## Runs that diverged: their variants are left out", "\n".join(broken)]
-    shown = [table.markdown(title) for title, table in tables.items()]
-    return (
-        "\n\n".join(
-            [f"# {comparison.question}", comparison.verdict, *broken, *shown, "## Figures", *images]
-        )
-        + "\n"
-    )
+def ranked(records: Iterable[RunRecord]) -> list[RunRecord]:
+    """Sort runs by their return with mean actions, then with sampled ones, the best first."""
+
+    def returns(record: RunRecord) -> list[float]:
+        return [record.final(kind, "return_mean") for kind in ("deterministic", "stochastic")]
+
+    return sorted(records, key=returns, reverse=True)
 
 
-def _draw_best(results: Results, field: str, out: Path) -> None:
-    """Draw an episode of the field's best policy, as paths and as an animation."""
-    best = ranked(itertools.chain(*results.of_field(field).values()))[0]
-    episode = record_episode(load_trained(best.run), best.field, best.config["environment"])
-    title = f"{best.run.path.name}: return {episode.team_return:,.0f}, {episode.steps} steps"
-    write_trajectories(episode, out / f"trajectories_{field}.png", title)
-    write_animation(episode, out / f"episode_{field}.gif")
+def comparison_page(results: Results, comparison: Comparison, command: str) -> str:
+    runs = [record for cell in results.cells.values() for record in cell]
+    made = "\n".join(record.run.command for record in runs)
+    tables = overall_tables(comparison) | {"Optimality gap per field": gaps(comparison)}
+    sections = [
+        Section("Over all fields", tables, draw_statistics(comparison)),
+        *(_field_section(results, comparison, field) for field in results.fields),
+        Section("Commands", texts={"This page": command, f"The {len(runs)} runs": made}),
+    ]
+    summary = f"{comparison.verdict} {len(runs)} runs, by mbn_marl {__version__}."
+    return report_page(comparison.question, summary, sections)
+
+
+def _field_section(results: Results, comparison: Comparison, field: str) -> Section:
+    """Show the table and the curves of a field, and episodes of the best and the median policy."""
+    groups = results.of_field(field)
+    tables = field_tables(comparison).items()
+    records = ranked(itertools.chain(*groups.values()))
+    chosen = {"best": records[0], "median": records[len(records) // 2]}
+    episodes = {}
+    for rank, record in chosen.items():
+        if rank == "best" or record is not records[0]:
+            name = f"{rank}: {record.run.path.name}"
+            policy, settings = load_trained(record.run), record.config["environment"]
+            episodes[name] = record_episode(policy, record.field, settings, source=name)
+    lasts = {name: episode.snapshot(episode.steps) for name, episode in episodes.items()}
+    figures = {
+        f"Learning curves on {field}": draw_learning_curves(field, groups, results.looks),
+        f"Paths of the best and the median policy on {field}": trajectory_panels(lasts, columns=1),
+    }
+    own = {title: table for title, table in tables if title.startswith(f"{field}:")}
+    return Section(field, own, figures, list(episodes.values()))
+
+
+def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
+    """Return a self-contained HTML page, with links to each section and to its player."""
+    links = []
+    for number, section in enumerate(sections):
+        replay = f' (<a href="#replay-{number}">replay</a>)' if section.episodes else ""
+        link = f'<a href="#section-{number}">{escape(section.title)}</a>'
+        links.append(f"<span>{link}{replay}</span>")
+    values = {
+        "summary": escape(summary),
+        "contents": "\n".join(links),
+        "sections": "\n".join(_section(*numbered) for numbered in enumerate(sections)),
+    }
+    return page.whole("report.html", title, values, extra_styles=("report.css",))
+
+
+def _section(number: int, section: Section) -> str:
+    parts = [f"<h2>{escape(section.title)}</h2>"]
+    parts += [table.html(title) for title, table in section.tables.items() if table.lines]
+    if section.figures:
+        pictures = "".join(_figure(*named) for named in section.figures.items())
+        parts.append(f'<div class="figures">{pictures}</div>')
+    if section.episodes:
+        data = page.episodes_data(section.episodes)
+        parts += [
+            f'<div id="replay-{number}" data-replay="episodes-{number}"></div>',
+            f'<script type="application/json" id="episodes-{number}">{data}</script>',
+        ]
+    parts += [
+        f"<details><summary>{escape(name)}</summary><pre>{escape(text)}</pre></details>"
+        for name, text in section.texts.items()
+    ]
+    body = "\n".join(parts)
+    return f'<section id="section-{number}">\n{body}\n</section>'
+
+
+def _figure(title: str, figure: Figure) -> str:
+    # An image, not parts of the page: names inside two pictures may be the same.
+    data = base64.b64encode(svg(figure)).decode("ascii")
+    name = escape(title)
+    picture = f'<div><img alt="{name}" src="data:image/svg+xml;base64,{data}"></div>'
+    return f"<figure>{picture}<figcaption>{name}</figcaption></figure>"

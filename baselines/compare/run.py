@@ -5,16 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from baselines.algorithms import find_algorithm
-from baselines.compare.records import RunRecord
-from baselines.compare.results import Results
+from baselines.compare.records import Results, RunRecord
 from baselines.compare.variants import CompareConfig
 from baselines.runs.files import RunError, alone, claim_folder, differences, read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.provenance import write_provenance
 from baselines.sweep.processes import LocalEngine
 from baselines.sweep.run import check_outcomes, train_runs
-from baselines.training.loggers import find_wandb
-from baselines.training.progress_bar import Listener
+from baselines.training.run_logger import Listener, find_wandb
 from baselines.training.train import prepare
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import load_field
@@ -63,21 +61,23 @@ def train_all_runs(
             write_json(out / "config.json", config.to_json())
             write_provenance(out, command)
         engine = LocalEngine(processes)
-        outcomes = train_runs(runs, str(out), engine, wandb=wandb, listener=listener)
+        outcomes = train_runs(runs, out, engine, wandb=wandb, listener=listener)
     broken = {name: one for name, one in outcomes.items() if one.state == "diverged"}
     check_outcomes([one for name, one in outcomes.items() if name not in broken], out)
     left_out = {run.shown_as for run in runs if run.name in broken}
-    whole = [run for run in runs if run.shown_as not in left_out]
     errors = {name: one.error or "" for name, one in broken.items()}
-    if not whole:
+    records = [
+        RunRecord.read(RunFolder.open(out / run.name))
+        for run in runs
+        if run.shown_as not in left_out
+    ]
+    if not records:
         raise RunError("nothing is left to compare:\n" + "\n".join(errors.values()))
-    records = [RunRecord.read(RunFolder.open(out / run.name)) for run in whole]
     named = [variant.label for variant in config.variants if variant.label is not None]
     return Results.of(records, errors, named)
 
 
 def _check_same(config: CompareConfig, out: Path) -> None:
-    """Check that the comparison in ``out`` is of this configuration; raise an error if not."""
     if not (out / "config.json").is_file():
         raise RunError(f"{out} is not the folder of a comparison: it has no config.json")
     if problems := differences(read_json(out / "config.json"), config.to_json()):

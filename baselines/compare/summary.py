@@ -1,32 +1,104 @@
-"""The comparison's numbers: what runs recorded, summarised over seeds and over fields."""
+"""The numbers of a comparison: statistics of what runs recorded, over seeds and over fields.
+
+Those over fields are what Agarwal et al. (NeurIPS 2021) recommend. Scores are arrays (fields,
+seeds), a run each. Every interval is the 95 % percentile bootstrap, stratified: each resample
+draws, within every field, as many runs as there are, with replacement.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas
+from numpy.typing import NDArray
+from scipy import stats
 
 from baselines.algorithms import find_algorithm
-from baselines.compare.aggregate import (
-    Estimate,
-    Profile,
-    interquartile_mean,
-    optimality_gap,
-    performance_profile,
-    probability_of_improvement,
-)
-from baselines.compare.records import RunRecord
-from baselines.compare.results import Results
+from baselines.compare.records import Results, RunRecord
 from baselines.compare.text_table import csv_text
 from baselines.compare.verdict import question, verdict
 from baselines.evaluation.intervals import RETURN_THRESHOLD, mean_interval, mean_of_known, passes
 
+RESAMPLES = 10_000
+ENDS = (2.5, 97.5)
+"""Percentiles of a resampled statistic that bound its 95 % interval."""
 THRESHOLDS = np.concatenate([np.arange(90) / 100, np.arange(900, 1001) / 1000])
 """Scores at which performance profiles are taken: more closely near the best possible one."""
 
+FloatArray = NDArray[np.float64]
+
+
+class Estimate(NamedTuple):
+    """A statistic and its interval; one seed a field gives no interval."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+
+class Profile(NamedTuple):
+    """The share of runs above each threshold and its band (k,); one seed gives it no width."""
+
+    share: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+def interquartile_mean(scores: FloatArray) -> Estimate:
+    """The mean of the middle half of all runs: a quarter, rounded down, is cut at both ends."""
+    return _estimate(scores, lambda runs: stats.trim_mean(runs, 0.25, axis=-1))
+
+
+def optimality_gap(scores: FloatArray) -> Estimate:
+    """By how much runs fall short of a score of 1, on average; 0 if none does."""
+    return _estimate(scores, lambda runs: np.maximum(1.0 - runs, 0.0).mean(axis=-1))
+
+
+def probability_of_improvement(ours: FloatArray, theirs: FloatArray) -> Estimate:
+    """How likely a run of ``ours`` is to score more than one of ``theirs``, mean over fields.
+
+    Equal scores count half, so that the two directions sum to 1.
+    """
+    wins = np.where(ours[:, :, None] == theirs[:, None, :], 0.5, ours[:, :, None] > theirs[:, None])
+    if max(ours.shape[1], theirs.shape[1]) == 1:
+        return Estimate(float(wins.mean()), None, None)
+    rng = np.random.default_rng(0)
+    our_shares, their_shares = (_shares(scores.shape, rng) for scores in (ours, theirs))
+    resampled = np.einsum("rfi,fij,rfj->r", our_shares, wins, their_shares, optimize=True)
+    return Estimate(float(wins.mean()), *np.percentile(resampled / len(wins), ENDS).tolist())
+
+
+def performance_profile(scores: FloatArray, thresholds: FloatArray) -> Profile:
+    """The share of runs that score more than each of ``thresholds`` (k,), with a pointwise band."""
+    above = (scores[..., None] > thresholds).reshape(-1, thresholds.size)
+    shares = _shares(scores.shape, np.random.default_rng(0)).reshape(RESAMPLES, -1)
+    low, high = np.percentile(shares @ above / scores.shape[0], ENDS, axis=0)
+    return Profile(above.mean(axis=0), low, high)
+
+
+def _estimate(scores: FloatArray, statistic: Callable[[FloatArray], Any]) -> Estimate:
+    value = float(statistic(scores.ravel()))
+    if scores.shape[1] == 1:
+        return Estimate(value, None, None)
+    drawn = np.random.default_rng(0).integers(0, scores.shape[1], (RESAMPLES, *scores.shape))
+    resampled = np.take_along_axis(scores[None], drawn, axis=2).reshape(RESAMPLES, -1)
+    return Estimate(value, *np.percentile(statistic(resampled), ENDS).tolist())
+
+
+def _shares(shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
+    # How often each resample draws each run, as a share of its field's: (resamples, *shape).
+    drawn = rng.integers(0, shape[1], (RESAMPLES, *shape))
+    return np.stack([(drawn == seed).mean(axis=2) for seed in range(shape[1])], axis=2)
+
+
+FIELDS_OF_JSON = {
+    **{name: name for name in ("question", "verdict", "rows", "aggregates")},
+    **{"probability_of_improvement": "improvement", "fields_without_proved_optimum": "unproved"},
+    "broken_runs": "broken",
+}
 Numbers = Mapping[str, Any]
 """A label's numbers by name; ``None`` is unknown."""
 
@@ -35,54 +107,34 @@ Numbers = Mapping[str, Any]
 class Comparison:
     """Everything that a comparison found.
 
-    Rows and aggregates have a label, its ``algorithm`` and ``form``, how many ``seeds`` a field
-    has, the ``env_steps`` of a run, the ``success_rate`` of final episodes with sampled actions and
-    with mean ones (``deterministic_...``), how many runs ``passed``, those that ``reached`` a fresh
-    evaluation at 100 000, and of those the mean env-steps and training seconds of the first such
-    evaluation (``..._to_threshold``), and the mean training ``seconds`` of a run; evaluations are
-    excluded.
+    Rows and aggregates have a label, its ``algorithm`` and ``form``, the ``seeds`` of a field, the
+    ``env_steps`` of a run, the ``success_rate`` of final episodes with sampled actions and with
+    mean ones (``deterministic_...``), how many runs ``passed``, how many ``reached`` a fresh
+    evaluation at 100 000, the mean env-steps and training seconds of the first such evaluation
+    (``..._to_threshold``), and the mean training ``seconds`` of a run, without evaluations.
 
-    Attributes:
-        question: what is compared, on which fields, at which budget.
-        verdict: the result in a sentence.
-        looks: the labels in order, with the numbers of their looks in figures.
-        rows: every label on every field, field by field: besides, the mean return over seeds with
-            its 95 % bootstrap interval, the mean ``makespan`` of successful episodes, the proved
-            ``optimum``, the return's share of it, and the returns with mean actions.
-        aggregates: every label over the ``fields`` with a proved optimum; empty if there is none.
-            Besides: interquartile mean ``iqm`` and optimality ``gap`` of the scores, the returns
-            as shares of the optimum, also with mean actions (``deterministic_...``), and their
-            performance ``profile`` at ``THRESHOLDS``.
-        improvement: for each two labels how likely a run of the first has a higher return with
-            sampled actions than one of the second on the same field, over all fields.
-        unproved: the fields that the aggregates leave out.
-        broken: the error of each run that diverged, by its name; its label is left out.
+    Rows have besides the mean return over seeds with its 95 % bootstrap interval, the mean
+    ``makespan`` of successful episodes, the proved ``optimum``, the return's share of it, and the
+    returns with mean actions; aggregates have the interquartile mean ``iqm``, the optimality
+    ``gap`` and the performance ``profile`` (at ``THRESHOLDS``) of the scores, the returns as shares
+    of the optimum, also with mean actions (``deterministic_...``).
     """
 
     question: str
     verdict: str
-    looks: Mapping[str, int]
-    rows: Sequence[Numbers]
-    aggregates: Sequence[Numbers]
+    looks: Mapping[str, int]  # the labels in order, with the numbers of their looks in figures
+    rows: Sequence[Numbers]  # every label on every field, field by field
+    aggregates: Sequence[Numbers]  # every label over the fields with a proved optimum
+    # How likely a run of the first label has a higher return with sampled actions than one of the
+    # second on the same field, over all fields.
     improvement: Mapping[str, Mapping[str, Estimate]]
-    unproved: Sequence[str]
-    broken: Mapping[str, str]
+    unproved: Sequence[str]  # the fields that the aggregates leave out
+    broken: Mapping[str, str]  # the error of each run that diverged, whose label is left out
 
     def to_json(self) -> dict[str, Any]:
-        """Everything as JSON values."""
-        values: dict[str, Any] = _plain(
-            {
-                "question": self.question,
-                "verdict": self.verdict,
-                "rows": self.rows,
-                "aggregates": self.aggregates,
-                "profile_thresholds": THRESHOLDS,
-                "probability_of_improvement": self.improvement,
-                "fields_without_proved_optimum": self.unproved,
-                "broken_runs": self.broken,
-            }
-        )
-        return values
+        values = {name: getattr(self, field) for name, field in FIELDS_OF_JSON.items()}
+        plain: dict[str, Any] = _plain({**values, "profile_thresholds": THRESHOLDS})
+        return plain
 
     def csv(self) -> str:
         """The rows as CSV; an unknown value is empty."""
@@ -90,7 +142,6 @@ class Comparison:
 
 
 def summarise(results: Results) -> Comparison:
-    """Summarise results over seeds, and over fields."""
     labels, proved = results.labels, results.optima
     return Comparison(
         question=question(results),
@@ -112,32 +163,26 @@ def summarise(results: Results) -> Comparison:
 
 
 def _common(records: Sequence[RunRecord], seeds: int) -> Numbers:
-    """The numbers that rows and aggregates have both."""
-    first = records[0]
-    finals = [one.evaluation for one in records]
+    first, finals = records[0], pandas.DataFrame([one.evaluation for one in records])
+    sampled, mean = (pandas.DataFrame([*finals[kind]]) for kind in ("stochastic", "deterministic"))
     reaching = (
         (e for e in one.evaluations if e["return_mean"] >= RETURN_THRESHOLD) for one in records
     )
     hits = [hit for entries in reaching if (hit := next(entries, None))]
-
-    def mean(*path: str) -> float:
-        return float(np.mean([one.final(*path) for one in records]))
-
+    passed = map(passes, [*finals.stochastic], mean.success_rate)
     return {
         "label": first.label,
         "algorithm": first.config["algorithm"],
         "form": find_algorithm(first.config["algorithm"]).form,
         "seeds": seeds,
-        "env_steps": max(one.evaluation["env_steps"] for one in records),
-        "success_rate": mean("stochastic", "success_rate"),
-        "deterministic_success_rate": mean("deterministic", "success_rate"),
-        "passed": sum(
-            passes(final["stochastic"], final["deterministic"]["success_rate"]) for final in finals
-        ),
+        "env_steps": int(finals.env_steps.max()),
+        "success_rate": float(np.mean(sampled.success_rate)),
+        "deterministic_success_rate": float(np.mean(mean.success_rate)),
+        "passed": sum(passed),
         "reached": len(hits),
         "env_steps_to_threshold": mean_of_known(hit["env_steps"] for hit in hits),
         "seconds_to_threshold": mean_of_known(hit["seconds"] for hit in hits),
-        "seconds": mean("seconds"),
+        "seconds": float(np.mean(finals.seconds)),
     }
 
 
@@ -177,7 +222,6 @@ def _aggregate(results: Results, label: str) -> Numbers:
 
 
 def _plain(value: Any) -> Any:
-    """Return estimates, profiles and what holds them as JSON values."""
     if isinstance(value, Estimate | Profile):
         value = value._asdict()
     if isinstance(value, Mapping):

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from rich.console import Console
 
 from baselines.compare.summary import Comparison, Numbers
-from baselines.compare.text_table import TextTable
+from baselines.compare.text_table import TextTable, shown
 
-UNKNOWN = "-"
 FORMS = "C: centralised, one policy moves the team; D: decentralised, each robot its own. "
-THRESHOLD = ("steps to\n100k", "s to\n100k")
 OF_AGGREGATES = FORMS + (
     "Scores are true returns as shares of the field's proved optimum. pass: runs whose final "
     "return is 100 000 or more, with 99 % of the sampled episodes and all with mean actions "
@@ -39,57 +38,65 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
     console.print(comparison.question, markup=False)
     console.print(comparison.verdict, "\n", markup=False)
     for title, table in field_tables(comparison).items():
-        console.print(table.rich(title))
+        replace(table, caption="").print(title, console)
     console.print(OF_FIELDS, "\n")
     for title, table in overall_tables(comparison).items():
-        console.print(table.rich(title))
-        console.print(table.caption, "\n")
-
-
-def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
-    """Tables over all fields, by title."""
-    tables = {}
-    if comparison.aggregates:
-        first = comparison.aggregates[0]
-        title = (
-            f"Over {_counted(first['fields'], 'field')}, {_counted(first['seeds'], 'seed')} each"
-        )
-        tables[title] = _aggregates(comparison)
-    if len(comparison.looks) > 1:
-        tables["Probability of improvement"] = _improvement(comparison)
-    return tables
+        table.print(title, console)
+        console.print()
 
 
 def field_tables(comparison: Comparison) -> dict[str, TextTable]:
-    """A table for each field, by title, which begins with the field's name and a colon."""
+    """Return a table for each field, by title, which begins with the field's name and a colon."""
     headings = (
-        *(
-            "algo",
-            "C/D",
-            "return",
-            "interval\n(x 1000)",
-            "success",
-            "make-\nspan",
-            "of\nopti-\nmum",
-        ),
-        *("mean\nactions", THRESHOLD[0]),
+        *("algo", "C/D", "return", "interval\n(x 1000)", "success", "make-\nspan"),
+        *("of\nopti-\nmum", "mean\nactions", "steps to\n100k"),
     )
     tables = {}
     for field, rows in _by_field(comparison.rows).items():
         steps = " or ".join(f"{steps:,}" for steps in sorted({row["env_steps"] for row in rows}))
         title = f"{field}: {steps} env-steps a run, {_counted(rows[0]['seeds'], 'seed')} each"
-        tables[title] = TextTable(OF_FIELDS, headings, tuple(map(_row_line, rows)))
+        lines = [
+            (
+                row["label"],
+                _letter(row),
+                shown(row["return_mean"]),
+                _ends(1000.0, row["return_low"], row["return_high"]),
+                f"{row['success_rate']:.1%}",
+                shown(row["makespan"], "{:.1f}"),
+                shown(row["optimum_share"], "{:.1%}"),
+                shown(row["deterministic_return"]),
+                _steps_to_threshold(row, row["seeds"]),
+            )
+            for row in rows
+        ]
+        tables[title] = TextTable(OF_FIELDS, headings, lines)
+    return tables
+
+
+def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
+    tables = {}
+    if comparison.aggregates:
+        first = comparison.aggregates[0]
+        fields, seeds = _counted(first["fields"], "field"), _counted(first["seeds"], "seed")
+        tables[f"Over {fields}, {seeds} each"] = _aggregates(comparison)
+    if len(comparison.looks) > 1:
+        lines = [
+            (ours, *(f"{than[one].value:.0%}" if one in than else "-" for one in comparison.looks))
+            for ours, than in comparison.improvement.items()
+        ]
+        table = TextTable(OF_IMPROVEMENT, ("", *comparison.looks), lines)
+        tables["Probability of improvement"] = table
     return tables
 
 
 def gaps(comparison: Comparison) -> TextTable:
-    """How far each label falls short of the proved optimum on each field."""
+    """Return how far each label falls short of the proved optimum on each field."""
     proved = [row for row in comparison.rows if row["optimum"] is not None]
     lines = []
     for field, rows in _by_field(proved).items():
         cells = {row["label"]: _gap(row) for row in rows}
-        lines.append((field, *(cells.get(label, UNKNOWN) for label in comparison.looks)))
-    return TextTable(OF_GAPS, ("field", *comparison.looks), tuple(lines))
+        lines.append((field, *(cells.get(label, "-") for label in comparison.looks)))
+    return TextTable(OF_GAPS, ("field", *comparison.looks), lines)
 
 
 def _by_field(rows: Sequence[Numbers]) -> dict[str, list[Numbers]]:
@@ -102,45 +109,28 @@ def _aggregates(comparison: Comparison) -> TextTable:
     caption = OF_AGGREGATES + (
         f" Left out, without one proved optimum for all: {left_out}." if left_out else ""
     )
-    gaps = ("gap", "gap,\nmean")
-    headings = ("algo", "C/D", "pass", "IQM", "interval", *gaps, "success", *THRESHOLD)
-    lines = tuple(
-        (
-            one["label"],
-            _letter(one),
-            f"{one['passed']}/{one['seeds'] * one['fields']}",
-            f"{one['iqm'].value:.1%}",
-            _ends(0.01, *one["iqm"][1:]),
-            f"{one['gap'].value:.2%}",
-            f"{one['deterministic_gap'].value:.2%}",
-            f"{one['success_rate']:.1%}",
-            *_threshold(one, one["seeds"] * one["fields"]),
+    headings = (
+        *("algo", "C/D", "pass", "IQM", "interval", "gap", "gap,\nmean", "success"),
+        *("steps to\n100k", "s to\n100k"),
+    )
+    lines = []
+    for one in comparison.aggregates:
+        runs = one["seeds"] * one["fields"]
+        lines.append(
+            (
+                one["label"],
+                _letter(one),
+                f"{one['passed']}/{runs}",
+                f"{one['iqm'].value:.1%}",
+                _ends(0.01, *one["iqm"][1:]),
+                f"{one['gap'].value:.2%}",
+                f"{one['deterministic_gap'].value:.2%}",
+                f"{one['success_rate']:.1%}",
+                _steps_to_threshold(one, runs),
+                shown(one["seconds_to_threshold"], "{:.1f}"),
+            )
         )
-        for one in comparison.aggregates
-    )
     return TextTable(caption, headings, lines)
-
-
-def _improvement(comparison: Comparison) -> TextTable:
-    lines = tuple(
-        (ours, *(f"{than[one].value:.0%}" if one in than else UNKNOWN for one in comparison.looks))
-        for ours, than in comparison.improvement.items()
-    )
-    return TextTable(OF_IMPROVEMENT, ("", *comparison.looks), lines)
-
-
-def _row_line(row: Numbers) -> tuple[str, ...]:
-    return (
-        row["label"],
-        _letter(row),
-        f"{row['return_mean']:,.0f}",
-        _ends(1000.0, row["return_low"], row["return_high"]),
-        f"{row['success_rate']:.1%}",
-        _shown(row["makespan"], "{:.1f}"),
-        _shown(row["optimum_share"], "{:.1%}"),
-        f"{row['deterministic_return']:,.0f}",
-        _threshold(row, row["seeds"])[0],
-    )
 
 
 def _letter(numbers: Numbers) -> str:
@@ -155,21 +145,15 @@ def _gap(row: Numbers) -> str:
     return f"{mean:.2f}%" + ("" if low is None else f" ({high:.2f}..{low:.2f})")
 
 
-def _threshold(numbers: Numbers, runs: int) -> tuple[str, str]:
-    """Env-steps and seconds to the threshold, and how many of ``runs`` got there."""
+def _steps_to_threshold(numbers: Numbers, runs: int) -> str:
     steps = numbers["env_steps_to_threshold"]
-    shown = UNKNOWN if steps is None else f"{steps / 1000.0:,.0f}k"
-    return f"{shown} {numbers['reached']}/{runs}", _shown(numbers["seconds_to_threshold"], "{:.1f}")
+    thousands = shown(steps and steps / 1000.0, "{:,.0f}k")
+    return f"{thousands} {numbers['reached']}/{runs}"
 
 
 def _ends(unit: float, low: float | None, high: float | None) -> str:
-    """The interval in units of ``unit``."""
-    return UNKNOWN if low is None or high is None else f"{low / unit:.1f}..{high / unit:.1f}"
+    return "-" if low is None or high is None else f"{low / unit:.1f}..{high / unit:.1f}"
 
 
 def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def _shown(value: float | None, form: str) -> str:
-    return UNKNOWN if value is None else form.format(value)

@@ -1,12 +1,15 @@
-"""A table of words, as Markdown, LaTeX and a terminal show it."""
+"""A table of words, as Markdown, LaTeX, HTML and a terminal show it."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 from rich import box
+from rich.console import Console
 from rich.table import Table
 
 from baselines.console import console
@@ -27,6 +30,11 @@ _MARKDOWN = str.maketrans({"|": r"\|", "<": "&lt;", "\n": " ", "\r": " "})
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
+def shown(value: Any, form: str = "{:,.0f}") -> str:
+    """Return a number in a form; a dash for none."""
+    return "-" if value is None else form.format(value)
+
+
 @dataclass(frozen=True)
 class TextTable:
     """A table of words.
@@ -39,55 +47,71 @@ class TextTable:
     """
 
     caption: str
-    headings: tuple[str, ...]
-    lines: tuple[tuple[str, ...], ...]
+    headings: Sequence[str]
+    lines: Sequence[Sequence[str]]
     words: int = 1
 
     def markdown(self, title: str = "") -> str:
-        """As a table of GitHub's Markdown below its caption, under ``title`` if there is one."""
+        """Return GitHub's Markdown below its caption, under ``title`` if there is one."""
         rule = ["---"] * self.words + ["--:"] * (len(self.headings) - self.words)
         headings = [word.replace("-\n", "").replace("\n", " ") for word in self.headings]
-        rows = [" | ".join(map(_markdown, row)) for row in (headings, rule, *self.lines)]
+        rows = [
+            [cell.translate(_MARKDOWN) for cell in row] for row in (headings, rule, *self.lines)
+        ]
         heading = [f"## {title}", ""] if title else []
-        return "\n".join([*heading, self.caption, "", *(f"| {row} |" for row in rows)])
+        return "\n".join([*heading, self.caption, "", *(f"| {' | '.join(row)} |" for row in rows)])
 
     def latex(self, label: str) -> str:
-        r"""As a ``table`` that needs the package ``booktabs``; ``\ref`` calls it ``label``."""
-        columns = "l" * self.words + "r" * (len(self.headings) - self.words)
+        r"""Return a ``table`` that needs the package ``booktabs``; ``\ref`` calls it ``label``."""
         rows = [_latex_row(self.lines[0])]
         for above, line in itertools.pairwise(self.lines):
-            if line[0] and not above[0]:
-                rows.append(r"\addlinespace")
+            rows += [r"\addlinespace"] if line[0] and not above[0] else []
             rows.append(_latex_row(line))
-        parts = [
-            *(r"\begin{table}", r"\centering"),
-            *(rf"\caption{{{_latex(self.caption)}}}", rf"\label{{{label}}}"),
-            *(rf"\begin{{tabular}}{{{columns}}}", r"\toprule"),
-            *(_latex_row(self.headings), r"\midrule"),
-            *rows,
-            *(r"\bottomrule", r"\end{tabular}", r"\end{table}", ""),
-        ]
-        return "\n".join(parts)
+        columns = "l" * self.words + "r" * (len(self.headings) - self.words)
+        return "\n".join(
+            [
+                *(r"\begin{table}", r"\centering"),
+                *(rf"\caption{{{_latex(self.caption)}}}", rf"\label{{{label}}}"),
+                *(rf"\begin{{tabular}}{{{columns}}}", r"\toprule"),
+                *(_latex_row(self.headings), r"\midrule", *rows, r"\bottomrule"),
+                *(r"\end{tabular}", r"\end{table}", ""),
+            ]
+        )
 
-    def rich(self, title: str) -> Table:
-        """For a terminal, see :func:`baselines.console.console`; without the caption."""
-        table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    def html(self, title: str) -> str:
+        """Return HTML with the title above and the caption below; its style is report.css."""
+
+        def row(tag: str, cells: Sequence[str]) -> str:
+            kinds = [' class="word"'] * self.words + [""] * (len(cells) - self.words)
+            made = map(f"<{tag}{{}}>{{}}</{tag}>".format, kinds, map(escape, cells))
+            return f"<tr>{''.join(made)}</tr>"
+
+        body = "".join(row("td", line) for line in self.lines)
+        table = f"<table><thead>{row('th', self.headings)}</thead><tbody>{body}</tbody></table>"
+        return (
+            f'<h3>{escape(title)}</h3><div class="table">{table}</div>'
+            f'<p class="caption">{escape(self.caption)}</p>'
+        )
+
+    def print(self, title: str = "", screen: Console | None = None) -> None:
+        """Print it, by default on the standard output, with its caption below."""
+        screen = screen or console()
+        look: dict[str, Any] = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), "pad_edge": False}
+        table = Table(**look)
         for index, heading in enumerate(self.headings):
-            table.add_column(heading, justify="left" if index < self.words else "right")
+            side: Any = "left" if index < self.words else "right"
+            table.add_column(heading, justify=side, overflow="fold")
         for line in self.lines:
             table.add_row(*line)
-        return table
-
-    def print(self, title: str) -> None:
-        """Print it on the standard output, with its caption below."""
-        screen = console()
-        screen.print(self.rich(title))
+        if title:
+            screen.print(title, style="table.title", markup=False, highlight=False, soft_wrap=True)
+        screen.print(table)
         if self.caption:
             screen.print(self.caption, markup=False)
 
 
 def csv_text(table: DataFrame, form: str | None = None) -> str:
-    """A table as CSV, numbers in ``form``; a word that a spreadsheet would run gets a quote."""
+    """Return CSV with numbers in ``form``; a word that a spreadsheet would run gets a quote."""
 
     def safe(cell: object) -> object:
         return f"'{cell}" if isinstance(cell, str) and cell.startswith(_FORMULA) else cell
@@ -95,17 +119,12 @@ def csv_text(table: DataFrame, form: str | None = None) -> str:
     return str(table.map(safe).to_csv(index=False, float_format=form, lineterminator="\n"))
 
 
-def _markdown(cell: str) -> str:
-    """A cell with the signs escaped that would end it or begin HTML."""
-    return cell.translate(_MARKDOWN)
-
-
-def _latex_row(words: tuple[str, ...]) -> str:
+def _latex_row(words: Iterable[str]) -> str:
     return " & ".join(map(_latex, words)) + r" \\"
 
 
 def _latex(text: str) -> str:
-    """``text`` with LaTeX's special characters escaped, and numbers with a real minus."""
+    # A number below zero gets a real minus.
     if text.startswith("-"):
         return f"$-${text[1:].translate(_LATEX)}"
     return text.translate(_LATEX)

@@ -4,74 +4,66 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import to_jsonable_python
 from tyro.conf import arg
+from tyro.constructors import PrimitiveConstructorSpec
 
 from baselines.algorithms import find_algorithm
-from baselines.training.config import TrainConfig, default_label
-from baselines.training.hyperparameters import read_blocks, validate
+from baselines.training.config import TrainConfig, default_label, read_blocks, validate
 from mbn_marl.errors import ConfigError, FieldError, collecting
 from mbn_marl.field import load_field
 
 
 class Variant(BaseModel):
-    """A way to train.
-
-    Attributes:
-        algorithm: a name of :data:`baselines.algorithms.ALGORITHMS`.
-        setting: one of those it has; C begins with another run, and cannot be compared.
-        label: what the comparison calls it; ``None`` for the algorithm's own name.
-        hyperparameters: those that differ from the recorded ones.
-        environment: settings of the environment that differ from the algorithm's own.
-    """
+    """A way to train; hyperparameters and environment are what differs from the recorded ones."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     algorithm: str
-    setting: Literal["A", "B", "N", "J"] = "N"
-    label: str | None = None
+    # C begins with another run: nothing to compare.
+    setting: Literal["A", "B", "N", "J", "G"] = "N"
+    label: str | None = None  # what the comparison calls it; by default the algorithm's name
     hyperparameters: dict[str, Any] = Field(default_factory=dict)
     environment: dict[str, Any] = Field(default_factory=dict)
 
     @property
     def name(self) -> str:
-        """The name in tables and figures."""
         return self.label or default_label(self.algorithm, self.setting)
 
     def training(self, field: str, seed: int, **budget: Any) -> TrainConfig:
-        """Its training on a field with a seed; ``budget`` has ``steps`` and the like.
-
-        Raises:
-            MbnError: as :class:`TrainConfig`.
-        """
+        """Return its training on a field; errors as those of :class:`TrainConfig`."""
         return TrainConfig(field=field, seed=seed, **self.model_dump(), **budget)
 
 
 def parse_variant(word: str) -> Variant:
-    """Read a variant from ``ALGO``, or ``ALGO:SETTING`` for another setting than N.
-
-    Raises:
-        ConfigError: naming an unknown setting and what is allowed.
-    """
+    """Read a variant from ``ALGO``, or ``ALGO:SETTING`` for another setting than N."""
     name, colon, setting = word.partition(":")
     values = {"algorithm": name, "setting": setting if colon else "N"}
     return validate(Variant, values, "comparison")
 
 
-def read_variants(path: Path) -> tuple[Variant, ...]:
-    """Read variants from a YAML file: a block for each, under its label.
+Word = Annotated[
+    Variant,
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="ALGO",
+        instance_from_str=lambda words: parse_variant(words[0]),
+        is_instance=lambda value: isinstance(value, Variant),
+        str_from_instance=lambda value: [value.name],
+    ),
+]
+"""A variant as a word of the command line."""
 
-    Raises:
-        ConfigError: the file cannot be read, or naming every value of a block that is not valid.
-    """
+
+def read_variants(path: Path) -> tuple[Variant, ...]:
+    """Read variants from a YAML file, a block for each; a ConfigError names what is wrong."""
     return labelled(read_blocks(path), str(path))
 
 
@@ -112,7 +104,7 @@ class CompareConfig:
         ConfigError: naming empty lists, what is there twice, and all that is wrong with a run.
     """
 
-    variants: Annotated[tuple[Variant, ...], arg(name="algos", metavar="ALGO ...")] = (
+    variants: Annotated[tuple[Word, ...], arg(name="algos", metavar="ALGO ...")] = (
         Variant(algorithm="ppo", setting="J"),
         Variant(algorithm="ppo-joint"),
         Variant(algorithm="mappo"),
@@ -130,41 +122,36 @@ class CompareConfig:
         if self.steps is None:
             with suppress(FieldError):  # the runs below name every field that is wrong
                 object.__setattr__(self, "steps", proposed_steps(self.fields))
-        lists: dict[str, Sequence[Any]] = {
-            "algorithms": [variant.name for variant in self.variants],
-            "fields": self.fields,
-            "seeds": self.seeds,
-        }
+        algorithms = [variant.name for variant in self.variants]
+        lists = {"algorithms": algorithms, "fields": self.fields, "seeds": self.seeds}
         for name, values in lists.items():
-            if not values:
-                problems.append(f"{name}: at least one is needed")
-            twice = [value for value, count in Counter(values).items() if count > 1]
-            problems += [f"{name}: {value} is given twice" for value in twice]
+            problems += [] if values else [f"{name}: at least one is needed"]
+            counts: Counter[object] = Counter(values)
+            problems += [f"{name}: {one} is given twice" for one in counts if counts[one] > 1]
         names = []
-        for request in self._requests():
+        for cell in self._cells():
             with collecting(problems):
-                names.append(request().name)
+                names.append(self._run(*cell).name)
         if not problems and len(set(names)) < len(names):
             problems.append("fields: two files have the same name")
         if problems:
             raise ConfigError("comparison", problems)
 
     def runs(self) -> list[TrainConfig]:
-        """Return the runs, seed by seed."""
-        return [request() for request in self._requests()]
+        return [self._run(*cell) for cell in self._cells()]
 
     @property
     def core_hours(self) -> float:
-        """About how many hours of one core training takes, evaluations excluded."""
         speeds = [find_algorithm(run.algorithm).speed(run.setting) for run in self.runs()]
         return sum(self.steps / speed for speed in speeds) / 3600
 
-    def _requests(self) -> list[Callable[[], TrainConfig]]:
+    def _cells(self) -> Iterator[tuple[int, str, Variant]]:
+        return itertools.product(self.seeds, self.fields, self.variants)
+
+    def _run(self, seed: int, field: str, variant: Variant) -> TrainConfig:
         budget = {name: getattr(self, name) for name in ("steps", "evaluate_every", "episodes")}
-        cells = itertools.product(self.seeds, self.fields, self.variants)
-        return [partial(variant.training, field, seed, **budget) for seed, field, variant in cells]
+        return variant.training(field, seed, **budget)
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as JSON values."""
         values: dict[str, Any] = to_jsonable_python(self)
         return values

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from baselines.algorithms import Algorithm, find_algorithm
-from baselines.compare.aggregate import difference_interval
-from baselines.compare.records import RunRecord
-from baselines.compare.results import Results
+from baselines.compare.records import Results, RunRecord
 from baselines.evaluation.intervals import passes
 
-CERTAIN = 0.05
+CERTAIN, RESAMPLES = 0.05, 10_000
 
 
 def verdict(results: Results) -> str:
@@ -55,7 +54,6 @@ def verdict(results: Results) -> str:
 
 
 def question(results: Results) -> str:
-    """Return who is compared, where, at which budget."""
     sides: dict[str, list[str]] = {}
     for label in results.labels:
         sides.setdefault(form_of(results, label), []).append(label)
@@ -66,8 +64,21 @@ def question(results: Results) -> str:
     return f"{forms[0].upper()}{forms[1:]} on {where} each?"
 
 
+def difference_interval(
+    ours: NDArray[np.float64], theirs: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Bootstrap the mean of ``ours`` less that of ``theirs``, (fields, seeds) each."""
+    rng = np.random.default_rng(0)
+    draws = [rng.integers(0, side.shape[1], (RESAMPLES, *side.shape)) for side in (ours, theirs)]
+    means = [
+        np.take_along_axis(side[None], drawn, axis=2).mean(axis=(1, 2))
+        for side, drawn in zip((ours, theirs), draws, strict=True)
+    ]
+    low, high = np.percentile(means[0] - means[1], (2.5, 97.5))
+    return float(low), float(high)
+
+
 def form_of(results: Results, label: str) -> str:
-    """Return whether a label is centralised or decentralised, as its algorithm is."""
     return _algorithm(results, label).form
 
 
@@ -86,13 +97,13 @@ def _algorithm(results: Results, label: str) -> Algorithm:
 
 
 def _passed(runs: Sequence[RunRecord]) -> int:
-    finals = [run.evaluation for run in runs]
-    rates = [final["deterministic"]["success_rate"] for final in finals]
-    return sum(passes(one["stochastic"], rate) for one, rate in zip(finals, rates, strict=True))
+    return sum(
+        passes(run.evaluation["stochastic"], run.final("deterministic", "success_rate"))
+        for run in runs
+    )
 
 
 def _steps(run: RunRecord) -> float:
-    """The mean makespan with sampled actions; infinite without a success."""
     steps: float | None = run.evaluation["stochastic"]["makespan"]
     return np.inf if steps is None else steps
 

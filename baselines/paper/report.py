@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -11,14 +11,17 @@ from string import Template
 from matplotlib.figure import Figure
 
 from baselines.algorithms import SETTINGS, Setting
+from baselines.compare import curves
+from baselines.compare.curves import Pair, Panel
+from baselines.compare.records import ordered
 from baselines.compare.text_table import DASH
-from baselines.paper import figures, glance, published
-from baselines.paper.tables import ALGORITHMS, FIELDS, MISSING, PaperTable, paper_tables, write_csv
+from baselines.paper import published, tables
+from baselines.paper.tables import KINDS, MISSING
 from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
-from baselines.runs.files import read_text, write_text
+from baselines.runs.files import Place, RunError, read_text, write_text
 from baselines.runs.provenance import write_provenance
-from baselines.runs.report_path import Place
-from mbn_marl.render.figures import save
+from mbn_marl.field import load_field
+from mbn_marl.render import figures
 
 TABLES = ("algorithms.csv", "algorithms.tex", "fields.csv", "fields.tex")
 OTHERS = [setting for setting in published.REPORTED if setting != "A"]
@@ -45,79 +48,141 @@ def write_report(
     """
     preface = "" if notes is None else read_text(notes).strip()
     trainings = find_trainings(paths, note)
-    tables = paper_tables(trainings)
+    reported = published.REPORTED
     drawn = {
-        **{
-            f"curves_{name}": figures.learning_curves(trainings, name)
-            for name in published.REPORTED
-        },
-        **{f"A_against_{name}": figures.against(trainings, "A", name) for name in OTHERS},
-        "optuna": None if study is None else figures.draw_study(study),
-        "fields": figures.overview(),
+        **{f"curves_{name}": learning_curves(trainings, name) for name in reported},
+        **{f"A_against_{name}": against(trainings, "A", name) for name in OTHERS},
+        "fields": figures.fields_figure([load_field(name) for name in published.FIELDS]),
     }
+    copied = {} if study is None else study_pictures(study)
     place = Place.of(out, "paper.md")
     place.claim(force=force)
     trainings.save(place.folder)
+    for name, path in copied.items():
+        shutil.copy(path, place.folder / f"{name}.png")
     for name, figure in drawn.items():
         if figure is not None:
-            save(figure, place.folder / f"{name}.png")
-    for kind, group in itertools.groupby(tables, key=lambda table: table.kind):
-        same = list(group)
-        write_text(place.folder / f"{kind.row}s.csv", write_csv(same))
-        latex = [table.text().latex(f"tab:{kind.row}s-{table.sample.label}") for table in same]
-        write_text(place.folder / f"{kind.row}s.tex", "\n".join(latex))
+            figures.save(figure, place.folder / f"{name}.png")
+    texts = {}
+    for kind in KINDS:
+        same = [table for table in tables.paper_tables(trainings) if table.kind == kind]
+        write_text(place.folder / f"{kind}s.csv", tables.write_csv(same))
+        latex = [table.text().latex(f"tab:{kind}s-{table.sample}") for table in same]
+        write_text(place.folder / f"{kind}s.tex", "\n".join(latex))
+        texts[f"{kind}s"] = "\n\n".join(table.text().markdown() for table in same)
     write_provenance(place.folder, command)
-    write_text(place.page, _page(trainings, tables, drawn, place, command, preface))
+    write_text(place.page, _page(trainings, texts, {**drawn, **copied}, place, command, preface))
     return place
 
 
 def _page(
     trainings: Trainings,
-    tables: Sequence[PaperTable],
-    drawn: Mapping[str, Figure | None],
+    texts: Mapping[str, str],
+    drawn: Mapping[str, object],
     place: Place,
     command: str,
     preface: str,
 ) -> str:
-    """Fill in the Markdown page."""
-
     def picture(name: str, title: str) -> str:
-        if drawn[name] is None:
+        if drawn.get(name) is None:
             return f"{title}: missing."
         return f"{title}:\n\n![{title}]({place.link(f'{name}.png')})"
 
     def links(names: Sequence[str]) -> str:
         return ", ".join(f"[{name}]({place.link(name)})" for name in names)
 
-    join = "\n\n".join
-    shown = [(table.kind, table.text().markdown()) for table in tables]
+    def meaning(setting: Setting) -> str:
+        summary = SETTINGS[setting].summary
+        return summary if setting in published.SETTINGS else f"ours: {summary}"
+
+    reported = {name: meaning(name) for name in published.REPORTED}
+    shown = [picture(f"curves_{one}", f"Setting {one}: {text}") for one, text in reported.items()]
+    pairs = [picture(f"A_against_{name}", f"Setting A against {name}") for name in OTHERS]
     page = Template((files(__package__) / "page.md").read_text(encoding="utf-8")).substitute(
+        texts,
         notes=preface,
         source=published.SOURCE,
         command=command,
-        settings="\n".join(f"- **{name}**: {_meaning(name)}." for name in published.REPORTED),
+        settings="\n".join(f"- **{name}**: {text}." for name, text in reported.items()),
         missing=MISSING,
         dash=DASH,
         tables=links(TABLES),
         runs=links([RUNS_FILE, ROWS_FILE]),
-        coverage=glance.coverage(trainings).markdown(),
-        algorithms=join(text for kind, text in shown if kind is ALGORITHMS),
-        ranking=glance.ranking(trainings).markdown(),
-        reached=glance.reached(trainings).markdown(),
-        success=glance.success(trainings).markdown(),
-        curves=join(
-            picture(f"curves_{name}", f"Setting {name}: {_meaning(name)}")
-            for name in published.REPORTED
+        coverage=tables.coverage(trainings).markdown(),
+        ranking=tables.ranking(trainings).markdown(),
+        reached=tables.reached(trainings).markdown(),
+        success=tables.success(trainings).markdown(),
+        curves="\n\n".join(shown),
+        against="\n\n".join(pairs),
+        study="\n\n".join(
+            [
+                picture("study_history", "History of the study"),
+                picture("study_importances", "Importance of each hyperparameter in the study"),
+            ]
         ),
-        against=join(picture(f"A_against_{name}", f"Setting A against {name}") for name in OTHERS),
-        study=picture("optuna", "History of the study and importance of each hyperparameter"),
-        fields=join(text for kind, text in shown if kind is FIELDS),
         overview=picture("fields", "The ten fields, each to a scale of its own"),
         commands="\n".join(trainings.runs.command),
     )
     return page if preface else page.replace("\n\n\n\n", "\n\n", 1)
 
 
-def _meaning(setting: Setting) -> str:
-    summary = SETTINGS[setting].summary
-    return summary if setting in published.SETTINGS else f"ours: {summary}"
+def learning_curves(trainings: Trainings, setting: str) -> Figure | None:
+    """Draw the learning curves of a setting, a panel a field; ``None`` if it has no episode."""
+    rows = trainings.rows[trainings.rows.setting == setting]
+    if rows.empty:
+        return None
+    groups, panels = rows.groupby(["field", "algorithm"]), {}
+    for field in trainings.field_names:
+        found = {
+            published.display_name(name): [
+                (run.env_steps.to_numpy(), run.moving_mean.to_numpy())
+                for _, run in groups.get_group((field, name)).groupby("seed")
+            ]
+            for name in trainings.algorithms
+            if (field, name) in groups.groups
+        }
+        if found:
+            panels[field] = Panel(found, trainings.optimum(field))
+    looks = ordered({name: name for name in trainings.algorithms})
+    shown = {published.display_name(name): look for name, look in looks.items()}
+    return curves.learning_curves(panels, shown, "return of training episodes, moving mean")
+
+
+def against(trainings: Trainings, first: str, second: str) -> Figure | None:
+    """Draw one setting against another, in the cells that both have; ``None`` if there is none.
+
+    A panel an algorithm, with a line for each field, for these fields together, and for the
+    paper's number over all ten fields, if the paper has both settings.
+    """
+    rows = trainings.rows[trainings.rows.setting.isin([first, second])]
+    means = rows.pivot_table("moving_mean", ["algorithm", "field"], "setting")
+    means = means.reindex(columns=[first, second]).dropna()
+    fields = [name for name in trainings.field_names if name in means.index.unique("field")]
+    paper = published.by_algorithm()
+    panels = {}
+    for algorithm in trainings.algorithms:
+        both = [field for field in fields if (algorithm, field) in means.index]
+        if not both:
+            continue
+        lines = {
+            field: Pair(*means.loc[algorithm, field]) if field in both else Pair(None, None)
+            for field in fields
+        }
+        own = rows[(rows.algorithm == algorithm) & rows.field.isin(both)]
+        together = own.groupby("setting").moving_mean.mean()
+        lines["these together"] = Pair(together[first], together[second])
+        if {first, second} <= set(published.SETTINGS):
+            cells = [paper.get((algorithm, name), {}) for name in (first, second)]
+            lines["paper, all ten"] = Pair(*(cell.get("mean") for cell in cells))
+        panels[published.display_name(algorithm)] = lines
+    if not panels:
+        return None
+    return curves.pairs(panels, (f"setting {first}", f"setting {second}"))
+
+
+def study_pictures(study: Path) -> dict[str, Path]:
+    """Return the pictures that ``mbn tune`` made at the end of a study; a RunError without any."""
+    pictures = {f"study_{path.stem}": path for path in study.glob("*.png")}
+    if "study_history" not in pictures:
+        raise RunError(f"{study} has no history.png: mbn tune has finished no study there")
+    return pictures

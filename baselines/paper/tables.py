@@ -1,30 +1,23 @@
-"""The paper's tables, with what the runs here give beside its numbers."""
+"""The paper's tables beside what the runs here give, and how both compare at a glance."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
 
 import numpy as np
 import pandas
 from pandas import DataFrame, MultiIndex, Series
+from scipy.stats import kendalltau
 
 from baselines.compare.text_table import DASH, TextTable, csv_text
+from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
 from baselines.paper.published import STATISTICS
-from baselines.paper.trainings import Trainings
+from baselines.paper.trainings import CELL, Trainings
 
 MISSING = "missing"
 """A cell that no run has given."""
-
-
-class Sample(NamedTuple):
-    """The evaluations that a number is taken over: in words, for a label, and how."""
-
-    name: str
-    label: str
-    summarise: Callable[[DataFrame], list[float]]
 
 
 def of_episodes(rows: DataFrame) -> list[float]:
@@ -47,44 +40,24 @@ def of_moving_means(rows: DataFrame) -> list[float]:
     return [means.mean(), means.std(ddof=0), means.max(), means.max() - means.min()]
 
 
-SAMPLES = (
-    Sample("single episodes", "episodes", of_episodes),
-    Sample("moving means of 100 episodes", "means", of_moving_means),
-)
+SAMPLES = {
+    "episodes": ("single episodes", of_episodes),
+    "means": ("moving means of 100 episodes", of_moving_means),
+}
+"""The evaluations that a number is taken over: in words, and how; by the end of LaTeX's label."""
 
 
-class Kind(NamedTuple):
-    """The subject of a table's ``row``; in the plural, the name of its files.
-
-    Its ``unit``, in reward units, and ``digits`` are the paper's, whose numbers ``in_paper`` gives
-    by (row, setting).
-    """
-
-    row: Literal["algorithm", "field"]
-    title: str
-    unit: float
-    unit_name: str
-    digits: int
-    in_paper: Callable[[], dict[tuple[str, str], published.Numbers]]
-
-
-ALGORITHMS = Kind(
-    "algorithm",
-    "Table 1: each algorithm over the paper's ten fields",
-    published.ALGORITHM_UNIT,
-    "1e6 reward",
-    4,
-    published.by_algorithm,
-)
-FIELDS = Kind(
-    "field",
-    "Appendix tables: each field over the paper's six algorithms",
-    1.0,
-    "reward",
-    1,
-    published.by_field,
-)
-
+KINDS = {
+    "algorithm": (
+        *("Table 1: each algorithm over the paper's ten fields", published.by_algorithm),
+        *(published.ALGORITHM_UNIT, "1e6 reward", 4),
+    ),
+    "field": (
+        *("Appendix tables: each field over the paper's six algorithms", published.by_field),
+        *(1.0, "reward", 1),
+    ),
+}
+"""By the subject of a row: title, the paper's numbers by (row, setting), its unit and digits."""
 COLUMNS = [
     (setting, source)
     for setting in published.REPORTED
@@ -96,24 +69,24 @@ COLUMNS = [
 
 @dataclass(frozen=True)
 class PaperTable:
-    """A table in reward units, with our numbers over a ``sample``.
+    """A table of one of the ``KINDS``, with our numbers over one of the ``SAMPLES``.
 
-    ``cells`` has a row for each (row, setting, source), a column for each of ``STATISTICS``; NaN
-    where there is nothing.
+    ``cells`` (reward units) has a row for each (row, setting, source), a column for each of
+    ``STATISTICS``; NaN where there is nothing.
     """
 
-    kind: Kind
-    sample: Sample
+    kind: str
+    sample: str
     cells: DataFrame
 
     @classmethod
-    def of(cls, kind: Kind, sample: Sample, names: Iterable[str], rows: DataFrame) -> PaperTable:
+    def of(cls, kind: str, sample: str, names: Iterable[str], rows: DataFrame) -> PaperTable:
         """Make the table of the rows ``names`` from the paper's numbers and training's ``rows``."""
         here = {
-            (*key, "here"): Series(sample.summarise(group), list(STATISTICS))
-            for key, group in rows.groupby([kind.row, "setting"], sort=False)
+            (*key, "here"): Series(SAMPLES[sample][1](group), list(STATISTICS))
+            for key, group in rows.groupby([kind, "setting"], sort=False)
         }
-        paper = {(*key, "paper"): Series(numbers) for key, numbers in kind.in_paper().items()}
+        paper = {(*key, "paper"): Series(cell) for key, cell in KINDS[kind][1]().items()}
         index = MultiIndex.from_tuples(
             [(name, *column) for name in names for column in COLUMNS],
             names=["row", "setting", "source"],
@@ -122,51 +95,49 @@ class PaperTable:
         return cls(kind, sample, cells)
 
     def means(self, setting: str, source: str) -> Series:
-        """The means of a column, of the rows that have one, the best first."""
         column = self.cells.xs((setting, source), level=("setting", "source"))["mean"]
         return column.dropna().sort_values(ascending=False, kind="stable")
 
     def text(self) -> TextTable:
         """The table as it is shown: four lines a row, one for each number."""
-        wide = (self.cells / self.kind.unit).stack(future_stack=True).unstack(["setting", "source"])
+        title, _, unit, unit_name, digits = KINDS[self.kind]
+
+        def word(number: float, source: str) -> str:
+            if np.isnan(number):
+                return DASH if source == "paper" else MISSING
+            return f"{number:,.{digits}f}"
+
+        wide = (self.cells / unit).stack(future_stack=True).unstack(["setting", "source"])
         order = MultiIndex.from_product([self.cells.index.unique("row"), STATISTICS])
         lines = [
             (
                 self._shown(name) if statistic == "mean" else "",
                 statistic,
-                *(self._word(numbers[column], column[1]) for column in COLUMNS),
+                *(word(numbers[column], column[1]) for column in COLUMNS),
             )
             for (name, statistic), numbers in wide.reindex(order).iterrows()
         ]
         caption = (
-            f"{self.kind.title}, in units of {self.kind.unit_name}, the paper's and ours; "
-            f"'here' is over {self.sample.name}."
+            f"{title}, in units of {unit_name}, the paper's and ours; 'here' is over "
+            f"{SAMPLES[self.sample][0]}."
         )
         headings = (f"{' '.join(column)}{marked(column[0])}" for column in COLUMNS)
-        return TextTable(caption, (self.kind.row, "", *headings), tuple(lines), words=2)
-
-    def _word(self, number: float, source: str) -> str:
-        """A number with the digits that the paper gives, or the word for a missing one."""
-        if np.isnan(number):
-            return DASH if source == "paper" else MISSING
-        return f"{number:,.{self.kind.digits}f}"
+        return TextTable(caption, (self.kind, "", *headings), lines, words=2)
 
     def lines(self) -> DataFrame:
         """The table for a CSV file, a line a cell; the numbers of a missing one are empty."""
-        lines = (self.cells / self.kind.unit).reset_index(
-            names=[self.kind.row, "setting", "source"]
-        )
-        lines[self.kind.row] = lines[self.kind.row].map(self._shown)
-        lines.insert(3, "over", np.where(lines.source == "here", self.sample.name, ""))
-        lines.insert(4, "unit", self.kind.unit_name)
+        _, _, unit, unit_name, _ = KINDS[self.kind]
+        lines = (self.cells / unit).reset_index(names=[self.kind, "setting", "source"])
+        lines[self.kind] = lines[self.kind].map(self._shown)
+        lines.insert(3, "over", np.where(lines.source == "here", SAMPLES[self.sample][0], ""))
+        lines.insert(4, "unit", unit_name)
         return lines
 
     def _shown(self, row: str) -> str:
-        return published.display_name(row) if self.kind is ALGORITHMS else row
+        return published.display_name(row) if self.kind == "algorithm" else row
 
 
 def marked(setting: str) -> str:
-    """A mark behind a setting that is not the paper's."""
     return "" if setting in published.SETTINGS else ", ours"
 
 
@@ -177,10 +148,12 @@ def paper_tables(trainings: Trainings) -> list[PaperTable]:
     runs of other algorithms the other way round.
     """
     rows = trainings.rows
-    chosen = (
-        (ALGORITHMS, trainings.algorithms, rows[rows.field.isin(published.FIELDS)]),
-        (FIELDS, trainings.field_names, rows[rows.algorithm.isin(published.ALGORITHMS)]),
+    papers = (
+        rows[rows.field.isin(published.FIELDS)],
+        rows[rows.algorithm.isin(published.ALGORITHMS)],
     )
+    names = (trainings.algorithms, trainings.field_names)
+    chosen = [*zip(KINDS, names, papers, strict=True)]
     return [PaperTable.of(kind, sample, *part) for kind, *part in chosen for sample in SAMPLES]
 
 
@@ -188,3 +161,89 @@ def write_csv(tables: Iterable[PaperTable]) -> str:
     """Tables of one kind as CSV; the paper's numbers once."""
     lines = pandas.concat([table.lines() for table in tables]).drop_duplicates()
     return csv_text(lines, "%.10g")
+
+
+def coverage(trainings: Trainings) -> TextTable:
+    def cell(runs: DataFrame) -> str:
+        ends = runs.env_steps.min(), runs.env_steps.max()
+        unfinished = int((~runs.finished).sum())
+        steps = " to ".join(dict.fromkeys(map(_short, ends)))
+        return f"{len(runs)} x {steps}" + (f", {unfinished} unfinished" if unfinished else "")
+
+    caption = "Runs x env-steps of each; a run is a seed. The paper: one seed x 5M in every cell."
+    return _per_cell(trainings, caption, cell)
+
+
+def success(trainings: Trainings) -> TextTable:
+    def cell(runs: DataFrame) -> str:
+        if not runs.finished.any():
+            return MISSING
+        return f"{runs.success_rate.mean():.0%}, {runs.return_mean.mean():,.0f}"
+
+    caption = (
+        "After training: share of fresh episodes with sampled actions that visited every ROI, and "
+        "their mean reward, both over seeds. The paper has no such numbers."
+    )
+    return _per_cell(trainings, caption, cell)
+
+
+def reached(trainings: Trainings) -> TextTable:
+    """How many runs of an algorithm passed the threshold during training, and how soon."""
+
+    def cell(runs: DataFrame) -> str:
+        hits = runs.reach.count()
+        return f"{hits} of {len(runs)}" + (f", soonest {_short(runs.reach.min())}" if hits else "")
+
+    table = trainings.runs.groupby(CELL[:2]).apply(cell, include_groups=False).unstack()
+    table = table.reindex(trainings.algorithms, columns=list(published.REPORTED)).fillna(MISSING)
+    lines = [(published.display_name(name), *cells) for name, *cells in table.itertuples()]
+    caption = (
+        f"Runs whose moving mean of 100 training episodes reached {RETURN_THRESHOLD:,.0f}, once so "
+        "many had ended, of all runs of that algorithm and setting on any field, and the env-steps "
+        "of the soonest. In the paper only CrossQ does so under A within 500k env-steps."
+    )
+    headings = (f"{setting}{marked(setting)}" for setting in published.REPORTED)
+    return TextTable(caption, ("algorithm", *headings), lines)
+
+
+def ranking(trainings: Trainings) -> TextTable:
+    """The algorithms of each setting from the best mean to the worst, in the paper and here."""
+    alike = trainings.alike()
+    tables = [table for table in paper_tables(alike) if table.kind == "algorithm"]
+    lines = []
+    for setting in published.SETTINGS:
+        fields = set(alike.runs.field[alike.runs.setting == setting]) & set(published.FIELDS)
+        for table in tables:
+            paper, here = table.means(setting, "paper"), table.means(setting, "here")
+            here = here[here.index.isin(paper.index)]
+            tau = kendalltau(paper[here.index], here).statistic if len(here) > 1 else None
+            orders = (" > ".join(map(published.display_name, side.index)) for side in (paper, here))
+            agreement = MISSING if tau is None else f"{tau:.2f}"
+            words = (*orders, agreement, ", ".join(sorted(fields)))
+            sample = SAMPLES[table.sample][0]
+            lines.append((setting, sample, *(word or MISSING for word in words)))
+    caption = (
+        "Algorithms by their mean, best first: in the paper over its ten fields, here over the "
+        "fields that all algorithms with a run of the setting have. Those without a run are left "
+        "out here. Kendall's tau is 1 for the same order and -1 for the reverse."
+    )
+    headings = ("setting", "here: over", "paper", "here", "Kendall's tau", "fields here")
+    return TextTable(caption, headings, lines, words=4)
+
+
+def _per_cell(trainings: Trainings, caption: str, shown: Callable[[DataFrame], str]) -> TextTable:
+    fields = trainings.field_names
+    index = MultiIndex.from_product([trainings.algorithms, published.REPORTED])
+    table = trainings.runs.groupby(CELL).apply(shown, include_groups=False).unstack()
+    table = table.reindex(index, columns=fields)
+    papers = index.get_level_values(0).isin(published.ALGORITHMS)
+    table = table[papers | table.notna().any(axis=1)].fillna(MISSING)
+    lines = [
+        (published.display_name(name), setting, *cells)
+        for (name, setting), *cells in table.itertuples()
+    ]
+    return TextTable(caption, ("algorithm", "setting", *fields), lines, words=2)
+
+
+def _short(steps: float) -> str:
+    return f"{steps / 1e6:.3g}M" if steps >= 1e6 else f"{steps / 1e3:.3g}k"

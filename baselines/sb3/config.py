@@ -5,16 +5,25 @@ from __future__ import annotations
 import inspect
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    create_model,
+)
 
 from baselines.training.aids import Count, TrainingAids
-from baselines.training.hyperparameters import read_block, validate
+from baselines.training.config import read_block, validate
+from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, unknown
 
 if TYPE_CHECKING:
@@ -25,23 +34,20 @@ CLASSES = {
     "a2c": "stable_baselines3:A2C",
     "ppo": "stable_baselines3:PPO",
     "trpo": "sb3_contrib:TRPO",
-    "ars": "baselines.sb3.ars:PopulationSearch",
+    "ars": "sb3_contrib:ARS",
     "ppo-shared": "stable_baselines3:PPO",
-    "ppo-supersuit": "stable_baselines3:PPO",
     "crossq": "sb3_contrib:CrossQ",
     "tqc": "sb3_contrib:TQC",
 }
-FILES = {"ppo-supersuit": "ppo-shared"}
-"""Whose hyperparameters an algorithm has, if not its own."""
+# The learner sets some arguments; others are objects and classes, which no file can hold. Noise
+# that depends on the state is drawn in ways that evaluations and resuming cannot repeat.
 RESERVED = (
     *("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model"),
     *("action_noise", "rollout_buffer_class", "replay_buffer_class"),
     *("use_sde", "sde_sample_freq"),
 )
-"""Arguments that the learner sets; objects and classes, which no file can hold; and noise that
-depends on the state, which the library draws in ways that evaluations and resuming cannot repeat.
-"""
 _COUNT, _SHARE, _AMOUNT = (1, math.inf), (0, 1), (0, math.inf)
+# The ranges of the numbers of ``model``, which the library does not check.
 RANGES: Mapping[str, tuple[float, float]] = {
     **dict.fromkeys(("n_steps", "batch_size", "n_epochs", "buffer_size", "train_freq"), _COUNT),
     **dict.fromkeys(("policy_delay", "target_update_interval", "stats_window_size"), _COUNT),
@@ -54,14 +60,13 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "top_quantiles_to_drop_per_net": _AMOUNT,
     "gradient_steps": (-1, math.inf),
 }
-"""The ranges of the numbers of ``model``, which the library does not check."""
+# The paper tuned these, some for algorithms without such an argument: a run skips those and says
+# so. Any other name that the library's class does not take is an error.
 TUNED_IN_PAPER = (
     *("learning_rate", "gamma", "gae_lambda", "vf_coef", "ent_coef", "max_grad_norm"),
     "buffer_size",
 )
-"""The paper tuned these, some for algorithms without such an argument: there they are skipped, and
-the run says so. Any other name that the library's class does not take is an error."""
-
+# The algorithms that offer a hyperparameter, where not all do.
 OFFERED: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(
         ("action_repeat", "roi_radius", "scattered", "episode_steps"),
@@ -69,48 +74,37 @@ OFFERED: Mapping[str, tuple[str, ...]] = {
     ),
     "joint_observation": ("a2c", "ppo", "trpo", "ars", "crossq", "tqc"),
 }
-"""The algorithms that offer a hyperparameter, where not all do."""
 
 
 class SB3Config(TrainingAids):
-    """A setting of one algorithm. The defaults are setting A: the library's, on raw numbers.
+    """A setting of one algorithm. The defaults are setting A: the library's, on raw numbers."""
 
-    Attributes:
-        num_envs: worlds stepped side by side.
-        normalize_observation: the learner sees what it observes normalised by its running mean and
-            variance, or raw.
-        joint_observation: a centralised learner observes what all robots do, side by side, or the
-            paper's state.
-        policy: the library's name of the policy.
-        model: arguments of the library's class; ``{from: a, to: b}`` for a number falls linearly
-            over training.
-    """
-
+    # Worlds stepped side by side.
     num_envs: Count = 1
+    # The learner sees what it observes normalised by its running mean and variance, or raw.
     normalize_observation: bool = False
+    # A centralised learner observes what all robots do, side by side, or the paper's state.
     joint_observation: bool = False
+    # The library's name of the policy.
     policy: str = "MlpPolicy"
+    # Arguments of the library's class; {from: a, to: b} for a number falls linearly over training.
     model: dict[str, Any] = Field(default_factory=dict)
 
 
-class LinearSchedule(BaseModel):
+@dataclass(frozen=True)
+class LinearSchedule:
     """A number that changes linearly over training, as Stable-Baselines3 calls it."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-    start: float = Field(alias="from")
-    end: float = Field(alias="to")
+    start: float
+    end: float
 
     def __call__(self, progress_remaining: float) -> float:
-        """The value with ``progress_remaining``, from 1 at the start to 0 at the end.
-
-        The last rollout may go past the budget, where the library's number is negative: 0 then.
-        """
+        # From 1 at the start to 0 at the end. The last rollout may go past the budget, where the
+        # library's number is negative.
         return self.end + (self.start - self.end) * max(progress_remaining, 0.0)
 
 
 def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
-    """The library's class of an algorithm."""
     found: type[BaseAlgorithm] = resolve_name(CLASSES[algorithm])
     return found
 
@@ -123,57 +117,45 @@ def load(
     num_envs: int | None = None,
     file: Path | None = None,
 ) -> SB3Config:
-    """The hyperparameters of an algorithm, as :meth:`baselines.algorithms.Algorithm.resolve`.
-
-    Setting C fine-tunes with the values of A. An override of ``model`` changes the arguments it
-    names and leaves the others.
-    """
+    """The hyperparameters of an algorithm, as :meth:`baselines.algorithms.Algorithm.resolve`."""
+    # Setting C fine-tunes with the values of A. An override of ``model`` changes the arguments it
+    # names and leaves the others.
     name = "A" if setting == "C" and file is None else setting
     place = f"hyperparameters of {algorithm}" if file is None else str(file)
-    block = read_block(file or FOLDER / f"{FILES.get(algorithm, algorithm)}.yaml", name)
+    block = read_block(file or FOLDER / f"{algorithm}.yaml", name)
     values = {**block, **overrides, **({} if num_envs is None else {"num_envs": num_envs})}
     if isinstance(block.get("model"), dict) and isinstance(overrides.get("model"), dict):
         values["model"] = {**block["model"], **overrides["model"]}
-    accepted = accepted_arguments(algorithm)
-    config = _validated(algorithm, values, place, accepted)
-    kept = {name: value for name, value in config.model.items() if name in accepted}
-    foreign = {name: value for name, value in config.model.items() if name not in accepted}
-    problems = [
-        f"model.{name}: {unknown('name', name, sorted(accepted))}"
-        for name in sorted(set(foreign) - set(TUNED_IN_PAPER))
-    ]
-    problems += [
-        f"{name}: allowed for {', '.join(OFFERED[name])}, not for {algorithm}"
-        for name in config.model_dump(include=set(OFFERED), exclude_defaults=True)
-        if algorithm not in OFFERED[name]
-    ]
-    problems += [
-        f"model.{name}: {problem} (got {value!r:.80})"
-        for name, value in config.model.items()
-        for problem in _problems(name, value, accepted.get(name, Any))
-    ]
-    if problems:
-        raise ConfigError(place, problems)
-    skipped = {**config.skipped, **foreign}
-    return config.model_copy(update={"model": kept, "skipped": skipped})
-
-
-def _validated(
-    algorithm: str, values: Mapping[str, Any], place: str, accepted: Iterable[str]
-) -> SB3Config:
-    """Return the values as a configuration, or say which names the algorithm has."""
-    fields = SB3Config.model_fields
-    offered = [name for name in fields if algorithm in OFFERED.get(name, CLASSES)]
-    known = [name for name in offered if fields[name].repr]
-    known += [f"model.{name}" for name in sorted(accepted)]
+    fields, accepted = SB3Config.model_fields, accepted_arguments(algorithm)
+    offered = {name: algorithm in OFFERED.get(name, CLASSES) for name in fields}
+    known = [name for name, field in fields.items() if offered[name] and field.repr]
+    known += [f"model.{name}" for name in accepted]
     problems = [f"{name}: {unknown('name', name, known)}" for name in values if name not in fields]
+    config = SB3Config(source="")
     try:
         config = validate(SB3Config, {n: v for n, v in values.items() if n in fields}, place)
     except ConfigError as error:
-        raise ConfigError(place, [*problems, *error.problems]) from None
+        problems += error.problems
+    foreign = {n: v for n, v in config.model.items() if n in TUNED_IN_PAPER and n not in accepted}
+    model = {n: v for n, v in config.model.items() if n not in foreign}
+    problems += [
+        f"{name}: allowed for {', '.join(OFFERED[name])}, not for {algorithm}"
+        for name in config.model_dump(exclude_defaults=True)
+        if not offered[name]
+    ]
+    kinds: Any = {
+        name: (Annotated[kind, AfterValidator(partial(_in_range, name))], None)
+        for name, kind in accepted.items()
+    }
+    strict = ConfigDict(strict=True, extra="forbid", arbitrary_types_allowed=True)
+    arguments = create_model("model", __config__=strict, **kinds)
+    try:
+        arguments.model_validate({name: _scheduled(value) for name, value in model.items()})
+    except ValidationError as error:
+        problems += [f"model.{problem}" for problem in describe(error, arguments)]
     if problems:
         raise ConfigError(place, problems)
-    return config
+    return config.model_copy(update={"model": model, "skipped": {**config.skipped, **foreign}})
 
 
 def accepted_arguments(algorithm: str) -> dict[str, Any]:
@@ -189,27 +171,18 @@ def model_arguments(config: SB3Config) -> dict[str, Any]:
 
 
 def _scheduled(value: Any) -> Any:
-    is_schedule = isinstance(value, dict) and set(value) == {"from", "to"}
-    return LinearSchedule(**value) if is_schedule else value
+    match value:
+        case {"from": int() | float() as start, "to": int() | float() as end} if len(value) == 2:
+            return LinearSchedule(start, end)
+    return value
 
 
-def _problems(name: str, value: Any, its_type: Any) -> Iterator[str]:
-    """Yield the problems of an argument of the library's class that has the type ``its_type``."""
-    strict = ConfigDict(strict=True, arbitrary_types_allowed=True)
-    try:
-        if isinstance(value, dict | list):
-            json.dumps(value, allow_nan=False, default=str)
-        scheduled = TypeAdapter(its_type, config=strict).validate_python(_scheduled(value))
-    except ValidationError as error:
-        allowed = " or ".join(dict.fromkeys(problem["msg"] for problem in error.errors()))
-        yield allowed.replace("Input should be callable", "{from: number, to: number}")
-        return
-    except ValueError:
-        yield "must hold finite numbers only"
-        return
-    ends = value.values() if isinstance(scheduled, LinearSchedule) else (value,)
+def _in_range(name: str, value: Any) -> Any:
+    if isinstance(value, dict | list):
+        json.dumps(value, allow_nan=False, default=str)  # numbers in them have to be finite
+    ends = (value.start, value.end) if isinstance(value, LinearSchedule) else (value,)
     least, most = RANGES.get(name, (-math.inf, math.inf))
     for number in (end for end in ends if isinstance(end, int | float)):
         if not (math.isfinite(number) and least <= number <= most):
-            upper = "" if math.isinf(most) else f" and at most {most}"
-            yield f"must be a finite number, at least {least:g}{upper}"
+            raise ValueError(f"must be finite, at least {least:g}, at most {most:g}")
+    return value

@@ -16,6 +16,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import VecNormalize
+from torch.nn.utils import parameters_to_vector
 
 from baselines.evaluation.layers import Layers
 from baselines.runs.files import RunError, read_json, reading, write_json
@@ -23,19 +24,12 @@ from baselines.runs.tensors import moments_of, read_tensors, with_moments, write
 from baselines.sb3.config import algorithm_class
 from baselines.sb3.layers import layers_of
 
-WEIGHTS = "policy.safetensors"
-SHAPE = "policy.json"
-LEARNER = "learner.safetensors"
-FIRST_SHAPE = {"algorithm": "ppo-shared", "policy": "MlpPolicy", "action_shape": [2]}
-"""Entries that ``policy.json`` lacked when only shared-policy PPO had one."""
+WEIGHTS, SHAPE, LEARNER = "policy.safetensors", "policy.json", "learner.safetensors"
 
 
 @dataclass(frozen=True)
 class Normalization:
-    """How ``VecNormalize`` treats an observation: ``clip((x - mean) / sqrt(var + epsilon))``.
-
-    The running mean and variance, (size,) each, are of ``count`` observations.
-    """
+    """How ``VecNormalize`` treats observations; mean and variance are of ``count`` of them."""
 
     mean: np.ndarray
     variance: np.ndarray
@@ -45,20 +39,17 @@ class Normalization:
 
     @classmethod
     def of(cls, env: VecNormalize | None) -> Normalization | None:
-        """The normalisation of ``env`` as it is now; ``None`` without one."""
         if env is None:
             return None
         seen: Any = env.obs_rms
         return cls(seen.mean.copy(), seen.var.copy(), seen.count, env.epsilon, env.clip_obs)
 
     def put_into(self, env: VecNormalize) -> None:
-        """Make ``env`` normalise, and continue counting, as this does."""
         seen: Any = env.obs_rms
         seen.mean, seen.var, seen.count = self.mean, self.variance, self.count
 
     @classmethod
     def from_json(cls, values: dict[str, Any] | None) -> Normalization | None:
-        """The inverse of :meth:`to_json`; ``None`` of ``None``."""
         if values is None:
             return None
         arrays = {name: np.asarray(values[name], float) for name in ("mean", "variance")}
@@ -70,23 +61,19 @@ class Normalization:
         return made
 
     def __call__(self, seen: np.ndarray) -> np.ndarray:
-        """Normalise ``seen`` (rows, size)."""
         scaled = (seen - self.mean) / np.sqrt(self.variance + self.epsilon)
         clipped: np.ndarray = np.clip(scaled, -self.clip, self.clip).astype(np.float32)
         return clipped
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON values."""
         return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
 
 
 class SB3Policy:
-    """One policy for every robot's observation, or for the team's, or for the paper's state.
+    """One policy for every robot's observation, or for the team's, or for the paper's state."""
 
-    Its ``shape`` (JSON values) has the algorithm's name, which of these it ``observes``, the
-    library's name of the policy and its arguments, and the sizes of observation and action. A
-    ``model`` is the learner whose policy this is, and is saved too.
-    """
+    # ``shape`` is what :meth:`of` makes. A ``model`` is the learner whose policy this is, and is
+    # saved too.
 
     def __init__(
         self,
@@ -101,7 +88,6 @@ class SB3Policy:
 
     @classmethod
     def of(cls, model: BaseAlgorithm, algorithm: str, observes: str) -> Self:
-        """The policy of a learner as it is now."""
         names = {kind: name for name, kind in model.policy_aliases.items()}
         shape = {
             "algorithm": algorithm,
@@ -144,7 +130,6 @@ class SB3Policy:
 
 
 def _learned(model: Any) -> dict[str, torch.Tensor]:
-    """The learner's state beside its policy: optimisers, entropy coefficient, updates."""
     tensors = {
         f"{name}/{key}": moment
         for name, state in model.get_parameters().items()
@@ -157,12 +142,7 @@ def _learned(model: Any) -> dict[str, torch.Tensor]:
 
 
 def put_into(model: Any, folder: Path) -> None:
-    """Load the policy in ``folder`` and all that was learned beside it into a fresh learner.
-
-    Raises:
-        RunError: a file is missing or damaged, or does not fit the learner.
-    """
-    _check_version(folder, LEARNER)
+    """Load the policy in ``folder`` and all that was learned beside it into a fresh learner."""
     with reading(folder):
         weights = read_tensors(folder / WEIGHTS, model.policy.state_dict())
         learned = read_tensors(folder / LEARNER)
@@ -172,21 +152,17 @@ def put_into(model: Any, folder: Path) -> None:
             moments = {key.rpartition("/")[2]: learned[key] for key in own}
             parameters[part] = weights if part == "policy" else with_moments(state, moments)
         model.set_parameters(parameters, device=model.device)
+        if hasattr(model, "weights"):  # of ARS: the vector that the search moves
+            model.weights = parameters_to_vector(model.policy.parameters()).detach()
         if "log_ent_coef" in learned:
             model.log_ent_coef.data.copy_(learned["log_ent_coef"])
         model._n_updates = int(learned["updates"])
 
 
 def load_policy(folder: Path) -> SB3Policy:
-    """Load a policy that :meth:`SB3Policy.save` wrote.
-
-    Raises:
-        RunError: a file is missing or damaged, or an older version wrote it.
-    """
-    _check_version(folder, SHAPE)
+    """Load what :meth:`SB3Policy.save` wrote; raise a RunError if it is missing or damaged."""
     with reading(folder / SHAPE):
-        shape = {**FIRST_SHAPE, **read_json(folder / SHAPE)}
-        shape.setdefault("observes", _observed(shape))
+        shape = read_json(folder / SHAPE)
         if shape["observes"] not in ("observations", "state"):
             raise RunError(f"observes: {shape['observes']!r}; allowed: observations, state")
         normalization = Normalization.from_json(shape.pop("normalization"))
@@ -201,20 +177,3 @@ def load_policy(folder: Path) -> SB3Policy:
     with reading(folder / WEIGHTS):
         network.load_state_dict(read_tensors(folder / WEIGHTS, network.state_dict()))
     return SB3Policy(network, shape, normalization)
-
-
-def _observed(shape: Mapping[str, Any]) -> str:
-    """The kind of observation of a policy whose ``policy.json`` does not name it, by the sizes."""
-    *robots, _ = shape["action_shape"]
-    is_state = shape["obs_size"] in [size * n + 1 for n in robots for size in (4, 5)]
-    return "state" if is_state else "observations"
-
-
-def _check_version(folder: Path, name: str) -> None:
-    """Check that the folder of a policy, if it is there, has the file ``name``."""
-    if folder.is_dir() and not (folder / name).is_file():
-        raise RunError(
-            f"{folder}: {name} is missing. Older versions wrote model.zip, which is not read since "
-            "it could run code: train again (mbn train --force; the command is in command.txt), or "
-            "use the version that wrote it (it is in versions.json)"
-        )

@@ -1,39 +1,185 @@
-"""The one trainer of Stable-Baselines3's algorithms."""
+"""The one trainer of Stable-Baselines3's algorithms: a learner, its checkpoints, its log."""
 
 from __future__ import annotations
 
 import inspect
 import math
 from contextlib import suppress
+from dataclasses import asdict
 from numbers import Real
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+from sb3_contrib import ARS
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.utils import set_random_seed
 
-from baselines.runs.folder import RunFolder
-from baselines.sb3.ars import PopulationSearch
-from baselines.sb3.config import SB3Config, algorithm_class
-from baselines.sb3.learner import Learner
+from baselines.algorithms import find_algorithm
+from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
+from baselines.runs.folder import RunFolder, saved_at
+from baselines.runs.tensors import restore_generators, save_generators
+from baselines.sb3.config import SB3Config, algorithm_class, model_arguments
+from baselines.sb3.envs import make_env
+from baselines.sb3.policy import SHAPE, Normalization, SB3Policy, put_into
+from baselines.training.aids import RoiCurriculum
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import ROW_STEPS, EpisodeWindow, Recorder
 from mbn_marl.config import make_config
+from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 
+# The errors of the library and torch for arguments that make no learner.
 REFUSALS = (
     *(ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError),
     *(RuntimeError, TypeError, ValueError),
 )
-"""The errors of the library and torch for arguments that make no learner."""
+WORLDS, REPLAY, COUNTERS = "worlds.npz", "replay.npz", "counters.json"
+# The entries of the worlds' last step that a learner keeps.
+SEEN = ("_last_obs", "_last_original_obs", "_last_episode_starts")
+COUNTED = ("num_timesteps", "_episode_num")
+LOGGED = ("ep_info_buffer", "ep_success_buffer")
+
+
+class ResumableARS(ARS):
+    """ARS whose rollouts begin before their directions are drawn, so that it can be saved there."""
+
+    def _do_one_update(self, callback: BaseCallback, async_eval: Any) -> None:
+        callback.on_rollout_start()
+        # The library counts a resumed run's progress from where it was resumed.
+        self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
+        super()._do_one_update(callback, async_eval)
+
+
+class Learner:
+    """A fresh learner of the library (``model``) on the worlds of a task."""
+
+    def __init__(self, task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> None:
+        config = task.config
+        self._algorithm, self._steps, self._aids = config.algorithm, config.steps, hyperparameters
+        self._worlds, env = make_env(task, hyperparameters, episodes)
+        self.stride = self._worlds.stride  # the library counts a step of each row
+        set_random_seed(config.seed, using_cuda=config.device == "cuda")
+        env.action_space.seed(config.seed)
+        kind: Any = algorithm_class(config.algorithm)
+        self.model: Any = (ResumableARS if kind is ARS else kind)(
+            hyperparameters.policy,
+            env,
+            device=config.device,
+            **model_arguments(hyperparameters),
+        )
+        self._repeat, self._gamma = 1, getattr(self.model, "gamma", 1.0)
+        self._worlds.every = getattr(self.model, "n_steps", 1)
+
+    @property
+    def engine(self) -> BatchEngine:
+        worlds: Any = self._worlds.venv
+        engine: BatchEngine = worlds.engine
+        return engine
+
+    @property
+    def env_steps(self) -> int:
+        return int(self.model.num_timesteps) // self.stride
+
+    @property
+    def diagnostics(self) -> dict[str, float]:
+        curriculum = self._worlds.curriculum
+        return {"roi_radius": curriculum.radius} if curriculum.first > 1.0 else {}
+
+    def begin_rollout(self) -> None:
+        """Set the env-steps of the next rollout's decisions, and the discount of a decision."""
+        if self._aids.action_repeat == (1, 1):
+            return
+        self._repeat = self._aids.repeat_at(self.env_steps / self._steps)
+        self._worlds.set_attr("action_repeat", self._repeat)
+        self.model.gamma = self.model.rollout_buffer.gamma = self._gamma**self._repeat
+
+    def count_repeats(self) -> None:
+        """Count the env-steps of a decision that the library does not: all but the first."""
+        self.model.num_timesteps += (self._repeat - 1) * self._worlds.num_envs
+
+    @property
+    def policy(self) -> SB3Policy:
+        by_robot = find_algorithm(self._algorithm).form == "decentralized"
+        observations = by_robot or self._aids.joint_observation
+        observes = "observations" if observations else "state"
+        return SB3Policy.of(self.model, self._algorithm, observes)
+
+    def begin_with(self, policy: Path) -> None:
+        """Begin with a saved policy's networks, optimisers and normalisation."""
+        put_into(self.model, policy)
+        normalization = Normalization.from_json(read_json(policy / SHAPE)["normalization"])
+        if normalization is not None:
+            normalization.put_into(self.model.get_vec_normalize_env())
+
+    def save(self, folder: Path) -> None:
+        """Write, beside the policy, all else that :meth:`restore` needs into ``folder``."""
+        model, worlds = self.model, self.engine.save_state()
+        seen = {name: array for name in SEEN if (array := getattr(model, name)) is not None}
+        write_arrays(folder / WORLDS, {**worlds, **seen}, compress=True)
+        if (buffer := getattr(model, "replay_buffer", None)) is not None:
+            filled = buffer.buffer_size if buffer.full else buffer.pos
+            arrays = {name: array[:filled] for name, array in _transitions(buffer).items()}
+            place = {"pos": np.array(buffer.pos), "full": np.array(buffer.full)}
+            write_arrays(folder / REPLAY, {**arrays, **place})
+        counters = {
+            **{name: getattr(model, name) for name in COUNTED},
+            "ep_info_buffer": [
+                {name: float(value) for name, value in episode.items()}
+                for episode in model.ep_info_buffer
+            ],
+            "ep_success_buffer": list(map(float, model.ep_success_buffer)),
+            "actions": model.action_space.np_random.bit_generator.state,
+            "generators": save_generators(),
+            "curriculum": asdict(self._worlds.curriculum),
+        }
+        write_json(folder / COUNTERS, counters)
+
+    def restore(self, checkpoint: Path) -> None:
+        """Resume the learner of a checkpoint at exactly the same point; a RunError says why not."""
+        model, counters = self.model, read_json(checkpoint / COUNTERS)
+        model._setup_learn(0)  # makes what is filled here
+        self.begin_with(checkpoint / "policy")
+        self._worlds.begin(TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"]))
+        arrays = read_arrays(checkpoint / WORLDS)
+        for name in SEEN:
+            seen, own = arrays.pop(name, None), getattr(model, name)
+            if getattr(seen, "shape", None) != getattr(own, "shape", None):
+                raise ValueError(f"{WORLDS}: {name} is of other worlds")
+            setattr(model, name, seen)
+        self.engine.load_state(arrays)
+        if (buffer := getattr(model, "replay_buffer", None)) is not None:
+            saved = read_arrays(checkpoint / REPLAY)
+            for name, array in _transitions(buffer).items():
+                array[: len(saved[name])] = saved[name]
+            buffer.pos, buffer.full = int(saved["pos"]), bool(saved["full"])
+            if not 0 <= buffer.pos < buffer.buffer_size:
+                raise ValueError(f"{REPLAY}: pos {buffer.pos}; allowed: below buffer_size")
+        for name in COUNTED:
+            setattr(model, name, int(counters[name]))
+        saved_at(checkpoint, self.env_steps)
+        for name in LOGGED:
+            getattr(model, name).extend(counters[name])
+        model.action_space.np_random.bit_generator.state = counters["actions"]
+        restore_generators(counters["generators"])
+
+
+def _transitions(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
+    arrays = {name: value for name, value in vars(buffer).items() if isinstance(value, np.ndarray)}
+    return {name: array for name, array in arrays.items() if len(array) == buffer.buffer_size}
 
 
 class Passed(Exception):  # noqa: N818
     """A fresh evaluation met the run's criterion: not every learner can be stopped otherwise."""
 
 
-class Reporter(BaseCallback):
-    """Reports every update to a recorder, and saves between updates when that is due."""
+class Reporter(BaseCallback, KVWriter):
+    """Passes updates and what the library logs to a recorder; saves between updates when due."""
 
     def __init__(self, recorder: Recorder, learner: Learner) -> None:
         super().__init__()
@@ -60,54 +206,43 @@ class Reporter(BaseCallback):
         self._report()
 
     def _report(self) -> None:
-        """Report the policy after its last update, with the episodes before it."""
         learner = self._learner
         if (env_steps := learner.env_steps) > self._reported:
             self._recorder.update(env_steps, learner.policy, learner.diagnostics)
             self._reported = env_steps
 
-
-class ToRecorder(KVWriter):
-    """Passes what the library logs to the recorder; a world has ``stride`` rows."""
-
-    def __init__(self, recorder: Recorder, stride: int) -> None:
-        self._recorder, self._stride = recorder, stride
-
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
-        """Write the values that are numbers and meant for TensorBoard."""
         values = {
             name: float(value)
             for name, value in key_values.items()
             if "tensorboard" not in key_excluded[name] and isinstance(value, Real)
         }
-        self._recorder.scalars(step // self._stride, values)
+        self._recorder.scalars(step // self._learner.stride, values)
 
     def close(self) -> None:
-        """Nothing to close: the recorder does."""
+        pass  # the recorder does
 
 
 def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
-    """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result.
-
-    The learner is a fresh one, or begins with the policy of another run, or resumes the recorder's
-    checkpoint, bit for bit as if it had not been interrupted.
-    """
+    """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result."""
     learner = Learner(task, hyperparameters, recorder.episodes)
     model, stride = learner.model, learner.stride
     if recorder.checkpoint is not None:
-        learner.restore(recorder.checkpoint)
+        with reading(recorder.checkpoint):
+            learner.restore(recorder.checkpoint)
     elif task.config.transferred_from is not None:
-        learner.begin_with(RunFolder.open(task.config.transferred_from))
-    model.set_logger(Logger(None, [ToRecorder(recorder, stride)]))
+        learner.begin_with(RunFolder.open(task.config.transferred_from).policy)
+    reporter = Reporter(recorder, learner)
+    model.set_logger(Logger(None, [reporter]))
     log_interval = 4  # episodes, or updates of ARS; below rollouts
     if isinstance(model, OnPolicyAlgorithm):
         log_interval = math.ceil(ROW_STEPS * stride / (model.n_steps * model.n_envs))
     with suppress(Passed):
         model.learn(
             task.config.steps * stride - model.num_timesteps,
-            callback=Reporter(recorder, learner),
+            callback=reporter,
             log_interval=log_interval,
             reset_num_timesteps=recorder.checkpoint is None,
         )
@@ -115,11 +250,7 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
 
 
 def check(task: Task, hyperparameters: SB3Config) -> None:
-    """Check that a learner can be made with these hyperparameters.
-
-    Raises:
-        ConfigError: with the library's objection to them.
-    """
+    """Raise a ConfigError with the library's objection if no learner can be made."""
     try:
         Learner(task, hyperparameters, EpisodeWindow())
     except MbnError:
@@ -131,14 +262,15 @@ def check(task: Task, hyperparameters: SB3Config) -> None:
 
 
 def budget(task: Task, hyperparameters: SB3Config) -> Budget:
-    """How many env-steps a run takes, rounded up to whole rollouts."""
     library = algorithm_class(task.config.algorithm)
     known = inspect.signature(library).parameters.values()
     model = {one.name: one.default for one in known} | hyperparameters.model
     steps, worlds = task.config.steps, hyperparameters.num_envs
-    if library is PopulationSearch:
+    if library is ARS:
         episodes = 2 * model["n_delta"] * model["n_eval_episodes"]
-        longest = episodes * make_config(task.settings).max_steps
+        # Worlds that have no episode left step beside the others, and the library counts them.
+        rounds = 2 * model["n_delta"] * worlds * -(-model["n_eval_episodes"] // worlds)
+        longest = rounds * make_config(task.settings).max_steps
         return Budget(steps - 1 + longest, f"updates from {episodes} whole episodes", exact=False)
     length = model["n_steps"] if issubclass(library, OnPolicyAlgorithm) else model["train_freq"]
     rounded = hyperparameters.rounded_up(steps, length * worlds)

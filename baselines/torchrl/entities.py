@@ -35,7 +35,6 @@ class Tokens:
 
     @classmethod
     def of(cls, table: Sequence[Entry]) -> Tokens:
-        """Return the tokens of an observation's table."""
         names = [entry.name for entry in table]
         parts = {
             kind: tuple(name.removeprefix(kind) for name in names if name.startswith(kind))
@@ -55,11 +54,9 @@ class Tokens:
         )
 
     def way_left(self, rows: torch.Tensor, n: int) -> torch.Tensor:
-        """Return how far a team has to go, as a robot sees it, (B,) units for rows (B, size).
-
-        It is the robot's own tour and the longest one, if it sees the assignment; otherwise the
-        sum of the ROIs' distances from their nearest robots. The row of an absent robot has 0.
-        """
+        """Return how far a team has to go, as a robot sees it, (B,) units for rows (B, size)."""
+        # It is the robot's own tour and the longest one, if it sees the assignment; otherwise the
+        # sum of the ROIs' distances from their nearest robots. The row of an absent robot has 0.
         own, _, rois = self.split(rows, n)
         if "own_tour" in self.own:
             at = [self.own.index(name) for name in ("own_tour", "team_tour")]
@@ -68,18 +65,17 @@ class Tokens:
         return in_units(rois[..., at].clamp(max=0.999)).amin(-1).sum(-1)
 
 
+# The inverse of scaled = length / (|length| + FAR).
 def in_units(scaled: torch.Tensor) -> torch.Tensor:
-    """Return the lengths of which ``scaled`` is ``length / (|length| + FAR)``."""
     units: torch.Tensor = FAR * scaled / (1.0 - scaled.abs())
     return units
 
 
 class Turned(nn.Module):
-    """The symmetries of the square: tokens as they look when the next ROI lies in one eighth.
+    """The symmetries of the square: tokens as they look when the next ROI lies in one eighth."""
 
-    That ROI is the first of the robot's queue, if it sees the assignment, or else the nearest.
-    Robots with headings are left as they are, since their actions are no vectors.
-    """
+    # That ROI is the first of the robot's queue, if it sees the assignment, or else the nearest.
+    # Robots with headings are left as they are, since their actions are no vectors.
 
     _rays: torch.Tensor
 
@@ -117,8 +113,8 @@ class Turned(nn.Module):
         swap = toward[:, 1:].abs() > toward[:, :1].abs()
         return torch.where(toward < 0, -1.0, 1.0), swap
 
+    # The rays (B, 8) of own tokens (B, .), turned.
     def rays(self, own: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor) -> torch.Tensor:
-        """Return the rays (B, 8) of own tokens (B, .), turned."""
         element = ((signs < 0) * signs.new_tensor([1.0, 2.0])).sum(-1) + 4.0 * swap[:, 0]
         rays = own[:, self._first_ray : self._first_ray + len(RAYS)]
         return rays.gather(1, self._rays[element.long()])
@@ -132,7 +128,6 @@ class Turned(nn.Module):
         return torch.cat([tokens[:, rest], torch.where(swap, y, x), torch.where(swap, x, y)], 1)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return which entries it reads and turns, as :class:`Sets` has them."""
         tokens, index = self._tokens, self._tokens.roi.index
         order = ["order"] if "order" in tokens.roi else []
         following = [index(name) for name in ("left", "away", *order, "far_x", "far_y")]
@@ -149,8 +144,8 @@ class Turned(nn.Module):
         return torch.where(swap, actions.flip(-1), actions) * signs
 
 
+# Which ray is seen as each of the 8 after sign changes of x, y and a swap, (8, 8).
 def _turned_rays() -> torch.Tensor:
-    """Return which ray is seen as each of the 8 after sign changes of x, y and a swap, (8, 8)."""
     table = torch.empty(8, 8, dtype=torch.long)
     for element in range(8):
         for ray in range(8):
@@ -161,7 +156,6 @@ def _turned_rays() -> torch.Tensor:
 
 
 def _layers(*sizes: int) -> nn.Sequential:
-    """Return linear layers of these sizes, each with a ReLU; weights start orthogonal."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
         layers += [_linear(inputs, outputs, math.sqrt(2.0)), nn.ReLU()]
@@ -176,10 +170,9 @@ def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
 
 
 class Rivals(nn.Module):
-    """Features of the other robots for each ROI: how far from it they are, how fast they near it.
+    """Features of other robots for each ROI: how far from it they are, how fast they near it."""
 
-    A robot that does not see the assignment needs them to find out who goes where.
-    """
+    # A robot that does not see the assignment needs them to find out who goes where.
 
     WIDTH = 16
 
@@ -209,7 +202,6 @@ class Rivals(nn.Module):
         return features.amax(1) if robots.shape[1] else features.sum(1)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return which entries of tokens it reads, as :class:`Sets` has them."""
         return {"rivals": np.array(list(self._at.values())), "scales": SCALES}
 
 
@@ -218,13 +210,10 @@ def _length(vectors: torch.Tensor) -> torch.Tensor:
 
 
 class SetEncoder(nn.Module):
-    """Make one vector of what a robot sees: pooled tokens of ROIs and robots beside its own.
+    """Make one vector of what a robot sees: pooled tokens of ROIs and robots beside its own."""
 
-    Where robots do not see the assignment, ROIs' tokens also have :class:`Rivals`, and are pooled
-    once more, knowing what was found the first time.
-
-    ``widths`` are those of the tokens' layers and of the last ones.
-    """
+    # Where robots do not see the assignment, ROIs' tokens also have Rivals, and are pooled once
+    # more, knowing what was found the first time. ``widths``: of the tokens' layers, and the last.
 
     def __init__(self, tokens: Tokens, widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -272,7 +261,6 @@ class SetEncoder(nn.Module):
         return flow, signs, swap
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return which entries it reads, as :class:`Sets` has them."""
         named = self.turned.columns()
         return named if self._assigned else {**named, **self.rivals.columns()}
 
@@ -324,7 +312,6 @@ class SetActor(nn.Module):
         return _to_all(actions, present, rows.shape[:-1])
 
     def layers(self) -> Sets:
-        """Return the network as plain arrays."""
         named = self.encoder.columns()
         for name, module in self.named_modules():
             if isinstance(module, nn.Linear):
@@ -335,10 +322,9 @@ class SetActor(nn.Module):
 
 
 class SetCritic(nn.Module):
-    """Values of the robots of a team, 0 of absent ones.
+    """Values of the robots of a team, 0 of absent ones."""
 
-    If ``central``, each from its own observation and the mean of what all of the team see.
-    """
+    # If ``central``, each from its own observation and the mean of what all of the team see.
 
     def __init__(self, tokens: Tokens, widths: tuple[int, ...], *, central: bool) -> None:
         super().__init__()

@@ -33,36 +33,33 @@ class Key:
     LOG_PROB, VALUE, TEACHER = "log_prob", "state_value", ("robots", "teacher")
 
 
+# Normalised observations are clipped to +-CLIP, as is usual (a bit that was rarely set).
 CLIP = 10.0
-"""Normalised observations are clipped to +-CLIP, as is usual (a bit that was rarely set)."""
 HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 
 @dataclass(frozen=True)
 class TeamShape:
-    """The sizes of a team's networks; the last of them are as in ``MultiAgentPPOConfig``.
-
-    With ``tokens``, networks over sets have them, for teams of any size.
-    """
+    """The sizes of a team's networks."""
 
     obs_size: int
     n_robots: int
+    # These are as in MultiAgentPPOConfig.
     hidden: tuple[int, ...]
     sharing: Sharing
     actor: Actor = "decentralized"
+    # Of networks over sets, for teams of any size.
     tokens: Tokens | None = None
 
     @property
     def networks(self) -> int:
-        """Number of networks, and of normalisations, that the robots have: 1 or ``n_robots``."""
         return self.n_robots if self.sharing == "none" else 1
 
 
 class TeamMLP(nn.Module):
-    """A tanh network for all rows of a batch, or one for each of k groups of rows.
+    """A tanh network for all rows of a batch, or one for each of k groups of rows."""
 
-    ``sizes`` are inputs, hidden layers, outputs; weights start orthogonal, the last with its gain.
-    """
+    # ``sizes``: inputs, hidden layers, outputs. Weights start orthogonal, the last with its gain.
 
     def __init__(self, networks: int, sizes: tuple[int, ...], *, last_gain: float) -> None:
         super().__init__()
@@ -74,8 +71,8 @@ class TeamMLP(nn.Module):
             self.weights.append(nn.Parameter(weight))
             self.biases.append(nn.Parameter(torch.zeros(networks, 1, outputs)))
 
+    # (..., n, inputs) -> (..., n, outputs); n is the number of networks, or any if that is 1.
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        """Outputs (..., n, outputs) of ``rows`` (..., n, inputs); n is k, or any if k is 1."""
         networks = len(self.weights[0])
         flow = rows.reshape(-1, networks, rows.shape[-1]).transpose(0, 1)
         *hidden, (last, bias) = zip(self.weights, self.biases, strict=True)
@@ -85,16 +82,15 @@ class TeamMLP(nn.Module):
         return flow.transpose(0, 1).reshape(*rows.shape[:-1], -1)
 
 
+# The rows of a team side by side: (..., n, size) -> (..., 1, n size).
 def joined(rows: torch.Tensor) -> torch.Tensor:
-    """Return the rows of a team side by side, (..., n, size) as (..., 1, n size)."""
     return rows.flatten(-2).unsqueeze(-2)
 
 
 class Normalize(TensorDictModuleBase):
-    """Running normalisation of observations, one for each network; none until the first update.
+    """Running normalisation of observations, one for each network; none until the first update."""
 
-    Tokens are left as they are: they are scaled, and one statistic for all slots would not be.
-    """
+    # Tokens are left as they are: one statistic for all of a kind would not fit each.
 
     def __init__(self, shape: TeamShape) -> None:
         super().__init__()
@@ -105,23 +101,19 @@ class Normalize(TensorDictModuleBase):
             self.statistics = RunningValueNorm(shape=(*robots, shape.obs_size))
 
     def update(self, observations: torch.Tensor) -> None:
-        """Take ``observations`` (..., n, obs_size) into the statistics."""
         if not self._tokens:
             self.statistics.update(observations)
 
     def normalize(self, observations: torch.Tensor) -> torch.Tensor:
-        """Normalise ``observations`` (..., n, obs_size)."""
         if self._tokens:
             return observations
         normalized: torch.Tensor = (observations - self.statistics.mean) / self.scale()
         return normalized.clamp_(-CLIP, CLIP)
 
     def scale(self) -> torch.Tensor:
-        """Return the scale that divides centred observations, (obs_size,) or (n, obs_size)."""
         return torch.where(self.statistics.count > 0, self.statistics.scale(), 1.0)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Add the normalised observations."""
         return tensordict.set(Key.NORMALIZED, self.normalize(tensordict.get(Key.OBSERVATION)))
 
 
@@ -136,21 +128,18 @@ class TeamNormal(torch.distributions.Distribution):
         super().__init__(self.over_axes(loc).shape, validate_args=False)
         self.deterministic_sample = loc
 
+    # Terms (..., n, 2) summed over what makes one action.
     def over_axes(self, terms: torch.Tensor) -> torch.Tensor:
-        """Sum (..., n, 2) over what makes one action."""
         return terms.sum(-1)
 
     def rsample(self, sample_shape: Any = ()) -> torch.Tensor:
-        """Draw actions (..., n, 2)."""
         return torch.addcmul(self.loc, self.scale, torch.randn_like(self.loc))
 
     def log_prob(self, value: torch.Tensor) -> torch.Tensor:
-        """Log-density of ``value`` (..., n, 2)."""
         noise = (value - self.loc) / self.scale
         return -self.over_axes(0.5 * noise.square() + (self.scale.log() + HALF_LOG_TWO_PI))
 
     def entropy(self) -> torch.Tensor:
-        """Differential entropy, nats, of the shape of a log-probability."""
         entropy = self.over_axes(self.scale.log() + (0.5 + HALF_LOG_TWO_PI))
         return entropy.expand(self.batch_shape)
 
@@ -159,7 +148,6 @@ class JointNormal(TeamNormal):
     """The same actions as one of the whole team: log-probabilities (..., 1)."""
 
     def over_axes(self, terms: torch.Tensor) -> torch.Tensor:
-        """Sum (..., n, 2) over robots and axes."""
         return terms.sum((-2, -1)).unsqueeze(-1)
 
 
@@ -167,10 +155,9 @@ DISTRIBUTIONS = {"decentralized": TeamNormal, "centralized": JointNormal}
 
 
 class GaussianPolicy(TensorDictModuleBase):
-    """Mean and (state-independent) standard deviation of the actions.
+    """Mean and (state-independent) standard deviation of the actions."""
 
-    ``norm`` normalises its input: a step of its own, so that an update normalises once.
-    """
+    # ``norm`` normalises its input, apart from it, so that an update normalises once.
 
     def __init__(self, shape: TeamShape, log_std: float = 0.0) -> None:
         super().__init__()
@@ -189,7 +176,6 @@ class GaussianPolicy(TensorDictModuleBase):
 
     @torch.no_grad()
     def amplify(self, gain: float) -> None:
-        """Multiply the mean actions by ``gain``, in the weights of the last layer."""
         if isinstance(self.mean, SetActor):
             last = list(self.mean.head.parameters())
         else:
@@ -203,7 +189,6 @@ class GaussianPolicy(TensorDictModuleBase):
         return means.reshape(*normalized.shape[:-1], 2)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Add mean and standard deviation."""
         mean = self.means(tensordict.get(Key.NORMALIZED))
         return tensordict.set(Key.LOC, mean).set(Key.SCALE, self.log_std.exp().expand_as(mean))
 
@@ -226,7 +211,6 @@ class ValueNetwork(TensorDictModuleBase):
             self.values = SetCritic(shape.tokens, shape.hidden, central=self._central)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Add the values."""
         seen = tensordict.get(Key.NORMALIZED)
         joint = self._central and not self._tokens
         values = self.values(joined(seen)).mT if joint else self.values(seen)

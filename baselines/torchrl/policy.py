@@ -20,8 +20,6 @@ SHAPE = "policy.json"
 
 
 class TeamPolicy:
-    """Act with a team's network on the robots' observations."""
-
     observes: Literal["observations", "state"] = "observations"
 
     def __init__(self, network: GaussianPolicy) -> None:
@@ -37,7 +35,6 @@ class TeamPolicy:
         return actions.float().numpy()  # under autocast they are bfloat16
 
     def layers(self) -> Plain:
-        """See :class:`~baselines.evaluation.layers.HasLayers`."""
         network, mlp = self.network, self.network.mean
         if not isinstance(mlp, TeamMLP):
             return mlp.layers()
@@ -59,18 +56,12 @@ class TeamPolicy:
         )
 
     def save(self, folder: Path) -> None:
-        """Write the weights (safetensors) and the network's shape (JSON) into ``folder``."""
         write_json(folder / SHAPE, asdict(self.network.shape))
         write_tensors(folder / WEIGHTS, self.network.state_dict())
 
 
 def load_policy(folder: Path) -> TeamPolicy:
-    """Load a policy that :meth:`TeamPolicy.save` wrote.
-
-    Raises:
-        RunError: a file is missing or does not fit.
-        DamageError: a file is not what was written.
-    """
+    """Load what :meth:`TeamPolicy.save` wrote; raise a RunError if it is missing or damaged."""
     with reading(folder / SHAPE):
         shape = TypeAdapter(TeamShape).validate_python(read_json(folder / SHAPE))
         with torch.device("meta"):  # without memory, of which a wrong shape may want much

@@ -22,19 +22,14 @@ from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
 
+# The settings that say what a robot sees, and nothing else.
 SEEN = ("observation", "assignment", "one_hot", "sensing_radius")
-"""The settings that say what a robot sees, and nothing else."""
 
 
 def find_teacher(source: str, learner: Mapping[str, Any]) -> tuple[TrainedPolicy, dict[str, Any]]:
-    """Return the policy of ``zoo:NAME`` or a run's folder, and the settings of what it sees.
-
-    If it sees an assignment, that is the learner's. A learner that sees none (``learner``: its
-    settings) could not know what was assigned at first: then it is made for where robots are.
-
-    Raises:
-        MbnError: there is none.
-    """
+    """Return the policy of ``zoo:NAME`` or a run's folder, and the settings of what it sees."""
+    # If it sees an assignment, that is the learner's. A learner that sees none could not know what
+    # was assigned at first: then it is made for where robots are.
     policy: Any = load_trained(open_run(source))
     seen = {name: getattr(policy.origin.config, name) for name in SEEN}
     shown = make_config(learner).assignment or "fresh"
@@ -42,11 +37,7 @@ def find_teacher(source: str, learner: Mapping[str, Any]) -> tuple[TrainedPolicy
 
 
 def check_teacher(source: str, task: Task) -> None:
-    """Check that the teacher can act where the learner does.
-
-    Raises:
-        MbnError: there is none, or (ConfigError) it does not fit; all reasons are listed.
-    """
+    """Raise an MbnError if there is no such teacher, or it cannot act where the learner does."""
     policy, seen = find_teacher(source, task.settings)
     if policy.observes != "observations":
         problem = f"teacher: {source} acts on the state; allowed: on robots' own observations"
@@ -55,13 +46,9 @@ def check_teacher(source: str, task: Task) -> None:
 
 
 class Teacher:
-    """Follow the learner's rollouts in the same worlds, which show what the teacher sees.
+    """Follow the learner's rollouts in the same worlds, which show what the teacher sees."""
 
-    Args:
-        source: ``zoo:NAME`` or a run's folder.
-        learner: the settings of the learner's environment.
-        make_env: makes the learner's worlds, with these settings in place of their own.
-    """
+    # ``learner``: the settings of its environment, in place of which make_env takes some.
 
     def __init__(
         self, source: str, learner: Mapping[str, Any], make_env: Callable[..., NavigationEnv]
@@ -72,10 +59,7 @@ class Teacher:
         self._now = self._env.reset()
 
     def actions(self, rollout: TensorDictBase, repeat: int) -> torch.Tensor:
-        """Return the mean actions, clipped to [-1, 1], for a rollout (W, T): (W, T, n, 2).
-
-        ``rollout`` begins where the last one ended; a decision lasts ``repeat`` env-steps.
-        """
+        """Return the mean actions (W, T, n, 2) for a rollout (W, T) that follows the last one."""
         self._env.action_repeat = repeat
         answers = []
         for taken in rollout[Key.ACTION].unbind(1):
@@ -85,10 +69,8 @@ class Teacher:
         return torch.stack(answers, 1).clamp_(-1.0, 1.0).to(rollout.device)
 
     def save_state(self) -> dict[str, NDArray[Any]]:
-        """Return what :meth:`load_state` wants, by name."""
         return self._env.save_state()
 
     def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
-        """Continue where ``saved`` was taken."""
         self._env.load_state(saved)
         self._now = self._env.reset()

@@ -21,8 +21,14 @@ from torchrl.objectives.value import MultiAgentGAE
 from baselines.evaluation.policy import load_trained
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import saved_at
-from baselines.runs.rng_state import restore_generators, save_generators
-from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
+from baselines.runs.tensors import (
+    moments_of,
+    read_tensors,
+    restore_generators,
+    save_generators,
+    with_moments,
+    write_tensors,
+)
 from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
@@ -39,25 +45,21 @@ from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import FieldSampler
 
 NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
-WORLDS, COUNTERS = "worlds.npz", "counters.json"
-TEACHER_WORLDS = "teacher_worlds.npz"
+WORLDS, TEACHER_WORLDS, COUNTERS = "worlds.npz", "teacher_worlds.npz", "counters.json"
 MINIMISED = ("loss_objective", "loss_critic", "loss_entropy")
 LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction", "imitation")
 
 
 def train(task: Task, hyperparameters: MultiAgentPPOConfig, recorder: Recorder) -> None:
-    """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result."""
     Trainer(task, hyperparameters, recorder).run()
 
 
 def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
-    """Check that the hyperparameters fit the environment.
-
-    Raises:
-        ConfigError: they do not.
-    """
+    """Check that the hyperparameters fit the environment; a ConfigError names all that do not."""
     settings, drawn = make_config(task.settings), isinstance(task.field, FieldSampler)
     sets = hyperparameters.network == "entities"
+    most = task.field.robots[1] if drawn else len(task.field.starts)  # type: ignore[union-attr]
+    few = (settings.n_robots or most) < 2
     wrong = {
         "scattered": (drawn, 0.0, "on random fields"),
         "imitation_until": (hyperparameters.teacher is None, 0.0, "without a teacher"),
@@ -70,19 +72,16 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
         for name, (applies, allowed, where) in wrong.items()
         if applies and (value := getattr(hyperparameters, name)) != allowed
     ]
-    if sets and len(hyperparameters.hidden) != 2:
-        widths = list(hyperparameters.hidden)
-        problems.append(f"hidden: {widths}; allowed with network entities: two widths")
-    if sets and settings.one_hot:
-        problems.append("one_hot: True; allowed with network entities: False")
-    most = task.field.robots[1] if drawn else len(task.field.starts)  # type: ignore[union-attr]
-    if sets and (settings.n_robots or most) < 2:
-        problems.append("robots: 1; allowed with network entities: at least 2")
-    if sets and settings.observation != "entities":
-        problems.append(
-            f"observation: {settings.observation!r}; allowed: 'entities', the network's"
-        )
-    training = hyperparameters.in_training(task, hyperparameters.curriculum(window=1), 1)
+    seen, widths = settings.observation, list(hyperparameters.hidden)
+    of_sets = {
+        f"hidden: {widths}; allowed with network entities: two widths": len(widths) != 2,
+        "one_hot: True; allowed with network entities: False": settings.one_hot,
+        "robots: 1; allowed with network entities: at least 2": few,
+        f"observation: {seen!r}; allowed: 'entities', the network's": seen != "entities",
+    }
+    problems += [problem for problem, applies in of_sets.items() if sets and applies]
+    largest = RoiCurriculum(hyperparameters.roi_radius, window=1)
+    training = hyperparameters.in_training(task, largest, 1)
     with collecting(problems):
         BatchEngine(**{**training, "field": task.field}, num_worlds=1)
     if hyperparameters.teacher is not None:
@@ -93,7 +92,6 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
 
 
 def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
-    """How many env-steps a run takes, rounded up to whole rollouts."""
     env_steps = hyperparameters.rounded_up(task.config.steps, hyperparameters.decisions)
     steps, worlds = hyperparameters.rollout_steps, hyperparameters.num_worlds
     return Budget(env_steps, f"rollouts of {steps} decisions in {worlds} worlds")
@@ -105,7 +103,7 @@ class Trainer:
     def __init__(self, task: Task, config: MultiAgentPPOConfig, recorder: Recorder) -> None:
         torch.manual_seed(task.config.seed)
         self.task, self.config, self.recorder = task, config, recorder
-        self.curriculum = config.curriculum(window=config.num_worlds)
+        self.curriculum = RoiCurriculum(config.roi_radius, window=config.num_worlds)
         env = self._make_env()
         engine, sets = env.engine, config.network == "entities"
         self.tokens = Tokens.of(engine.observation_table) if sets else None
@@ -144,18 +142,14 @@ class Trainer:
         self.parameters = list(self.loss.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, eps=config.adam_epsilon, fused=True)
         if config.teacher is not None:  # the loss works them out anyway
-            self.network.mean.register_forward_hook(self._keep_means)
+
+            def keep(_: Any, __: Any, means: torch.Tensor) -> None:
+                self.means = means
+
+            self.network.mean.register_forward_hook(keep)
         self._collect_from(env)
 
-    def _keep_means(self, _: Any, __: Any, means: torch.Tensor) -> None:
-        """Keep the mean actions that the actor has just worked out."""
-        self.means = means
-
     def _make_env(self, **changed: Any) -> NavigationEnv:
-        """Return worlds at the start of their episodes, with ROIs of the current size.
-
-        ``changed``: settings in place of the task's.
-        """
         config, worlds = self.task.config, self.config.num_worlds
         return NavigationEnv(
             num_worlds=worlds,
@@ -169,7 +163,6 @@ class Trainer:
         )
 
     def _collect_from(self, env: NavigationEnv) -> None:
-        """Collect rollouts from ``env`` from now on, and let the teacher follow there."""
         self.env, self.teacher = env, None
         if self.config.teacher is not None:
             self.teacher = Teacher(self.config.teacher, self.task.settings, self._make_env)
@@ -228,7 +221,6 @@ class Trainer:
         self.recorder.finish(env_steps, policy)
 
     def _count_episodes(self, rollout: TensorDictBase) -> None:
-        """Report the episodes that ended, and change the size of the ROIs when it is time."""
         ended, metrics = rollout["next", "done"], rollout["next", "metrics"]
         successes = metrics["success"][ended].tolist()
         self.recorder.episodes.add(metrics["episode_return"][ended].tolist(), successes)
@@ -238,11 +230,9 @@ class Trainer:
 
     @torch.no_grad()
     def _estimate(self, rollout: TensorDictBase, repeat: int) -> None:
-        """Write advantages and value targets into a rollout (W, T).
-
-        An episode cut off by the time limit bootstraps from the value of its last observation,
-        never from that of the next episode's first.
-        """
+        """Write advantages and value targets into a rollout (W, T)."""
+        # An episode cut off by the time limit bootstraps from the value of its own last
+        # observation, rollout["next"], never from that of the next episode's first.
         self.critic(rollout)
         self.critic(self.network.norm(rollout["next"]))
         rollout[self.reward] *= self.config.reward_scale
@@ -260,14 +250,12 @@ class Trainer:
             rollout["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
 
     def _samples(self, rollout: TensorDictBase, repeat: int) -> TensorDictBase:
-        """Return the decisions of a rollout (W, T), those of the teacher beside, as (W T,)."""
         if self.teacher is not None:
             rollout[Key.TEACHER] = self.teacher.actions(rollout, repeat)
         kept = (Key.NORMALIZED, Key.ACTION, Key.LOG_PROB, "advantage", "value_target")
         return rollout.select(*kept, Key.TEACHER, strict=False).reshape(-1)
 
     def _losses(self, part: TensorDictBase, weight: float) -> TensorDictBase:
-        """Return PPO's losses, or none where advantages are missing, and the teacher's, weighed."""
         if "advantage" in part:
             losses = self.loss(part)
             total: Any = sum(losses[name] for name in MINIMISED)
@@ -281,27 +269,21 @@ class Trainer:
         return losses.set("total", total)
 
     def _shaped(self, rollout: TensorDictBase, tokens: Tokens) -> torch.Tensor:
-        """Return by how many units each decision has shortened the ways left, discounted."""
-        n = self.env.n_agents
+        # By how many units each decision has shortened the ways left, discounted. After the end
+        # of an episode nothing is left.
+        rows, seen = rollout[self.reward].shape, (rollout, rollout["next"])
         before, after = (
-            tokens.way_left(td[Key.OBSERVATION].flatten(0, -2), n)
-            for td in (rollout, rollout["next"])
+            tokens.way_left(td[Key.OBSERVATION].flatten(0, -2), self.env.n_agents).reshape(rows)
+            for td in seen
         )
-        running = ~rollout["next", "terminated"].unsqueeze(-2)  # after the end it is 0
-        rows = rollout[self.reward].shape
-        nearer: torch.Tensor = (
-            before.reshape(rows) - self.estimator.gamma * after.reshape(rows) * running
-        )
+        running = ~rollout["next", "terminated"].unsqueeze(-2)
+        nearer: torch.Tensor = before - self.estimator.gamma * after * running
         return nearer
 
     def _descend(self, samples: TensorDictBase, weight: float) -> dict[str, float]:
-        """Take the epochs' steps on minibatches; return the means of the losses.
-
-        ``weight`` is that of the distance from the teacher's actions, if there is a teacher.
-
-        The normalisation does not change meanwhile, so that old and new log-probabilities are of
-        the same inputs.
-        """
+        """Take the epochs' steps on minibatches; return the means of the losses."""
+        # The normalisation does not change meanwhile: old and new log-probabilities are of the
+        # same inputs. ``weight`` is that of the distance from the teacher's actions.
         history = []
         for _ in range(self.config.epochs):
             order = torch.randperm(len(samples), device=samples.device)
@@ -318,7 +300,6 @@ class Trainer:
         return {name.removeprefix("loss_"): value.item() for name, value in means.items()}
 
     def _save(self, env_steps: int, folder: Path) -> None:
-        """Write all that :meth:`_restore` needs into ``folder``, without pickle."""
         write_tensors(folder / NETWORKS, self.loss.state_dict())
         write_tensors(folder / OPTIMIZER, moments_of(self.optimizer.state_dict()))
         write_arrays(folder / WORLDS, self.env.save_state(), compress=True)
@@ -332,7 +313,6 @@ class Trainer:
         write_json(folder / COUNTERS, counters)
 
     def _restore(self, folder: Path) -> int:
-        """Continue from a checkpoint, at exactly the same point; return its env-steps."""
         with reading(folder):
             networks = read_tensors(folder / NETWORKS, self.loss.state_dict())
             self.loss.load_state_dict(networks)
@@ -341,11 +321,10 @@ class Trainer:
             counters = read_json(folder / COUNTERS)
             self.curriculum = TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"])
             env = self._make_env()
-            env.load_state(read_arrays(folder / WORLDS, env.save_state()))
+            env.load_state(read_arrays(folder / WORLDS))
             self._collect_from(env)
             if self.teacher is not None:
-                own = self.teacher.save_state()
-                self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS, own))
+                self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS))
             restore_generators(counters["generators"])  # last: a new collector tries the policy
             env_steps = saved_at(folder, counters["env_steps"])
         return env_steps

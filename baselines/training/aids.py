@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import numpy as np
 import pydantic
 from numpy.typing import NDArray
 from shapely import Point
 
-from baselines.training.config import Task
-from baselines.training.hyperparameters import Hyperparameters
-from mbn_marl.checked import Uniform
-from mbn_marl.config import make_config
-from mbn_marl.field import Field, FieldSampler
+from baselines.training.config import Hyperparameters, Task
+from mbn_marl.config import Uniform, make_config
+from mbn_marl.field import Field
 from mbn_marl.field.schema import SAFETY_DISTANCE
 
 Count = Annotated[int, pydantic.Field(ge=1)]
@@ -23,44 +21,36 @@ Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
 
+# From this share of training on a decision lasts as long as at the end.
+REPEAT_UNTIL = 0.4
+# The stages in which ROIs shrink to their true size.
+STAGES = 10
+# ROIs grow by a stage below the first success rate, and shrink by one from the second on.
+SUCCESS = (0.4, 0.8)
+# Points that are tried for the starts of a field; if they are too few it keeps its own.
+DRAWS = 1000
+
 
 class TrainingAids(Hyperparameters):
-    """Hyperparameters with training aids; by default there are none.
+    """Hyperparameters with training aids; by default there are none."""
 
-    Attributes:
-        reward_scale: the learner sees the reward times this.
-        action_repeat: env-steps that a decision lasts, from and to, falling linearly (rounded)
-            over ``action_repeat_until`` of training. Evaluations always decide at every step.
-        roi_radius: how many times as large ROIs are at first in training, 1 for no curriculum.
-        roi_stages: the stages from there to the true size; each begins with new episodes.
-        roi_success: ``bounds`` of :class:`RoiCurriculum`.
-        scattered: the share of the worlds whose robots start anywhere in the field, elsewhere at
-            every stage, until ROIs have their true size. A start beside an ROI visits it while it
-            is large: a team that always starts there would not learn to go to it.
-        episode_steps: training episodes are truncated after so many env-steps, if not before;
-            evaluations are not.
-    """
-
+    # The learner sees the reward times this.
     reward_scale: Positive = 1.0
+    # Env-steps that a decision lasts, from and to, falling linearly (rounded). Evaluations always
+    # decide at every step.
     action_repeat: tuple[Count, Count] = (1, 1)
-    action_repeat_until: Annotated[float, pydantic.Field(gt=0.0, le=1.0)] = 0.4
+    # How many times as large ROIs are at first in training, 1 for no curriculum.
     roi_radius: Annotated[float, pydantic.Field(ge=1.0, allow_inf_nan=False)] = 1.0
-    roi_stages: Count = 10
-    roi_success: tuple[Share, Share] = (0.4, 0.8)
+    # The share of the worlds whose robots start anywhere in the field, elsewhere at every stage,
+    # until ROIs have their true size. A start beside an ROI visits it while it is large: a team
+    # that always starts there would not learn to go to it.
     scattered: Share = 0.0
+    # Training episodes are truncated after so many env-steps, if not before.
     episode_steps: Count | None = None
-
-    @pydantic.field_validator("*", mode="before")
-    @classmethod
-    def _one_number_is_both_ends(cls, value: Any, info: pydantic.ValidationInfo) -> Any:
-        kinds = get_args(cls.model_fields[info.field_name or ""].annotation)
-        is_pair = len(kinds) == 2 and kinds[0] == kinds[1]
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        return (value, value) if is_pair and is_number else value
 
     def repeat_at(self, progress: float) -> int:
         """The env-steps of a decision at ``progress``, the share of training done, in [0, 1]."""
-        return round(between(self.action_repeat, progress / self.action_repeat_until))
+        return round(between(self.action_repeat, progress / REPEAT_UNTIL))
 
     def rounded_up(self, steps: int, decisions: int) -> int:
         """The env-steps of as many rollouts of ``decisions`` as a budget of ``steps`` takes."""
@@ -70,34 +60,29 @@ class TrainingAids(Hyperparameters):
         rollout = decisions * last
         return env_steps + max(0, -(-(steps - env_steps) // rollout)) * rollout
 
-    def curriculum(self, window: int) -> RoiCurriculum:
-        """A curriculum at its beginning, which judges by ``window`` episodes."""
-        return RoiCurriculum(self.roi_radius, self.roi_stages, self.roi_success, window)
-
     def in_training(self, task: Task, curriculum: RoiCurriculum, worlds: int) -> dict[str, Any]:
         """The environment's arguments in training: ``field``, one for all worlds or one each."""
-        true, radius = make_config(task.settings), curriculum.radius
+        true, radius, field = make_config(task.settings), curriculum.radius, task.field
         longest = min(true.max_steps, self.episode_steps or true.max_steps)
-        settings: dict[str, Any] = {"roi_radius": _times(true.roi_radius, radius)}
-        settings["max_steps"] = longest
-        if true.failures is not None:  # later ones are of no training episode
+        changed: dict[str, Any] = {"field": field, "max_steps": longest}
+        changed["roi_radius"] = (
+            Uniform(true.roi_radius.low * radius, true.roi_radius.high * radius)
+            if isinstance(true.roi_radius, Uniform)
+            else true.roi_radius * radius
+        )
+        if true.failures is not None:
+            # A failure after the last step of an episode is not valid: no episode would have it.
             at = {i: step for i, step in true.failures.at.items() if step <= longest}
-            first, last = true.failures.between or (longest + 1, 0)
-            between = (first, last) if first <= longest else None
-            changes = {"at": at, "between": between}
-            settings["failures"] = true.failures.model_copy(update=changes)
-        fields: Field | FieldSampler | list[Field] = task.field
+            span = true.failures.between
+            span = span if span and span[0] <= longest else None
+            changed["failures"] = true.failures.model_copy(update={"at": at, "between": span})
         count = round(self.scattered * worlds) if radius > 1.0 and not true.random_starts else 0
-        if count and isinstance(task.field, Field):
+        if count and isinstance(field, Field):
             apart = max(true.at_most().safety_distance, SAFETY_DISTANCE)
             rng = np.random.default_rng((task.config.seed, curriculum.stage))
-            others = [with_other_starts(task.field, apart, rng) for _ in range(count)]
-            fields = [task.field] * (worlds - count) + others
-        return {"field": fields, **task.settings, **settings}
-
-
-DRAWS = 1000
-"""Points that are tried for the starts of a field; if they are too few it keeps its own."""
+            others = [with_other_starts(field, apart, rng) for _ in range(count)]
+            changed["field"] = [field] * (worlds - count) + others
+        return {**task.settings, **changed}
 
 
 def with_other_starts(field: Field, apart: float, rng: np.random.Generator) -> Field:
@@ -121,16 +106,12 @@ def between(ends: tuple[float, float], share: float) -> float:
 
 @dataclass
 class RoiCurriculum:
-    """The size of ROIs while a team learns, as a multiple of the true radius.
+    """The size of ROIs while a team learns, as a multiple of the true radius."""
 
-    It falls from ``first`` to 1 in ``stages``, by the same factor each. Below the first of the
-    ``bounds`` of the success rate of ``window`` episodes ROIs grow by a stage, from the second on
-    they shrink by one.
-    """
+    # It falls from ``first`` to 1 in STAGES, by the same factor each, as the success rate of each
+    # ``window`` episodes allows.
 
     first: float
-    stages: int
-    bounds: tuple[float, float]
     window: int
     stage: int = 0
     moves: int = 0
@@ -139,8 +120,7 @@ class RoiCurriculum:
 
     @property
     def radius(self) -> float:
-        """The present multiple."""
-        return float(self.first ** (1.0 - self.stage / self.stages))
+        return float(self.first ** (1.0 - self.stage / STAGES))
 
     def add(self, successes: Sequence[float]) -> None:
         """Count episodes that ended: 1 for a success, 0 for a failure."""
@@ -151,11 +131,10 @@ class RoiCurriculum:
         """Change the stage if the window is full; return whether the size has changed."""
         if self.ended < self.window:
             return False
-        low, high = self.bounds
-        rate, before = self.succeeded / self.ended, self.radius
+        (low, high), rate, before = SUCCESS, self.succeeded / self.ended, self.radius
         self.ended = self.succeeded = 0
         if rate >= high:
-            self.stage = min(self.stage + 1, self.stages)
+            self.stage = min(self.stage + 1, STAGES)
         elif rate < low:
             self.stage = max(self.stage - 1, 0)
         moved = self.radius != before
@@ -167,10 +146,3 @@ class RoiCurriculum:
         if self.moves == 0:
             return first
         return int(np.random.SeedSequence((first, self.moves)).generate_state(1, np.uint64)[0] >> 1)
-
-
-def _times(number: float | Uniform, factor: float) -> float | Uniform:
-    """Return a number, or the range that it is drawn from, ``factor`` times as large."""
-    if isinstance(number, Uniform):
-        return Uniform(number.low * factor, number.high * factor)
-    return number * factor

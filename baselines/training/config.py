@@ -1,35 +1,39 @@
-"""A training run: the request as given, and as a trainer gets it."""
+"""A training run: the request, its hyperparameters, and what a trainer gets."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
+import pydantic
+from pydantic_core import to_jsonable_python
 from tyro.conf import Positional, Suppress, arg
 
 from baselines.algorithms import SETTINGS, Setting, find_algorithm
-from baselines.training.overrides import ENVIRONMENT, words_of
-from mbn_marl.errors import ConfigError, MbnError, collecting
+from mbn_marl.config import describe
+from mbn_marl.errors import ConfigError, FieldError, MbnError, collecting, unknown
 from mbn_marl.field import Field, FieldSampler, load_fields
+from mbn_marl.field.files import parse_yaml
 
+# Overrides that begin with this and a point are settings of the environment.
+ENVIRONMENT = "environment"
+# Labels name folders too.
 LABEL = re.compile(r"[A-Za-z0-9][\w.+-]*")
-"""Labels name folders too."""
-
 MOST = 10**15
+# NumPy's global generator takes no larger seed.
 MOST_SEED = 2**32 - 1
-"""NumPy's global generator takes no larger seed."""
+# The least and the greatest value of the numbers of a request.
 RANGES = {
     "seed": (0, MOST_SEED),
-    **{"steps": (1, MOST), "evaluate_every": (1, MOST), "episodes": (1, MOST)},
-    "num_envs": (1, MOST),
+    **dict.fromkeys(("steps", "evaluate_every", "episodes", "num_envs"), (1, MOST)),
 }
-"""The least and the greatest value of the numbers of a request."""
 
 
 class DivergenceError(MbnError):
@@ -42,29 +46,29 @@ class TrainConfig:
 
     Attributes:
         algorithm: a2c, ppo, trpo, ars, crossq, tqc, ppo-joint (centralised); mappo, ippo,
-            generalist, ppo-shared and ppo-supersuit (decentralised).
-        field: a name of `mbn fields`, or the path of a field file; generalist, and mappo and
-            ippo with network=entities, take random_convex, random_shapes and sampler files too.
+            ppo-shared (decentralised).
+        field: a name of `mbn fields`, or the path of a field file; setting G, or network=entities,
+            takes random_convex, random_shapes and sampler files too.
         setting: A: the paper's library defaults, raw observation and reward. B: its Optuna values.
             C: as A, from a policy trained on another field. N: normalised observation, scaled
             reward. J (ppo, trpo): as N, with the observations and training aids of ppo-joint.
+            G (mappo, ippo): one policy for every field, a network over sets.
         seed: of networks, exploration and worlds, 0 to 2^32 - 1; by default 33 under A, B and C, 0
-            under N and J.
+            under the others.
         steps: the budget in env-steps (an env-step moves every robot of one world once), rounded up
-            to whole updates; by default 5,000,000 under A, B and C, 655,360 under N and J.
+            to whole updates; by default 5,000,000 under A, B and C, 655,360 under the others.
         evaluate_every: env-steps between two fresh evaluations; after each one a checkpoint is
             written.
         episodes: stochastic episodes of an evaluation.
         stop_at: stop before the end of the budget, at the first fresh evaluation with this mean
             return (reward) and 99 % success, if all episodes with mean actions succeed too.
-        num_envs: worlds stepped side by side; by default 1 under A, B and C, the recorded number
-            under N.
+        num_envs: worlds stepped side by side; by default the setting's number.
         hyperparams: a YAML file whose block named as the setting replaces the recorded one.
         transferred_from: the folder of the run whose policy it begins with. Under C networks and
-            optimisers, `mbn transfer` does it all; mappo, ippo, ppo-joint and generalist take the
-            actor's network, also of the zoo (zoo:NAME), whose field may be another one.
-        device: where the networks run, and under mappo, ippo, ppo-joint and generalist the worlds
-            too; of the others, worth it for crossq and tqc.
+            optimisers, `mbn transfer` does it all; mappo, ippo and ppo-joint take the actor's
+            network, also of the zoo (zoo:NAME), whose field may be another one.
+        device: where the networks run, and under mappo, ippo and ppo-joint the worlds too; of the
+            others, worth it for crossq and tqc.
         label: the name in tables and figures, and of the folder; by default the algorithm.
         environment: settings of the environment that differ from the algorithm's own.
         hyperparameters: hyperparameters that differ from the algorithm's own.
@@ -91,7 +95,6 @@ class TrainConfig:
     hyperparameters: Suppress[Mapping[str, Any]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill in the setting's own numbers; check the numbers and the names."""
         protocol = SETTINGS.get(self.setting, SETTINGS["N"])
         for name in ("seed", "steps"):
             if getattr(self, name) is None:
@@ -104,9 +107,9 @@ class TrainConfig:
 
     @property
     def name(self) -> str:
-        """The run's name, unique in a comparison: label or algorithm and setting; field; seed."""
-        several = len(find_algorithm(self.algorithm).settings) > 1
-        learner = f"{self.algorithm}-{self.setting}" if several else self.algorithm
+        """The run's name, unique in a comparison."""
+        centralized = "A" in find_algorithm(self.algorithm).settings
+        learner = f"{self.algorithm}-{self.setting}" if centralized else self.shown_as
         return f"{self.label or learner}-{Path(self.field).stem}-seed{self.seed}"
 
     @property
@@ -130,13 +133,12 @@ class TrainConfig:
 
 def problems_of(request: Mapping[str, Any]) -> list[str]:
     """Return what is wrong with the entries of a request, given or recorded, but for its field."""
-    problems: list[str] = []
-    for name, (least, most) in RANGES.items():
-        value = request.get(name)
-        if not (value is None or (isinstance(value, int) and not isinstance(value, bool))):
-            problems.append(f"{name}: must be a whole number (got {value!r})")
-        elif value is not None and not least <= value <= most:
-            problems.append(f"{name}: must be at least {least}, at most {most} (got {value})")
+    problems = [
+        f"{name}: must be a whole number, at least {least}, at most {most} (got {value!r})"
+        for name, (least, most) in RANGES.items()
+        if (value := request.get(name)) is not None
+        and not (type(value) is int and least <= value <= most)
+    ]
     stop_at, label = request.get("stop_at"), request.get("label")
     if not (stop_at is None or (isinstance(stop_at, float | int) and math.isfinite(stop_at))):
         problems.append(f"stop_at: must be finite (got {stop_at!r})")
@@ -148,25 +150,18 @@ def problems_of(request: Mapping[str, Any]) -> list[str]:
     for name in ("environment", "hyperparameters"):
         if not isinstance(value := request.get(name, {}), Mapping):
             problems.append(f"{name}: must be a mapping (got {value!r})")
-    return problems + _setting_problems(request)
-
-
-def _setting_problems(request: Mapping[str, Any]) -> list[str]:
-    """Return what is wrong with the algorithm, its setting, and what it begins with."""
     name, setting = str(request.get("algorithm")), request.get("setting")
-    begins = request.get("transferred_from")
-    try:
+    begins = request.get("transferred_from") is not None
+    with collecting(problems):
         algorithm = find_algorithm(name)
-    except MbnError as error:
-        return [str(error)]
-    if setting not in algorithm.settings:
-        return [f"setting: {name} has {', '.join(algorithm.settings)}, not {setting}"]
-    if setting == "C" and begins is None:
-        return ["setting: C continues from a trained policy; name it with --from"]
-    if setting != "C" and begins is not None and algorithm.package == "sb3":
-        others = "for mappo, ippo, ppo-joint and generalist"
-        return [f"from: allowed under setting C, not {setting}, and {others}"]
-    return []
+        if setting not in algorithm.settings:
+            problems.append(f"setting: {name} has {', '.join(algorithm.settings)}, not {setting}")
+        elif setting == "C" and not begins:
+            problems.append("setting: C continues from a trained policy; name it with --from")
+        elif setting != "C" and begins and algorithm.package == "sb3":
+            others = "for mappo, ippo and ppo-joint"
+            problems.append(f"from: allowed under setting C, not {setting}, and {others}")
+    return problems
 
 
 def default_label(algorithm: str, setting: str) -> str:
@@ -174,24 +169,113 @@ def default_label(algorithm: str, setting: str) -> str:
     return algorithm if setting == "N" else f"{algorithm}-{setting}"
 
 
-class Budget(NamedTuple):
-    """The env-steps of a run, rounded up to the ``unit`` in words that its algorithm learns from.
+class Hyperparameters(pydantic.BaseModel):
+    """The entries that all hyperparameters have."""
 
-    If it is not ``exact``, ``env_steps`` is the most that the run may take.
+    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    # Where the numbers come from.
+    source: str = pydantic.Field("", repr=False)
+    # The algorithm's own settings of the environment.
+    environment: dict[str, Any] = pydantic.Field(default_factory=dict)
+    # Values of the source that the algorithm has no argument for; without effect.
+    skipped: dict[str, Any] = pydantic.Field(default_factory=dict, repr=False)
+
+
+Model = TypeVar("Model", bound=pydantic.BaseModel)
+
+
+def read_blocks(path: Path) -> dict[str, Any]:
+    """Read a YAML file of named blocks; raise a ConfigError if it is none."""
+    try:
+        data = path.read_bytes()
+        blocks = parse_yaml(data, str(path))
+    except FieldError as error:
+        raise ConfigError(str(path), error.problems) from None
+    except OSError as error:
+        raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
+    if not isinstance(blocks, dict) or not all(isinstance(one, dict) for one in blocks.values()):
+        raise ConfigError(str(path), ["must be a mapping from names of blocks to mappings"])
+    return blocks
+
+
+def read_block(path: Path, name: str) -> dict[str, Any]:
+    """Read one block of a YAML file; raise a ConfigError if there is none."""
+    blocks = read_blocks(path)
+    if name not in blocks:
+        raise ConfigError(str(path), [f"{name}: {unknown('block', name, map(str, blocks))}"])
+    block: dict[str, Any] = blocks[name]
+    return block
+
+
+def validate(model: type[Model], values: Mapping[str, Any], source: str) -> Model:
+    """Validate ``values``; raise a ConfigError that names every wrong one and what is allowed."""
+    try:
+        return model.model_validate(dict(values))
+    except pydantic.ValidationError as error:
+        raise ConfigError(source, describe(error, model)) from None
+
+
+def parse(words: Sequence[str]) -> dict[str, Any]:
+    """Read words: ``["model.gamma=0.9", "a=b"]`` is ``{"model": {"gamma": 0.9}, "a": "b"}``.
+
+    A value is JSON, or else the word as it is. A ConfigError names all that is wrong.
     """
+    values: dict[str, Any] = {}
+    problems = []
+    for word in words:
+        name, equals, text = word.partition("=")
+        *path, last = name.split(".")
+        if not equals or not all([*path, last]):
+            problems.append(f"{word}: must be NAME=VALUE, for example model.gamma=0.9")
+            continue
+        place: Any = values
+        for part in path:
+            place = place.setdefault(part, {}) if isinstance(place, dict) else None
+        if not isinstance(place, dict) or last in place:
+            problems.append(f"{word}: {name} is set twice")
+            continue
+        place[last] = _value(text)
+    if not isinstance(values.get(ENVIRONMENT, {}), dict):
+        problems.append(f"{ENVIRONMENT}: must be {ENVIRONMENT}.NAME=VALUE")
+    if problems:
+        raise ConfigError("set", problems)
+    return values
+
+
+def words_of(values: Mapping[str, Any]) -> list[str]:
+    """Return the words that :func:`parse` reads ``values`` from."""
+    words = []
+    for name, value in to_jsonable_python(dict(values)).items():
+        if isinstance(value, Mapping) and value:
+            words += [f"{name}.{word}" for word in words_of(value)]
+        else:
+            is_word = isinstance(value, str) and _value(value) == value
+            words.append(f"{name}={value if is_word else json.dumps(value)}")
+    return words
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
+
+
+class Budget(NamedTuple):
+    """The env-steps of a run, rounded up to the ``unit`` that its algorithm learns from."""
 
     env_steps: int
     unit: str
+    # If not, ``env_steps`` is the most that the run may take.
     exact: bool = True
 
 
 @dataclass(frozen=True)
 class Task:
-    """A request with its field loaded, or the sampler of its fields, as a trainer gets it.
-
-    ``settings`` are keyword arguments of the environment: the algorithm's own and the request's.
-    """
+    """A request as a trainer gets it."""
 
     config: TrainConfig
     field: Field | FieldSampler
+    # Keyword arguments of the environment: the algorithm's own and the request's.
     settings: Mapping[str, Any]

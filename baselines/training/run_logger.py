@@ -1,31 +1,105 @@
-"""The log of a training: progress rows, fresh evaluations, policies, checkpoints."""
+"""The log of a training: progress rows, fresh evaluations, policies, checkpoints, bars."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
+from rich.progress import Progress, TextColumn
+from torch.utils.tensorboard import SummaryWriter
 
+from baselines.console import console
 from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate, unseen
 from baselines.evaluation.intervals import passes
 from baselines.evaluation.policy import TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
 from baselines.runs.folder import RunFolder, saved_at
 from baselines.training.config import Task
-from baselines.training.loggers import Loggers
-from baselines.training.progress_bar import Listener, Report
 from mbn_marl.config import make_config
+from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler
+
+# A progress row spans at least so many env-steps, except the last one and one before a fresh
+# evaluation: some learners update every few steps.
+ROW_STEPS = 2048
+# A checkpoint is due after every fresh evaluation, and after so many seconds of slow training.
+CHECKPOINT_SECONDS = 600.0
+# The numbers that the history has of evaluations with mean actions, as ``deterministic_...``.
+MEAN_ACTION_NAMES = ("return_mean", "success_rate")
+
+
+@dataclass(frozen=True)
+class Report:
+    """The progress of the run of this name."""
+
+    run: str
+    env_steps: int = 0
+    finished: bool = False
+    # Of training, evaluations excluded.
+    steps_per_second: float = 0.0
+    # Of the last fresh evaluation, if there was one: true team return, and share of successes.
+    return_mean: float | None = None
+    success_rate: float | None = None
+    # Why the run failed.
+    error: str | None = None
+
+    def __str__(self) -> str:
+        if self.error is not None:
+            return "failed"
+        speed = f"{self.steps_per_second:,.0f}/s"
+        if self.return_mean is None or self.success_rate is None:
+            return speed
+        return f"{speed} return {self.return_mean:,.0f} success {self.success_rate:.0%}"
+
+
+Listener = Callable[[Report], None]
+
+
+@contextmanager
+def progress_bars(runs: Iterable[str], total: int) -> Iterator[Listener]:
+    """Show one bar per run; yield what receives the reports."""
+    # Without a terminal (in a log file) each finished run prints one line.
+    screen = console()
+    columns = (*Progress.get_default_columns(), TextColumn("{task.fields[state]}"))
+    with Progress(*columns, console=screen, disable=not screen.is_terminal) as progress:
+        tasks = {run: progress.add_task(run, False, total, state="waiting") for run in runs}
+
+        def show(report: Report) -> None:
+            task, done = tasks[report.run], min(report.env_steps, total)
+            progress.start_task(task)
+            progress.update(task, completed=done, state=str(report))
+            if report.finished or report.error is not None:
+                progress.stop_task(task)
+            if report.error is not None:
+                print(report.error, flush=True)
+            elif report.finished and not screen.is_terminal:
+                print(f"{report.run}: {report.env_steps:,} steps, {report}", flush=True)
+
+        yield show
+
+
+def find_wandb() -> ModuleType:
+    """Return the library of Weights & Biases; raise a ConfigError if it is not installed."""
+    try:
+        return import_module("wandb")
+    except ImportError:
+        raise ConfigError(
+            "training", ["wandb: the package is not installed; pip install wandb, or leave it out"]
+        ) from None
 
 
 class EpisodeWindow:
-    """Training episodes that ended since the last progress row.
+    """Training episodes that ended since the last progress row."""
 
-    Their mean is optimistic, since stuck worlds finish rarely: results are of fresh evaluations.
-    """
+    # Their mean is optimistic, since stuck worlds finish rarely: results are of fresh evaluations.
 
     def __init__(self) -> None:
         self._returns: list[float] = []
@@ -38,88 +112,72 @@ class EpisodeWindow:
 
     def pop(self) -> dict[str, float]:
         """Return count, mean, range and success rate since the last call; NaN without episodes."""
-        returns = np.asarray(self._returns or [np.nan])
+        count, returns = float(len(self._returns)), np.asarray(self._returns or [np.nan])
+        rate = float(np.mean(self._successes or [np.nan]))
+        self._returns, self._successes = [], []
         names = ("mean", "std", "min", "max")
-        row = {
-            "episodes": float(len(self._returns)),
-            **{f"return_{name}": float(getattr(returns, name)()) for name in names},
-            "success_rate": float(np.mean(self._successes or [np.nan])),
-        }
-        self._returns.clear()
-        self._successes.clear()
-        return row
-
-
-ROW_STEPS = 2048
-"""A progress row spans at least so many env-steps, except the last one and one before a fresh
-evaluation: some learners update every few steps."""
-CHECKPOINT_SECONDS = 600.0
-"""A checkpoint is due after every fresh evaluation, and after so many seconds of slow training."""
-MEAN_ACTION_NAMES = ("return_mean", "success_rate")
-"""The numbers that the history has of evaluations with mean actions, as ``deterministic_...``."""
+        row = {f"return_{name}": float(getattr(returns, name)()) for name in names}
+        return {"episodes": count, **row, "success_rate": rate}
 
 
 class Recorder:
-    """Records the run of a task in its folder, from the start or from the newest checkpoint.
+    """Records the run of a task in its folder, from the start or from the newest checkpoint."""
 
-    Evaluations have the task's field and settings; ``listener`` receives the progress after every
-    row; ``wandb`` is a project of Weights & Biases to log to as well.
-
-    The training clock runs from :meth:`start`, but not during evaluations and while files are
-    written: ``seconds`` are seconds of training alone. ``wall_seconds`` are all seconds since the
-    first :meth:`start`, without the time between an interruption and its resumption.
-
-    Attributes:
-        episodes: the training episodes since the last row.
-        checkpoint: the checkpoint that the trainer has to resume, or ``None``.
-        passed: whether a fresh evaluation met the run's criterion for stopping early; the trainer
-            then goes straight to :meth:`finish`.
-        checkpoint_due: whether the trainer should call :meth:`save_checkpoint` as soon as it is
-            between two updates.
-        scalars: ``scalars(env_steps, values)`` writes numbers to the loggers alone, not to
-            ``progress.csv``.
-    """
-
+    # ``listener`` receives the progress after every row. Numbers go to TensorBoard's events too,
+    # and to ``wandb``, a project of Weights & Biases.
     def __init__(
         self, folder: RunFolder, task: Task, listener: Listener, wandb: str | None = None
     ) -> None:
+        # The training episodes since the last row.
         self.episodes = EpisodeWindow()
+        # The checkpoint that the trainer has to resume.
         self.checkpoint = folder.checkpoint
+        # Whether the trainer should call save_checkpoint as soon as it is between two updates.
         self.checkpoint_due = False
+        # Whether a fresh evaluation met the criterion for stopping: the trainer then calls finish.
         self.passed = False
-        self._folder = folder
-        self._task = task
-        self._listener = listener
+        self._folder, self._task, self._listener = folder, task, listener
         self._diagnostics: Mapping[str, float] = {}
-        self._started_at = 0.0
-        self._wall_started_at: float | None = None
-        place = (self.checkpoint or folder.path) / "recorder.json"
-        with reading(place):
-            state = read_json(place) if self.checkpoint else {}
-            self._last_row = 0
-            if self.checkpoint:
-                self._last_row = saved_at(self.checkpoint, state["env_steps"])
+        self._started_at = self._wall_started_at = 0.0
+        with reading((self.checkpoint or folder.path) / "recorder.json"):
+            state = read_json(self.checkpoint / "recorder.json") if self.checkpoint else {}
+            self._last_row = saved_at(self.checkpoint, state["env_steps"]) if self.checkpoint else 0
             self._seconds = self._saved_at = float(state.get("seconds", 0.0))
             self._wall_seconds = float(state.get("wall_seconds", 0.0))
             self._evaluations: list[dict[str, Any]] = list(state.get("evaluations", []))
             folder.cut_progress(int(state.get("progress_bytes", 0)))
         write_json(folder.path / "evaluations.json", self._evaluations)
-        self._loggers = Loggers(folder, task.config.name, self._last_row, wandb)
-        self.scalars = self._loggers.scalars
+        # A resumed run is logged to the same one, whose id is in the folder.
+        self._wandb: Any = None
+        if wandb is not None:
+            library, place = find_wandb(), folder.path / "wandb.json"
+            if not place.exists():
+                write_json(place, {"project": wandb, "id": uuid.uuid4().hex})
+            how = {"name": task.config.name, "config": folder.config, "dir": str(folder.path)}
+            self._wandb = library.init(**read_json(place), **how, resume="allow")
+        # Events after the checkpoint are hidden: their steps are taken again.
+        events = folder.path / "tensorboard"
+        self._board = SummaryWriter(events, purge_step=self._last_row + 1)
+
+    def scalars(self, env_steps: int, values: Mapping[str, float]) -> None:
+        """Log numbers by name, to TensorBoard and Weights & Biases, not to ``progress.csv``."""
+        for name, value in values.items():
+            self._board.add_scalar(name, value, env_steps)
+        if self._wandb is not None:
+            self._wandb.log(dict(values), step=env_steps)
 
     def start(self) -> None:
         """Start the training clock: the libraries are imported, the engine is compiled."""
+        # It is stopped during evaluations and while files are written: "seconds" are seconds of
+        # training alone. "wall_seconds" are all but those between an interruption and resumption.
         self._started_at = time.perf_counter()
-        if self._wall_started_at is None:
-            self._wall_started_at = self._started_at
+        self._wall_started_at = self._wall_started_at or self._started_at
 
     def update(
         self, env_steps: int, policy: TrainedPolicy, diagnostics: Mapping[str, float]
     ) -> None:
-        """Record an update of the learner; make a fresh evaluation when one is due.
-
-        ``diagnostics`` are numbers for ``progress.csv``, with the same names every time.
-        """
+        """Record an update of the learner; make a fresh evaluation when one is due."""
+        # ``diagnostics`` are numbers for progress.csv, with the same names every time.
         self._diagnostics = diagnostics
         config = self._task.config
         every, last = config.evaluate_every, env_steps >= config.steps
@@ -131,12 +189,8 @@ class Recorder:
             # Without random numbers all episodes with mean actions are the same.
             several = make_config(self._task.settings).is_random
             several = several or isinstance(self._task.field, FieldSampler)
-            sampled, mean = self._evaluate(
-                env_steps,
-                policy,
-                number=1 + len(self._evaluations),
-                mean_episodes=config.episodes if several else 1,
-            )
+            number, episodes = 1 + len(self._evaluations), config.episodes if several else 1
+            sampled, mean = self._evaluate(env_steps, policy, number, episodes)
             self.passed = config.stop_at is not None and passes(
                 sampled.summary(), mean.summary()["success_rate"], config.stop_at
             )
@@ -150,12 +204,10 @@ class Recorder:
     def save_checkpoint(
         self, env_steps: int, policy: TrainedPolicy, save: Callable[[Path], None]
     ) -> None:
-        """Write a checkpoint; no step may have been taken since the last :meth:`update`.
-
-        ``save`` writes what the trainer needs to resume into a folder.
-        """
+        """Write a checkpoint; no step may have been taken since the last :meth:`update`."""
+        # ``save`` writes what the trainer needs to resume into a folder.
         self._stop()
-        self._loggers.flush()
+        self._board.flush()
         with self._folder.new_checkpoint(env_steps) as folder:
             policy.save(folder / "policy")
             save(folder)
@@ -173,8 +225,10 @@ class Recorder:
         with self._folder.new_policy() as place:
             policy.save(place)
         episodes = self._task.config.episodes
-        sampled, mean = self._evaluate(env_steps, policy, number=0, mean_episodes=episodes)
-        self._loggers.close()
+        sampled, mean = self._evaluate(env_steps, policy, 0, episodes)
+        self._board.close()
+        if self._wandb is not None:
+            self._wandb.finish()
         results = {"stochastic": sampled.to_json(), "deterministic": mean.to_json()}
         self._folder.finish({**self._times(env_steps), **results})
         self._report(env_steps, finished=True)
@@ -189,31 +243,23 @@ class Recorder:
         self._last_row = env_steps
 
     def _stop(self) -> None:
-        """Stop the training clock."""
         self._seconds += time.perf_counter() - self._started_at
 
     def _times(self, env_steps: int) -> dict[str, Any]:
-        """Return the env-steps, the seconds of training and those since the first start."""
-        assert self._wall_started_at is not None
         wall = self._wall_seconds + time.perf_counter() - self._wall_started_at
         return {"env_steps": env_steps, "seconds": self._seconds, "wall_seconds": wall}
 
     def _evaluate(
-        self, env_steps: int, policy: TrainedPolicy, *, number: int, mean_episodes: int
+        self, env_steps: int, policy: TrainedPolicy, number: int, mean_episodes: int
     ) -> tuple[Evaluation, Evaluation]:
-        """Evaluate with sampled and with mean actions, and append both to the history.
-
-        The seed is that of the evaluation's ``number``, in every run the same.
-        """
-
-        def fresh(episodes: int, *, deterministic: bool) -> Evaluation:
-            task, seed = self._task, EVALUATION_SEED + number
-            how: dict[str, Any] = {"episodes": episodes, "seed": seed}
-            fields = unseen(task.field, seed)
-            return evaluate(policy, fields, task.settings, deterministic=deterministic, **how)
-
-        sampled = fresh(self._task.config.episodes, deterministic=False)
-        mean = fresh(mean_episodes, deterministic=True)
+        """Evaluate with sampled and with mean actions, and append both to the history."""
+        # The seed is that of the evaluation's ``number``, in every run the same.
+        seed, settings = EVALUATION_SEED + number, self._task.settings
+        fields = unseen(self._task.field, seed)
+        sampled, mean = (
+            evaluate(policy, fields, settings, episodes=n, seed=seed, deterministic=deterministic)
+            for n, deterministic in ((self._task.config.episodes, False), (mean_episodes, True))
+        )
         entry = {
             **self._times(env_steps),
             **sampled.summary(),

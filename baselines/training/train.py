@@ -15,22 +15,19 @@ from baselines.algorithms import find_algorithm
 from baselines.evaluation.fitting import acts_on
 from baselines.runs.files import RunError, alone, check_text, claim_folder, is_untouched
 from baselines.runs.folder import RunFolder
-from baselines.training.config import DivergenceError, Task, TrainConfig
-from baselines.training.hyperparameters import Hyperparameters
-from baselines.training.loggers import find_wandb
-from baselines.training.progress_bar import Listener
-from baselines.training.run_logger import Recorder
+from baselines.training.config import DivergenceError, Hyperparameters, Task, TrainConfig
+from baselines.training.run_logger import Listener, Recorder, find_wandb
 from baselines.zoo.entries import CARD, PREFIX, open_run
 from mbn_marl.config import expand, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
 from mbn_marl.field import Field, FieldSampler, load_fields
 
+# The hyperparameters that decide which networks there are.
 NETWORK = ("actor", "network", "hidden", "sharing")
-"""The hyperparameters that decide which networks there are."""
+# Of glibc's malloc: how many blocks may be mappings of their own (``M_MMAP_MAX``), and how many
+# bytes may lie free at the top (``M_TRIM_THRESHOLD``).
 KEPT = {-4: 0, -1: 2**31 - 1}
-"""Of glibc's malloc: how many blocks may be mappings of their own (``M_MMAP_MAX``), and how many
-bytes may lie free at the top (``M_TRIM_THRESHOLD``)."""
 
 
 def train(
@@ -45,21 +42,12 @@ def train(
 ) -> RunFolder:
     """Train one policy and evaluate it; everything is checked before the folder is made.
 
-    Torch has one thread meanwhile: the networks are small, and comparisons take a process per core.
-
-    Args:
-        config: what to train.
-        out: the run folder to make.
-        command: the exact command, recorded in the folder; by default the equivalent one.
-        force: move a folder that is already there aside.
-        resume: continue the interrupted run in ``out``, of the same configuration, from its newest
-            checkpoint; leave a finished one.
-        wandb: a project of Weights & Biases to log to as well.
-        listener: receives the progress.
+    ``out`` is the run folder to make, and ``command`` the exact command, recorded in it. ``force``
+    moves a folder that is already there aside; ``resume`` continues the interrupted run in it from
+    its newest checkpoint, and leaves a finished one. ``wandb`` is a project of Weights & Biases.
 
     Raises:
-        MbnError: the algorithm, the field, a setting or a hyperparameter is not valid; or ``out``
-            already holds something, or with ``resume`` no such run, or one that is running.
+        MbnError: an entry is not valid; or ``out`` holds something else, or is being trained.
         RunError: a file could not be written; what was saved before is as it was.
         DivergenceError: the learner's numbers are no longer finite.
         KeyboardInterrupt: naming the folder, its checkpoint and ``--resume``.
@@ -70,9 +58,8 @@ def train(
         raise ConfigError("training", ["device: torch finds no GPU here; allowed: cpu"])
     if wandb is not None:
         find_wandb()
-    algorithm = find_algorithm(config.algorithm)
-    task, hyperparameters = prepare(config)
-    resolved, command = resolve(task, hyperparameters), command or config.command
+    algorithm, (task, hyperparameters) = find_algorithm(config.algorithm), prepare(config)
+    command = command or config.command
     check_text(command)
     if resume := resume and not (out.is_dir() and is_untouched(out)):
         RunFolder.open(out)
@@ -81,7 +68,7 @@ def train(
         claim_folder(out, force=force)
     with _running(RunFolder(out)), alone(out, "mbn train"):
         begin = RunFolder.resume if resume else RunFolder.create
-        run = begin(out, resolved, task.field, command)
+        run = begin(out, resolve(task, hyperparameters), task.field, command)
         if not run.finished:
             try:
                 algorithm.train(task, hyperparameters, Recorder(run, task, listener, wandb))
@@ -132,10 +119,12 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
     if problems:
         raise ConfigError("training", problems)
     fields = load_fields(config.field)
-    if isinstance(fields, FieldSampler):  # each run has fields of its own
+    if isinstance(fields, FieldSampler):
         if getattr(hyperparameters, "network", None) != "entities":
-            problem = f"field: {config.field} is random fields; allowed: with network=entities"
+            allowed = "with setting G of mappo and ippo, or network=entities"
+            problem = f"field: {config.field} is random fields; allowed: {allowed}"
             raise ConfigError("training", [problem])
+        # Runs with other seeds train on other fields.
         fields = fields.model_copy(update={"seed": (fields.seed + config.seed) % 2**63})
     BatchEngine(fields, 1, **settings)  # raises where field, team and settings do not fit
     task = Task(config, fields, settings)
@@ -147,12 +136,13 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
 @contextmanager
 def _running(run: RunFolder) -> Iterator[None]:
     """Give torch one thread, and name the run in errors that its user or its disk causes."""
+    # The networks are small, and comparisons take a process for each core.
     import torch
 
     threads, hook = torch.get_num_threads(), threading.excepthook
 
     def quiet(arguments: threading.ExceptHookArgs) -> None:
-        """Say nothing of errors that TensorBoard's thread passes to its next call."""
+        # TensorBoard's thread passes its errors on to its next call: they are shown there.
         if not isinstance(arguments.exc_value, OSError):
             hook(arguments)
 
@@ -188,13 +178,11 @@ def sizes(theirs: Field, ours: Field) -> dict[str, tuple[Any, Any]]:
 
 
 def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameters) -> None:
-    """Check that the run that a task begins with is finished and fits; raise an error if not."""
+    """Raise an error if the run that a task begins with is not finished, or does not fit."""
     if not (source.finished or (source.path / CARD).is_file()):
         raise RunError(f"{source.path} is not finished; resume it first (--resume)")
-    config = source.config
-    theirs = {"network": "mlp", **config["hyperparameters"]}  # older runs have no other
+    config, environment = source.config, make_config(task.settings)
     asked = hyperparameters.model_dump(mode="json", exclude={"source", "num_envs"})
-    environment = make_config(task.settings)
     if task.config.setting == "C":
         assert isinstance(task.field, Field)  # no algorithm with setting C takes random ones
         compared = {
@@ -207,9 +195,8 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
         seen = acts_on(source.fields, make_config(config["environment"]))
         here = acts_on(task.field, environment)
         compared = {name: (seen.get(name), here.get(name)) for name in {**seen, **here}}
-    compared |= {
-        f"hyperparameters.{name}": (theirs.get(name), ours) for name, ours in asked.items()
-    }
+    theirs = {"network": "mlp", **config["hyperparameters"]}  # the zoo's first have no other
+    compared |= {f"hyperparameters.{name}": (theirs.get(name), asked[name]) for name in asked}
     problems = [
         f"{name}: the policy's run has {theirs}, this run {ours}"
         for name, (theirs, ours) in compared.items()
@@ -220,17 +207,13 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
 
 
 def keep_freed_memory() -> None:
-    """Let glibc keep freed memory for the rest of the process.
-
-    A learner soon wants as much again, which Linux would have to clear.
-    """
+    # A learner soon wants as much memory as it frees, which Linux would have to clear.
     if sys.platform == "linux" and (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)):
         for option, size in KEPT.items():
             mallopt(option, size)
 
 
 def found_anywhere(field: str) -> str:
-    """Return a field's name, or its absolute path if it is a file."""
     return str(Path(field).resolve()) if Path(field).is_file() else field
 
 

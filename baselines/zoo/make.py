@@ -9,7 +9,7 @@ from typing import Any
 
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
 from baselines.evaluation.policy import load_trained
-from baselines.runs.files import RunError, read_json, replacing_folder, seal, write_json, write_text
+from baselines.runs.files import RunError, read_json, replacing_folder, write_json, write_text
 from baselines.runs.folder import RunFolder
 from baselines.zoo.entries import CARD, PREFIX
 from mbn_marl.config import make_config
@@ -75,8 +75,6 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
         save_field(run.fields, folder / "field.yaml")
         load_trained(run).save(folder / "policy")
         write_json(folder / CARD, card)
-        for place in (folder / "policy", folder):
-            seal(place)
         write_text(folder / "README.md", readme(card))
         size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
         if size > LARGEST:

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from docstring_parser import parse
 from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.config import LIMITS, NUMBERS, NavigationConfig, make_config
 from mbn_marl.engine import Entry
 from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.field import catalogue_names, load_field
@@ -76,27 +75,23 @@ def _subject(name: str) -> str:
 
 
 class SettingsTable(Table):
-    """The settings of the environment, as their docstring describes them."""
+    """The settings of the environment, as the table in ``config.py`` describes them."""
 
     headings = ("setting", "default", "meaning")
 
     def rows(self) -> Rows:
         """A row for each field of the configuration."""
-        meanings = {one.arg_name: one.description or "" for one in parse(_docstring()).params}
-        fields: dict[str, Any] = NavigationConfig.model_fields
         return [
-            [f"`{name}`", _default(field.default), " ".join(meanings[name].split())]
-            for name, field in fields.items()
+            [f"`{name}`", f"`{getattr(field.default, 'name', field.default)!r}`", _meaning(name)]
+            for name, field in NavigationConfig.model_fields.items()
         ]
 
 
-def _docstring() -> str:
-    text = NavigationConfig.__doc__ or ""
-    return text.replace("``", "`").replace(":class:", "")
-
-
-def _default(value: Any) -> str:
-    return f"`{getattr(value, 'name', value)!r}`"
+def _meaning(name: str) -> str:
+    """The description of a setting, as Markdown."""
+    text = NavigationConfig.model_fields[name].description or ""
+    text = " ".join(text.split()).replace("``", "`").replace(":class:", "")
+    return f"{text} May be drawn." if name in (*NUMBERS, *LIMITS) else text
 
 
 class FieldsTable(Table):

@@ -14,8 +14,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.adapters.infos import Infos
-from mbn_marl.adapters.one_world import OneWorld, check_names, rename_max_steps
-from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
+from mbn_marl.adapters.one_world import (
+    RENDER_FPS,
+    LazyViewer,
+    OneWorld,
+    check_names,
+    rename_max_steps,
+)
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike, Fields
 from mbn_marl.engine.validation import as_array, option_problems, reset_problems
@@ -35,7 +40,7 @@ class _WithSpec:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """How the environment was made; ``max_episode_steps`` is its own time limit."""
+        """The registered spec; ``max_episode_steps`` is the environment's time limit."""
         return self._spec
 
     @spec.setter
@@ -55,9 +60,8 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
     info          flat and numeric, see :mod:`mbn_marl.adapters.infos`
     ============  ==================================================================================
 
-    That is for point masses; other ``dynamics`` read the action in their own way, and if a robot
-    has a heading, the state is ``(5n+1,)``, with headings in radians before the visit code. With
-    ``failures``, or if teams vary, n flags of the robots that do not work come right before it.
+    The state has n headings (radians) more if a robot has one, then n flags with ``failures`` or
+    if teams vary, before the visit code.
 
     Args:
         field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`; or a

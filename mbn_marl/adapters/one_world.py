@@ -1,21 +1,80 @@
-"""The base of the environments with one world: PettingZoo's and Gymnasium's."""
+"""Parts that the adapters share: one world that waits for its reset, frames, action repeat."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from operator import index
 from typing import Any, Unpack
 
+import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from mbn_marl.adapters.infos import Infos
-from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
 from mbn_marl.config import FixedSettings, NavigationConfig, Settings, make_config
 from mbn_marl.engine import BatchEngine, FieldLike
 from mbn_marl.engine.validation import option_problems, reset_problems
 from mbn_marl.errors import ConfigError, StepError
 from mbn_marl.field import FieldSampler, load_field
+from mbn_marl.render.viewer import RENDER_SIZE, Viewer, size_problems
+
+RENDER_FPS = 30
+
+
+class LazyViewer:
+    """Draws worlds of an engine; imports and opens Pygame with the first frame."""
+
+    def __init__(
+        self, render_mode: str | None, allowed: Sequence[str], size: tuple[int, int] = RENDER_SIZE
+    ) -> None:
+        problems = size_problems("render_size", size)
+        if render_mode is not None and render_mode not in allowed:
+            known = ", ".join(map(repr, allowed))
+            problems.append(f"render_mode: unknown mode {render_mode!r}; known: {known}, or None")
+        if problems:
+            raise ConfigError("environment", problems)
+        self.render_mode, self._size = render_mode, (size[0], size[1])
+        self._viewer: Viewer | None = None
+
+    def draw(self, engine: BatchEngine, world: int = 0) -> NDArray[np.uint8] | None:
+        """Return the frame of a world, ``(height, width, 3)`` uint8, or show it in human mode."""
+        if self.render_mode is None:  # Gymnasium and PettingZoo warn too
+            gymnasium.logger.warn("render() draws nothing: the environment has no render_mode")
+            return None
+        if self._viewer is None:
+            self._viewer = Viewer(self.render_mode, self._size)
+        return self._viewer.draw(engine.snapshot(world))
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A window belongs to one process: a copy opens its viewer anew.
+        return {**self.__dict__, "_viewer": None}
+
+    def close(self) -> None:
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+
+
+class ActionRepeat:
+    """The attribute ``action_repeat``: env-steps of a step, all with the same action; at least 1.
+
+    Raises:
+        ConfigError: another value is set.
+    """
+
+    def __get__(self, env: Any, kind: type) -> Any:
+        return self if env is None else vars(env)["_action_repeat"]
+
+    def __set__(self, env: Any, value: int) -> None:
+        try:
+            number = index(value)
+        except TypeError:
+            number = 0
+        if number < 1:
+            problem = f"action_repeat: must be a whole number, at least 1 (got {value!r:.80})"
+            raise ConfigError(type(env).__name__, [problem])
+        vars(env)["_action_repeat"] = number
 
 
 class OneWorld:
@@ -61,11 +120,7 @@ class OneWorld:
     def state(self) -> NDArray[Any]:
         """Return the paper's state, ``(4n+1,)`` in the engine's dtype, raw units, a fresh array.
 
-        It is ``(5n+1,)``, with headings before the visit code, if a robot has a heading; with
-        ``failures``, or if teams vary, n flags of those that do not work come right before it.
-
-        Raises:
-            StepError: before the first reset.
+        Before the first reset it is a ``StepError``.
         """
         if not self._started:
             raise StepError("there is no state before the first reset(): call reset() first")
@@ -83,12 +138,7 @@ class OneWorld:
     def _start(
         self, seed: int | None, options: Mapping[str, Any] | None = None
     ) -> NDArray[np.float32]:
-        """Start an episode; return fresh observations ``(n, obs_size)``.
-
-        Raises:
-            ConfigError: the seed or an option is not allowed; nothing has changed.
-            FieldError: the field of the options is invalid or unknown; nothing has changed.
-        """
+        """Start an episode; return fresh observations ``(n, obs_size)``."""
         problems = option_problems(options, ("field", "starts"))
         problems += [] if seed is None else reset_problems(seed, 0)
         if problems:
@@ -123,21 +173,13 @@ class OneWorld:
 
 
 def check_names(settings: Mapping[str, Any]) -> None:
-    """Check that no setting is an argument of the engine that an environment sets itself.
-
-    Raises:
-        ConfigError: naming all problems of the settings, if there is one.
-    """
+    """Refuse arguments of the engine that an environment sets itself."""
     if not settings.keys() <= {*NavigationConfig.model_fields, "condition"}:
         make_config(settings)
 
 
 def rename_max_steps(name: str, value: int | None, settings: FixedSettings) -> None:
-    """Put ``value`` into ``settings`` as ``max_steps``, which another library calls ``name``.
-
-    Raises:
-        ConfigError: both are given, and differ.
-    """
+    """Put ``value`` into ``settings`` as ``max_steps``, which another library calls ``name``."""
     if value is not None:
         if settings.get("max_steps", value) != value:
             raise ConfigError("environment", [f"{name}: is max_steps, give only one"])

@@ -44,10 +44,8 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
     info          flat and numeric, see :mod:`mbn_marl.adapters.infos`
     ============  ==================================================================================
 
-    That is for point masses; other ``dynamics`` read the action in their own way, and if a robot
-    has a heading, the state is ``(5n+1,)``, with headings in radians before the visit code. With
-    ``failures``, n flags of the robots that have failed come right before the visit code. If teams
-    vary, ``agents`` are the robots that are there in the episode, and the flags those of others.
+    The state has n headings (radians) more if a robot has one, then n flags with ``failures`` or
+    if teams vary, before the visit code. If teams vary, ``agents`` are the episode's robots.
 
     Args:
         field: a catalogue name, the path of a field file, or a :class:`~mbn_marl.Field`; or a
@@ -109,22 +107,12 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         }
 
     def observation_space(self, agent: str) -> spaces.Space[Observation]:
-        """Return the space of ``agent``'s observations, ``(obs_size,)`` float32, always the same.
-
-        Its bounds are in the units of ``engine.observation_table``.
-
-        Raises:
-            MbnError: there is no such agent.
-        """
+        """Return the space of ``agent``'s observations; an unknown agent is an ``MbnError``."""
         self._check_known(agent)
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Action]:
-        """Return the space of ``agent``'s actions, ``(2,)`` in [-1, 1], always the same object.
-
-        Raises:
-            MbnError: there is no such agent.
-        """
+        """Return the space of ``agent``'s actions; an unknown agent is an ``MbnError``."""
         self._check_known(agent)
         return self.action_spaces[agent]
 
@@ -276,7 +264,7 @@ class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
 
 
 class EnvSettings(FixedSettings, total=False):
-    """The keyword arguments of :class:`NavigationParallelEnv` but the team size, typed."""
+    """The keyword arguments of :class:`NavigationParallelEnv`."""
 
     render_mode: str | None
     render_size: tuple[int, int]

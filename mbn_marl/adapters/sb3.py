@@ -27,8 +27,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from mbn_marl.adapters.rendering import RENDER_FPS, LazyViewer
-from mbn_marl.adapters.repeat import ActionRepeat
+from mbn_marl.adapters.one_world import RENDER_FPS, ActionRepeat, LazyViewer
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
@@ -111,7 +110,7 @@ class NavigationVecEnv(VecEnv):
 
     @abstractmethod
     def _by_row(self, metric: NDArray[Any]) -> NDArray[Any]:
-        """Return a value for each row, from a metric ``(num_worlds,)`` or ``(num_worlds, n)``."""
+        """Return a value for each row, from ``(num_worlds,)`` or ``(num_worlds, n)``."""
 
     def reset(self) -> NDArray[Any]:
         """Start a new episode in every world.
@@ -206,14 +205,10 @@ class NavigationVecEnv(VecEnv):
             info["episode"] = {"r": returns[index], "l": info["steps"], "t": seconds}
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Return the frame of row 0's world alone, ``(height, width, 3)`` uint8.
-
-        :meth:`render` and ``VecVideoRecorder`` use it.
-        """
+        """Return the frame of row 0's world alone, ``(height, width, 3)`` uint8."""
         return [self._viewer.draw(self.engine)]
 
     def close(self) -> None:
-        """Release the viewer; the engine only uses memory."""
         self._viewer.close()
 
     def snapshot(self, row: int) -> Snapshot:
@@ -221,11 +216,7 @@ class NavigationVecEnv(VecEnv):
         return self.engine.snapshot(row // self._rows_per_world)
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return ``attr_name`` of this object, or else of the engine, for each of ``indices``.
-
-        Raises:
-            AttributeError: neither has it.
-        """
+        """Return ``attr_name`` of this object, or else of the engine, for each of ``indices``."""
         owner = self if hasattr(self, attr_name) else self.engine
         return [getattr(owner, attr_name)] * len(self._rows(indices))
 
@@ -246,14 +237,7 @@ class NavigationVecEnv(VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Call ``self.method_name(row, *method_args, **method_kwargs)`` for each row.
-
-        Args:
-            method_name: the name of a method of this object.
-            *method_args: its arguments after the row's index.
-            indices: the rows; ``None`` for all.
-            **method_kwargs: its keyword arguments.
-        """
+        """Call ``self.method_name(row, *method_args, **method_kwargs)`` for each row."""
         method = getattr(self, method_name)
         return [method(row, *method_args, **method_kwargs) for row in self._rows(indices)]
 

@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from mbn_marl.adapters.repeat import ActionRepeat
+from mbn_marl.adapters.one_world import ActionRepeat
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.engine.validation import as_array
@@ -151,7 +151,6 @@ class NavigationEnv(EnvBase):
         self._make_specs()
 
     def _make_specs(self) -> None:
-        """Declare every entry of the class's table."""
         engine = self.engine
         worlds, robots = (engine.num_worlds,), (engine.num_worlds, engine.n_robots)
         dtype = torch.from_numpy(np.empty(0, engine.dtype)).dtype
@@ -197,16 +196,13 @@ class NavigationEnv(EnvBase):
         shape: tuple[int, ...],
         dtype: torch.dtype,
     ) -> Bounded:
-        """A bounded spec of ``shape``, its bounds repeated over the leading dimensions."""
         bounds = [torch.as_tensor(bound, dtype=dtype).expand(shape) for bound in (low, high)]
         return Bounded(*bounds, shape=shape, dtype=dtype, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
-        """Seed all worlds from the next full reset on."""
         self._next_seed, self._loaded = seed, False
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
-        """Reset the worlds that ``"_reset"`` marks, or all of them."""
         mask = None if tensordict is None else tensordict.get("_reset", None)
         if mask is not None and not mask.all():
             observations = self.engine.reset_worlds(self._give(mask.reshape(-1)))
@@ -223,10 +219,7 @@ class NavigationEnv(EnvBase):
         return self._entries(nothing)
 
     def save_state(self) -> dict[str, NDArray[Any]]:
-        """Return copies of everything that changes, by name, to be kept in a file.
-
-        Each has the shape, such as (n, W), and the units that ``BatchEngine.save_state`` gives it.
-        """
+        """Return copies of everything that changes, by name; see ``BatchEngine.save_state``."""
         return self.engine.save_state()
 
     def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
@@ -236,8 +229,7 @@ class NavigationEnv(EnvBase):
         that had ended.
 
         Args:
-            saved: what :meth:`save_state` returned: arrays of its shapes, such as (n, W), and
-                units.
+            saved: the arrays of :meth:`save_state`, with its shapes and units.
 
         Raises:
             MbnError: it does not fit this environment.
@@ -246,14 +238,9 @@ class NavigationEnv(EnvBase):
         self._loaded = True
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Reset the worlds that ``tensordict`` says are done, in place.
-
-        ``step_and_maybe_reset`` calls it with the entries of the class's table, ``(W, 1)`` flags
-        among them.
-
-        The result is that of TorchRL's own ``maybe_reset``, which would merge every entry row by
-        row; the engine already has the current rows of all worlds side by side.
-        """
+        """Reset the worlds that ``tensordict`` says are done, in place."""
+        # The result is that of TorchRL's own, which would merge every entry row by row; the engine
+        # already has the current rows of all worlds side by side.
         if self.any_done(tensordict):
             ended = tensordict.pop("_reset")
             observations = self.engine.reset_worlds(self._give(ended.reshape(-1)))
@@ -272,7 +259,6 @@ class NavigationEnv(EnvBase):
         return tensordict
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        """Step all worlds, or those that ``"_step"`` marks, ``action_repeat`` times."""
         mask = tensordict.get("_step", None)
         active = None if mask is None else mask.reshape(-1)
         actions = self._give(tensordict.get((GROUP, "action")))
@@ -345,16 +331,14 @@ class NavigationEnv(EnvBase):
         return made
 
     def _fresh(self, array: Rows) -> torch.Tensor:
-        """Return an array that the engine has made for the caller, not copied."""
         return torch.as_tensor(array, device=self.device)
 
     def _tensor(self, array: Rows) -> torch.Tensor:
-        """Return a copy of an engine's array, which the engine will overwrite."""
+        # The engine overwrites its arrays at the next step.
         if isinstance(array, torch.Tensor):
             return array.clone()
         return torch.from_numpy(array.copy()).to(self.device)
 
 
 def _as_it_is(tensor: torch.Tensor) -> torch.Tensor:
-    """Return the tensor, which lies where the engine wants it."""
     return tensor

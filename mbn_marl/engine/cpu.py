@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.compiled.jit import address_of
 from mbn_marl.engine import kernels
 from mbn_marl.engine.backend import Backend, BackendSpec
 from mbn_marl.engine.state import Array, Episode
@@ -16,6 +15,7 @@ from mbn_marl.engine.store import Store
 from mbn_marl.engine.threads import WorldThreads
 from mbn_marl.engine.validation import as_array
 from mbn_marl.errors import ActionError
+from mbn_marl.jit.compile import address_of
 
 
 class CpuBackend(Backend):

@@ -21,8 +21,6 @@ from numba import cuda
 from numba.core import config
 from numba.core.compiler_lock import global_compiler_lock
 
-from mbn_marl.compiled.jit import compiled, generated, returning_views
-from mbn_marl.compiled.scalars import column
 from mbn_marl.engine.constants import AUTORESET_MODES
 from mbn_marl.engine.kernels import draw_world, is_final, put_infos
 from mbn_marl.engine.mdp.assignment import assign
@@ -38,6 +36,8 @@ from mbn_marl.engine.reset import (
 )
 from mbn_marl.engine.state import Episode, Geometry, Memory, Output
 from mbn_marl.engine.step import close_step, move_robots, score_step, scratch_of
+from mbn_marl.jit.compile import compiled, generated, returning_views
+from mbn_marl.jit.functions import column
 
 DISABLED = AUTORESET_MODES.index("disabled")
 NOT_FINITE, WAITING, LEFT_OUT = 1, 2, 3

@@ -5,10 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from mbn_marl.compiled.jit import compiled, entry_point, parallel_entry_point
-from mbn_marl.compiled.rng import FOR_ACTIONS, stream_key, uniform, world_number
-from mbn_marl.compiled.scalars import count_bits, is_set
-from mbn_marl.engine.intrinsics import call_step
 from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
 from mbn_marl.engine.mdp.failures import has_failed, is_absent
@@ -17,6 +13,10 @@ from mbn_marl.engine.mdp.visits import visit_code
 from mbn_marl.engine.reset import clear_output, reset_world
 from mbn_marl.engine.step import SAME_STEP
 from mbn_marl.engine.store import parts_of, with_scratch
+from mbn_marl.jit.compile import compiled, entry_point, parallel_entry_point
+from mbn_marl.jit.functions import count_bits, is_set
+from mbn_marl.jit.intrinsics import call_step
+from mbn_marl.jit.random_numbers import FOR_ACTIONS, stream_key, uniform, world_number
 
 FIRST, NEXT = np.uint64(0), np.uint64(1)
 

@@ -7,17 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled, generated
-from mbn_marl.compiled.rng import (
-    FOR_FIELDS,
-    FOR_STARTS,
-    episode_key,
-    stream_key,
-    stream_of,
-    uniform,
-    world_number,
-)
-from mbn_marl.compiled.scalars import column
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import in_field
 from mbn_marl.engine.mdp.disturbances import begin_disturbances
@@ -30,6 +19,17 @@ from mbn_marl.engine.mdp.visits import all_visited, visit_code
 from mbn_marl.engine.mdp.ways import lay_ways
 from mbn_marl.engine.state import HEADING, OPTIONAL, Episode
 from mbn_marl.field.generator.families import make_field
+from mbn_marl.jit.compile import compiled, generated
+from mbn_marl.jit.functions import column
+from mbn_marl.jit.random_numbers import (
+    FOR_FIELDS,
+    FOR_STARTS,
+    episode_key,
+    stream_key,
+    stream_of,
+    uniform,
+    world_number,
+)
 
 DRAWS_PER_ROBOT = 1000
 """How many random starts are tried for a robot before the field's own starts are used instead."""

@@ -1,4 +1,4 @@
-"""The worlds of an engine as plain NumPy arrays by name, to be kept in a file."""
+"""Save the worlds of an engine as NumPy arrays by name, and restore them."""
 
 from __future__ import annotations
 
@@ -44,16 +44,14 @@ def changing_arrays(backend: Backend) -> dict[str, Any]:
 
 
 def save_worlds(backend: Backend) -> dict[str, NDArray[Any]]:
-    """Copies of them."""
     return {name: backend.host(array) for name, array in changing_arrays(backend).items()}
 
 
 def limits(backend: Backend, edges: int, waypoints: int) -> dict[str, tuple[Any, Any]]:
-    """The least and the greatest value of an array by name, either one or an array of them.
+    """The least and the greatest value of an array by name: one value, or one per entry.
 
-    Compiled code takes these numbers for places, counts and shifts, and does not check them. All
-    other reals are finite; other whole numbers may be any. ``edges`` and ``waypoints`` are those
-    that the saved tables have room for.
+    Compiled code uses these numbers as indices, counts and shifts without checks. Other reals are
+    finite, other whole numbers are free. ``edges`` and ``waypoints`` are the sizes of the tables.
     """
     spec, g, real = backend.spec, backend.geometry, np.dtype(backend.spec.config.dtype).type
     _, n, _ = spec.actions_shape
@@ -104,7 +102,7 @@ def limits(backend: Backend, edges: int, waypoints: int) -> dict[str, tuple[Any,
 def range_problem(
     name: str, array: NDArray[Any], ends: tuple[Any, Any] | None, blanks: bool
 ) -> list[str]:
-    """Return what is wrong with the first value that is not in its range; ``blanks`` may be NaN."""
+    """Name the first value that is not in its range; with ``blanks`` values may be NaN."""
     kind = array.dtype.kind
     if kind == "b":
         array, ends = array.view(np.uint8), (0, 1)  # a file may have any byte
@@ -129,16 +127,14 @@ def range_problem(
 
 
 def _world(name: str, place: tuple[int, ...]) -> str:
-    """The world of an entry, in words."""
-    group = name.partition(".")[0]
     if name in COUNTERS:
         return ""
-    first = group in ("memory", "output") and name != "output.events"
+    first = name.startswith(("memory.", "output.")) and name != "output.events"
     return f" (world {place[0 if first else -1]})"
 
 
 def relation_problems(given: Mapping[str, NDArray[Any]], n: int, m: int, steps: int) -> list[str]:
-    """Return what is wrong between values that are all in their ranges."""
+    """Return the problems between values that are all in their ranges."""
     words, plan = given["memory.words"], given.get("memory.plan")
     goes_on = ~given["memory.pending"] & (given["now.steps"] >= steps)
     wrong = {
@@ -182,19 +178,14 @@ def problems_of(backend: Backend, given: Mapping[str, Any]) -> list[str]:
 
 
 def _room(given: Mapping[str, Any]) -> tuple[int, int]:
-    """How many edges and waypoints saved tables have room for."""
+    """The numbers of edges and waypoints of saved tables."""
     shapes: list[Any] = [getattr(given.get(name), "shape", ()) for name in (EDGES, WAYS[0])]
     edges, waypoints = (shape[1] if len(shape) == 3 else 0 for shape in shapes)
     return edges, waypoints
 
 
 def restore_worlds(backend: Backend, saved: Mapping[str, NDArray[Any]]) -> None:
-    """Put ``saved`` in their place.
-
-    Raises:
-        ProblemsError: an array is not one that these worlds could have; all problems are listed.
-            Nothing has changed.
-    """
+    """Restore saved worlds; raise a ProblemsError with all problems before anything changes."""
     given = {
         name: np.asarray(array) if isinstance(array, np.ndarray) else array  # masked ones too
         for name, array in saved.items()

@@ -13,9 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled, entry_point, returning_views
-from mbn_marl.compiled.scalars import clip, column, is_set, select
-from mbn_marl.engine.intrinsics import prefetch
 from mbn_marl.engine.mdp import revisits, rewards
 from mbn_marl.engine.mdp.collisions import too_close
 from mbn_marl.engine.mdp.containment import cross_edge
@@ -29,6 +26,9 @@ from mbn_marl.engine.mdp.termination import is_terminated, is_truncated
 from mbn_marl.engine.mdp.visits import all_visited, visit_code, within
 from mbn_marl.engine.reset import ENDED, RESTARTS, clear_output, copy_episode
 from mbn_marl.engine.store import call_reset, parts_of
+from mbn_marl.jit.compile import compiled, entry_point, returning_views
+from mbn_marl.jit.functions import clip, column, is_set, select
+from mbn_marl.jit.intrinsics import prefetch
 
 BLOCK = 256
 """Worlds per block."""

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from mbn_marl.compiled.jit import address_of
 from mbn_marl.engine import kernels, step
 from mbn_marl.engine.store import Store
+from mbn_marl.jit.compile import address_of
 
 WORLDS_PER_THREAD = 256
 """With fewer worlds than this for each thread, one does it all."""

@@ -13,8 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.compiled.jit import compiled, entry_point
-from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.engine import step
 from mbn_marl.engine.batch import BatchEngine
 from mbn_marl.engine.cpu import CpuBackend
@@ -26,6 +24,8 @@ from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
 from mbn_marl.engine.store import parts_of
 from mbn_marl.errors import ActionError, ConfigError, StepError
+from mbn_marl.jit.compile import compiled, entry_point
+from mbn_marl.jit.functions import clip, select
 
 LO, HI = np.uint64(0), np.uint64(1)
 INSIDE = 1

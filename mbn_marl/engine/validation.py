@@ -1,4 +1,4 @@
-"""Checks of how settings, fields and starts fit together, before an engine is built."""
+"""Check that settings, fields and starts fit together, before an engine is built."""
 
 from __future__ import annotations
 
@@ -28,11 +28,7 @@ ROUNDING = 1e-3
 
 
 def autoreset_mode(value: Autoreset) -> str:
-    """The name of an autoreset mode; ``True`` is same-step, ``False`` disabled.
-
-    Raises:
-        ConfigError: unknown mode.
-    """
+    """Return the name of an autoreset mode; ``True`` is same-step, ``False`` disabled."""
     mode = ("same_step" if value else "disabled") if isinstance(value, bool) else value
     if mode not in AUTORESET_MODES:
         allowed = ", ".join(map(repr, (True, False, *AUTORESET_MODES)))
@@ -51,11 +47,7 @@ def check_setup(
     starts: NDArray[Any] | None,
     first_world: int,
 ) -> None:
-    """Check how fields, team and batch fit together.
-
-    Raises:
-        ConfigError: listing every problem.
-    """
+    """Raise a ConfigError that lists every problem of fields, team and batch."""
     problems = [*_number_problems("seed", seed), *_number_problems("first_world", first_world)]
     if device not in get_args(Device):
         problems.append(f"device: {device!r}; allowed: {', '.join(map(repr, get_args(Device)))}")
@@ -81,7 +73,6 @@ def check_setup(
 def _fields_problems(
     fields: Sequence[Field], config: NavigationConfig, n: int, starts: NDArray[Any] | None
 ) -> list[str]:
-    """Return why given fields and starts do not fit this configuration."""
     problems = [] if fields else ["field: an empty sequence; allowed: at least one field"]
     if starts is not None and (wrong := _given_starts_problems(starts, config, n)):
         problems, starts = [*problems, *wrong], None
@@ -92,19 +83,18 @@ def _fields_problems(
 
 
 def _failure_problems(config: NavigationConfig, n: int) -> list[str]:
-    """Return why the failures do not fit a team of n robots."""
     if config.failures is None:
         return []
     rate, at, most = config.failures.rate, config.failures.at, config.failures.most
     problems = [f"failures.at: robot {i}; allowed: 0 to {n - 1}" for i in at if i >= n]
+    steps = {f"at.{i}": step for i, step in at.items()}
+    if config.failures.between:
+        steps["between"] = config.failures.between[0]
     problems += [
-        f"failures.at.{i}: step {step}; allowed: 1 to {config.max_steps}, max_steps"
-        for i, step in at.items()
+        f"failures.{place}: step {step}; allowed: 1 to {config.max_steps}, max_steps"
+        for place, step in steps.items()
         if step > config.max_steps
     ]
-    if config.failures.between and config.failures.between[0] > config.max_steps:
-        late = f"failures.between: from step {config.failures.between[0]}"
-        problems.append(f"{late}; allowed: from 1 to {config.max_steps}, max_steps")
     if most is not None and most > n:
         problems.append(f"failures.most: {most}; allowed: 0 to {n}, the size of the team")
     if rate and (most == 0 or (most is None and n == 1)):
@@ -155,7 +145,7 @@ def set_sampler_problems(sampler: FieldSampler, sizes: Sizes, teams_vary: bool) 
 
 
 def as_array(value: Any) -> NDArray[Any]:
-    """Return a value as NumPy reads it; a tensor without its graph, bfloat16 as float32.
+    """Return an array; a tensor without its graph, bfloat16 as float32.
 
     Raises:
         TypeError, ValueError: it is no array.
@@ -163,15 +153,11 @@ def as_array(value: Any) -> NDArray[Any]:
     if isinstance(value, np.ndarray) or not hasattr(value, "detach"):
         return np.asarray(value)
     tensor = value.detach().cpu()
-    try:
-        array: NDArray[Any] = tensor.numpy()
-    except TypeError:  # NumPy has no bfloat16
-        array = tensor.float().numpy()
-    return array
+    return np.asarray(tensor.float() if str(tensor.dtype) == "torch.bfloat16" else tensor)
 
 
 def option_problems(options: object, allowed: Sequence[str]) -> list[str]:
-    """Return the problems of the options of a reset: those that nobody reads."""
+    """Return the problems of the options of a reset."""
     if options is None:
         return []
     if not isinstance(options, Mapping):
@@ -193,7 +179,6 @@ def reset_problems(seed: object, episode: object) -> list[str]:
 
 
 def _number_problems(name: str, value: object) -> list[str]:
-    """Return the problems of a seed, or of the number of a world or an episode."""
     if _whole(value) and 0 <= int(value) < 2**63:
         return []
     return [f"{name}: {value!r}; allowed: an integer from 0 to 2**63 - 1"]
@@ -208,7 +193,6 @@ def _positive(value: object) -> bool:
 
 
 def _given_starts_problems(starts: NDArray[Any], config: NavigationConfig, n: int) -> list[str]:
-    """Return the problems of starts that replace the fields' own."""
     if starts.shape != (n, 2) or starts.dtype.kind not in "fiu" or not np.isfinite(starts).all():
         wrong = f"shape {starts.shape} of {starts.dtype}"
         return [f"starts: {wrong}; allowed: finite numbers of shape ({n}, 2)"]
@@ -220,7 +204,6 @@ def _given_starts_problems(starts: NDArray[Any], config: NavigationConfig, n: in
 def _sampler_problems(
     sampler: FieldSampler, config: NavigationConfig, n: int, starts: NDArray[Any] | None
 ) -> list[str]:
-    """Return why the fields that are drawn do not fit this configuration."""
     problems = [] if starts is None else ["starts: allowed with given fields"]
     if n < sampler.robots[1]:
         allowed = f"at least {sampler.robots[1]}, the most that the sampler draws"
@@ -246,11 +229,8 @@ def field_problems(
     arena: tuple[float, float],
     given_starts: NDArray[Any] | None,
 ) -> list[str]:
-    """Return why this field does not fit this configuration.
-
-    Given starts may be those of an episode that drew a small safety distance. A field that is
-    smaller than an ROI is a warning.
-    """
+    """Return why this field does not fit this configuration; warn if an ROI covers it."""
+    # Given starts may be those of an episode that drew the least safety distance.
     lowest = config.with_drawn({name: ends.low for name, ends in config.drawn.items()})
     config = config.at_most() if given_starts is None else lowest
     problems = []

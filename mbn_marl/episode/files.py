@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mbn_marl import field as fields
-from mbn_marl.checked import describe
-from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, NavigationConfig, make_config
+from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, NavigationConfig, describe, make_config
 from mbn_marl.engine import REWARD_TERMS
 from mbn_marl.episode.episode import Episode, Outcome
 from mbn_marl.errors import EpisodeError, MbnError

@@ -13,8 +13,7 @@ from annotated_types import Len
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
 from pydantic import Field as Described
 
-from mbn_marl.checked import NOT_A_WORD, describe
-from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, NavigationConfig
+from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, NOT_A_WORD, NavigationConfig, describe
 from mbn_marl.errors import FieldError
 
 FORMAT = "mbn-field/1"

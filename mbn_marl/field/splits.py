@@ -15,8 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ValidationError, ValidationInfo, field_validator
 from pydantic import Field as Described
 
-from mbn_marl.checked import describe
-from mbn_marl.config import Condition
+from mbn_marl.config import Condition, describe
 from mbn_marl.errors import FieldError, ProblemsError, unknown
 from mbn_marl.field.field import Field
 from mbn_marl.field.generator.sampler import FieldSampler

@@ -6,7 +6,7 @@ import bisect
 
 import numpy as np
 
-from mbn_marl.compiled.jit import entry_point_of_one_file
+from mbn_marl.jit.compile import entry_point_of_one_file
 from mbn_marl.planning.legs import NEVER, Ints
 from mbn_marl.planning.orders import UndecidedError
 

@@ -18,7 +18,7 @@ from torchrl.envs import GymEnv
 
 from mbn_marl import parallel_env, registration
 from mbn_marl.adapters.gymnasium import CentralizedEnv
-from mbn_marl.adapters.rendering import RENDER_FPS
+from mbn_marl.adapters.one_world import RENDER_FPS
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, SharedPolicyVecEnv
 from mbn_marl.config import CONDITIONS
 from mbn_marl.errors import ConfigError

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from mbn_marl import Field
 from mbn_marl.adapters.infos import GAP
-from mbn_marl.checked import Uniform
-from mbn_marl.config import Failures
+from mbn_marl.config import Failures, Uniform
 from mbn_marl.engine.mdp.observations import LIDARS, WITH_RAYS
 from tests.support.forms import BatchForm, CentralizedForm, Outcome, ParallelForm, TeamSharingForm
 from tests.support.oracle import Oracle

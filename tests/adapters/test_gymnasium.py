@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import copy
 import math
-import pickle
 import subprocess
 import sys
 
@@ -23,7 +22,7 @@ from mbn_marl.adapters.infos import GAP
 from mbn_marl.config import CONDITIONS
 from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
 from mbn_marl.field import catalogue_names
-from tests.support.forms import INFO_KEYS, NOTHING
+from tests.support.forms import NOTHING
 
 MODES = list(AutoresetMode)
 
@@ -123,56 +122,6 @@ class TestNumbersByHand:
         assert info["reward/success"] == 100_000.0
         assert info["reward/roi"] == 10_000.0
         assert info["reward/step"] == -10.0
-
-    def test_infos_are_the_sums_over_robots(self):
-        team, robots = centralized_env(), parallel_env()
-        rng = np.random.default_rng(4)
-        team.reset(seed=1)
-        robots.reset(seed=1)
-        for _ in range(60):
-            actions = rng.uniform(-1, 1, (3, 2)).astype(np.float32)
-            state, reward, terminated, _, info = team.step(actions)
-            by_robot = dict(zip(robots.possible_agents, actions, strict=True))
-            _, rewards, _, _, infos = robots.step(by_robot)
-            assert np.array_equal(state, robots.state())
-            assert reward == pytest.approx(sum(rewards.values()), rel=1e-6)
-            for key in INFO_KEYS[:3]:
-                assert [one[key] for one in infos.values()] == [info[key]] * 3
-            for key in INFO_KEYS[3:-1]:
-                assert info[key] == pytest.approx(sum(one[key] for one in infos.values()))
-            if terminated:
-                break
-        assert info["path_length"] > 0
-
-    def test_every_state_lies_in_its_space(self):
-        env = centralized_env("field_01", reward="formal", random_starts=True, max_steps=60)
-        env.action_space.seed(3)
-        assert env.observation_space.contains(env.reset(seed=2)[0])
-        episodes = 0
-        for _ in range(300):
-            state, reward, terminated, truncated, info = env.step(env.action_space.sample())
-            assert env.observation_space.contains(state)
-            assert tuple(info) == INFO_KEYS
-            assert type(reward) is float and all(isinstance(v, float) for v in info.values())
-            known = (terminated or truncated) and env.optimal_return is not None
-            assert math.isnan(info[GAP]) != known
-            terms = [value for key, value in info.items() if "/" in key]
-            assert sum(terms) == pytest.approx(reward, rel=1e-6)
-            if terminated or truncated:
-                episodes += 1
-                env.reset()
-        assert episodes > 0
-
-    def test_copies_go_their_own_way(self):
-        for copied in (copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))):
-            env = centralized_env(random_starts=True)
-            env.reset(seed=3)
-            env.step(np.full((3, 2), 0.7))
-            twin = copied(env)
-            actions = np.full((3, 2), -0.4)
-            assert equal(env.step(actions), twin.step(actions))
-            twin.step(actions)
-            assert not equal(env.step(-actions)[0], twin.step(actions)[0])
 
 
 class TestBadInput:

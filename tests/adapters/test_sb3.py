@@ -198,30 +198,6 @@ def test_attributes_and_methods(kind: type[NavigationVecEnv]) -> None:
     assert env.env_is_wrapped(VecMonitor, indices=[0, 1]) == [False, False]
 
 
-def test_snapshot_is_of_the_rows_world() -> None:
-    env = SharedPolicyVecEnv(["field_03", "field_07"], 4)
-    env.reset()
-    names = [shot.field.name for shot in env.env_method("snapshot")]
-    assert names == 2 * (3 * ["field_03"] + 3 * ["field_07"])
-
-
-@BOTH
-def test_episode_info_is_what_vec_monitor_writes(kind: type[NavigationVecEnv]) -> None:
-    env = kind("field_03", WORLDS, **LIVELY)
-    with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
-        monitor = VecMonitor(kind("field_03", WORLDS, **LIVELY))
-    env.reset(), monitor.reset()
-    episodes = 0
-    for actions in forces(env):
-        dones, own = env.step(actions)[2:]
-        theirs = monitor.step(actions)[3]
-        for row in np.flatnonzero(dones):
-            for key in "rl":
-                assert own[row]["episode"][key] == pytest.approx(theirs[row]["episode"][key])
-            episodes += 1
-    assert episodes > 0
-
-
 class Still:
     """A model for ``evaluate_policy`` that applies no force."""
 
@@ -310,17 +286,6 @@ def test_a_repeated_action_is_several_steps_that_stop_at_the_end(
         following = engine.reset_worlds(~running)
         np.testing.assert_array_equal(observations, observed(env, engine, following))
     assert middle > 5
-
-
-def test_standing_still_for_three_repeats_costs_three_steps() -> None:
-    env = CentralizedVecEnv("field_03", 2, roi_radius=0.0, max_steps=5, action_repeat=3)
-    env.reset()
-    still = np.zeros((2, ROBOTS, 2), np.float32)
-    # r_s for the first step of each robot, then r_m; the second decision ends after two steps.
-    (_, first, early, _), (_, second, late, infos) = env.step(still), env.step(still)
-    assert (first.tolist(), second.tolist()) == ([-630.0] * 2, [-600.0] * 2)
-    assert not early.any() and late.all()
-    assert [info["episode"]["l"] for info in infos] == [5, 5]
 
 
 def test_a_central_learner_can_see_what_all_robots_see() -> None:

@@ -124,17 +124,6 @@ def test_root_tells_of_the_last_step_and_of_nothing_after_a_reset() -> None:
         assert (previous[ended] != 0).all()
 
 
-def test_time_limit_truncates_and_never_terminates() -> None:
-    env = NavigationEnv("field_03", 2, max_steps=4)
-    rest = {"action": env.full_action_spec[GROUP, "action"].zero()}
-    data = env.reset()
-    for step in range(1, 5):
-        data[GROUP].update(rest)
-        data = env.step(data)["next"]
-        assert (data["truncated"] == (step == 4)).all() and not data["terminated"].any()
-        assert (data["done"] == data["truncated"]).all()
-
-
 def test_partial_reset_leaves_the_other_worlds_alone() -> None:
     env = NavigationEnv("field_03", 4, **LIVELY)
     data = env.rollout(3, push(), break_when_any_done=True)[:, -1]["next"]
@@ -195,28 +184,6 @@ def test_bad_steps_are_refused_before_anything_moves() -> None:
         env.step(data)
     with pytest.raises(ConfigError, match="max_step: "):
         NavigationEnv("field_03", 2, max_step=3)  # type: ignore[call-arg]
-
-
-def test_collected_returns_are_the_sums_of_rewards() -> None:
-    env = NavigationEnv("field_03", WORLDS, **LIVELY)
-    frames = WORLDS * STEPS
-    collector = Collector(
-        env,
-        push(),
-        frames_per_batch=frames,
-        total_frames=frames,
-        auto_register_policy_transforms=False,
-    )
-    (data,) = collector
-    after = data["next"]
-    for world in range(WORLDS):
-        ends = after["done"][world, :, 0].nonzero()[:, 0].tolist()
-        assert ends
-        for first, last in zip([0, *(end + 1 for end in ends[:-1])], ends, strict=True):
-            total = after[GROUP, "reward"][world, first : last + 1].double().sum()
-            reported = after["metrics", "episode_return"][world, last, 0]
-            torch.testing.assert_close(reported.double(), total, rtol=1e-5, atol=0.1)
-            assert after["metrics", "steps"][world, last, 0] == last + 1 - first
 
 
 def actor_and_critic(env: EnvBase, team: bool) -> tuple[ProbabilisticActor, ValueOperator]:
@@ -288,16 +255,6 @@ def wrapped_parallel_env(**settings: object) -> PettingZooWrapper:
 
 
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using")
-def test_pettingzoo_wrapper_knows_time_limits() -> None:
-    env = wrapped_parallel_env(max_steps=5)
-    check_env_specs(env)
-    data = env.rollout(12, break_when_any_done=False)
-    for flags in (data["next"], data["next", GROUP]):
-        assert flags["truncated"].flatten(1).all(1).tolist() == [t % 5 == 4 for t in range(12)]
-        assert not flags["terminated"].any()
-
-
-@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using")
 def test_pettingzoo_wrapper_trains() -> None:
     """PPO as a user writes it: collector, GAE and loss of TorchRL on PettingZoo's environment."""
     torch.manual_seed(0)
@@ -364,16 +321,6 @@ def test_a_saved_world_that_had_ended_begins_again() -> None:
     env.load_state(env.save_state())
     assert not env.reset()["done"].any() and env.engine.running.all()
     env.step(push()(env.reset()))
-
-
-def test_low_precision_actions_are_read() -> None:
-    env, twin = NavigationEnv("field_03", 2), NavigationEnv("field_03", 2)
-    first = env.reset()
-    action = torch.full((2, 3, 2), 0.25)
-    first["robots", "action"] = action.bfloat16()
-    moved = env.step(first)["next", "robots", "observation"]
-    expected = twin.step(twin.reset().set(("robots", "action"), action))
-    assert torch.equal(moved, expected["next", "robots", "observation"])
 
 
 @pytest.mark.all

@@ -40,7 +40,7 @@ from baselines.cli.main import main
 sys.exit(main(%r))
 """
 PLANNER, PICTURES = ("scipy", "highspy", "clarabel"), ("matplotlib", "pygame", "PIL")
-LEARNERS = ("torch", "filelock", "pandas", "safetensors", "optuna", "fsspec", "supersuit")
+LEARNERS = ("torch", "filelock", "pandas", "safetensors", "optuna", "supersuit")
 
 
 @pytest.mark.parametrize(

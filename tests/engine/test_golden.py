@@ -20,7 +20,7 @@ from mbn_marl import BatchEngine, Field
 from mbn_marl.field import catalogue_names, load_field
 from tests.golden import FIELDS, Episode, load_episodes
 from tests.support.configurations import PRECISIONS
-from tests.support.forms import CentralizedForm, Form, ParallelForm, TeamSharingForm
+from tests.support.forms import CentralizedForm, ParallelForm, TeamSharingForm
 
 WORLDS = 131  # no multiple of any vector width, or of the number of episodes
 POSITION_TOLERANCE = {"float64": 1e-9, "float32": 0.005}
@@ -48,7 +48,7 @@ def settings_of(episode: Episode) -> dict[str, Any]:
     return {"n_robots": episode.n_robots, "wind": episode.wind}
 
 
-def alone(make: Callable[..., Form]) -> Callable[[str], Iterator[tuple[Episode, Played]]]:
+def alone(make: Callable[..., Any]) -> Callable[[str], Iterator[tuple[Episode, Played]]]:
     """Play each episode in another environment."""
 
     def play(dtype: str) -> Iterator[tuple[Episode, Played]]:

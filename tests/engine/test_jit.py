@@ -18,8 +18,8 @@ from numba.core.compiler import Compiler
 from numba.core.registry import cpu_target
 
 import mbn_marl
-from mbn_marl.compiled import jit, part
-from mbn_marl.compiled.jit import SOURCES, compiled, digest_of_sources, returning_views
+from mbn_marl.jit import compile, inlining
+from mbn_marl.jit.compile import SOURCES, compiled, digest_of_sources, returning_views
 
 pytestmark = pytest.mark.slow
 PACKAGE = Path(mbn_marl.__file__).parents[1]
@@ -31,7 +31,7 @@ print(next_velocity(1.0, 2.0, 1.0, 0.5, 5.0), sum(next_velocity.alone.stats.cach
 
 
 def probe(folder: Path, cache: Path, warning: str = "", largest: int = -1) -> list[str]:
-    """Return what a rule computes in a new process, and the number of hits in the cache.
+    """Return the result of a rule in a new process, and the number of hits in the cache.
 
     ``warning`` is in exactly one line of its errors; no file may grow beyond ``largest`` bytes.
     """
@@ -64,37 +64,21 @@ def test_engine_without_its_compiler_is_refused() -> None:
     assert done.returncode and "MbnError: NUMBA_DISABLE_JIT: " in done.stderr
 
 
-@pytest.fixture(scope="module")
-def whole_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What one process has left."""
-    folder = tmp_path_factory.mktemp("whole")
-    assert probe(PACKAGE, folder) == ["3.5", "0"]
-    return folder
-
-
-@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
-@pytest.mark.parametrize("damage", ["empty", "cut", "garbage", "one byte"])
-def test_damaged_code_is_compiled_again(
-    suffix: str, damage: str, whole_cache: Path, tmp_path: Path
-) -> None:
-    cache = Path(shutil.copytree(whole_cache, tmp_path / "cache"))
-    (place,) = cache.rglob(f"*{suffix}")
-    whole = place.read_bytes()
-    half = len(whole) // 2
-    changed = whole[:half] + bytes([whole[half] ^ 4]) + whole[half + 1 :]
-    damaged = {"empty": b"", "cut": whole[:half], "garbage": whole[::-1], "one byte": changed}
-    place.write_bytes(damaged[damage])
-    warned = (suffix, damage) != (".nbi", "one byte")  # that may be another key, of no code
-    assert probe(PACKAGE, cache, f"{place} is damaged" if warned else "") == ["3.5", "0"]
-    assert probe(PACKAGE, cache) == ["3.5", "1"]
+def test_damaged_code_is_compiled_again(tmp_path: Path) -> None:
+    assert probe(PACKAGE, tmp_path) == ["3.5", "0"]
+    for suffix, damage in ((".nbi", "cut"), (".nbc", "cut"), (".nbc", "one byte")):
+        (place,) = tmp_path.rglob(f"*{suffix}")
+        whole = place.read_bytes()
+        half = len(whole) // 2
+        changed = whole[:half] + bytes([whole[half] ^ 4]) + whole[half + 1 :]
+        place.write_bytes(whole[:half] if damage == "cut" else changed)
+        assert probe(PACKAGE, tmp_path, f"{place} is damaged") == ["3.5", "0"]
+        assert probe(PACKAGE, tmp_path) == ["3.5", "1"]
 
 
 def test_code_that_cannot_be_kept_is_used(tmp_path: Path) -> None:
     for _ in range(2):
         assert probe(PACKAGE, tmp_path, f"{tmp_path}", largest=100) == ["3.5", "0"]
-
-
-def test_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     assert probe(PACKAGE, tmp_path / "file", f"NUMBA_CACHE_DIR={tmp_path}")[0] == "3.5"
 
@@ -122,7 +106,7 @@ class Pair(NamedTuple):
     right: Any
 
 
-def test_a_rule_takes_its_arguments_whole() -> None:
+def test_rule_takes_its_arguments_whole() -> None:
     def worth(pair, weight):
         left, best, where = pair.left, -1.0, -1
         twice = 2 * weight
@@ -170,16 +154,16 @@ def test_arrays_stay_among_rules_that_do_not_count_references() -> None:
         compiled(lambda pair: pair[0].copy().sum())(pair)
 
 
-def test_every_source_counts_wherever_it_is(tmp_path: Path) -> None:
+def test_every_source_and_its_place_count(tmp_path: Path) -> None:
     package = tmp_path / "mbn_marl"
     shutil.copytree(Path(mbn_marl.__file__).parent, package)
-    digests, engine = [digest_of_sources(package)], package / "engine"
+    digests = [digest_of_sources(package)]
     assert digests == [SOURCES]
-    changed = engine / "step.py", engine / "mdp" / "visits.py", package / "compiled" / "rng.py"
-    for path in (*changed, package / "config.py"):
+    for name in ("engine/step.py", "engine/mdp/rewards.py", "jit/functions.py", "config.py"):
+        path = package / name
         path.write_text(path.read_text(encoding="utf-8") + "\n", encoding="utf-8")
         digests.append(digest_of_sources(package))
-    (engine / "mdp" / "visits.py").rename(engine / "visits.py")
+    (package / "engine/mdp/rewards.py").rename(package / "engine/rewards.py")
     digests.append(digest_of_sources(package))
     assert len(set(digests)) == 6
 
@@ -197,7 +181,7 @@ class Settings(NamedTuple):
     weight: Any
 
 
-def test_what_settled_constants_exclude_is_not_compiled() -> None:
+def test_branches_of_settled_constants_are_not_compiled() -> None:
     @compiled
     def twice(x):  # type: ignore[no-untyped-def]
         return 2 * x
@@ -217,13 +201,13 @@ def test_what_settled_constants_exclude_is_not_compiled() -> None:
 def test_numbas_own_compiler_takes_over_where_ours_fails(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.delenv(jit.PLAIN, raising=False)
-    monkeypatch.setattr(jit, "PROVEN", ())
-    assert jit.compiler_of_rules() is part.PartCompiler
-    monkeypatch.setattr(part, "PASSES", part.PASSES[:3])  # as if Numba had moved the others
-    assert jit.compiler_of_rules() is Compiler
+    monkeypatch.delenv(compile.PLAIN, raising=False)
+    monkeypatch.setattr(compile, "PROVEN", ())
+    assert compile.compiler_of_rules() is inlining.PartCompiler
+    monkeypatch.setattr(inlining, "PASSES", inlining.PASSES[:3])  # as if Numba had moved the others
+    assert compile.compiler_of_rules() is Compiler
     assert f"Numba {numba.__version__}" in caplog.text
-    jit._prove(Compiler)
-    monkeypatch.setattr(jit, "PROVEN", (numba.__version__,))
-    monkeypatch.setenv(jit.PLAIN, "1")
-    assert jit.compiler_of_rules() is Compiler
+    compile._prove(Compiler)
+    monkeypatch.setattr(compile, "PROVEN", (numba.__version__,))
+    monkeypatch.setenv(compile.PLAIN, "1")
+    assert compile.compiler_of_rules() is Compiler

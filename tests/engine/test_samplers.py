@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,8 +9,6 @@ import pytest
 from shapely import Point
 
 from mbn_marl import BatchEngine
-from mbn_marl.engine.constants import constants_of
-from mbn_marl.engine.mdp.failures import fail
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, FieldSampler, load_field
 from mbn_marl.field.generator.layout import FAMILIES
@@ -61,7 +57,7 @@ def assert_same_observations(ours: BatchEngine, theirs: BatchEngine, world: int,
     [{"random_starts": True, "reward_sharing": "team"}, {"reward": "formal"}, {**STORM}],
     ids=["starts", "formal", "storm"],
 )
-def test_a_world_is_that_of_an_engine_with_its_field_alone(settings: dict[str, Any]) -> None:
+def test_world_equals_an_engine_with_its_field_alone(settings: dict[str, Any]) -> None:
     settings["max_steps"] = 25
     ours, reference = BatchEngine(ALL, WORLDS, seed=3, **settings), Worlds(ALL, 3, **settings)
     seen = ours.reset().copy()
@@ -70,7 +66,7 @@ def test_a_world_is_that_of_an_engine_with_its_field_alone(settings: dict[str, A
     for _ in range(90):
         for w in range(WORLDS):
             assert_same_observations(ours, theirs[w], w, seen)
-            assert ours.present[w].sum() == theirs[w].n_robots
+            assert ours.present[w].sum() == theirs[w].n_robots == len(ours.snapshot(w).positions)
             assert ours.field_of(w).rois.tolist() == theirs[w].field.rois.tolist()
         actions = ours.sample_actions()
         seen, rewards, terminated, truncated = (part.copy() for part in ours.step(actions))
@@ -101,54 +97,16 @@ def test_fields_depend_on_seed_world_and_episode_alone() -> None:
     sampler = FieldSampler(("convex", "farm"), robots=(2, 3), rois=(3, 5), seed=8)
     one = BatchEngine(sampler, 40, seed=1, threads=1, max_steps=9)
     two = BatchEngine(sampler, 25, seed=2, threads=2, max_steps=9, first_world=10)
-    one.reset()
-    two.reset()
-    for _ in range(30):
-        one.step(one.sample_actions())
-        two.step(two.sample_actions())
-    assert (one.episode_numbers >= 3).all()
+    for engine in (one, two):
+        engine.reset()
+        for _ in range(30):
+            engine.step(engine.sample_actions())
+        assert (engine.episode_numbers >= 3).all()
     for engine, world, number in ((one, 14, 14), (two, 4, 14), (two, 24, 34)):
         expected = sampler.field(number, int(engine.episode_numbers[world]))
-        found = engine.field_of(world)
-        assert np.array_equal(found.edges, expected.edges)
-        assert np.array_equal(found.starts, expected.starts)
-    assert (
-        len({engine.field_of(w).vertices.tobytes() for engine in (one, two) for w in range(9)})
-        == 18
-    )
-
-
-def test_saved_worlds_go_on_with_their_fields() -> None:
-    engine = BatchEngine(ALL, 5, seed=3, max_steps=12)
-    engine.reset()
-    for _ in range(20):
-        engine.step(engine.sample_actions())
-    saved, copied = engine.save_state(), copy.deepcopy(engine)
-    other = BatchEngine(ALL, 5, seed=77, max_steps=12)
-    other.reset()
-    other.load_state(saved)
-    for _ in range(30):
-        actions = engine.sample_actions()
-        results = [e.step(actions) for e in (engine, other, copied)]
-        for theirs in results[1:]:
-            for a, b in zip(results[0], theirs, strict=True):
-                np.testing.assert_array_equal(a, b)
-        assert [e.field_of(3) for e in (other, copied)] == [engine.field_of(3)] * 2
-        for e in (other, copied):
-            e.sample_actions()
-
-
-def test_a_snapshot_has_the_team_and_the_field_of_the_episode() -> None:
-    engine = BatchEngine(ALL, 8, seed=3)
-    engine.reset()
-    engine.step(engine.sample_actions())
-    for world in range(8):
-        snapshot, expected = engine.snapshot(world), ALL.field(world)
-        team, rois = len(expected.starts), len(expected.rois)
-        assert snapshot.positions.shape == snapshot.velocities.shape == (team, 2)
-        assert snapshot.trail.shape == (2, team, 2)
-        assert snapshot.visited.shape == (rois,)
-        assert np.array_equal(snapshot.field.rois, expected.rois)
+        assert np.array_equal(engine.field_of(world).edges, expected.edges)
+        assert np.array_equal(engine.field_of(world).starts, expected.starts)
+    assert len({one.field_of(world).vertices.tobytes() for world in range(18)}) == 18
 
 
 def test_fixed_fields_may_have_teams_of_different_sizes() -> None:
@@ -165,7 +123,7 @@ def test_fixed_fields_may_have_teams_of_different_sizes() -> None:
     assert two.present.all()
 
 
-def test_a_world_can_be_given_a_field() -> None:
+def test_world_can_be_given_a_field() -> None:
     field = load_field("field_09")
     engine = BatchEngine("field_03", 1, seed=1, autoreset=False)
     assert len(field.edges) > len(engine.field.edges)
@@ -188,7 +146,7 @@ def test_a_world_can_be_given_a_field() -> None:
     assert np.array_equal(sampled.field_of(1).rois, ALL.field(1, 2).rois)
 
 
-def test_what_a_world_cannot_be_given_is_said_at_once() -> None:
+def test_fields_and_samplers_that_do_not_fit_are_refused() -> None:
     engine = BatchEngine("field_03", 3, n_robots=2)
     field = load_field("field_05")
     alone = Field(field.vertices, [*field.rois, *(field.rois + 3)], field.starts[:1])
@@ -205,7 +163,7 @@ def test_what_a_world_cannot_be_given_is_said_at_once() -> None:
             call()
 
 
-def test_a_curriculum_changes_the_fields_that_are_drawn() -> None:
+def test_sampler_can_be_replaced() -> None:
     small = FieldSampler(FAMILIES, robots=(2, 4), rois=2, size=120, weights=(1, 0, 0, 0, 0), seed=5)
     engine = BatchEngine(ALL, 20, seed=3)
     engine.reset()
@@ -222,13 +180,10 @@ def test_a_curriculum_changes_the_fields_that_are_drawn() -> None:
         engine.set_sampler(large)
     assert len(caught.value.problems) == 3  # robots, ROIs, arena
     assert np.array_equal(engine.field_of(3).edges, small.field(3, 1).edges)
-
-
-def test_settings_that_no_drawn_field_allows_are_named() -> None:
-    with pytest.raises(ConfigError) as caught:
-        BatchEngine(ALL, n_robots=3, safety_distance=14.0, starts=np.zeros((3, 2)))
-    places = {problem.split(":")[0] for problem in caught.value.problems}
-    assert places == {"n_robots", "safety_distance", "starts"}
+    larger = BatchEngine(ALL, 3, n_robots=5, seed=1)
+    larger.set_sampler(FieldSampler(FAMILIES, robots=5, rois=2))
+    larger.reset()
+    assert larger.present.all()
 
 
 def test_teams_that_start_at_random_may_be_larger_than_the_starts() -> None:
@@ -246,7 +201,7 @@ def test_teams_that_start_at_random_may_be_larger_than_the_starts() -> None:
             BatchEngine(field, 1, **wrong)
 
 
-def test_robots_that_find_no_place_start_apart_where_the_field_has_too_few_starts() -> None:
+def test_robots_that_find_no_random_place_start_apart() -> None:
     """A strip 0.2 wide along the diagonal: of 1000 points in its box, a fifth of one is inside."""
     strip = Field([(0, 0), (0.2, 0), (1000, 999.8), (1000, 1000)], [(500, 499.9)], [(100, 99.9)])
     how: dict[str, Any] = {
@@ -269,7 +224,7 @@ def test_robots_that_find_no_place_start_apart_where_the_field_has_too_few_start
     assert engine.present.all()
 
 
-def test_an_absent_robot_leaves_nothing_in_the_revisit_memory() -> None:
+def test_absent_robot_leaves_nothing_in_the_revisit_memory() -> None:
     """Robot 0 comes back to its start, which nobody has stood on after a step."""
     sampler = FieldSampler(robots=(1, 3), rois=2, size=200, seed=2)
     ours = BatchEngine(sampler, 6, seed=1, autoreset=False)
@@ -286,7 +241,7 @@ def test_an_absent_robot_leaves_nothing_in_the_revisit_memory() -> None:
     assert ours.state()[world, 0] == alone.state()[0, 0] == np.float32(alone.field.starts[0, 0])
 
 
-def test_a_field_that_a_samplers_world_was_given_is_read_as_it_was_given() -> None:
+def test_given_field_of_a_samplers_world_is_saved_and_loaded() -> None:
     field = load_field("field_09")
     turned = Field(field.vertices[::-1] + 1e-5, field.rois, field.starts, name="turned")
     engine = BatchEngine(FieldSampler(robots=(2, 3), rois=6, seed=1), 2, seed=1, autoreset=False)
@@ -309,7 +264,7 @@ def test_a_field_that_a_samplers_world_was_given_is_read_as_it_was_given() -> No
 
 
 @pytest.mark.parametrize("assigned", [{}, STORM], ids=["plain", "storm"])
-def test_a_state_is_loaded_whichever_engine_was_given_a_larger_field(assigned: Any) -> None:
+def test_state_is_loaded_into_tables_of_another_size(assigned: Any) -> None:
     sampler = FieldSampler(robots=(2, 3), rois=6, seed=1)
     small, large = (BatchEngine(sampler, 2, seed=1, **assigned) for _ in range(2))
     jagged = [(100 + 3 * k, 100 + 5 * (k % 2)) for k in range(100)]
@@ -331,27 +286,3 @@ def test_a_state_is_loaded_whichever_engine_was_given_a_larger_field(assigned: A
             np.testing.assert_array_equal(theirs.step(actions)[0], ours.step(actions)[0])
         assert ours.field_of(0).edges.shape == theirs.field_of(0).edges.shape
     assert len(small.field_of(0).edges) == 102
-
-
-def test_a_curriculum_may_use_all_robots_that_the_engine_has() -> None:
-    engine = BatchEngine(FieldSampler(robots=(2, 3), size=(150, 420)), 3, n_robots=5, seed=1)
-    engine.set_sampler(FieldSampler(robots=5, size=(150, 420)))
-    engine.reset()
-    assert engine.present.all()
-    for world in range(3):
-        expected = FieldSampler(robots=5, size=(150, 420)).field(world)
-        assert np.array_equal(engine.field_of(world).starts, expected.starts)
-
-
-def test_no_robot_fails_where_none_can() -> None:
-    """The tables of failures are empty there: Python's arrays would say so, compiled ones not."""
-    engine = BatchEngine(FieldSampler(robots=(1, 4), rois=3, size=200, seed=1), 50, seed=1)
-    engine.reset()
-    backend = engine._backend
-    assert backend.geometry.fail_at.size == backend.memory.key.size == 0
-    now, to = backend.now, SimpleNamespace(own=np.zeros(50), share=np.zeros(50))
-    p, before = constants_of(backend.spec.constants), now.status.copy()
-    for i in range(4):
-        fail.py_func(p, backend.geometry, backend.memory, now.status, now, to, i, 0, 50)
-    np.testing.assert_array_equal(now.status, before)
-    assert not engine.failed.any()

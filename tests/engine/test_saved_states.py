@@ -1,4 +1,4 @@
-"""A saved state that no engine has written is refused, or harmless: never written past arrays."""
+"""A saved state that no engine has written is refused or harmless."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_values_out_of_range_are_named(name: str, array: str, edit: Any, place: 
 
 
 @pytest.mark.parametrize("value", [None, [1.0] * 15, 3, np.zeros(15), np.ma.masked_all((3, 5))])
-def test_what_is_no_array_of_the_engine_is_refused(value: Any) -> None:
+def test_wrong_arrays_are_refused(value: Any) -> None:
     engine = make("default")
     for saved in (value, {}, {**engine.save_state(), "now.x": value}):
         with pytest.raises(MbnError, match="worlds"):

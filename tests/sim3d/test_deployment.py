@@ -12,8 +12,7 @@ from baselines.classical.controller import make_classical
 from baselines.evaluation.policy import load_trained
 from baselines.evaluation.rollout import record_episode
 from baselines.zoo.entries import open_run
-from mbn_marl.checked import Uniform
-from mbn_marl.config import RewardProfile
+from mbn_marl.config import RewardProfile, Uniform
 from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 from mbn_marl.field import load_field

@@ -44,7 +44,6 @@ SIGHTS: dict[str, dict[str, Any]] = {
 
 
 def seeing(observation: str, radius: float) -> dict[str, Any]:
-    """The settings of an observation, with a sensing radius if it has one."""
     has_one = observation not in WITHOUT_RADIUS
     return SIGHTS[observation] | ({"sensing_radius": radius} if has_one else {})
 
@@ -62,17 +61,13 @@ COMPILED: list[float] = []
 
 
 class Compilations(event.Listener):
-    """Measures what Numba compiles, callees included."""
-
     def __init__(self) -> None:
         self.begun: list[float] = []
 
     def on_start(self, event: Any) -> None:
-        """Hear that Numba begins to compile a function."""
         self.begun.append(time.process_time())
 
     def on_end(self, event: Any) -> None:
-        """Hear that it has ended."""
         seconds = time.process_time() - self.begun.pop()
         if not self.begun:
             COMPILED.append(seconds)
@@ -97,7 +92,6 @@ def share_compilation() -> None:
 
 
 def pytest_configure() -> None:
-    """Begin to share and to measure."""
     share_compilation()
     event.register("numba:compile", Compilations())
 
@@ -115,7 +109,6 @@ def pytest_testnodedown(node: Any) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Print how many functions were compiled and for how long."""
     line = f"{len(COMPILED)} functions compiled in {sum(COMPILED):.0f} CPU seconds"
     terminalreporter.write_line(line)
 

@@ -28,12 +28,10 @@ def key_of(*numbers: int) -> int:
 
 
 def uniform(key: int, counter: int) -> np.float32:
-    """A uniform number in [0, 1)."""
     return np.float32((mixed(key + counter * GOLDEN) >> 40) / 2**24)
 
 
 def normal(key: int, counter: int) -> np.float32:
-    """A normal number."""
     digits = f"{mixed(key + counter * GOLDEN):064b}"
     ones, low, next_ = digits[:40].count("1"), int(digits[52:], 2), int(digits[40:52], 2)
     t = np.float32(ones - 21 + (low + next_ + 1) / 4096)
@@ -79,7 +77,6 @@ class Disturbances:
         self.added = real(gust * math.sqrt(1.0 - kept * kept))
 
     def begin(self, episode: int) -> None:
-        """Begin an episode."""
         self.episode, self.steps = episode, 0
         self.sent: list[Any] = []
         self.gust = (self.real(0.0), self.real(0.0))

@@ -20,12 +20,10 @@ LIMITS = ("mass", "f_max", "v_clip")
 
 
 def is_range(value: Any) -> bool:
-    """Return whether a value is drawn."""
     return hasattr(value, "low")
 
 
 def highest(values: list[Any]) -> list[float]:
-    """The highest values that may be drawn."""
     return [value.high if is_range(value) else value for value in values]
 
 
@@ -58,14 +56,12 @@ def drawn_settings(settings: dict[str, Any], n: int, key: int) -> dict[str, Any]
 
 
 def vector(speed: float, angle: float) -> tuple[float, float]:
-    """The wind along x and y."""
     turn = angle * (math.pi / 180.0)
     turn -= round(turn / (2 * math.pi)) * (2 * math.pi)
     return speed * cosine(turn), speed * sine(turn)
 
 
 def drawn_failure(steps: tuple[int, int] | None, n: int, key: int) -> dict[int, int]:
-    """The robot that is drawn to fail, and its step."""
     if steps is None:
         return {}
     first, last = steps

@@ -1,9 +1,9 @@
-"""The forms of the environment behind one face: reset and step one world, look at the outcome."""
+"""The forms of the environment with one interface: reset and step one world."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,7 @@ from mbn_marl.engine import INFO_COLUMNS, REWARD_TERMS
 
 @dataclass
 class Outcome:
-    """The results of a step for one world.
-
-    ``state`` (4n+1,), the last of the episode if it ended; ``team_reward``; ``infos``: one per
-    robot, or a single one for the team; ``rewards`` (n,) and ``observations`` (n, size), empty
-    for the centralised form.
-    """
+    """The results of a step for one world; the centralised form has one info, for the team."""
 
     state: NDArray[Any]
     team_reward: float
@@ -32,18 +27,7 @@ class Outcome:
 
     @property
     def ended(self) -> bool:
-        """Return whether the episode is over."""
         return self.terminated or self.truncated
-
-
-class Form(Protocol):
-    """One world of the environment. Each step checks that observations lie in their space."""
-
-    def reset(self) -> NDArray[Any]:
-        """Start an episode. Returns the state (4n+1,)."""
-
-    def step(self, actions: NDArray[np.float32]) -> Outcome:
-        """Move the robots by ``actions`` (n, 2)."""
 
 
 class ParallelForm:
@@ -98,8 +82,6 @@ class TeamSharingForm(ParallelForm):
 
 
 class CentralizedForm:
-    """``centralized_env``."""
-
     def __init__(self, field: Field | str, **settings: Any) -> None:
         self.env = centralized_env(field, **settings)
 
@@ -115,18 +97,9 @@ class CentralizedForm:
 
 
 class BatchForm:
-    """World ``world`` of a ``BatchEngine`` that restarts ended worlds by itself.
+    """One world of a ``BatchEngine`` that restarts ended worlds; others get other actions."""
 
-    The other worlds get other actions.
-    """
-
-    def __init__(
-        self,
-        field: Field | str | list[Field],
-        num_worlds: int,
-        world: int,
-        **settings: Any,
-    ) -> None:
+    def __init__(self, field: Any, num_worlds: int, world: int, **settings: Any) -> None:
         self.engine = BatchEngine(field, num_worlds, **settings)
         self.world = world
         self._fresh = False

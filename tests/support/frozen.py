@@ -34,7 +34,6 @@ def write_split(
 
 
 def write_splits(folder: Path, count: int) -> None:
-    """Write a file for each tier."""
     for tier in NAMES[:-1]:
         write_split(folder, tier, count)
     path = folder / f"test-{WEATHER}.json"

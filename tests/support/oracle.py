@@ -1,9 +1,7 @@
-"""The MDP a second time: slow, one world at a time, robot by robot.
+"""A second, slow implementation of the MDP: one world, robot by robot.
 
-It shares nothing with the package, so that a mistake would have to be made twice to go unseen.
-Geometry is asked of shapely (the engine has its own), distances of ``math.hypot`` (the engine
-compares squares). :attr:`Step.margin` tells how close the step came to a tie; a test that compares
-two implementations stops where the margin is mere rounding.
+It shares nothing with the package, so a mistake would have to be made twice. Geometry comes from
+shapely, distances from ``math.hypot``. A comparison stops where ``Step.margin`` is mere rounding.
 """
 
 from __future__ import annotations
@@ -11,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import shapely
@@ -25,33 +23,20 @@ from tests.support.vehicles import REALS, Robot, Vehicle, clip
 from tests.support.wall_senses import WallSenses
 
 
-class FieldLike(Protocol):
-    """The part of a field that the oracle needs: coordinates in arena units."""
-
-    vertices: Any
-    rois: Any
-    starts: Any
-    holes: Any
-    arena: tuple[float, float]
-
-
 class Oracle:
-    """One world of the multi-robot navigation MDP.
+    """One world of the MDP; settings have the names, units and defaults of the engine's.
 
-    The settings have the names, units and defaults of the engine's. ``reward`` is ``"released"``,
-    ``"formal"`` or any object with the attributes of :class:`Profile`; ``dynamics``, ``mass``,
-    ``f_max`` and ``v_clip`` are one value or one per robot; ``failures`` is any object with the
-    attributes of ``Failures``.
+    ``reward`` and ``failures`` may be any object with the attributes of theirs.
     """
 
-    def __init__(self, field: FieldLike, *, seed: int = 0, world: int = 0, **settings: Any) -> None:
+    def __init__(self, field: Any, *, seed: int = 0, world: int = 0, **settings: Any) -> None:
         self.field, self.place, self.settings = field, (seed, world), settings
         self.episode = -1
         self.reset()
 
     def _configure(
         self,
-        field: FieldLike,
+        field: Any,
         *,
         n_robots: int | None = None,
         reward: Any = "released",
@@ -79,7 +64,6 @@ class Oracle:
         wind_vector: tuple[float, float] | None = None,
         **disturbances: Any,
     ) -> None:
-        """Take the settings of an episode, numbers all of them."""
         real = self.real = REALS[dtype]
         self.n = len(field.starts) if n_robots is None else n_robots
         self.starts = [(float(x), float(y)) for x, y in field.starts]
@@ -180,7 +164,6 @@ class Oracle:
         return step
 
     def _assign(self) -> None:
-        """Bring the plan up to date."""
         if self.plan:
             works = [not robot.failed for robot in self.robots]
             left = [j for j, visited in enumerate(self.visited) if not visited]
@@ -256,7 +239,6 @@ class Oracle:
         return np.array([robot.failed] if self.failures else [], float)
 
     def _gone(self, robot: Robot) -> bool:
-        """Return whether a robot has vanished."""
         return robot.failed and self.failures.kind == "vanish"
 
     def _sight(self, offset: NDArray[Any], *more: NDArray[Any]) -> list[NDArray[Any]]:
@@ -269,13 +251,11 @@ class Oracle:
         return [*flag, *(near * entry for entry in entries)]
 
     def _walls(self, me: Robot, reach: float) -> list[float]:
-        """The entries of ``lidar`` about the walls."""
         senses = WallSenses(self.polygon, float(self.top_speed), reach)
         rest = me.vehicle.place_of_rest(me.position, me.velocity, me.heading)
         return senses.entries(me.position.astype(float), me.velocity.astype(float), rest)
 
     def _each(self, value: Any) -> list[Any]:
-        """A setting's value for each robot."""
         one = isinstance(value, str | int | float) or is_range(value)
         return [value] * self.n if one else list(value)
 

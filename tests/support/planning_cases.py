@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any
 
 import numpy as np
 import shapely
@@ -16,9 +15,9 @@ from tests.support.worlds import points_within, ring
 
 SQUARE = [(100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0)]
 
-_LEFT, _RIGHT = [(200, 150), (200, 400), (100, 400)], [(400, 400), (300, 400), (300, 150)]
+BASE, BAY = [(100, 100), (400, 100), (400, 400)], [(300, 400), (300, 150), (200, 150), (200, 400)]
 U_SHAPE = Field(
-    [(100, 100), (400, 100), *_RIGHT, *_LEFT],
+    [*BASE, *BAY, (100, 400)],
     rois=[(350, 380), (150, 380), (250, 110)],
     starts=[(120, 390), (140, 390)],
 )
@@ -73,13 +72,17 @@ def brute_force(
 ) -> int:
     """The least makespan without collisions: every partition, every order, all visit times.
 
-    One linear program in the forces for each, discs as 48-gons of circumradius ``radius``: 10 is
-    never optimistic, 10 / cos(pi / 48) never pessimistic. All robots start at ``velocity``.
+    One linear program in the forces for each; discs are 48-gons of circumradius ``radius``. All
+    robots have the same ``velocity`` at their starts.
     """
     robots, rois = range(len(field.starts)), range(len(field.rois))
     for steps in range(1, 200):
         reach = {
-            (i, chosen): _can_visit(field, i, chosen, steps, radius, wind, velocity)
+            (i, chosen): any(
+                _feasible(field, i, order, times, steps, radius, wind, velocity)
+                for order in itertools.permutations(chosen)
+                for times in itertools.combinations_with_replacement(range(1, steps + 1), size)
+            )
             for i in robots
             for size in range(len(rois) + 1)
             for chosen in itertools.combinations(rois, size)
@@ -91,18 +94,11 @@ def brute_force(
     raise AssertionError("not within 200 steps")
 
 
-def _can_visit(field: Field, i: int, chosen: tuple[int, ...], steps: int, *how: Any) -> bool:
-    return any(
-        _feasible(field, i, [*zip(order, times, strict=True)], steps, *how)
-        for order in itertools.permutations(chosen)
-        for times in itertools.combinations_with_replacement(range(1, steps + 1), len(chosen))
-    )
-
-
 def _feasible(
     field: Field,
     i: int,
-    visits: list[tuple[int, int]],
+    order: tuple[int, ...],
+    times: tuple[int, ...],
     steps: int,
     radius: float,
     wind: Pair,
@@ -134,7 +130,7 @@ def _feasible(
         x, y = b[1] - a[1], a[0] - b[0]
         for step in range(1, steps + 1):
             add(step, x, y, x * a[0] + y * a[1])
-    for j, step in visits:
+    for j, step in zip(order, times, strict=True):
         for k in range(48):
             angle = (2 * k + 1) * math.pi / 48
             x, y = math.cos(angle), math.sin(angle)

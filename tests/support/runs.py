@@ -13,15 +13,16 @@ import pytest
 import torch
 from filelock import FileLock
 
+from baselines.algorithms import Setting
 from baselines.evaluation.policy import load_trained
 from baselines.runs.folder import RunFolder
 from baselines.training.config import TrainConfig
-from baselines.training.progress_bar import Report
+from baselines.training.run_logger import Report
 from baselines.training.train import train
 
-AIDS = {"roi_radius": 4.0, "scattered": 0.5, "action_repeat": [2, 1], "action_repeat_until": 0.5}
-STAGES = {**AIDS, "roi_stages": 3, "roi_success": [0.0, 0.0]}
-"""ROIs that shrink before and after the checkpoint of :func:`small_config`."""
+AIDS = {"roi_radius": 4.0, "scattered": 0.5, "action_repeat": [2, 1]}
+STAGES = {**AIDS, "roi_radius": 20.0}
+"""ROIs that reach every robot of field_03, so that they shrink after every rollout at first."""
 TEAM = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8, 8], **AIDS}
 NET = {"policy_kwargs": {"net_arch": [8]}}
 SHORT = {**NET, "n_steps": 32, "batch_size": 32}
@@ -36,11 +37,10 @@ LEARNERS: dict[str, dict[str, Any]] = {
     "crossq": {"model": {**REPLAY, "gradient_steps": 2}},
     "tqc": {"model": REPLAY},
     "ppo-shared": {"model": SHORT, **STAGES},
-    "ppo-supersuit": {"model": SHORT},
 }
 
 
-def small_config(name: str) -> TrainConfig:
+def small_config(name: str, setting: Setting = "N") -> TrainConfig:
     """A run of a few updates, with a fresh evaluation and a checkpoint on the way."""
     small: dict[str, Any] = TEAM
     if name in LEARNERS:
@@ -48,23 +48,22 @@ def small_config(name: str) -> TrainConfig:
         small = {"num_envs": 2, **kind, **LEARNERS[name]}
     environment = {"max_steps": 50, "random_starts": "scattered" not in small}
     budget: dict[str, Any] = {"steps": 400, "evaluate_every": 150, "episodes": 2}
-    return TrainConfig(name, "field_03", **budget, environment=environment, hyperparameters=small)
+    changes: dict[str, Any] = {"environment": environment, "hyperparameters": small}
+    return TrainConfig(name, "field_03", setting, **budget, **changes)
 
 
-def interrupted(config: TrainConfig, out: Path) -> RunFolder:
-    """The folder of a run that stopped after its first checkpoint."""
+def interrupted(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
 
     def interrupt(report: Report) -> None:
         if (out / "checkpoints").exists():
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        train(config, out, listener=interrupt)
+        train(config, out, listener=interrupt, **options)
     return RunFolder.open(out)
 
 
 def recorded(run: RunFolder) -> dict[str, Any]:
-    """The records of a run without the seconds."""
 
     def timeless(entry: dict[str, Any]) -> dict[str, Any]:
         return {name: value for name, value in entry.items() if "seconds" not in name}
@@ -76,7 +75,6 @@ def recorded(run: RunFolder) -> dict[str, Any]:
 
 
 def same_policies(run: RunFolder, other: RunFolder) -> bool:
-    """Return whether the weights of two runs are bit for bit the same."""
     policies: list[Any] = [load_trained(one) for one in (run, other)]
     ours, theirs = (policy.network.state_dict() for policy in policies)
     return ours.keys() == theirs.keys() and all(

@@ -1,4 +1,4 @@
-"""The oracle's rewards: the events of a step, and what they are worth under both rule sets."""
+"""The oracle's rewards: the events of a step, and their worth under both rule sets."""
 
 from __future__ import annotations
 
@@ -21,15 +21,10 @@ class Profile:
 
 @dataclass
 class Step:
-    """The events of one step.
+    """The events of one step; lists have an entry per robot.
 
-    Attributes:
-        works, wall, revisit: one flag a robot. reached: ROIs that each robot visited first.
-        all_visited, collided: of the world. met_before: the joint state had been met before.
-        margin: least distance, in units, of any decision of the step from its threshold.
-        terms: one dict a robot, its individual reward by term.
-        team_reward: the centralised reward. rewards: one a robot, after reward sharing.
-        terminated, truncated: the ends of an episode.
+    ``reached`` counts the ROIs that a robot visited first; ``margin`` is the least distance of any
+    decision from its threshold, units; ``rewards`` are those after reward sharing.
     """
 
     works: list[bool] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""The observation ``entities`` a second time: ``docs/mdp.md``, "What a robot sees"."""
+"""The oracle's observation ``entities``: ``docs/mdp.md``, "What a robot sees"."""
 
 from __future__ import annotations
 
@@ -17,17 +17,14 @@ NEAR, FAR = 15.0, 100.0
 
 
 def soft(length: float, scale: float) -> float:
-    """A length, or a part of one, as an entry."""
     return length / (abs(length) + scale)
 
 
 def offset(dx: float, dy: float) -> list[float]:
-    """The four entries of an offset."""
     return [soft(part, scale) for scale in (NEAR, FAR) for part in (dx, dy)]
 
 
 def approach(d: list[float], dv: list[float], time: float) -> float:
-    """How near something comes within a time."""
     square = sum(part * part for part in dv)
     when = 0.0
     if square:
@@ -36,7 +33,7 @@ def approach(d: list[float], dv: list[float], time: float) -> float:
 
 
 def span(a: Any, b: Any) -> Any:
-    """How far it is from a to b: the longer side, and an eighth of the shorter one."""
+    """Distance of a and b: the longer side, and an eighth of the shorter one."""
     shorter, longer = sorted(abs(p - q) for p, q in zip(a, b, strict=True))
     return longer + shorter / 8
 
@@ -51,12 +48,7 @@ def first_least(choices: list[Any], cost: Callable[[Any], float]) -> Any:
 
 
 class Atlas:
-    """The ways around the corners of a field.
-
-    Args:
-        polygon: the field.
-        rois: where its ROIs are.
-    """
+    """The ways around the corners of a field."""
 
     def __init__(self, polygon: shapely.Polygon, rois: list[Any]) -> None:
         self.polygon, self.rois = polygon, rois
@@ -79,7 +71,6 @@ class Atlas:
                     yield spot.real, spot.imag
 
     def sees(self, a: Any, b: Any) -> bool:
-        """Return whether one can go straight from a to b."""
         return bool(self.polygon.covers(shapely.LineString([a, b])))
 
     def _from(self, start: Any) -> list[float]:
@@ -116,12 +107,9 @@ class Atlas:
 
 
 class Plan:
-    """Who visits what, in which order: made at first and when a robot with ROIs fails, or always.
+    """Orders of ROIs for n robots: made at first and when a robot with ROIs fails.
 
-    Args:
-        atlas: the ways.
-        n: how many robots there are.
-        fresh: whether it is made at each update.
+    If ``fresh`` they are made at each update.
     """
 
     def __init__(self, atlas: Atlas, n: int, *, fresh: bool = False) -> None:
@@ -132,10 +120,7 @@ class Plan:
     def update(
         self, spots: list[Any], works: list[bool], left: list[int], speeds: list[complex]
     ) -> None:
-        """Assign the ROIs that are left to the robots that work, given where all are.
-
-        ``speeds``: shares of the speed limit.
-        """
+        """Assign the ROIs that are left; ``speeds`` are shares of the speed limit."""
         self._spots, self._speeds = spots, speeds
         self.orders = [[j for j in order if j in left] for order in self.orders]
         failed = any(order and not works[i] for i, order in enumerate(self.orders))
@@ -146,7 +131,6 @@ class Plan:
         self.tours = [self._tour(i, order) for i, order in enumerate(self.orders)]
 
     def _assigned(self, works: list[bool], left: list[int], weight: float) -> list[list[int]]:
-        """The orders if ROIs are inserted with a weight."""
         team = [i for i, able in enumerate(works) if able]
         orders: list[list[int]] = [[] for _ in works]
         new = [*left] if team else []
@@ -172,7 +156,7 @@ class Plan:
         return orders
 
     def _tour(self, i: int, order: list[int]) -> Any:
-        """How far robot i goes if it visits ROIs in this order, and what turning back costs."""
+        """Length of robot i's way along ROIs in this order, with the cost of turning back."""
         stops = [self._spots[i], *(self._atlas.rois[j] for j in order)]
         ways = (self._atlas.way(stop, j)[0] for stop, j in zip(stops, order, strict=False))
         total = sum(ways, stops[0][0] * 0)

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mbn_marl import Field
-from mbn_marl.checked import Uniform
-from mbn_marl.config import WITHOUT_RADIUS, RewardProfile
+from mbn_marl.config import WITHOUT_RADIUS, RewardProfile, Uniform
 from tests.support.oracle import Oracle
 
 BEHAVIOURS = ("seek", "uniform", "lattice", "push", "still")
@@ -39,7 +38,7 @@ DRAWN = {
 
 @dataclass(frozen=True)
 class World:
-    """A field with as many starts as robots, settings of the environment, and how robots behave."""
+    """A field with as many starts as robots, settings, and a behaviour per robot."""
 
     field: Field
     settings: dict[str, Any]
@@ -49,10 +48,7 @@ class World:
 
 @st.composite
 def worlds(draw: st.DrawFn, n: int, **settings: Any) -> World:
-    """A random world of n robots: its field, its numbers, its behaviours; and the settings given.
-
-    No number that is drawn here changes the types that the engine is compiled for.
-    """
+    """A random world of n robots; nothing here changes the types that the engine compiles."""
     seed, rules = draw(st.integers(0, 2**32 - 1)), draw(st.sampled_from(["released", "formal"]))
     rng = np.random.default_rng(seed)
     field = random_field(
@@ -141,7 +137,6 @@ class Pilot:
         self.directions = self.rng.uniform(-1.5, 1.5, (len(world.behaviours), 2))
 
     def actions(self) -> NDArray[np.float32]:
-        """Actions (n, 2); some lie outside [-1, 1]."""
         rows = [self._action(robot) for robot in range(len(self.behaviours))]
         return np.array(rows, np.float32)
 

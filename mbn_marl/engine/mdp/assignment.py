@@ -18,8 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import column, count_bits
 from mbn_marl.engine.mdp.failures import is_absent, works
 from mbn_marl.engine.mdp.ways import (
     CLOSE,
@@ -30,6 +28,8 @@ from mbn_marl.engine.mdp.ways import (
     in_sight,
     length,
 )
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.functions import column, count_bits
 
 Floats = NDArray[np.floating[Any]]
 

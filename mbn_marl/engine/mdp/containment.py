@@ -5,8 +5,8 @@ Source: Choton, Woods, Hsu, section 3, where F bounds the robots' positions.
 
 from __future__ import annotations
 
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import column
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.functions import column
 
 EDGE_CROSSED = 1
 ON_EDGE = 2

@@ -15,18 +15,17 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from mbn_marl.compiled.elementary import exponential
-from mbn_marl.compiled.jit import compiled, returning_views
-from mbn_marl.compiled.rng import (
+from mbn_marl.config import MAX_ROBOTS, NavigationConfig
+from mbn_marl.engine.mdp.drawn import numbers_of
+from mbn_marl.jit.compile import compiled, returning_views
+from mbn_marl.jit.functions import clip, exponential, select
+from mbn_marl.jit.random_numbers import (
     FOR_GUSTS,
     FOR_SENDING,
     normal,
     stream_of,
     uniform,
 )
-from mbn_marl.compiled.scalars import clip, select
-from mbn_marl.config import MAX_ROBOTS, NavigationConfig
-from mbn_marl.engine.mdp.drawn import numbers_of
 
 OF_ACTIONS = ("action_noise", "action_loss", "action_delay")
 OF_ROBOTS = ("gust", *OF_ACTIONS)

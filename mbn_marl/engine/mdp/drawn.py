@@ -10,16 +10,16 @@ Source: this package.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.checked import Uniform
-from mbn_marl.compiled.elementary import cosine, exponential, sine, turned
-from mbn_marl.compiled.jit import compiled, generated
-from mbn_marl.compiled.rng import FOR_NUMBERS, stream_of, uniform
-from mbn_marl.config import LIMITS, MAX_ROBOTS, NUMBERS, NavigationConfig
+from mbn_marl.config import LIMITS, MAX_ROBOTS, NUMBERS, NavigationConfig, Uniform
+from mbn_marl.jit.compile import compiled, generated
+from mbn_marl.jit.functions import cosine, exponential, sine, turned
+from mbn_marl.jit.random_numbers import FOR_NUMBERS, stream_of, uniform
 
 SINGLE = ("wind_speed", "wind_angle", *NUMBERS, "failure_rate")
 """The names of the numbers that are not a robot's own, in the order of ``numbers``."""
@@ -39,26 +39,9 @@ FAILING = 1000
 RADIANS = math.pi / 180.0
 
 
-class Numbers(NamedTuple):
-    """The constants of a step that an episode may draw, for one world."""
-
-    wind_x: Any
-    wind_y: Any
-    gust: Any
-    gust_kept: Any
-    gust_added: Any
-    action_noise: Any
-    action_loss: Any
-    position_noise: Any
-    velocity_noise: Any
-    dropout: Any
-    failure_rate: Any
-    tau: Any
-    turn_max: Any
-    wheelbase: Any
-    steer_max: Any
-    safety_squared: Any
-    roi_squared: Any
+NAMES = (*MADE[:ROBOT], *NUMBERS, "failure_rate")
+Numbers = namedtuple("Numbers", NAMES)  # type: ignore[misc]
+"""The constants of a step that an episode may draw, for one world."""
 
 
 def _row(name: str) -> int:
@@ -66,8 +49,8 @@ def _row(name: str) -> int:
     return MADE.index(name) if name in MADE else FIRST + SINGLE.index(name)
 
 
-_DRAWN = ", ".join(f"drawn[{_row(name)}, w]" for name in Numbers._fields)
-_FIXED = ", ".join(f"p.{name}" for name in Numbers._fields)
+_DRAWN = ", ".join(f"drawn[{_row(name)}, w]" for name in NAMES)
+_FIXED = ", ".join(f"p.{name}" for name in NAMES)
 numbers_of = generated(
     "numbers_of",
     "def numbers_of(p, drawn, w):\n"

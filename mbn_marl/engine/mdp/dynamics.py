@@ -13,11 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbn_marl.compiled.elementary import cosine, length, sine, tangent, turned
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.engine.mdp.disturbances import add_wind, wind_along
 from mbn_marl.engine.mdp.drawn import limits_in, numbers_of
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.functions import clip, cosine, length, select, sine, tangent, turned
 
 POINT_MASS, HOLONOMIC, UNICYCLE, BICYCLE = range(4)
 DYNAMICS = {

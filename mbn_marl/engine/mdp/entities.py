@@ -12,14 +12,14 @@ import math
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import clip, column, select
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import STRAIGHT, tour, turn_of, way_to
 from mbn_marl.engine.mdp.drawn import numbers_of
 from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading, put_own_motion
 from mbn_marl.engine.mdp.failures import blank_gone, put_flag, works
 from mbn_marl.engine.mdp.sight import drop, is_seen, spot
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.functions import clip, column, select
 
 SCALES = np.array([15.0, 100.0])
 """NEAR and FAR: the lengths that become 1/2, units."""

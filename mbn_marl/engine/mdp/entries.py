@@ -5,7 +5,7 @@ Source: this package.
 
 from __future__ import annotations
 
-from mbn_marl.compiled.jit import compiled
+from mbn_marl.jit.compile import compiled
 
 Row = tuple[str, float, float, str]
 """An entry: its name, bounds and unit."""

@@ -11,9 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.rng import FOR_FAILURES, stream_of, uniform
-from mbn_marl.compiled.scalars import clip, select
 from mbn_marl.config import MAX_ROBOTS
 from mbn_marl.engine.mdp.disturbances import wind_along
 from mbn_marl.engine.mdp.drawn import is_failing_step, limits_in, numbers_of
@@ -25,6 +22,9 @@ from mbn_marl.engine.mdp.dynamics import (
     part_along,
     propose_move,
 )
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.functions import clip, select
+from mbn_marl.jit.random_numbers import FOR_FAILURES, stream_of, uniform
 
 WORKS, FAILED, ABSENT = range(3)
 """The status of a robot; an absent one is not in the team of its world."""

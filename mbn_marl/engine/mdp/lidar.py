@@ -13,13 +13,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import HALF, MANY, clip, column, select
 from mbn_marl.engine.mdp.containment import cross_edge
 from mbn_marl.engine.mdp.drawn import limits_in, numbers_of
 from mbn_marl.engine.mdp.dynamics import has_heading, limits_of, part_along
 from mbn_marl.engine.mdp.entries import Row
 from mbn_marl.engine.mdp.sight import spot
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.functions import HALF, MANY, clip, column, select
 
 FAR = np.float32(np.inf)
 ROUNDING = np.float32(1e-6)

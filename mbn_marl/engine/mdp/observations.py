@@ -14,10 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.scalars import FIRST, clip, column, select
 from mbn_marl.config import NavigationConfig
-from mbn_marl.engine.intrinsics import SIDE, transpose
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import assign
 from mbn_marl.engine.mdp.dynamics import count_headings
@@ -26,6 +23,9 @@ from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading
 from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
 from mbn_marl.engine.mdp.sight import drop, look, seen_places, seen_robots, spot
 from mbn_marl.engine.mdp.visits import visit_code, within
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.functions import FIRST, clip, column, select
+from mbn_marl.jit.intrinsics import SIDE, transpose
 
 RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL, ENTITIES = range(6)
 OBSERVATIONS = {

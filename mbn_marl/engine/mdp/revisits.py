@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled
-from mbn_marl.compiled.rng import GOLDEN, mix
+from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.random_numbers import GOLDEN, mix
 
 BITS_PER_KEY = 16
 KEYS_PER_WORD = np.uint64(64 // BITS_PER_KEY)

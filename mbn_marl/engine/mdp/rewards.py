@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled, generated
-from mbn_marl.compiled.scalars import is_set, select
 from mbn_marl.engine.mdp.failures import ABSENT, FAILED, WORKS, count, is_absent
+from mbn_marl.jit.compile import compiled, generated
+from mbn_marl.jit.functions import is_set, select
 
 RELEASED, FORMAL = 0, 1
 RULES = {"released": RELEASED, "formal": FORMAL}

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled, returning_views
-from mbn_marl.compiled.rng import FOR_SIGHT, normal, stream_of, uniform
-from mbn_marl.compiled.scalars import clip, column, select
 from mbn_marl.config import MAX_ROBOTS
 from mbn_marl.engine.mdp.drawn import numbers_of
+from mbn_marl.jit.compile import compiled, returning_views
+from mbn_marl.jit.functions import clip, column, select
+from mbn_marl.jit.random_numbers import FOR_SIGHT, normal, stream_of, uniform
 
 MOST_ROBOTS, MOST_THINGS, DRAWS = np.uint64(MAX_ROBOTS), np.uint64(128), np.uint64(8)
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)

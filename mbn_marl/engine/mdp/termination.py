@@ -5,7 +5,7 @@ Source: Choton, Woods, Hsu, section 3; the time limit T_max is that of the relea
 
 from __future__ import annotations
 
-from mbn_marl.compiled.jit import compiled
+from mbn_marl.jit.compile import compiled
 
 
 @compiled

@@ -5,7 +5,7 @@ Source: Choton, Woods, Hsu, section 3 ("Problem Formulation").
 
 from __future__ import annotations
 
-from mbn_marl.compiled.jit import compiled
+from mbn_marl.jit.compile import compiled
 
 
 @compiled

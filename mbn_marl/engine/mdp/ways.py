@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled, entry_point
-from mbn_marl.compiled.scalars import count_bits
 from mbn_marl.engine.mdp.containment import in_field
+from mbn_marl.jit.compile import compiled, entry_point
+from mbn_marl.jit.functions import count_bits
 
 CLEARANCE = np.float32(3.0)
 """How far waypoints are from their corners, units."""

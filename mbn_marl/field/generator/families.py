@@ -15,8 +15,6 @@ import math
 
 import numpy as np
 
-from mbn_marl.compiled.jit import compiled, entry_point
-from mbn_marl.compiled.rng import FOR_FIELDS, GOLDEN, mix, stream_key, stream_of
 from mbn_marl.field.generator.layout import (
     CORNERS,
     FAMILIES,
@@ -27,6 +25,8 @@ from mbn_marl.field.generator.layout import (
     WALL,
     WEIGHT_SUM,
 )
+from mbn_marl.jit.compile import compiled, entry_point
+from mbn_marl.jit.random_numbers import FOR_FIELDS, GOLDEN, mix, stream_key, stream_of
 
 CONVEX, CONCAVE, CORRIDORS, OBSTACLES, FARM = range(len(FAMILIES))
 ARENA, SIZE, ROBOTS, ROIS, WEIGHTS = 0, 2, 4, 6, 8

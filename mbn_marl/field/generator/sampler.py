@@ -14,8 +14,7 @@ import numpy.typing as npt
 from pydantic import Field as Described
 from pydantic import PlainValidator, ValidationInfo, field_validator
 
-from mbn_marl.checked import Checked, RealNumber, WholeNumber
-from mbn_marl.config import MAX_ROBOTS, MAX_ROIS
+from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, Checked, RealNumber, WholeNumber
 from mbn_marl.errors import ConfigError
 from mbn_marl.field.field import Field
 from mbn_marl.field.generator.layout import (

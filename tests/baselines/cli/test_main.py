@@ -24,12 +24,13 @@ runpy.run_module("mbn_marl", run_name="__main__")
 MBN = [sys.executable, "-m", "mbn_marl"]
 
 
-def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
+def missing(name: str) -> ModuleNotFoundError:
+    return ModuleNotFoundError(f"No module named '{name}'", name=name)
+
+
+def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert __version__ in capsys.readouterr().out
-
-
-def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     for words in ([], ["--help"], ["-h"]):
         assert main(words) == 0
         lines = capsys.readouterr().out.splitlines()
@@ -38,40 +39,42 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         assert max(map(len, lines)) <= 80
 
 
-def test_an_unknown_command_is_answered_with_a_known_one(refusal: Refusal) -> None:
-    for word, meant in (("trian", "train"), ("evalute", "evaluate")):
-        error = refusal([word])
-        assert f"{word}: " in error and f"did you mean {meant}?" in error
+def test_unknown_command_is_answered_with_a_known_one(refusal: Refusal) -> None:
+    error = refusal(["trian"])
+    assert "trian: " in error and "did you mean train?" in error
+    assert "UTF-8" in refusal(["train", "\udc80"])
 
 
-def test_a_command_ends_with_a_code_and_a_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def missing(name: str) -> ModuleNotFoundError:
-        return ModuleNotFoundError(f"No module named '{name}'", name=name)
-
-    raised: BaseException
-    for raised, code, parts in (
+@pytest.mark.parametrize(
+    ("raised", "code", "parts"),
+    [
         (KeyboardInterrupt(), 130, ["interrupted"]),
         (KeyboardInterrupt("runs/a: --resume"), 130, ["interrupted: runs/a: --resume"]),
         (missing("optuna"), 2, ["'optuna'", ".[baselines]"]),
         (missing("ray.tune"), 2, ["'ray.tune'", ".[ray]"]),
         (FileNotFoundError(2, "gone", "a.yaml"), 2, ["a.yaml: gone"]),
         (BrokenPipeError(32, "Broken pipe"), 2, ["Broken pipe"]),
-    ):
+    ],
+)
+def test_command_ends_with_a_code_and_a_line(
+    raised: BaseException,
+    code: int,
+    parts: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def run(command: object, command_line: str) -> None:
+        raise raised
 
-        def run(command: object, command_line: str, raised: BaseException = raised) -> None:
-            raise raised
-
-        monkeypatch.setattr(fields.Fields, "run", run)
-        assert main(["fields"]) == code
-        error = capsys.readouterr().err
-        assert error.count("\n") == 1 and all(part in error for part in parts)
+    monkeypatch.setattr(fields.Fields, "run", run)
+    assert main(["fields"]) == code
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and all(part in error for part in parts)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [["fields"], ["train", "--help"]])
-def test_a_reader_may_leave(words: list[str]) -> None:
+def test_reader_may_leave(words: list[str]) -> None:
     with subprocess.Popen([*MBN, *words], stdout=-1, stderr=-1, text=True) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()
@@ -80,7 +83,7 @@ def test_a_reader_may_leave(words: list[str]) -> None:
 
 
 @pytest.mark.slow
-def test_another_package_that_is_called_baselines_is_named(tmp_path: Path) -> None:
+def test_another_package_called_baselines_is_named(tmp_path: Path) -> None:
     other = tmp_path / "baselines" / "__init__.py"
     other.parent.mkdir()
     other.touch()

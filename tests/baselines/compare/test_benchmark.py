@@ -16,19 +16,20 @@ from baselines import load_policy
 from baselines.cli.main import main
 from baselines.compare import benchmark
 from baselines.compare.benchmark import (
+    METRICS,
     SettingsError,
     check_settings,
     load_protocol,
     load_tiers,
     numbers,
+    result_page,
+    result_tables,
     run_benchmark,
+    statistics,
 )
-from baselines.compare.benchmark_page import result_page, result_tables
-from baselines.compare.benchmark_statistics import METRICS, statistics
 from baselines.evaluation.evaluate import Evaluation, evaluate
 from baselines.runs.files import RunError, alone
 from mbn_marl import Field
-from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Instance, load_field, splits
 from mbn_marl.planning import plan
@@ -139,24 +140,6 @@ def test_statistics_are_over_the_known_values() -> None:
     assert alone is not None and (alone["iqm"], alone["low"], alone["iqm_high"]) == (7, None, None)
 
 
-def test_the_protocol_is_of_these_splits(monkeypatch: pytest.MonkeyPatch) -> None:
-    protocol = load_protocol()
-    assert protocol.tiers == splits.NAMES and protocol.splits == splits.VERSION
-    assert set(protocol.settings) < set(NavigationConfig.model_fields)
-    monkeypatch.setattr(splits, "VERSION", 2)
-    with pytest.raises(ConfigError, match="splits: "):
-        load_protocol()
-
-
-def test_a_plan_that_is_proved_has_no_gap(tmp_path: Path) -> None:
-    found = run("planner", ["1-convex"], tmp_path)
-    summary = found["tiers"]["1-convex"]["mean"]
-    for name in ("gap", "gap_to_best_known", "gap_with_failures"):
-        assert summary[name]["mean"] == summary[name]["iqm"] == 0.0, name
-    assert summary["success_rate"]["mean"] == summary["clean_rate"]["mean"] == 1.0
-    assert found["tiers"]["1-convex"]["sampled"] is None and found["all"] is None
-
-
 def test_each_instance_is_evaluated_with_its_own_seed(tmp_path: Path) -> None:
     found = run("random", ["1-convex", "2-sizes"], tmp_path)["tiers"]
     for tier, first in (("1-convex", 4_000_000), ("2-sizes", 4_001_000)):
@@ -215,25 +198,34 @@ def test_the_shield_is_a_part_of_what_was_asked(tmp_path: Path, greedy: dict[str
     found = run("greedy", ["1-convex"], tmp_path, shield=True)
     assert (found["shield"], greedy["shield"]) == (True, False)
     assert timeless(found["tiers"]) == timeless(greedy["tiers"]), "it brakes by itself"
-    with pytest.raises(RunError, match="shield: "):
-        run("greedy", ["1-convex"], tmp_path, resume=True)
 
 
-def test_what_is_not_to_be_resumed_says_why(tmp_path: Path, greedy: dict[str, Any]) -> None:
-    stale = copy.deepcopy(greedy)
-    stale["tiers"]["1-convex"]["mean"]["steps"]["low"] = 0.5
-    for damage, place in (
+@pytest.mark.parametrize(
+    ("damage", "place"),
+    [
         ("{", "result.json"),
         ([], "result.json"),
-        ({**greedy, "tiers": []}, "result.json"),
-        ({**greedy, "tiers": {"1-convex": {}}}, "1-convex: "),
-        ({**greedy, "versions": {"packages": {"mbn-marl": "0.0.1"}}}, "mbn-marl: "),
-        (stale, "1-convex: statistics"),
-    ):
-        text = damage if isinstance(damage, str) else json.dumps(damage)
-        (tmp_path / "result.json").write_text(text)
-        with pytest.raises(RunError, match=place):
-            run("greedy", ["1-convex"], tmp_path, resume=True)
+        ({"tiers": []}, "result.json"),
+        ({"tiers": {"1-convex": {}}}, "1-convex: "),
+        ({"versions": {"packages": {"mbn-marl": "0.0.1"}}}, "mbn-marl: "),
+        ({"shield": True}, "shield: "),
+        ("stale", "1-convex: statistics"),
+    ],
+)
+def test_what_is_not_to_be_resumed_is_named(
+    damage: Any, place: str, tmp_path: Path, greedy: dict[str, Any]
+) -> None:
+    record: Any = copy.deepcopy(greedy)
+    if damage == "stale":
+        record["tiers"]["1-convex"]["mean"]["steps"]["low"] = 0.5
+    elif isinstance(damage, dict):
+        record |= damage
+    else:
+        record = damage
+    text = record if isinstance(record, str) else json.dumps(record)
+    (tmp_path / "result.json").write_text(text)
+    with pytest.raises(RunError, match=place):
+        run("greedy", ["1-convex"], tmp_path, resume=True)
 
 
 def test_settings_of_a_trained_policy_are_checked_before_the_first_episode(
@@ -261,7 +253,7 @@ def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
     assert "Does not fit" in result_page(found, tmp_path)
 
 
-def test_policies_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_policies_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.py").write_text(OWN)
     with pytest.raises(RunError, match=r"2-sizes, convex-3000001: LookupError.*small\.py, line"):
@@ -274,17 +266,8 @@ def test_policies_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         run("small:Small", ["1-convex"], tmp_path / "own")
     assert len(error.value.problems) == 1
     assert not (tmp_path / "own" / "result.json").exists()
-
-
-def test_settings_that_change_the_task_are_listed() -> None:
-    protocol = load_protocol()
-    chosen = {"observation": "local", "sensing_radius": 40.0, "dtype": "float64", "n_robots": 3}
-    check_settings({**chosen, "reward": "formal", "condition": "noisy"}, "noisy", protocol)
-    with pytest.raises(ConfigError) as error:
-        check_settings({"n_robots": 2, "roi_radius": 12.0}, "noisy", protocol)
-    assert {problem.split(":")[0] for problem in error.value.problems} == {
-        *("roi_radius", "position_noise", "velocity_noise", "action_noise")
-    }
+    chosen = {"observation": "local", "dtype": "float64", "n_robots": 3, "condition": "noisy"}
+    check_settings(chosen, "noisy", load_protocol())
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal: Refusal) -> None:

@@ -14,7 +14,7 @@ from baselines.compare.summary import summarise
 from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.training.config import DivergenceError, TrainConfig
-from baselines.training.progress_bar import Report
+from baselines.training.run_logger import Report
 from baselines.training.train import train
 from mbn_marl.errors import ConfigError
 from tests.support.records import CONFIG, TINY
@@ -90,7 +90,7 @@ def test_broken_runs_leave_their_label_out(tmp_path: Path, monkeypatch: pytest.M
             raise DivergenceError("loc is nan")
         return train(config, out, **options)
 
-    monkeypatch.setattr("baselines.sweep.worker.train", train_or_break)
+    monkeypatch.setattr("baselines.sweep.run.train", train_or_break)
     results = train_all_runs(CONFIG, tmp_path / "out", command="mbn compare", processes=1)
     assert (results.labels, results.seeds) == (("mappo-tiny",), 2)
     assert results.broken == dict.fromkeys(broken, "loc is nan")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from baselines.compare import aggregate as stratified
-from baselines.compare.aggregate import Estimate
+from baselines.compare import summary as stratified
+from baselines.compare.summary import Estimate
 
 
 def test_the_interquartile_mean_cuts_a_quarter_at_both_ends() -> None:

@@ -9,9 +9,7 @@ import pytest
 from baselines.algorithms import find_algorithm
 from baselines.compare.variants import CompareConfig, parse_variant, read_variants
 from baselines.training.aids import TrainingAids
-from baselines.training.config import TrainConfig
-from baselines.training.hyperparameters import Hyperparameters
-from baselines.training.overrides import parse, words_of
+from baselines.training.config import Hyperparameters, TrainConfig, parse, words_of
 from baselines.training.train import prepare
 from mbn_marl import Field, Uniform
 from mbn_marl.errors import ConfigError

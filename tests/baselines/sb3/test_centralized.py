@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -19,76 +18,42 @@ from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import moments_of
 from baselines.sb3.config import TUNED_IN_PAPER, accepted_arguments, load
-from baselines.sb3.envs import LearnersView
-from baselines.sb3.learner import Learner
-from baselines.training.config import DivergenceError, Task, TrainConfig
+from baselines.sb3.trainer import Learner
+from baselines.training.config import DivergenceError, TrainConfig
 from baselines.training.run_logger import EpisodeWindow
 from baselines.training.train import notes, prepare, train
-from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from tests.baselines.conftest import Refusal
+from tests.support.runs import recorded
 
 pytestmark = pytest.mark.slow
 
 CATALOGUE = Path(__file__).parents[3] / "envs_catalog"
 NAMES = [name for name, entry in ALGORITHMS.items() if "A" in entry.settings]
-PAPER: dict[str, dict[str, float]] = {
-    "a2c": {"gamma": 0.974, "gae_lambda": 0.938, "learning_rate": 0.0007, "vf_coef": 0.632,
-            "ent_coef": 0.0001, "max_grad_norm": 0.674},
-    "ppo": {"gamma": 0.968, "gae_lambda": 0.959, "learning_rate": 0.0001, "vf_coef": 0.696,
-            "ent_coef": 0.015, "max_grad_norm": 0.983},
-    "trpo": {"gamma": 0.989, "gae_lambda": 0.931, "learning_rate": 0.0001},
-    "ars": {"learning_rate": 0.019},
-    "crossq": {"gamma": 0.953, "learning_rate": 0.0013, "ent_coef": 0.0248, "buffer_size": 95_000},
-    "tqc": {"gamma": 0.901, "learning_rate": 0.0001, "buffer_size": 100_000},
-}  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    """A tiny run of A2C under A, to begin others with."""
-    config = TrainConfig("a2c", "field_01", "A", steps=5, episodes=1)
-    return train(config, tmp_path_factory.mktemp("source") / "run")
 
 
 def test_every_setting_trains_from_the_command_line(tmp_path: Path) -> None:
-    def run(setting: str, field: str, *options: str) -> dict[str, Any]:
+    configs: dict[str, dict[str, Any]] = {}
+    for setting, words in (("A", "field_01"), ("B", "field_03 --num-envs 2"), ("N", "field_03")):
         out = tmp_path / setting
-        tiny = ("--steps", "105", "--episodes", "1", "--set", "environment.max_steps=50")
-        command = ["train", "a2c", field, "--setting", setting, "--out", str(out), *tiny, *options]
+        tiny = f"--steps 105 --episodes 1 --setting {setting} --out {out}".split()
+        command = ["train", "a2c", *words.split(), *tiny, "--set", "environment.max_steps=50"]
         assert main(command) == 0
-        config: dict[str, Any] = read_json(out / "config.json")
-        with (out / "progress.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        steps = read_json(out / "evaluation.json")["env_steps"]
-        assert int(rows[-1]["env_steps"]) == steps >= 105
-        shape = read_json(out / "policy" / "policy.json")
+        run = RunFolder(out)
+        configs[setting] = run.config["hyperparameters"]
+        assert int(recorded(run)["rows"][-1]["env_steps"]) == run.evaluation["env_steps"] >= 105
+        shape = read_json(run.policy / "policy.json")
         assert (shape["normalization"] is not None) == (setting == "N")
-        return config
-
-    raw = run("A", "field_01")
-    assert raw["seed"] == 33 and raw["transferred_from"] is None
-    assert (
-        raw["hyperparameters"].items()
-        >= {
-            **{"model": {}, "reward_scale": 1.0, "normalize_observation": False, "num_envs": 1}
-        }.items()
-    )
-    published = run("B", "field_03", "--num-envs", "2")
-    assert published["hyperparameters"].items() >= {"model": PAPER["a2c"], "num_envs": 2}.items()
-    custom = shutil.copy(CATALOGUE / "field_04.yaml", tmp_path / "mine.yaml")
-    moved = run("C", str(custom), "--from", str(tmp_path / "A"))
-    assert moved["transferred_from"] == str(tmp_path / "A")
-    assert moved["hyperparameters"] == raw["hyperparameters"]
-    ours = run("N", "field_03", "--num-envs", "2")
-    assert ours["hyperparameters"]["normalize_observation"] and ours["seed"] == 0
+        assert run.config["seed"] == (0 if setting == "N" else 33)
+    plain = {"model": {}, "reward_scale": 1.0, "normalize_observation": False, "num_envs": 1}
+    assert configs["A"].items() >= plain.items() and configs["N"]["normalize_observation"]
+    assert configs["B"]["num_envs"] == 2 and len(configs["B"]["model"]) == 6
 
 
 def test_what_the_paper_tuned_is_taken_or_skipped(tmp_path: Path) -> None:
     values = {**dict.fromkeys(TUNED_IN_PAPER, 0.5), "buffer_size": 5}
     for name in NAMES:
-        assert load(name, "B", {}).model == PAPER[name]
         config = load(name, "A", {"model": values})
         assert config.model.keys() | config.skipped.keys() == set(TUNED_IN_PAPER)
         assert config.model.keys() <= accepted_arguments(name).keys()
@@ -135,37 +100,21 @@ def test_a_wrong_hyperparameter_file_is_refused_by_place(tmp_path: Path) -> None
     assert not out.exists()
 
 
-def _task(name: str, field: str = "field_03", **changes: Any) -> Task:
-    config = TrainConfig(name, field, seed=3, steps=100, episodes=1, **changes)
-    return Task(config, load_field(field), {"max_steps": 20, **config.environment})
-
-
-def test_the_learner_sees_scaled_rewards_and_the_window_true_returns() -> None:
-    window = EpisodeWindow()
-    view = LearnersView(CentralizedVecEnv("field_03", 3, threads=1, max_steps=2), 0.5, window)
-    view.reset()
-    view.watched[1] = False
-    still = np.zeros((3, 3, 2), np.float32)
-    rewards = [view.step(still)[1].tolist() for _ in range(2)]
-    # Two of the three robots start in an ROI: 2 x 10,000 - 3 x 10, then 3 x 100 for standing still.
-    assert rewards == [[9985.0] * 3, [-150.0] * 3]
-    row = window.pop()
-    assert (row["episodes"], row["return_mean"], row["return_std"]) == (2, 19_670.0, 0.0)
-
-
 @pytest.mark.parametrize(
     "name", ["a2c", "ars", "tqc", pytest.param("crossq", marks=pytest.mark.all)]
 )
-def test_a_transferred_learner_begins_with_the_sources_policy(name: str, tmp_path: Path) -> None:
-    small: dict[str, Any] = {"num_envs": 1, "environment": {"max_steps": 20}}
-    small["normalize_observation"] = name == "a2c"
+def test_transferred_learner_begins_with_the_policy_of_its_source(
+    name: str, tmp_path: Path
+) -> None:
+    small: dict[str, Any] = {"normalize_observation": name == "a2c"}
     if name in ("crossq", "tqc"):
         small["model"] = {"policy_kwargs": {"net_arch": [8]}, "batch_size": 8}
-    config = TrainConfig(name, "field_01", "A", steps=120, episodes=1, hyperparameters=small)
-    run = train(config, tmp_path / "source")
-    task = _task(name, "field_02", setting="C", transferred_from=run.path)
-    learner = Learner(task, load(name, "C", small), EpisodeWindow())
-    learner.begin_with(run)
+    how: dict[str, Any] = {"episodes": 1, "hyperparameters": small}
+    how["environment"] = {"max_steps": 20}
+    run = train(TrainConfig(name, "field_01", "A", steps=120, **how), tmp_path / "source")
+    config = TrainConfig(name, "field_02", "C", steps=100, transferred_from=run.path, **how)
+    learner = Learner(*prepare(config), EpisodeWindow())
+    learner.begin_with(run.policy)
     model = learner.model
     policy: Any = load_trained(run)
     ours, theirs = model.policy.state_dict(), policy.network.state_dict()
@@ -173,8 +122,7 @@ def test_a_transferred_learner_begins_with_the_sources_policy(name: str, tmp_pat
     assert (model.num_timesteps, learner.env_steps) == (0, 0)
     if name == "ars":
         parameters = torch.nn.utils.parameters_to_vector(policy.network.parameters())
-        assert torch.equal(model.weights, parameters)
-        assert model.weights.abs().max() > 0
+        assert torch.equal(model.weights, parameters) and model.weights.abs().max() > 0
     else:
         states = [s for part, s in model.get_parameters().items() if part.endswith("optimizer")]
         moments = [moment for state in states for moment in moments_of(state).values()]
@@ -190,42 +138,37 @@ def test_a_transferred_learner_begins_with_the_sources_policy(name: str, tmp_pat
 def test_transfer_goes_from_one_field_to_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "runs"
-    custom = shutil.copy(CATALOGUE / "field_07.yaml", tmp_path / "mine.yaml")
-    tiny = ["--steps", "20", "--episodes", "1", "--out", str(out)]
+    out, custom = tmp_path / "runs", shutil.copy(CATALOGUE / "field_07.yaml", tmp_path)
+    tiny = ["--episodes", "1", "--out", str(out), "--steps"]
     command = ["transfer", "a2c", "--fields", "field_02", str(custom), *tiny]
     taken = out / "a2c-C-field_02-seed33"
     taken.mkdir(parents=True)
     (taken / "mine").touch()
-    assert main(command) == 2 and str(taken) in capsys.readouterr().err
+    assert main([*command, "20"]) == 2 and str(taken) in capsys.readouterr().err
     assert [*out.iterdir()] == [taken], "the targets are looked at before the source is trained"
-    shutil.rmtree(out)
-    assert main(command) == 0
+    shutil.rmtree(taken)
+    assert main([*command, "20"]) == 0
     names = sorted(path.name for path in out.iterdir())
-    assert names == ["a2c-A-field_01-seed33", "a2c-C-field_02-seed33", "a2c-C-mine-seed33"]
-    moved = RunFolder.open(out / "a2c-C-mine-seed33")
-    assert moved.config["transferred_from"] == str(out / "a2c-A-field_01-seed33")
+    assert names == ["a2c-A-field_01-seed33", taken.name, "a2c-C-field_07-seed33"]
+    moved = RunFolder.open(out / names[2])
+    assert moved.config["transferred_from"] == str(out / names[0])
     assert moved.field == load_field(custom)
     assert f"from: {out / names[0]}, 20 env-steps" in capsys.readouterr().out
     before = (out / names[0] / "evaluation.json").stat().st_mtime_ns
     shutil.rmtree(taken)
-    assert main([*command, "--resume"]) == 0
+    assert main([*command, "20", "--resume"]) == 0
     assert RunFolder.open(taken).finished
     assert (out / names[0] / "evaluation.json").stat().st_mtime_ns == before
-    command[command.index("20")] = "25"
-    command[command.index("field_02")] = "field_03"
-    command.remove(str(custom))
-    assert main([*command, "--source-steps", "25"]) == 2
+    command[3:5] = ["field_03"]
+    assert main([*command, "25", "--source-steps", "25"]) == 2
     assert not (out / "a2c-C-field_03-seed33").exists()
-    assert main(command) == 0
+    assert main([*command, "25"]) == 0
     assert f"from: {out / names[0]}, 20 env-steps" in capsys.readouterr().out
 
 
-def test_wrong_options_are_refused_by_place(tmp_path: Path, refusal: Refusal) -> None:
-    whole = load_field("field_02")
-    save_field(Field(whole.vertices, whole.rois, whole.starts[:2]), tmp_path / "two.yaml")
-    train_ppo = "train ppo field_02"
-    for words, place in (
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
         ("transfer ippo", "settings: "),
         ("transfer ppo --fields field_01", "fields: "),
         ("transfer ppo --fields field_02 field_02", "fields: field_02"),
@@ -233,28 +176,34 @@ def test_wrong_options_are_refused_by_place(tmp_path: Path, refusal: Refusal) ->
         ("transfer ppo --fields field_99", "field_99"),
         ("transfer ppo --processes 0", "processes: "),
         ("transfer ppo --source-steps 0", "source_steps: "),
-        (f"{train_ppo} --seed {2**32}", "seed: "),
-        (f"{train_ppo} --setting C", "--from"),
-        (f"{train_ppo} --setting C --from x", "x is not a run folder"),
-        (f"{train_ppo} --from x", "from: "),
+        (f"train ppo field_02 --seed {2**32}", "seed: "),
+        ("train ppo field_02 --setting C", "--from"),
+        ("train ppo field_02 --setting C --from x", "x is not a run folder"),
+        ("train ppo field_02 --from x", "from: "),
         ("train mappo field_02 --setting B", "setting: "),
         ("train ppo-shared field_02 --setting A", "setting: "),
-        (f"{train_ppo} --num-envs 0", "num_envs: "),
-        (f"{train_ppo} --stop-at inf", "stop_at: "),
+        ("train ppo field_02 --num-envs 0", "num_envs: "),
+        ("train ppo field_02 --stop-at inf", "stop_at: "),
         ("train mappo field_02 --set entropy=NaN", "entropy: "),
-        (f"{train_ppo} --hyperparams x.yaml", "x.yaml: "),
-        (f"{train_ppo} --resume --force", "force and resume"),
-        (f"{train_ppo} --resume --out x", "x is not a run folder"),
-    ):
-        assert place in refusal(words.split()), words
+        ("train ppo field_02 --hyperparams x.yaml", "x.yaml: "),
+        ("train ppo field_02 --resume --force", "force and resume"),
+        ("train ppo field_02 --resume --out x", "x is not a run folder"),
+    ],
+)
+def test_wrong_options_are_refused_by_place(
+    words: str, place: str, tmp_path: Path, refusal: Refusal
+) -> None:
+    whole = load_field("field_02")
+    save_field(Field(whole.vertices, whole.rois, whole.starts[:2]), tmp_path / "two.yaml")
+    assert place in refusal(words.split())
     assert [path.name for path in tmp_path.iterdir()] == ["two.yaml"]
 
 
 def test_only_a_finished_policy_of_the_same_learner_is_taken_over(
-    source: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
 ) -> None:
     path, out = tmp_path / "source", tmp_path / "moved"
-    shutil.copytree(source.path, path)
+    train(TrainConfig("a2c", "field_01", "A", steps=5, episodes=1), path)
     budget: dict[str, Any] = {"steps": 5, "episodes": 1, "transferred_from": path}
     moved = TrainConfig("a2c", "field_02", "C", **budget)
     for config, place in (
@@ -265,13 +214,8 @@ def test_only_a_finished_policy_of_the_same_learner_is_taken_over(
         with pytest.raises(ConfigError) as caught:
             train(config, out)
         assert any(problem.startswith(place) for problem in caught.value.problems)
-    for file in (path / "policy").iterdir():
-        file.unlink()
-    (path / "policy" / "model.zip").write_bytes(b"PK")  # as an older version wrote it
-    assert main(["evaluate", str(path)]) == 2
-    error = capsys.readouterr().err
-    assert all(word in error for word in (str(path / "policy"), "model.zip", "--force"))
-    with pytest.raises(RunError, match=r"model\.zip"):
+    (path / "policy" / "learner.safetensors").unlink()
+    with pytest.raises(RunError, match=r"learner\.safetensors"):
         train(moved, out)
     shutil.rmtree(out)
     (path / "evaluation.json").unlink()
@@ -288,20 +232,25 @@ def test_a_learner_that_diverges_names_its_folder(tmp_path: Path) -> None:
     assert not RunFolder.open(tmp_path / "run").finished
 
 
-def test_a_budget_that_is_rounded_up_is_said_before() -> None:
-    for name, changes, taken in (
+@pytest.mark.parametrize(
+    ("name", "changes", "taken"),
+    [
         ("ppo", {"model": {"n_steps": 32, "batch_size": 32}}, "128"),
         ("ppo", {"num_envs": 4, "model": {"n_steps": 25, "batch_size": 25}}, None),
         ("crossq", {"num_envs": 16}, "112"),
         ("ppo-shared", {"num_envs": 4, "model": {"n_steps": 16}}, "128"),
-        # Four candidates, an episode of at most 20 steps each, the first of which begins at 99.
-        ("ars", {"model": {"n_delta": 2, "n_top": 1}}, "up to 179"),
-        # Two env-steps a decision until half of the budget: 2 x 2 x 16, then 2 x 16.
+        # Four candidates, an episode of at most 20 steps each, the first of which begins at 99. The
+        # library counts the steps of both worlds.
+        ("ars", {"model": {"n_delta": 2, "n_top": 1}}, "up to 259"),
+        # Two env-steps a decision at first: 2 x 2 x 16, then 2 x 16.
         ("mappo", {"num_worlds": 2, "rollout_steps": 16, "action_repeat": [2, 1]}, "128"),
-    ):
-        sb3 = {"num_envs": 2, "policy": "MlpPolicy"} if ALGORITHMS[name].package == "sb3" else {}
-        small: dict[str, Any] = {**sb3, **changes}
-        how: dict[str, Any] = {"steps": 100, "environment": {"max_steps": 20}}
-        lines = notes(TrainConfig(name, "field_03", **how, hyperparameters=small))
-        said = [line for line in lines if line.startswith("steps: ")]
-        assert [f"takes {taken} env-steps" in line for line in said] == [True] * (taken is not None)
+    ],
+)
+def test_budget_that_is_rounded_up_is_said_before(
+    name: str, changes: dict[str, Any], taken: str | None
+) -> None:
+    sb3 = {"num_envs": 2, "policy": "MlpPolicy"} if ALGORITHMS[name].package == "sb3" else {}
+    how: dict[str, Any] = {"steps": 100, "environment": {"max_steps": 20}}
+    lines = notes(TrainConfig(name, "field_03", **how, hyperparameters={**sb3, **changes}))
+    said = [line for line in lines if line.startswith("steps: ")]
+    assert [f"takes {taken} env-steps" in line for line in said] == [True] * (taken is not None)

@@ -13,9 +13,8 @@ import torch
 from tensordict import TensorDict
 
 from baselines import load_policy
-from baselines.algorithms import find_algorithm
+from baselines.algorithms import Setting, find_algorithm
 from baselines.evaluation.evaluate import evaluate, unseen
-from baselines.runs.folder import RunFolder
 from baselines.torchrl.entities import Rivals, SetActor, SetCritic, Tokens
 from baselines.torchrl.trainer import Trainer
 from baselines.training.config import TrainConfig
@@ -24,7 +23,7 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import FieldSampler, load_fields
 from tests.baselines.conftest import Refusal
-from tests.support.runs import interrupted, recorded, same_policies, small_config
+from tests.support.runs import small_config
 
 pytestmark = pytest.mark.slow
 
@@ -47,23 +46,19 @@ class Scene:
                 rows[..., k] = 2.0 * rows[..., k] - 0.9
             if name.endswith(("_present", "_left")):
                 rows[..., k] = 1.0
-        for roi in (1, 2, 4):  # which some robots have left behind
-            self._blank(
-                f"roi_{roi}_", torch.rand(WORLDS, 4, generator=torch.manual_seed(roi)) < 0.3
-            )
         robots = 2 + torch.arange(WORLDS)[:, None] % 3
-        for other in (1, 2, 3):
-            self._blank(f"other_{other}_", (robots <= other).expand(WORLDS, 4))
-        self._blank("", torch.arange(4) >= robots)
+        absent = {f"other_{k}_": (robots <= k).expand(WORLDS, 4) for k in (1, 2, 3)}
+        for roi in (1, 2, 4):  # which some robots have left behind
+            chance = torch.rand(WORLDS, 4, generator=torch.manual_seed(roi))
+            absent[f"roi_{roi}_"] = chance < 0.3
+        absent[""] = torch.arange(4) >= robots
+        for start, where in absent.items():
+            for k in (k for k, name in enumerate(names) if name.startswith(start)):
+                rows[..., k][where] = 0.0
         torch.manual_seed(0)
         self.actor = SetActor(self.tokens, (8, 12))
         self.critic = SetCritic(self.tokens, (8, 12), central=True)
         torch.nn.init.normal_(self.actor.head.weight)
-
-    def _blank(self, start: str, where: torch.Tensor) -> None:
-        """Set entries whose names begin with ``start`` to zero in some rows."""
-        for k in (k for k, name in enumerate(self.names) if name.startswith(start)):
-            self.rows[..., k][where] = 0.0
 
     def mirrored(self, how: str) -> torch.Tensor:
         """Return what the robots would see in a field that is mirrored."""
@@ -103,10 +98,7 @@ def test_in_a_mirrored_field_robots_do_the_mirrored_thing(scene: Scene, how: str
 def test_the_order_of_tokens_does_not_matter(scene: Scene, kinds: tuple[str, str]) -> None:
     places = [[k for k, n in enumerate(scene.names) if n.startswith(kind)] for kind in kinds]
     rows = scene.rows.clone()
-    rows[..., places[0]], rows[..., places[1]] = (
-        scene.rows[..., places[1]],
-        scene.rows[..., places[0]],
-    )
+    rows[..., places[0] + places[1]] = scene.rows[..., places[1] + places[0]]
     assert not torch.equal(rows, scene.rows)
     torch.testing.assert_close(scene.actor(rows), scene.actor(scene.rows))
 
@@ -167,7 +159,7 @@ def test_the_way_left_is_in_units() -> None:
     torch.testing.assert_close(tokens.way_left(rows, 1), torch.tensor([125.0]))
 
 
-SMALLEST = small_config("generalist")
+SMALLEST = small_config("mappo", "G")
 CONFIG = replace(
     SMALLEST,
     field="random_convex",
@@ -176,25 +168,10 @@ CONFIG = replace(
 )
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    """A tiny run on random fields, interrupted and resumed."""
-    out = tmp_path_factory.mktemp("run") / "run"
-    assert not interrupted(CONFIG, out).finished
-    return train(CONFIG, out, resume=True)
-
-
-def test_an_interrupted_run_on_random_fields_goes_on_bit_for_bit(
-    run: RunFolder, tmp_path: Path
-) -> None:
-    whole = train(CONFIG, tmp_path / "run")
-    assert recorded(whole) == recorded(run)
-    assert same_policies(whole, run)
-
-
 def test_a_policy_of_random_fields_goes_anywhere_but_wants_a_field(
-    run: RunFolder, refusal: Refusal
+    tmp_path: Path, refusal: Refusal
 ) -> None:
+    run = train(CONFIG, tmp_path / "run")
     fields = load_fields("random_convex")
     assert run.fields == fields and isinstance(fields, FieldSampler)
     with pytest.raises(MbnError):
@@ -219,16 +196,17 @@ SMALL: dict[str, Any] = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "source", "gain"),
-    [("generalist", "zoo:generalist", 3.0), ("mappo", "zoo:field_03", 1.0)],
+    ("setting", "source", "gain"),
+    [("G", "zoo:generalist", 3.0), ("N", "zoo:field_03", 1.0)],
 )
 def test_a_run_begins_with_the_network_of_another_one_and_ends_with_its_gain(
-    algorithm: str, source: str, gain: float, tmp_path: Path
+    setting: Setting, source: str, gain: float, tmp_path: Path
 ) -> None:
     still = {**SMALL, "learning_rate": (1e-9, 1e-9), "log_std_cap": (9.0, 9.0)}
     begins = {"steps": 16, "episodes": 1, "transferred_from": Path(source)}
     tuned = train(
-        TrainConfig(algorithm, "field_03", hyperparameters=still, **begins), tmp_path / "tuned"
+        TrainConfig("mappo", "field_03", setting, hyperparameters=still, **begins),
+        tmp_path / "tuned",
     )
     first, second = (load_policy(str(p)).policy.network for p in (source, tuned.path))
     tuned_to = dict(second.named_parameters())
@@ -238,41 +216,37 @@ def test_a_run_begins_with_the_network_of_another_one_and_ends_with_its_gain(
     assert f"--from {source}" in tuned.command
 
 
-def test_a_run_begins_with_a_network_that_fits_or_not_at_all(tmp_path: Path) -> None:
-    begins = TrainConfig("generalist", "field_03", transferred_from=Path("zoo:generalist"))
-    other = {"hidden": (8, 8), "sharing": "none", "network": "mlp"}
+OTHER = {"hidden": (8, 8), "sharing": "none", "network": "mlp"}
+NAMED = [f"hyperparameters.{name}" for name in ("network", "hidden", "sharing")]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "field", "setting", "changes", "named"),
+    [
+        ("mappo", "random_convex", "G", {"scattered": 0.5}, ["scattered"]),
+        ("mappo", "field_03", "N", {"shaping": 0.1}, ["shaping"]),
+        ("mappo", "field_03", "G", {"sharing": "none", "hidden": [64]}, ["sharing", "hidden"]),
+        ("ppo-joint", "field_03", "N", {"network": "entities", "sharing": "full"}, ["actor"]),
+        ("mappo", "random_convex", "N", {}, ["field"]),
+        ("ppo", "random_convex", "N", {}, ["field"]),
+        ("mappo", "field_03", "G", OTHER, ["observation", "robots", "ROIs", "arena", *NAMED]),
+    ],
+)
+def test_what_does_not_go_together_is_refused(
+    algorithm: str, field: str, setting: Setting, changes: dict[str, Any], named: list[str]
+) -> None:
+    source = Path("zoo:generalist") if changes is OTHER else None
+    config = TrainConfig(
+        algorithm, field, setting, hyperparameters=changes, transferred_from=source
+    )
     with pytest.raises(ConfigError) as caught:
-        train(replace(begins, hyperparameters=SMALL | other), tmp_path / "other")
-    problems = caught.value.problems
-    assert [problem.split(":")[0] for problem in problems] == [
-        *("observation", "robots", "ROIs", "arena"),
-        *(f"hyperparameters.{name}" for name in ("network", "hidden", "sharing")),
-    ]
-    assert not (tmp_path / "other").exists()
+        find_algorithm(config.algorithm).check(*prepare(config))
+    assert [problem.partition(":")[0] for problem in caught.value.problems] == named
 
 
-def test_what_does_not_go_together_is_refused() -> None:
-    cases: list[tuple[str, str, dict[str, Any], list[str]]] = [
-        ("generalist", "random_convex", {"scattered": 0.5}, ["scattered"]),
-        ("mappo", "field_03", {"shaping": 0.1}, ["shaping"]),
-        ("generalist", "field_03", {"sharing": "none", "hidden": [64]}, ["sharing", "hidden"]),
-        ("ppo-joint", "field_03", {"network": "entities", "sharing": "full"}, ["actor"]),
-    ]
-    for algorithm, field, changes, named in cases:
-        task, hyperparameters = prepare(TrainConfig(algorithm, field, hyperparameters=changes))
-        with pytest.raises(ConfigError) as caught:
-            find_algorithm(algorithm).check(task, hyperparameters)
-        assert [problem.partition(":")[0] for problem in caught.value.problems] == named
-    for algorithm in ("mappo", "ppo"):
-        with pytest.raises(ConfigError, match="field: random_convex"):
-            prepare(TrainConfig(algorithm, "random_convex"))
-
-
-def test_each_run_on_random_fields_has_its_own() -> None:
-    tasks = [prepare(TrainConfig("generalist", "random_convex", seed=seed))[0] for seed in (0, 1)]
-    first, second = (task.field for task in tasks)
-    assert isinstance(first, FieldSampler) and isinstance(second, FieldSampler)
-    assert first.field() != second.field()
+def test_runs_with_other_seeds_have_other_random_fields() -> None:
+    tasks: list[Any] = [prepare(replace(CONFIG, seed=seed))[0] for seed in (0, 1)]
+    assert tasks[0].field.field() != tasks[1].field.field()
 
 
 @pytest.mark.parametrize("terminated", [True, False])

@@ -25,19 +25,14 @@ from baselines.torchrl.networks import (
 )
 from baselines.torchrl.policy import TeamPolicy, load_policy
 
-LOG_TWO_PI = math.log(2.0 * math.pi)
 
-
-def test_normalisation_begins_with_the_first_update() -> None:
+def test_normalisation_begins_with_the_first_update_and_is_by_network() -> None:
     norm = Normalize(TeamShape(2, 1, (8,), "full"))
     assert norm.normalize(torch.tensor([3.0, 5.0])).tolist() == [3.0, 5.0]
     norm.statistics.update(torch.tensor([[[0.0, 1.0]], [[2.0, 5.0]]]))  # means 1, 3; variances 1, 4
     assert norm.normalize(torch.tensor([2.0, 5.0])).tolist() == [1.0, 1.0]
     row = TensorDict({Key.OBSERVATION: torch.tensor([[[100.0, 3.0]]])}, (1,))
     assert norm(row)[Key.NORMALIZED].tolist() == [[[10.0, 0.0]]]
-
-
-def test_robots_with_networks_of_their_own_are_normalised_apart() -> None:
     norm = Normalize(TeamShape(1, 2, (8,), "none"))
     norm.statistics.update(torch.tensor([[[0.0], [10.0]], [[2.0], [30.0]]]))
     # Means 1 and 20, deviations 1 and 10.
@@ -95,34 +90,23 @@ def test_only_central_critics_and_actors_see_the_other_robots() -> None:
     assert ValueNetwork(joint, "centralized")(row)[Key.VALUE].shape == (5, 1, 1)
 
 
-def test_log_probabilities_are_those_of_torch() -> None:
+@pytest.mark.parametrize(("kind", "shape"), [(TeamNormal, (7, 3)), (JointNormal, (7, 1))])
+def test_distributions_are_those_of_torch(kind: type[TeamNormal], shape: tuple[int, int]) -> None:
     torch.manual_seed(0)
     loc, value = torch.randn(2, 7, 3, 2)
     scale = torch.tensor([[0.5, 1.0], [2.0, 0.1], [1.0, 3.0]]).expand(7, 3, 2)
-    expected = torch.distributions.Normal(loc, scale)
-    for kind, of in ((TeamNormal, (7, 3)), (JointNormal, (7, 1))):
-        ours = kind(loc, scale)
-        whole = expected.log_prob(value).sum(-1)
-        joint = kind is JointNormal
-        whole = whole.sum(-1, keepdim=True) if joint else whole
-        entropy = expected.entropy().sum(-1)
-        entropy = entropy.sum(-1, keepdim=True) if joint else entropy
-        assert ours.log_prob(value).shape == ours.entropy().shape == of
-        assert torch.allclose(ours.log_prob(value), whole, atol=1e-4)
-        assert torch.allclose(ours.entropy(), entropy)
-        assert torch.equal(ours.deterministic_sample, loc)
-        torch.manual_seed(1)
-        noise = torch.randn(7, 3, 2)
-        torch.manual_seed(1)
-        assert torch.allclose(ours.rsample(), loc + scale * noise)
-
-
-def test_a_log_probability_by_hand() -> None:
-    loc, scale = torch.zeros(1, 2, 2), torch.ones(1, 2, 2)
-    value = torch.tensor([[[1.0, 0.0], [2.0, 0.0]]])
-    each = TeamNormal(loc, scale).log_prob(value)
-    assert torch.allclose(each, torch.tensor([[-0.5 - LOG_TWO_PI, -2.0 - LOG_TWO_PI]]))
-    assert torch.allclose(JointNormal(loc, scale).log_prob(value), each.sum(-1, keepdim=True))
+    ours, theirs = kind(loc, scale), torch.distributions.Normal(loc, scale)
+    for found, terms in (
+        (ours.log_prob(value), theirs.log_prob(value)),
+        (ours.entropy(), theirs.entropy()),
+    ):
+        assert found.shape == shape
+        assert torch.allclose(found, terms.reshape(*shape, -1).sum(-1), atol=1e-4)
+    assert torch.equal(ours.deterministic_sample, loc)
+    torch.manual_seed(1)
+    noise = torch.randn(7, 3, 2)
+    torch.manual_seed(1)
+    assert torch.allclose(ours.rsample(), loc + scale * noise)
 
 
 @pytest.mark.parametrize(

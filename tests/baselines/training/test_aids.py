@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from baselines.training import aids as module
 from baselines.training.aids import RoiCurriculum, TrainingAids, between, with_other_starts
 from baselines.training.config import Task, TrainConfig
 from mbn_marl import Failures, Uniform
@@ -15,14 +16,18 @@ from mbn_marl.field import load_field
 FIELD = load_field("field_02")
 
 
+def task_of(**settings: Any) -> Task:
+    return Task(TrainConfig("mappo", "field_02", seed=3), FIELD, settings)
+
+
 def test_numbers_are_interpolated_and_do_not_leave_their_ends() -> None:
-    aids = TrainingAids(action_repeat=(4, 1), action_repeat_until=0.5)
-    assert [aids.repeat_at(share) for share in (0.0, 0.25, 0.4, 0.5, 1.0)] == [4, 2, 2, 1, 1]
+    aids = TrainingAids(action_repeat=(4, 1))
+    assert [aids.repeat_at(share) for share in (0.0, 0.2, 0.32, 0.4, 1.0)] == [4, 2, 2, 1, 1]
     assert [between((3.0, 1.0), share) for share in (-1, 0, 0.25, 1, 2)] == [3, 3, 2.5, 1, 1]
 
 
-def test_a_budget_is_rounded_up_to_rollouts_that_become_shorter() -> None:
-    aids = TrainingAids(action_repeat=(4, 1), action_repeat_until=0.4)
+def test_budget_is_rounded_up_to_rollouts_that_become_shorter() -> None:
+    aids = TrainingAids(action_repeat=(4, 1))
     # 4 x 10 until 40 % of the budget, where repeats end; then rollouts of 10.
     assert [aids.rounded_up(steps, 10) for steps in (1, 40, 95, 101)] == [40, 40, 100, 110]
     # 40, 80, then 3 x 10 and 2 x 10 and 10 from 400 on.
@@ -31,14 +36,10 @@ def test_a_budget_is_rounded_up_to_rollouts_that_become_shorter() -> None:
     assert TrainingAids(action_repeat=(3, 3)).rounded_up(100, 10) == 120
 
 
-def task_of(**settings: Any) -> Task:
-    return Task(TrainConfig("mappo", "field_02", seed=3), FIELD, settings)
-
-
-def test_a_training_without_aids_has_the_environments_own_settings() -> None:
+def test_training_without_aids_has_the_environments_own_settings() -> None:
     task = task_of(max_steps=300, roi_radius=8.0, one_hot=True)
     own = {"field": FIELD, "max_steps": 300, "roi_radius": 8.0, "one_hot": True}
-    small, large = (RoiCurriculum(first, 2, (0.4, 0.8), 4) for first in (1.0, 2.5))
+    small, large = (RoiCurriculum(first, window=4) for first in (1.0, 2.5))
     assert TrainingAids().in_training(task, small, 4) == own
     shorter = TrainingAids(episode_steps=256).in_training(task, large, 4)
     assert shorter == {**own, "max_steps": 256, "roi_radius": 20.0}
@@ -46,28 +47,31 @@ def test_a_training_without_aids_has_the_environments_own_settings() -> None:
 
 
 def test_numbers_may_be_drawn_in_training() -> None:
-    drawn: dict[str, Any] = {"roi_radius": Uniform(5.0, 8.0), "safety_distance": Uniform(5.0, 12.0)}
-    failures = Failures(between=(5, 60))
-    curriculum = RoiCurriculum(2.0, 2, (0.4, 0.8), 4)
-    aids = TrainingAids(episode_steps=50, scattered=0.5)
-    settings = aids.in_training(task_of(**drawn, failures=failures), curriculum, 4)
+    task = task_of(roi_radius=Uniform(5.0, 8.0), safety_distance=Uniform(5.0, 12.0))
+    settings = TrainingAids(scattered=0.5).in_training(task, RoiCurriculum(2.0, window=4), 4)
     assert settings["roi_radius"] == Uniform(10.0, 16.0)
-    assert settings["failures"] == failures
     assert len(settings["field"]) == 4 and settings["field"][3] != FIELD
-    short = TrainingAids(episode_steps=4).in_training(task_of(failures=failures), curriculum, 4)
-    assert short["failures"] == Failures()
 
 
-def test_failures_after_the_end_of_a_training_episode_are_left_out() -> None:
-    task = task_of(failures={"at": {0: 256, 1: 257}, "kind": "coast"})
-    curriculum = RoiCurriculum(1.0, 2, (0.4, 0.8), 4)
-    for steps, expected in ((256, {0: 256}), (257, {0: 256, 1: 257})):
-        settings = TrainingAids(episode_steps=steps).in_training(task, curriculum, 4)
-        assert settings["failures"] == Failures(at=expected, kind="coast")
+@pytest.mark.parametrize(
+    ("failures", "steps", "expected"),
+    [
+        ({"at": {0: 256, 1: 257}, "kind": "coast"}, 256, {"at": {0: 256}, "kind": "coast"}),
+        ({"at": {0: 256, 1: 257}, "kind": "coast"}, 257, {"at": {0: 256, 1: 257}, "kind": "coast"}),
+        ({"between": (5, 60)}, 50, {"between": (5, 60)}),
+        ({"between": (5, 60)}, 4, {}),
+    ],
+)
+def test_failures_after_the_end_of_a_training_episode_are_left_out(
+    failures: dict[str, Any], steps: int, expected: dict[str, Any]
+) -> None:
+    aids, curriculum = TrainingAids(episode_steps=steps), RoiCurriculum(1.0, window=4)
+    settings = aids.in_training(task_of(failures=failures), curriculum, 4)
+    assert settings["failures"] == Failures(**expected)
 
 
 def test_robots_are_scattered_until_rois_have_their_true_size() -> None:
-    aids, curriculum = TrainingAids(scattered=0.25), RoiCurriculum(4.0, 2, (0.4, 0.8), 4)
+    aids, curriculum = TrainingAids(scattered=0.25), RoiCurriculum(4.0, window=4)
     task = task_of(safety_distance=30.0)
     fields = aids.in_training(task, curriculum, 8)["field"]
     assert fields == aids.in_training(task, curriculum, 8)["field"]
@@ -77,38 +81,32 @@ def test_robots_are_scattered_until_rois_have_their_true_size() -> None:
         assert gaps[np.triu_indices(len(gaps), 1)].min() >= 30.0
         assert one.starts.shape == FIELD.starts.shape
         assert (one.rois == FIELD.rois).all() and (one.edges == FIELD.edges).all()
+    assert aids.in_training(task_of(random_starts=True), curriculum, 8)["field"] == FIELD
     curriculum.stage = 1
     assert aids.in_training(task, curriculum, 8)["field"][6:] != fields[6:]
-    curriculum.stage = 2
+    curriculum.stage = 10
     assert aids.in_training(task, curriculum, 8)["field"] == FIELD
-    moving = task_of(random_starts=True)
-    curriculum.stage = 0
-    assert aids.in_training(moving, curriculum, 8)["field"] == FIELD
     assert with_other_starts(FIELD, 500.0, np.random.default_rng(0)) is FIELD  # crowded
 
 
-def test_rois_shrink_when_the_team_succeeds_and_grow_when_it_fails() -> None:
-    curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
-    curriculum.add([0, 0, 0, 0])
-    assert not curriculum.move() and curriculum.radius == 8.0  # never beyond the first size
-    curriculum = RoiCurriculum(8.0, stages=3, bounds=(0.25, 0.75), window=4)
-    sizes, moves = [], []
-    none, all_of_them, half = [0, 0, 0, 0, 0], [1, 1, 1, 1], [1, 1, 0, 0]
-    windows = ([1, 1, 1, 0], [1, 0], [1, 1], half, none, *[all_of_them] * 3)
+def test_rois_shrink_when_the_team_succeeds_and_grow_when_it_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "STAGES", 3)
+    curriculum = RoiCurriculum(8.0, window=5)
+    failed, half, most = [0] * 5, [1, 1, 0, 1, 0], [1, 1, 1, 0, 1]
+    # A rate of 0.4 or more does not let ROIs grow, one of 0.8 lets them shrink. A window may come
+    # in parts, and ROIs are never larger than at first or smaller than the true ones.
+    windows = (failed, most, [1, 1, 1], [1, 1], half, failed, *[most] * 3)
+    seen = []
     for successes in windows:
         curriculum.add(successes)
-        moves.append(curriculum.move())
-        sizes.append(curriculum.radius)
-    assert sizes == pytest.approx([4.0, 4.0, 2.0, 2.0, 4.0, 2.0, 1.0, 1.0])
-    assert moves == [True, False, True, False, True, True, True, False]
-
-
-def test_worlds_have_another_seed_after_every_change_of_size() -> None:
-    rois = RoiCurriculum(4.0, stages=2, bounds=(0.4, 0.8), window=1)
-    seeds = [rois.seed(7)]
-    for success in (0.0, 1.0, 0.0, 1.0):  # at first ROIs cannot grow
-        rois.add([success])
-        rois.move()
-        seeds.append(rois.seed(7))
-    assert seeds[:2] == [7, 7] and len(set(seeds[1:])) == 4
-    assert all(0 <= seed < 2**63 for seed in seeds)
+        moved, seed = curriculum.move(), curriculum.seed(7)
+        seen.append((moved, curriculum.radius, seed))
+    moves = [False, True, False, True, False, True, True, True, False]
+    assert [moved for moved, _, _ in seen] == moves
+    radii = [radius for _, radius, _ in seen]
+    assert radii == pytest.approx([8.0, 4.0, 4.0, 2.0, 2.0, 4.0, 2.0, 1.0, 1.0])
+    # The worlds have another seed after every change.
+    seeds = [seed for moved, _, seed in seen if moved]
+    assert seen[0][2] == 7 and len({7, *seeds}) == 6 and all(0 <= seed < 2**63 for seed in seeds)

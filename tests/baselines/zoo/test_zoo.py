@@ -75,8 +75,8 @@ def test_evaluate_says_what_the_card_says(zoo: Path, tmp_path: Path) -> None:
 
 def test_an_entry_holds_what_its_run_was_and_no_pickle(zoo: Path, run: RunFolder) -> None:
     files = {str(path.relative_to(zoo)) for path in zoo.rglob("*") if path.is_file()}
-    names = ("README.md", "card.json", "checksums.json", "config.json", "field.yaml")
-    weights = ("policy/checksums.json", "policy/policy.json", "policy/policy.safetensors")
+    names = ("README.md", "card.json", "config.json", "field.yaml")
+    weights = ("policy/policy.json", "policy/policy.safetensors")
     assert files == {f"tiny/{name}" for name in (*names, *weights)}
     entry = RunFolder.open(zoo / "tiny")
     assert (entry.config, entry.field) == (run.config, run.field)

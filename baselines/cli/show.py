@@ -1,0 +1,166 @@
+"""``mbn render``, ``replay``, ``watch`` and ``play``: episodes, drawn and recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional, arg
+
+from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check_options
+
+if TYPE_CHECKING:
+    from mbn_marl.episode import Episode
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render(Subject):
+    """Write an episode to a file: of a policy, of random actions, or a recorded one."""
+
+    source: Positional[Annotated[str, arg(metavar="POLICY|FIELD|EPISODE")]]
+    """As for `mbn evaluate`; or a field, with random actions; or an episode's file."""
+    out: Output
+    """A .json for the episode itself (see `mbn replay`), .gif or .mp4 for an animation, .png, .pdf
+    or .svg for its paths."""
+    sampled: bool = False
+    """Sample the policy's actions instead of taking their mean."""
+    seed: int = 0
+    """Of the world and of the sampled actions."""
+    steps: int | None = None
+    """Stop after so many steps; by default at the end of the episode."""
+
+    def run(self, command_line: str) -> None:
+        from baselines.evaluation.rollout import check_ending, write_episode
+        from mbn_marl.files import check_free, claim_file
+
+        few = self.steps is not None and self.steps < 1
+        check_options("render", {f"steps: at least 1, not {self.steps}": few})
+        check_ending(self.out)
+        check_free(self.out, force=self.force)
+        episode = self._episode()
+        write_episode(episode, claim_file(self.out, force=self.force))
+        print(result(episode))
+        print(f"written to {self.out}")
+
+    def _episode(self) -> Episode:
+        from baselines.demo.resolve import find_actor
+        from baselines.evaluation.rollout import record_episode
+        from baselines.zoo.sources import RANDOM
+        from mbn_marl.episode import check_episode, is_episode_file, load_episode
+        from mbn_marl.episode.files import EXPECTED
+        from mbn_marl.errors import FieldError
+
+        if is_episode_file(self.source):
+            names = ("field", "condition", "wind", "sampled", "seed", "steps")
+            asked = [name for name in names if getattr(self, name) != getattr(Render, name)]
+            problem = f"{', '.join(asked)}: not for {self.source}, which is recorded already"
+            check_options("render", {problem: asked})
+            episode = load_episode(self.source)
+            check_episode(episode, self.source)
+            return episode
+        try:
+            how: dict[str, Any] = {"seed": self.seed, "alone": lambda field: RANDOM, **self.asked}
+            actor = find_actor(self.source, self.field, **how)
+        except FieldError as error:
+            if not self.source.lower().endswith(".json"):
+                raise
+            raise FieldError(self.source, [*error.problems, f"nor is it {EXPECTED}"]) from None
+        return record_episode(
+            *(actor.policy, actor.field, actor.settings),
+            deterministic=not self.sampled,
+            seed=self.seed,
+            limit=self.steps,
+            source=f"{actor.name}{self.weather}{', sampled actions' if self.sampled else ''}",
+        )
+
+
+def result(episode: Episode) -> str:
+    return f"{episode.outcome}, {episode.steps} steps, return {episode.team_return:,.0f}"
+
+
+@dataclass(frozen=True)
+class Replay(Writes):
+    """Write a self-contained HTML page that plays episodes side by side, without a server."""
+
+    episodes: Positional[Annotated[tuple[Path, ...], arg(metavar="EPISODE ...")]]
+    """Files of episodes, such as `mbn render RUN -o episode.json` writes."""
+    out: Output
+    """The .html file to write."""
+    title: str | None = None
+    """Of the page; by default the fields' names."""
+
+    def run(self, command_line: str) -> None:
+        from mbn_marl.episode import check_episode, load_episode
+        from mbn_marl.errors import MbnError
+        from mbn_marl.files import check_free, claim_file, replacing
+        from mbn_marl.web.replay import replay_page
+
+        if self.out.suffix.lower() != ".html":
+            raise MbnError(f"{self.out}: the file name has to end in .html")
+        check_free(self.out, force=self.force)
+        episodes = {path: load_episode(path) for path in self.episodes}
+        for path, episode in episodes.items():
+            check_episode(episode, str(path))
+        shown = [
+            replace(episode, source=f"{episode.source} ({path})")
+            for path, episode in episodes.items()
+        ]
+        page = replay_page(shown, self.title)
+        with replacing(claim_file(self.out, force=self.force)) as temporary:
+            temporary.write_text(page, encoding="utf-8")
+        for episode in episodes.values():
+            print(f"{episode.source}: {result(episode)}; replayed exactly")
+        print(f"written to {self.out}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Window(Subject):
+    source: Positional[Annotated[str, arg(metavar="POLICY|FIELD")]]
+    """As for `mbn evaluate`; or a field, with its policy of the zoo if there is one, else random
+    actions."""
+    sampled: bool = False
+    """Sample the policy's actions instead of taking their mean."""
+    seed: int = 0
+    """Of the worlds and of sampled actions."""
+    speed: float = 10.0
+    """Steps a second."""
+    episodes: int | None = None
+    """Close the window after so many."""
+    out: OptionalOutput = None
+    """Write the last episode to this .json file (see `mbn replay`)."""
+
+    def run(self, command_line: str) -> None:
+        from baselines.demo.interactive import Show, play, watch
+        from baselines.demo.resolve import find_actor, zoo_policy
+        from mbn_marl.episode import save_episode
+        from mbn_marl.errors import MbnError
+        from mbn_marl.files import check_free, claim_file
+
+        how: dict[str, Any] = {"seed": self.seed, "alone": zoo_policy, **self.asked}
+        actor = find_actor(self.source, self.field, **how)
+        if self.out is not None:
+            if self.out.suffix.lower() != ".json":
+                raise MbnError(f"{self.out}: the file name has to end in .json")
+            check_free(self.out, force=self.force)
+        show = Show(not self.sampled, self.seed, self.speed, self.episodes)
+        robot = self.robot if isinstance(self, Play) else None
+        shown = watch(actor, show) if robot is None else play(actor, show, robot)
+        for episode in shown:
+            print(result(episode))
+        if self.out is not None and shown:
+            save_episode(shown[-1], claim_file(self.out, force=self.force))
+            print(f"written to {self.out}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watch(_Window):
+    """Watch a policy in a window. Space pauses, R starts it again, Escape closes it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Play(_Window):
+    """Drive one robot with the arrow keys or W, A, S, D, while a policy drives the others."""
+
+    robot: int = 0
+    """Which robot is yours."""

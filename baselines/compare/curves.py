@@ -1,0 +1,313 @@
+"""The figures of comparisons, of the paper's report, and of a study of hyperparameters."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
+from numpy.typing import NDArray
+from pandas import DataFrame
+
+from baselines.compare.records import RunRecord
+from baselines.compare.summary import RESAMPLES, THRESHOLDS, Comparison, Estimate, Profile
+from baselines.evaluation.intervals import RETURN_THRESHOLD
+from mbn_marl.errors import MbnError
+from mbn_marl.render import style
+
+FloatArray = NDArray[np.float64]
+Curves = Mapping[str, Sequence[tuple[FloatArray, FloatArray]]]
+"""For each label, per seed, env-steps and returns, (k,) each; the steps increase."""
+Band = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Steps, mean, and the two ends of the band, (k,) each."""
+
+_AGGREGATES = {
+    "interquartile mean": "iqm",
+    "optimality gap": "gap",
+    "optimality gap, mean actions": "deterministic_gap",
+}
+_RULE: dict[str, Any] = {"color": style.FAINT_INK, "lw": 1.0}  # the look of a marked return
+_PAIR_MARKS: tuple[dict[str, Any], ...] = (
+    {"marker": "o", "ls": "none", "color": style.BLUE, "mfc": style.WHITE, "ms": 7.5, "mew": 1.3},
+    {"marker": "s", "ls": "none", "color": style.VERMILLION, "ms": 3.8},
+)
+"""The first of a pair is a ring, the second a square that fits inside."""
+
+
+class Panel(NamedTuple):
+    """Learning curves of one field, and the best possible return to mark, or ``None``."""
+
+    curves: Curves
+    optimum: float | None
+
+
+class Pair(NamedTuple):
+    """Two returns to compare; ``None`` is missing."""
+
+    first: float | None
+    second: float | None
+
+
+def draw_statistics(comparison: Comparison) -> dict[str, Figure]:
+    drawn, by_label = {}, {one["label"]: one for one in comparison.aggregates}
+    if by_label:
+        drawn["Aggregates"] = intervals_figure(
+            {
+                title: {label: one[name] for label, one in by_label.items()}
+                for title, name in _AGGREGATES.items()
+            }
+        )
+        profiles = {label: one["profile"] for label, one in by_label.items()}
+        drawn["Performance profiles"] = profiles_figure(profiles, THRESHOLDS, comparison.looks)
+    if pairs := list(itertools.combinations(comparison.looks, 2)):
+        title = "Probability of improvement"
+        chances = {f"{x} > {y}": comparison.improvement[x][y] for x, y in pairs}
+        figure = drawn[title] = intervals_figure({title.lower(): chances})
+        figure.axes[0].axvline(0.5, color=style.FAINT_INK, ls=":", lw=1.2, zorder=1)
+        figure.axes[0].set(xlim=(0.0, 1.0), xticks=[0.0, 0.25, 0.5, 0.75, 1.0])
+    return drawn
+
+
+def draw_learning_curves(
+    field: str, groups: Mapping[str, Sequence[RunRecord]], looks: Mapping[str, int]
+) -> Figure:
+    """Draw the learning curves of the runs on one field, by label."""
+    found = {}
+    for label, runs in groups.items():
+        tables = [DataFrame(one.evaluations) for one in runs]
+        found[label] = [(one.env_steps.to_numpy(), one.return_mean.to_numpy()) for one in tables]
+    optimum, *others = {one.optimum for group in groups.values() for one in group}
+    panel = Panel(found, None if others else optimum)
+    return learning_curves({field: panel}, looks, "return: mean, 95 % band over seeds")
+
+
+@matplotlib.rc_context({**style.MATPLOTLIB, "lines.linewidth": 1.2})
+def learning_curves(
+    panels: Mapping[str, Panel],
+    looks: Mapping[str, int],
+    subject: str,
+    threshold: float = RETURN_THRESHOLD,
+) -> Figure:
+    """Draw the mean return over seeds against env-steps with its 95 % band, a panel a field.
+
+    The axes are common. If returns of early training lie far below the others, that of returns is
+    logarithmic below minus the highest return drawn, and its label says so.
+
+    Args:
+        panels: by title.
+        looks: the number of each label's style, in the order of the legend.
+        subject: the label of the axis of returns.
+        threshold: a return to mark.
+
+    Raises:
+        MbnError: the seeds of a label have no range of env-steps in common.
+    """
+    bands = {
+        (title, name): mean_and_band(f"{title}, {name}", seeds)
+        for title, panel in panels.items()
+        for name, seeds in panel.curves.items()
+    }
+    styles = {name: style.series(look) for name, look in looks.items()}
+    optima = [panel.optimum for panel in panels.values() if panel.optimum is not None]
+    figure, grid = _layout(len(panels), 2.2 if len(panels) > 1 else 2.85)
+    for axes, (title, panel) in zip(grid, panels.items(), strict=True):
+        for name, seeds in panel.curves.items():
+            look, (steps, mean, low, high) = styles[name], bands[title, name]
+            shape: dict[str, Any] = {"ls": look.dash, "marker": look.marker, "ms": 4}
+            every = max(len(steps) // 8, 1)
+            axes.plot(steps, mean, color=look.colour, zorder=3, markevery=every, **shape)
+            if len(seeds) > 1:
+                axes.fill_between(steps, low, high, color=look.colour, alpha=0.18, lw=0)
+        axes.axhline(threshold, ls=":", zorder=2, **_RULE)
+        if panel.optimum is not None:
+            axes.axhline(panel.optimum, zorder=2, **_RULE)
+        axes.set_title(title, loc="left")
+        axes.grid(True)
+    grid[0].xaxis.set_major_formatter(EngFormatter(sep=" "))
+    ends = np.concatenate([end for band in bands.values() for end in band[2:]])
+    top = max(float(ends.max()), threshold, *optima)
+    note = _scale_returns(grid[0], "y", float(ends.min()), top, ticks=2 if len(panels) > 1 else 4)
+    for axes in grid[-2:]:
+        axes.set_xlabel("env-steps")
+    figure.supylabel(f"{subject}{note}", fontsize=9.0, ha="center")
+    drawn = {name for _, name in bands}
+    handles = [
+        Line2D([], [], c=look.colour, ls=look.dash, marker=look.marker, ms=4, label=name)
+        for name, look in styles.items()
+        if name in drawn
+    ]
+    handles.append(Line2D([], [], ls=":", label=f"threshold {threshold:,.0f}", **_RULE))
+    if optima:
+        handles.append(Line2D([], [], label="proved optimum", **_RULE))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, handlelength=3.2)
+    return figure
+
+
+@matplotlib.rc_context(style.MATPLOTLIB)
+def pairs(
+    panels: Mapping[str, Mapping[str, Pair]],
+    names: tuple[str, str],
+    threshold: float = RETURN_THRESHOLD,
+) -> Figure:
+    """Draw two returns side by side on a line each, a panel a title, on common axes.
+
+    Args:
+        panels: for each title, for each line of its panel, the two returns.
+        names: what the first and the second return of each pair are.
+        threshold: a return to mark.
+    """
+    found = itertools.chain(*(itertools.chain(*panel.values()) for panel in panels.values()))
+    values = [value for value in found if value is not None]
+    labels = list(dict.fromkeys(label for panel in panels.values() for label in panel))
+    figure, grid = _layout(len(panels), 0.19 * len(labels) + 0.5)
+    for axes, (title, panel) in zip(grid, panels.items(), strict=True):
+        for place, label in enumerate(labels):
+            pair = panel.get(label, Pair(None, None))
+            if None not in pair:
+                axes.plot(pair, [place, place], zorder=2, **_RULE)
+            for value, mark in zip(pair, _PAIR_MARKS, strict=True):
+                if value is not None:
+                    axes.plot([value], [place], zorder=3, clip_on=False, **mark)
+            if pair == (None, None):
+                at: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "va": "center"}
+                axes.annotate("missing", (0.02, place), color=style.FAINT_INK, fontsize=7.0, **at)
+        axes.axvline(threshold, ls=":", zorder=1, **_RULE)
+        axes.set_title(title, loc="left")
+        axes.grid(True, axis="x")
+    grid[0].set_yticks(range(len(labels)), labels)
+    grid[0].set_ylim(len(labels) - 0.4, -0.6)
+    note = _scale_returns(grid[0], "x", min(values), max(threshold, *values), ticks=2)
+    for axes in grid[-2:]:
+        axes.set_xlabel(f"mean return during training{note}")
+    handles = [
+        Line2D([], [], label=name, **mark) for name, mark in zip(names, _PAIR_MARKS, strict=True)
+    ]
+    handles.append(Line2D([], [], ls=":", label=f"threshold {threshold:,.0f}", **_RULE))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return figure
+
+
+@matplotlib.rc_context(style.MATPLOTLIB)
+def intervals_figure(panels: Mapping[str, Mapping[str, Estimate]]) -> Figure:
+    """Draw shares with their intervals, a panel for each title, one below the other."""
+    heights = [len(lines) + 1.0 for lines in panels.values()]
+    tall = sum(0.25 * height + 0.55 for height in heights)
+    figure = Figure(figsize=(4.6, tall), layout="constrained")  # about as wide as a phone
+    grid = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights).ravel()
+    for axes, (title, lines) in zip(grid, panels.items(), strict=True):
+        for place, (value, low, high) in enumerate(lines.values()):
+            if low is not None and high is not None:
+                axes.hlines(place, low, high, color=style.BLUE, lw=6.0, alpha=0.35, clip_on=False)
+            axes.plot([value], [place], c=style.BLUE, marker="|", ms=11.0, mew=2.0, clip_on=False)
+        axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.grid(True, axis="x")
+        axes.set_yticks(range(len(lines)), list(lines))
+        axes.set_ylim(len(lines) - 0.5, -0.5)
+        axes.set_title(title, loc="left", fontsize=9.0)
+    return figure
+
+
+@matplotlib.rc_context(style.MATPLOTLIB)
+def profiles_figure(
+    profiles: Mapping[str, Profile], thresholds: FloatArray, looks: Mapping[str, int]
+) -> Figure:
+    """Draw performance profiles: the share of runs above each threshold.
+
+    The axis is logarithmic in what a threshold lacks of 1, since good runs differ there, and begins
+    where the first profile falls.
+
+    Args:
+        profiles: by label, taken at the thresholds.
+        thresholds: (k,), increasing up to 1, shares of the proved optimum.
+        looks: the number of each label's style.
+    """
+    figure = Figure(figsize=(4.6, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    lacks = 1.0 - thresholds[:-1]  # more than 1 has none
+    for name, band in profiles.items():
+        share, low, high = (values[:-1] for values in band)
+        look = style.series(looks[name])
+        axes.step(lacks, share, where="post", c=look.colour, ls=look.dash)
+        falls = np.flatnonzero(np.diff(share, append=0.0))
+        marks: dict[str, Any] = {"marker": look.marker, "ms": 4, "c": look.colour}
+        axes.plot(lacks[falls], share[falls], ls="none", **marks)
+        axes.plot([], [], ls=look.dash, label=name, **marks)
+        axes.fill_between(lacks, low, high, step="post", color=look.colour, alpha=0.18, lw=0)
+    shares = np.stack([share for share, _, _ in profiles.values()])
+    fallen = np.flatnonzero((shares[:, :-1] < shares[:, :1]).any(axis=0))
+    first = max(fallen[0] - 1, 0) if len(fallen) and fallen[0] < len(lacks) - 1 else 0
+    axes.set(xscale="log", xlim=(lacks[first], lacks[-1]), ylim=(-0.02, 1.02))
+    ticks = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+    shown = [lack for lack in ticks if lacks[-1] * 0.99 <= lack <= lacks[first]]
+    axes.set_xticks(shown, [f"{1.0 - lack:.1%}".replace(".0", "") for lack in shown])
+    axes.minorticks_off()
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set(xlabel="return as a share of the proved optimum", ylabel="share of runs above it")
+    axes.grid(True)
+    figure.legend(loc="outside lower center", ncols=min(len(profiles), 3), handlelength=3.2)
+    return figure
+
+
+def mean_and_band(name: str, runs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Band:
+    """Return steps, mean, and the ends of the 95 % percentile bootstrap over seeds, (k,) each.
+
+    The steps are all those of any seed that lie within every seed's range; between two of a seed
+    its return is interpolated. An MbnError names ``name`` if there are none.
+    """
+    first = max(steps[0] for steps, _ in runs)
+    last = min(steps[-1] for steps, _ in runs)
+    if first > last:
+        raise MbnError(f"{name}: the seeds have no range of env-steps in common")
+    every = np.unique(np.concatenate([steps for steps, _ in runs])).astype(np.float64)
+    grid = every[(every >= first) & (every <= last)]
+    values = np.stack([np.interp(grid, steps, returns) for steps, returns in runs])
+    count = len(values)
+    drawn = np.random.default_rng(0).integers(0, count, (RESAMPLES, count))
+    weights = np.stack([(drawn == seed).mean(axis=1) for seed in range(count)], axis=1)
+    low, high = np.percentile(weights @ values, [2.5, 97.5], axis=0)
+    return grid, values.mean(axis=0), low, high
+
+
+def _layout(count: int, tall: float) -> tuple[Figure, NDArray[np.object_]]:
+    """Make a figure of ``count`` panels, ``tall`` inches each, with common axes, two a row."""
+    columns = min(count, 2)
+    rows = -(-count // columns)
+    figure = Figure(figsize=(7.2, tall * rows + 0.75), layout="constrained")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for empty in grid[count:]:
+        empty.set_visible(False)
+    if count < grid.size:
+        grid[count - columns].tick_params(axis="x", labelbottom=True)
+    return figure, grid[:count]
+
+
+def _scale_returns(
+    axes: Axes, which: Literal["x", "y"], bottom: float, top: float, *, ticks: int = 4
+) -> str:
+    """Scale an axis for returns up to ``top`` > 0; return a note for its label.
+
+    It is linear if ``bottom`` is not far below, with about ``ticks`` ticks.
+    """
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    if bottom >= -2.0 * top:
+        axis.set_major_locator(MaxNLocator(ticks + 2, steps=[1, 2, 5, 10]))
+        axis.set_major_formatter(EngFormatter(sep=" "))
+        return ""
+    # Policies that work lie in the linear part, from -top to top; failures in the decades below.
+    linear = 1.5 * max(float(np.log10(-bottom / top)), 1.0)
+    getattr(axes, f"set_{which}scale")("symlog", linthresh=top, linscale=linear)
+    near = np.asarray(MaxNLocator(ticks, steps=[1, 2, 5, 10]).tick_values(-top, top))
+    powers = 10.0 ** np.arange(np.ceil(np.log10(1.5 * top)), np.floor(np.log10(-bottom)) + 1)
+    # Words side by side take more room than words below each other: every second power.
+    axis.set_ticks([*-powers[:: -2 if which == "x" else -1], *near[np.abs(near) <= top]])
+    axes.minorticks_off()
+    axis.set_major_formatter(EngFormatter(sep=" "))
+    axes.set(**{f"{which}lim": (1.3 * bottom, 1.15 * top)})
+    return f"\n(logarithmic below {EngFormatter(places=0, sep=' ')(-top)})"

@@ -1,0 +1,1 @@
+"""Numba: compilation, exact elementary functions, random numbers, intrinsics."""

@@ -1,0 +1,300 @@
+"""A run: it is resumed as if nothing had happened, logged, and learns."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from baselines.algorithms import ALGORITHMS
+from baselines.cli import main
+from baselines.evaluation.policy import load_trained
+from baselines.runs.files import RunError, read_json
+from baselines.runs.folder import RunFolder
+from baselines.training import run_logger as recorder
+from baselines.training.config import TrainConfig
+from baselines.training.run_logger import Report
+from baselines.training.train import prepare, train
+from mbn_marl.errors import ConfigError
+from mbn_marl.field import Field, load_field, save_field
+from tests.support.runs import STAGES, TinyRuns, interrupted, recorded, same_policies, small_config
+
+pytestmark = pytest.mark.slow
+
+FAMILIES = ("ppo", "ars", "tqc", "mappo", "ppo-shared")
+"""An algorithm of each kind; the others share their trainers."""
+SMALL = small_config("ppo")
+
+
+def assert_equal(run: RunFolder, other: RunFolder) -> None:
+    assert recorded(run) == recorded(other)
+    assert same_policies(run, other)
+
+
+def interrupt(report: Report) -> None:
+    raise InterruptedError
+
+
+@pytest.mark.parametrize(
+    "name",
+    [*FAMILIES, *(pytest.param(k, marks=pytest.mark.all) for k in ALGORITHMS if k not in FAMILIES)],
+)
+def test_a_resumed_run_equals_an_uninterrupted_one(
+    name: str, tmp_path: Path, tiny_runs: TinyRuns
+) -> None:
+    config, stopped = small_config(name), tiny_runs.stopped(name, tmp_path / "run")
+    torch.manual_seed(99)
+    np.random.seed(99)
+    resumed = train(config, stopped.path, resume=True)
+    (history,) = read_json(resumed.path / "resumed.json")
+    assert 0 < history["env_steps"] < config.steps
+    assert_equal(resumed, tiny_runs.finished(name))
+    budget = ALGORITHMS[name].budget(*prepare(config))
+    least = budget.env_steps if budget.exact else config.steps
+    assert least <= resumed.evaluation["env_steps"] <= budget.env_steps
+    if STAGES.items() <= config.hyperparameters.items():
+        sizes = [float(row["roi_radius"]) for row in recorded(resumed)["rows"]]
+        assert sizes == sorted(sizes, reverse=True) and sizes[0] > sizes[-1]
+    assert not (resumed.path / "checkpoints").exists()
+    events = EventAccumulator(str(resumed.path / "tensorboard")).Reload()
+    shown = [(event.step, event.value) for event in events.Scalars("evaluation/return_mean")]
+    evaluated = [(entry["env_steps"], entry["return_mean"]) for entry in resumed.evaluations]
+    assert shown == [(steps, pytest.approx(mean)) for steps, mean in evaluated]
+    assert name != "tqc" or "train/critic_loss" in events.Tags()["scalars"]
+
+
+def test_killed_process_is_resumed(tmp_path: Path) -> None:
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    words = "train ppo-shared field_03 --episodes 2 --steps 4000 --evaluate-every 500 --num-envs 2 "
+    words += "--set action_repeat=[4,1] roi_radius=20.0 episode_steps=50 model.n_steps=32 "
+    arguments = [*f"{words} model.batch_size=64 --out".split()]
+    assert main([*arguments, str(whole)]) == 0
+    command = [sys.executable, "-m", "mbn_marl", *arguments, str(killed)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    deadline = time.monotonic() + 600.0
+    while not list(killed.glob("checkpoints/[0-9]*")) and time.monotonic() < deadline:
+        assert process.poll() is None, "the run ended before it could be interrupted"
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    assert RunFolder.open(killed).unfinished is not None
+    assert main([*arguments, str(killed), "--resume"]) == 0
+    assert_equal(RunFolder.open(killed), RunFolder.open(whole))
+    assert read_json(killed / "resumed.json")[0]["command"].endswith("--resume")
+    assert not list(killed.glob(".*"))
+
+
+def test_a_run_killed_before_its_first_checkpoint_begins_again(
+    tmp_path: Path, tiny_runs: TinyRuns
+) -> None:
+    out = tmp_path / "run"
+    with pytest.raises(InterruptedError):
+        train(SMALL, out, listener=interrupt)
+    (out / ".policy.abc").mkdir()
+    assert (out / "progress.csv").exists() and not (out / "checkpoints").exists()
+    for name in ("field.yaml", "versions.json"):
+        (out / name).unlink()
+    assert_equal(train(SMALL, out, resume=True), tiny_runs.finished("ppo"))
+    assert RunFolder.open(out).field == load_field("field_03") and (out / "versions.json").exists()
+    assert not list(out.glob(".*"))
+
+
+def test_slow_training_is_saved_between_evaluations(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(recorder, "ROW_STEPS", 64)
+    stopped = interrupted(replace(SMALL, evaluate_every=100_000), tmp_path / "run")
+    assert stopped.checkpoint is not None and int(stopped.checkpoint.name) == 64
+    assert stopped.evaluations == []
+
+
+def test_a_policy_can_be_looked_at_before_the_run_is_finished(
+    tmp_path: Path, tiny_runs: TinyRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopped = tiny_runs.stopped("mappo", tmp_path / "run")
+    load_trained(stopped)
+    assert stopped.unfinished and "of 400 env-steps" in stopped.unfinished
+    assert main(["evaluate", str(stopped.path), "--episodes", "1"]) == 0
+    assert stopped.unfinished in capsys.readouterr().out
+    with pytest.raises(RunError):
+        _ = stopped.evaluation
+
+
+def test_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: list[int] = [3]
+    monkeypatch.setattr(torch, "get_num_threads", lambda: threads[-1])
+    monkeypatch.setattr(torch, "set_num_threads", threads.append)
+
+    def stop(report: Report) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt, match=rf"{tmp_path}.*--resume"):
+        train(SMALL, tmp_path / "run", listener=stop)
+    assert threads == [3, 1, 3]
+
+
+MEMORY = """
+import numpy as np
+from pathlib import Path
+from baselines.training.train import keep_freed_memory
+keep_freed_memory()
+held = lambda: int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+before, block = held(), np.ones(2**24)
+del block
+print(held() - before)
+"""
+
+
+@pytest.mark.all
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="malloc is another one")
+def test_freed_memory_is_kept_for_the_next_update() -> None:
+    ran = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True)
+    assert int(ran.stdout) > 2**26  # half of the block
+
+
+def test_a_finished_run_is_left_as_it_is(tmp_path: Path, tiny_runs: TinyRuns) -> None:
+    run = RunFolder(shutil.copytree(tiny_runs.finished("ppo").path, tmp_path / "run"))
+    before = {path: path.stat().st_mtime_ns for path in run.path.iterdir()}
+    assert train(SMALL, run.path, resume=True).evaluation == run.evaluation
+    assert {path: path.stat().st_mtime_ns for path in run.path.iterdir()} == before
+
+
+def test_only_the_same_run_can_be_resumed(tmp_path: Path, tiny_runs: TinyRuns) -> None:
+    stopped = tiny_runs.stopped("ppo", tmp_path / "run")
+    before = stopped.progress.read_bytes()
+    with pytest.raises(ConfigError) as caught:
+        train(replace(SMALL, seed=5, steps=500), stopped.path, resume=True)
+    assert [line.split(":")[0] for line in caught.value.problems] == ["seed", "steps"]
+    with pytest.raises(RunError):
+        train(SMALL, tmp_path / "nothing", resume=True)
+    save_field(load_field("field_04"), stopped.path / "field.yaml")
+    with pytest.raises(ConfigError, match="field"):
+        train(SMALL, stopped.path, resume=True)
+    assert stopped.progress.read_bytes() == before and stopped.checkpoint is not None
+
+
+@pytest.mark.parametrize("options", [{"resume": True}, {"force": True}])
+def test_run_that_is_being_trained_is_left_alone(options: dict[str, Any], tmp_path: Path) -> None:
+    def interfere(report: Report) -> None:
+        train(SMALL, tmp_path / "run", **options)
+
+    with pytest.raises(RunError, match=f"{tmp_path / 'run'}.*process {os.getpid()} on"):
+        train(SMALL, tmp_path / "run", listener=interfere)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+@pytest.mark.parametrize("name", ["mappo", "ppo"])
+def test_a_full_disk_leaves_the_checkpoint_before(
+    name: str, tmp_path: Path, tiny_runs: TinyRuns
+) -> None:
+    run = tiny_runs.stopped(name, tmp_path / "run")
+    kept: Any = run.checkpoint
+    before = {path: path.read_bytes() for path in kept.rglob("*") if path.is_file()}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for size in (0, 300, 3_000):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+        try:
+            with pytest.raises(RunError, match=str(run.path)):
+                train(small_config(name), run.path, resume=True)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert run.checkpoint == kept
+        assert {path: path.read_bytes() for path in kept.rglob("*") if path.is_file()} == before
+    assert_equal(train(small_config(name), run.path, resume=True), tiny_runs.finished(name))
+    assert not list(run.path.glob(".*"))
+
+
+def test_resumed_run_is_logged_to_the_same_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, out, wandb = small_config("ppo"), tmp_path / "run", MagicMock()
+    monkeypatch.setitem(sys.modules, "wandb", wandb)
+    logging = wandb.init.return_value
+    interrupted(config, out, wandb="robots")
+    assert not logging.finish.called
+    first_logged = list(logging.log.call_args_list)
+    run = train(config, out, wandb="robots", resume=True)
+    assert logging.finish.called
+    logged = logging.log.call_args_list[len(first_logged) :]
+    for calls in (first_logged, logged):
+        steps = [one.kwargs["step"] for one in calls]
+        assert steps and steps == sorted(steps)
+    first, second = (one.kwargs for one in wandb.init.call_args_list)
+    assert (first["project"], first["name"], first["config"]) == ("robots", config.name, run.config)
+    assert first["id"] == second["id"] == read_json(out / "wandb.json")["id"]
+    assert second["resume"] == "allow"
+    values = {name: value for one in logged for name, value in one.args[0].items()}
+    assert values["evaluation/return_mean"] == run.evaluation["stochastic"]["return_mean"]
+    assert values["training/seconds"] > 0.0
+
+
+@pytest.mark.parametrize("command", ["train ippo field_03", "compare"])
+def test_without_the_package_nothing_is_begun(
+    command: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    assert main([*command.split(), "--wandb", "robots", "--out", str(tmp_path / "out")]) == 2
+    assert "wandb: " in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+EASY = Field([(0, 0), (100, 0), (100, 100), (0, 100)], rois=[(50, 50)], starts=[(30, 50)])
+
+
+def train_on(field: Field, algorithm: str, out: Path, **how: Any) -> RunFolder:
+    out.mkdir()
+    save_field(field, out / "field.yaml")
+    return train(TrainConfig(algorithm, str(out / "field.yaml"), **how), out / "run")
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "ars", "tqc", "mappo", "ppo-joint", "ppo-shared"])
+def test_easy_field_is_solved_and_then_the_run_stops(algorithm: str, tmp_path: Path) -> None:
+    how: dict[str, Any] = {"stop_at": 100_000.0, "environment": {"max_steps": 100}}
+    how |= {"steps": 200_000, "episodes": 20}
+    how["evaluate_every"] = 1024 if algorithm == "tqc" else 16_384
+    run = train_on(EASY, algorithm, tmp_path / "easy", **how)
+    *earlier, passed, final = run.evaluations
+    assert passed["env_steps"] == final["env_steps"] < 200_000
+    assert passed["return_mean"] >= 100_000.0 and passed["success_rate"] >= 0.99
+    assert passed["deterministic_return_mean"] == final["deterministic_return_mean"]
+    assert all(entry["success_rate"] < 0.99 for entry in earlier[:1])
+    assert run.finished and not (run.path / "checkpoints").exists()
+    single_mdp = "A" in ALGORITHMS[algorithm].settings
+    assert load_trained(run).observes == ("state" if single_mdp else "observations")
+
+
+TINY = Field(
+    [(0, 0), (160, 0), (160, 100), (0, 100)], rois=[(70, 50)], starts=[(20, 50), (140, 50)]
+)
+# Full thrust covers t (t + 1) / 4 units in t steps; robot 0 needs 40 (50 less the ROI's radius):
+# 45.5 at t = 13, and robot 1 needs 60. Two robots pay 10 a step each.
+OPTIMUM = 110_000.0 - 2 * 10 * 13
+
+
+@pytest.mark.all
+@pytest.mark.parametrize("algorithm", ALGORITHMS.keys() - {"crossq", "tqc"})
+def test_field_of_two_robots_is_solved_to_the_optimum(algorithm: str, tmp_path: Path) -> None:
+    how: dict[str, Any] = {"steps": 196_608, "evaluate_every": 98_304, "episodes": 50}
+    run = train_on(TINY, algorithm, tmp_path / "tiny", environment={"max_steps": 200}, **how)
+    sampled, mean = run.evaluation["stochastic"], run.evaluation["deterministic"]
+    assert sampled["success_rate"] == 1.0
+    assert 0.99 * OPTIMUM < sampled["return_mean"] <= OPTIMUM
+    assert 0.999 * OPTIMUM < mean["return_mean"] <= OPTIMUM
