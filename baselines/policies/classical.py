@@ -18,8 +18,7 @@ from mbn_marl.field import Field
 if TYPE_CHECKING:  # the planner's packages are an extra
     from mbn_marl.planning.greedy import Greedy
     from mbn_marl.planning.problem import Problem
-    from mbn_marl.planning.replanning import Replanner
-    from mbn_marl.planning.tracking import Tracker
+    from mbn_marl.planning.replanning import Replanner, Tracker
 
     Controller = Greedy | Tracker | Replanner
 
