@@ -28,7 +28,7 @@ from mbn_marl.engine.tables import column_of, make_geometry, read_field, sampler
 from mbn_marl.engine.validation import Autoreset, Device
 from mbn_marl.errors import ActionError, ConfigError, MbnError, install, unknown
 from mbn_marl.field import Field, FieldSampler, load_field
-from mbn_marl.field.layout import Tables
+from mbn_marl.field.generator.layout import Tables
 
 FieldLike = Field | str | os.PathLike[str]
 Fields = FieldLike | Sequence[FieldLike] | FieldSampler

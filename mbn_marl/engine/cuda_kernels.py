@@ -36,7 +36,7 @@ from mbn_marl.engine.reset import (
 )
 from mbn_marl.engine.state import Episode, Geometry, Memory, Output
 from mbn_marl.engine.step import Written, close_step, move_robots, score_step, scratch_of
-from mbn_marl.field.layout import Tables
+from mbn_marl.field.generator.layout import Tables
 from mbn_marl.jit.compile import compiled, generated, returning_views
 from mbn_marl.jit.features import Settle
 from mbn_marl.jit.functions import column

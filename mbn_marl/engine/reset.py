@@ -12,7 +12,7 @@ from mbn_marl.engine.mdp.paths import find_paths
 from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES, clear_filter, joint_state_known
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
 from mbn_marl.engine.state import draws_fields
-from mbn_marl.field.families import make_field
+from mbn_marl.field.generator.families import make_field
 from mbn_marl.jit import random_numbers as rng
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.functions import column

@@ -23,7 +23,7 @@ from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.paths import Paths
 from mbn_marl.engine.mdp.revisits import ODD_LINES, filter_size
 from mbn_marl.engine.mdp.sight import count_sensed
-from mbn_marl.field.layout import Tables
+from mbn_marl.field.generator.layout import Tables
 from mbn_marl.jit.features import Feature
 
 Array = NDArray[Any]

@@ -17,8 +17,8 @@ from mbn_marl.engine.mdp.observations import WITH_RAYS
 from mbn_marl.engine.mdp.paths import Paths, make_paths, no_paths
 from mbn_marl.engine.state import Array, Geometry, Sampler, Team
 from mbn_marl.field import Field, FieldSampler
-from mbn_marl.field.layout import Tables, make_tables, scratch_rows
-from mbn_marl.field.sampler import field_of
+from mbn_marl.field.generator.layout import Tables, make_tables, scratch_rows
+from mbn_marl.field.generator.sampler import field_of
 
 MARGIN = 1.02
 """Safety distances between starts: discs about them are polygons, and they are rounded."""
@@ -36,8 +36,8 @@ class Sizes(NamedTuple):
 
 def sizes_of(source: FieldSource) -> Sizes:
     if isinstance(source, FieldSampler):
-        robots = source.most_robots, source.fewest_robots
-        return Sizes(source.most_edges, source.most_rois, *robots, source.arena)
+        fewest, most = source.robots
+        return Sizes(source.most_edges, source.rois[1], most, fewest, source.arena)
     edges, rois, teams = (
         [len(getattr(field, name)) for field in source] or [1]
         for name in ("edges", "rois", "starts")

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbn_marl.engine.mdp.events import in_field
-from mbn_marl.field.layout import Tables
+from mbn_marl.field.generator.layout import Tables
 from mbn_marl.jit.compile import compiled, entry_point
 from mbn_marl.jit.functions import count_bits
 
