@@ -74,8 +74,9 @@ class Checked(BaseModel):
 
 
 # Words, and truth values in place of numbers, are not converted to these types.
-RealNumber = Annotated[float, BeforeValidator(_number)]
-WholeNumber = Annotated[int, BeforeValidator(_number)]
+NOT_A_WORD = BeforeValidator(_number)
+RealNumber = Annotated[float, NOT_A_WORD]
+WholeNumber = Annotated[int, NOT_A_WORD]
 Flag = Annotated[bool, BeforeValidator(_flag)]
 Finite = Annotated[RealNumber, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
 Positive = Annotated[RealNumber, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
@@ -519,11 +520,19 @@ def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
             message = unknown("name", str(name), [name for name, field in known if field.repr])
         elif kind == "literal_error":
             choices = re.findall(r"'(.*?)'", context["expected"])
-            message = f"{given!r:.80}: {unknown('choice', str(given), choices)}"
+            shown = _shown(given)
+            message = f"{shown}: " + unknown("choice", shown.strip("'"), choices)
         elif kind != "missing":  # else the input is all that is around it
-            message += f" (got {_SHORT.repr(given)})"
+            message += f" (got {_shown(given)})"
         lines.append(f"{place}: {message}")
     return lines
+
+
+def _shown(value: object) -> str:
+    try:
+        return _SHORT.repr(value)
+    except ValueError:  # a whole number of more digits than Python shows
+        return type(value).__name__
 
 
 def _level(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseModel]:
