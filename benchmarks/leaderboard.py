@@ -21,7 +21,7 @@ from baselines.compare.benchmark import (
 )
 from baselines.compare.benchmark import COLUMNS as COLUMNS_OF_RESULTS
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.shielded import behind
+from baselines.policies.shielded import behind
 from baselines.runs.files import read_json, write_text
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import Instance, splits
@@ -60,9 +60,7 @@ class Leaderboard:
 def leaderboard(folder: Path) -> str:
     """Return the page of the results in a folder.
 
-    Raises:
-        ConfigError: there is no such folder; or naming the results that cannot be read, or are not
-            of the whole split by the present protocol.
+    A ConfigError names those that cannot be read, or are not of the whole split by this protocol.
     """
     protocol = load_protocol()
     if not folder.is_dir():

@@ -89,7 +89,7 @@ StepNumber = Annotated[WholeNumber, Field(ge=1, le=1_000_000)]
 
 
 class Uniform(Checked):
-    """A range from which each episode draws a number (mdp.md, "Drawn numbers")."""
+    """A range from which each episode draws a number (conditions.md, "Drawn numbers")."""
 
     low: Annotated[RealNumber, Field(allow_inf_nan=False)]
     """The lower end, in the unit of the setting."""
@@ -190,7 +190,7 @@ REWARD_PROFILES: Mapping[str, RewardProfile] = {
 
 
 class Failures(Checked):
-    """How robots fail during an episode (mdp.md, "Failures")."""
+    """Failures of robots during an episode (failures.md)."""
 
     rate: AnyProbability = 0.0
     """The probability that a robot fails in a step, in [0, 1]."""
@@ -322,7 +322,7 @@ class NavigationConfig(Checked):
 
     @property
     def is_random(self) -> bool:
-        """Whether episodes or observations depend on random numbers."""
+        """``True`` if episodes or observations depend on random numbers."""
         failures = self.failures or Failures()
         return bool(
             any(getattr(self, name) for name in RANDOM)
@@ -412,7 +412,7 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
         **_FAILING,
     },
 }
-"""The settings of each named condition (mdp.md, "Conditions")."""
+"""The settings of each named condition (conditions.md)."""
 
 
 class FixedSettings(TypedDict, total=False):
@@ -512,7 +512,7 @@ def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
             lines += [f"{place}.{line}" for line in cause.problems]
             continue
         if kind == "too_short" and len(given) > context["actual_length"]:
-            continue  # an entry has a line of its own
+            continue  # an entry has its own line
         message = problem["msg"].removeprefix("Value error, ")
         if kind == "extra_forbidden":
             *path, name = problem["loc"]

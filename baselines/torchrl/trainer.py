@@ -18,7 +18,7 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
-from baselines.evaluation.policy import load_trained
+from baselines.policies.load import load_trained, open_run
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import saved_at
 from baselines.runs.tensors import (
@@ -37,7 +37,6 @@ from baselines.torchrl.teacher import Teacher, check_teacher
 from baselines.training.aids import RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
-from baselines.zoo.entries import open_run
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine

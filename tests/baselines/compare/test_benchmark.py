@@ -14,7 +14,6 @@ import pytest
 
 from baselines import load_policy
 from baselines.cli.main import main
-from baselines.compare import benchmark
 from baselines.compare.benchmark import (
     METRICS,
     SettingsError,
@@ -28,7 +27,11 @@ from baselines.compare.benchmark import (
     statistics,
 )
 from baselines.evaluation.evaluate import Evaluation, evaluate
+from baselines.policies import load
+from baselines.policies.load import Source, load_trained
+from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import RunError, alone
+from baselines.runs.folder import RunFolder
 from mbn_marl import Field
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Instance, load_field, splits
@@ -141,29 +144,17 @@ def test_statistics_are_over_the_known_values() -> None:
 
 
 def test_each_instance_is_evaluated_with_its_own_seed(tmp_path: Path) -> None:
-    found = run("random", ["1-convex", "2-sizes"], tmp_path)["tiers"]
-    for tier, first in (("1-convex", 4_000_000), ("2-sizes", 4_001_000)):
+    found = run("random", ["1-convex", "5-weather"], tmp_path)["tiers"]
+    for tier, first in (("1-convex", 4_000_000), ("5-weather", 4_004_000)):
         for k, one in enumerate(load_tiers("test", [tier])[tier]):
-            policy = load_policy("random", one.field, seed=first + k)
+            policy = load_policy("random", one.field, seed=first + k, condition=one.condition)
             how: dict[str, Any] = {"episodes": 10, "seed": first + k}
-            mean = evaluate(policy, one.field, {}, deterministic=True, **how)
+            place = policy, one.field, policy.settings
             row = found[tier]["instances"][k]
-            assert row["mean"] == numbers(mean, one)
-            assert row["sampled"] == numbers(evaluate(policy, one.field, {}, **how), one)
+            assert row["mean"] == numbers(evaluate(*place, deterministic=True, **how), one)
+            assert row["sampled"] == numbers(evaluate(*place, **how), one)
             assert row["times"]["decision_ms"] > 0.0
-
-
-def test_under_a_condition_there_are_ten_episodes_and_no_gap(tmp_path: Path) -> None:
-    (one, *_) = load_tiers("test", ["5-weather"])["5-weather"]
-    tiers = {"5-weather": (one,)}
-    found = run_benchmark("greedy", "test", tiers, tmp_path, command="c")["tiers"]["5-weather"]
-    (windy,) = found["instances"]
-    policy = load_policy("greedy", one.field, condition="windy")
-    how: dict[str, Any] = {"episodes": 10, "seed": 4_004_000, "deterministic": True}
-    evaluated = evaluate(policy.policy, one.field, policy.settings, **how)
-    assert len(set(evaluated.steps)) > 1
-    assert windy["mean"] == numbers(evaluated, one)
-    assert found["mean"]["gap"] is None and found["mean"]["makespan"]["instances"] == 1
+    assert found["5-weather"]["mean"]["gap"] is None
 
 
 def test_an_interrupted_run_goes_on_and_gives_the_same(
@@ -171,15 +162,15 @@ def test_an_interrupted_run_goes_on_and_gives_the_same(
 ) -> None:
     tiers = ["1-convex", "2-sizes"]
     whole = run("greedy", tiers, tmp_path / "whole")
-    calls = []
+    calls, true = [], Source.make
 
-    def stopping(source: str, field: Field, **how: Any) -> Any:
+    def stopping(source: Source, field: Field, **how: Any) -> Any:
         calls.append(field.name)
         if len(calls) == COUNT + 2:
             raise KeyboardInterrupt
-        return load_policy(source, field, **how)
+        return true(source, field, **how)
 
-    monkeypatch.setattr(benchmark, "find_policy", stopping)
+    monkeypatch.setattr(Source, "make", stopping)
     with pytest.raises(KeyboardInterrupt):
         run("greedy", tiers, tmp_path / "cut")
     kept = json.loads((tmp_path / "cut" / "result.json").read_text())
@@ -231,14 +222,27 @@ def test_what_is_not_to_be_resumed_is_named(
 def test_settings_of_a_trained_policy_are_checked_before_the_first_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    true = benchmark.find_policy
+    true = Source.make
 
-    def changed(source: str, *place: Field, **how: Any) -> Any:
+    def changed(source: Source, *place: Field, **how: Any) -> Any:
         return true(source, *place, **how, max_steps=40)
 
-    monkeypatch.setattr(benchmark, "find_policy", changed)
+    monkeypatch.setattr(Source, "make", changed)
     with pytest.raises(SettingsError, match="max_steps: "):  # that does not even fit
         run("zoo:field_03", ["2-sizes"], tmp_path)
+
+
+def test_weights_are_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loads = []
+
+    def counted(folder: RunFolder) -> TrainedPolicy:
+        loads.append(folder.path.name)
+        return load_trained(folder)
+
+    monkeypatch.setattr(load, "load_trained", counted)
+    found = run("zoo:generalist", ["1-convex", "2-sizes"], tmp_path)
+    assert sum(len(tier["instances"]) for tier in found["tiers"].values()) == 2 * COUNT
+    assert loads == ["generalist"]
 
 
 def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
