@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import http.server
 import json
 import re
 import socket
@@ -31,7 +30,7 @@ from mbn_marl.sim3d import Mission, Scale, deploy
 from mbn_marl.sim3d.coppelia_link import CoppeliaLink, _PatientSocket
 from mbn_marl.sim3d.coppeliasim import CoppeliaSimulator
 from mbn_marl.sim3d.scene import AREA, SPRAYED, WEED
-from tests.support.coppelia_server import LATE, RUNNING, STOPPED, CoppeliaServer, free_port
+from tests.support.coppelia_server import RUNNING, STOPPED, CoppeliaServer, free_port
 from tests.support.field_cases import square
 from tests.support.pages import Block, check_command, commands_of
 
@@ -96,18 +95,6 @@ def mute() -> Iterator[int]:
         yield listener.getsockname()[1]
 
 
-@contextmanager
-def web() -> Iterator[int]:
-    with http.server.ThreadingHTTPServer(
-        ("127.0.0.1", 0), http.server.BaseHTTPRequestHandler
-    ) as page:
-        thread = threading.Thread(target=page.serve_forever, args=(0.01,))
-        thread.start()
-        yield page.server_address[1]
-        page.shutdown()
-        thread.join()
-
-
 def answering(message: bytes) -> Callable[[], Any]:
     """A ZeroMQ server that answers everything with one message."""
 
@@ -140,7 +127,6 @@ FOREVER = cbor.dumps({"func": "_*wait*_", "args": []})
     [
         pytest.param(nobody, "no answer.*within 0.3 s.*refused.*running", id="nobody"),
         pytest.param(mute, "listens there, but does not speak its protocol", id="mute"),
-        pytest.param(web, "listens there, but does not speak its protocol", id="web"),
         pytest.param(answering(b""), "none of its remote API", id="empty"),
         pytest.param(answering(b"\x5b" + b"\xff" * 8), "none of its remote API", id="huge"),
         pytest.param(answering(b"\x01"), "none of its remote API", id="number"),
@@ -305,16 +291,6 @@ def test_vehicle_that_brakes_lands_where_it_stops(server: CoppeliaServer) -> Non
         motion = simulator.motion()
     assert motion.heights == pytest.approx([0.0, 0.35], abs=0.01)
     assert motion.positions[0] == pytest.approx(square().starts[0] + (1.0, 0.0), abs=0.1)
-
-
-def test_stand_in_reacts_late_as_the_real_quadcopter_does(server: CoppeliaServer) -> None:
-    with begun(server, scale=Scale(seconds=0.05)) as simulator:
-        simulator.command(np.full((2, 2), 5.0))
-        moved = []
-        for _ in range(LATE + 2):
-            simulator.step()
-            moved.append(bool(simulator.motion().velocities.any()))
-    assert moved == [False] * LATE + [True] * 2
 
 
 def test_target_does_not_run_away_from_a_vehicle_that_is_held_up(server: CoppeliaServer) -> None:
