@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from baselines.evaluation.fitting import LoadedPolicy
+    from baselines.policies.loaded import LoadedPolicy
     from mbn_marl.field import Field
 
 __all__ = ["load_policy"]
@@ -38,14 +38,15 @@ def load_policy(
             or (:class:`baselines.runs.files.RunError`) there is no run, or it has saved no policy,
             or an older version wrote it.
         FieldError: the field is unknown or not valid.
-        DamageError: a file of the policy is not what was written.
         ModuleNotFoundError: the extra ``baselines`` is not installed.
     """
     try:
-        from baselines.zoo.sources import find_policy
+        from baselines.policies.load import Source
     except ModuleNotFoundError as error:
         from mbn_marl.errors import install
 
         error.add_note(f"{install('baselines')} brings what policies need")
         raise
-    return find_policy(str(source), field, seed=seed, **settings)
+    policy = Source(str(source)).make(field, seed=seed, **settings)
+    _ = policy.fitted  # raises
+    return policy

@@ -69,10 +69,6 @@ class EpisodeError(ProblemsError):
     """An episode or its file is not valid, or does not replay."""
 
 
-class DamageError(MbnError):
-    """A file was changed, cut off or damaged after it was written."""
-
-
 class DisplayError(MbnError, RuntimeError):
     """There is no display for a window."""
 

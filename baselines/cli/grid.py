@@ -4,101 +4,66 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import CORES, OptionalOutput, check_options
-
-if TYPE_CHECKING:
-    from baselines.sweep.run import Sweep
-
-ACTIONS = ("status", "fetch")
+from baselines.cli.options import CORES
 
 
 @dataclass(frozen=True)
 class Grid:
     """Train a grid of runs that a YAML file declares, see docs/grid.md.
 
-    Finished runs are never made again, failed and interrupted ones resume from their last
-    checkpoint. `mbn grid status SPEC` shows the progress, from any machine that sees the store;
-    `mbn grid fetch SPEC` copies the finished runs of a remote store to --out.
+    The same command resumes failed and interrupted runs from their last checkpoints, and leaves
+    finished ones.
     """
 
-    words: Positional[Annotated[tuple[str, ...], arg(metavar="[status|fetch] SPEC")]]
-    """The YAML file, after what to do with it if not to train."""
+    spec: Positional[Annotated[Path, arg(metavar="SPEC")]]
+    """The YAML file."""
     engine: Literal["local", "ray"] = "local"
-    """local: processes of this machine. ray: a Ray cluster that is there already."""
+    """local: processes of this machine. ray: a Ray cluster that is already running."""
     processes: int = CORES
     """local: runs at a time; each takes one core."""
     address: str | None = None
-    """ray: HOST:PORT of the cluster; by default $RAY_ADDRESS, or the cluster this machine is in."""
+    """ray: HOST:PORT of the cluster; by default $RAY_ADDRESS, or the cluster of this machine."""
     check: bool = False
-    """Check the file and say what there is to do, but do nothing."""
-    out: OptionalOutput = None
-    """fetch: the folder that the runs are copied into."""
+    """Check the file and list the runs with their states, but train nothing."""
 
     def run(self, command_line: str) -> None:
-        """Do what is asked."""
-        from baselines.sweep.run import Sweep
-        from baselines.sweep.spec import read_spec
+        from rich.progress import MofNCompleteColumn, Progress, TaskID, TimeElapsedColumn
 
-        named = bool(self.words) and self.words[0] in ACTIONS
-        action, *rest = self.words if named else ("train", *self.words)
-        wrong = {
-            f"SPEC: one file is needed, not {len(rest)}": len(rest) != 1,
-            f"processes: at least 1, not {self.processes}": self.processes < 1,
-            "address: allowed with --engine ray": self.address and self.engine != "ray",
-            "out: needed by fetch, and allowed there alone": (action == "fetch")
-            != (self.out is not None),
-        }
-        check_options("grid", wrong)
-        sweep = Sweep.of(read_spec(Path(rest[0])))
-        {"status": self._watch, "fetch": self._fetch, "train": self._train}[action](sweep)
-
-    def _train(self, sweep: Sweep) -> None:
         from baselines.console import console
-        from baselines.sweep.run import make_engine
-        from baselines.sweep.status import live
-        from baselines.sweep.worker import Outcome
+        from baselines.runs.folder import RunFolder
+        from baselines.sweep.run import Outcome, check_outcomes, make_engine, runs_left, train_runs
+        from baselines.sweep.spec import read_spec, runs_of
+        from baselines.training.run_logger import Report
 
-        screen = console()
-        done = len(sweep.runs) - len(sweep.left())
-        print(f"{len(sweep.runs)} runs, {done} of them done; {sweep.place}", flush=True)
+        spec = read_spec(self.spec)
+        engine = make_engine(self.engine, self.processes, self.address, spec.resources)
+        runs, screen = runs_of(spec), console()
+        left = runs_left(runs, spec.store)
+        print(f"{len(runs)} runs, {len(runs) - len(left)} of them done; {spec.store}", flush=True)
         if self.check:
+            for run in runs:
+                print(f"{run.name}: {RunFolder(spec.store / run.name).state}")
             return
+        columns = (*Progress.get_default_columns()[:3], MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=screen, disable=not screen.is_terminal) as bars:
+            whole = bars.add_task("runs", total=len(runs), completed=len(runs) - len(left))
+            running: dict[str, TaskID] = {}
 
-        def tell(outcome: Outcome) -> None:
-            if not screen.is_terminal:
+            def show(report: Report) -> None:
+                if report.run not in running:
+                    running[report.run] = bars.add_task(report.run, total=left[0].steps)
+                bars.update(running[report.run], completed=report.env_steps)
+
+            def tell(outcome: Outcome) -> None:
                 error = "" if outcome.error is None else f" ({outcome.error})"
                 print(f"{outcome.name}: {outcome.state}{error}", flush=True)
+                bars.advance(whole)
+                if outcome.name in running:
+                    bars.remove_task(running.pop(outcome.name))
 
-        engine = make_engine(self.engine, self.processes, self.address, sweep.resources)
-        with live(sweep, screen):
-            sweep.train(engine, tell)
-
-    def _watch(self, sweep: Sweep) -> None:
-        import time
-
-        from baselines.console import console
-        from baselines.sweep.status import Status, live, show
-
-        screen = console()
-        if not screen.is_terminal:
-            screen.print(show(Status.of(sweep)), soft_wrap=True, highlight=False)
-            return
-        with live(sweep, screen):
-            while Status.of(sweep).count("done") < len(sweep.runs):
-                time.sleep(sweep.store.refresh)
-
-    def _fetch(self, sweep: Sweep) -> None:
-        from baselines.sweep.store import RemoteStore
-        from mbn_marl.errors import ConfigError
-
-        assert self.out is not None
-        if not isinstance(sweep.store, RemoteStore):
-            raise ConfigError("grid", [f"store: {sweep.place} is here already; nothing to fetch"])
-        names = sorted(sweep.store.finished(sweep.names))
-        for name in names:
-            sweep.store.fetch(name, self.out / name)
-        print(f"{len(names)} of {len(sweep.runs)} runs are finished and in {self.out}")
+            outcomes = train_runs(left, spec.store, engine, listener=show, ended=tell)
+        check_outcomes(outcomes.values(), spec.store, "the same command")

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import CORES, OptionalOutput, check_options
+
+if TYPE_CHECKING:
+    from optuna.trial import FrozenTrial
 
 
 @dataclass(frozen=True)
@@ -34,14 +37,11 @@ class Tune:
     """Worlds stepped side by side."""
     processes: int = CORES
     """local: trials at a time; each takes one core."""
-    database: str | None = None
-    """The URL of a database that keeps the trials, such as postgresql://HOST/NAME or
-    sqlite:///FILE; by default they are in a journal in the folder of the study."""
     engine: Literal["local", "ray"] = "local"
-    """local: processes of this machine. ray: a Ray cluster that is there already; its machines
-    have to see the database, or else the folder."""
+    """local: processes of this machine. ray: a Ray cluster that is already running, whose machines
+    see the folder of the study."""
     address: str | None = None
-    """ray: HOST:PORT of the cluster; by default $RAY_ADDRESS, or the cluster this machine is in."""
+    """ray: HOST:PORT of the cluster; by default $RAY_ADDRESS, or the cluster of this machine."""
     out: OptionalOutput = None
     """The folder of the study; by default runs/tune-ALGO-FIELD."""
     resume: bool = False
@@ -50,30 +50,47 @@ class Tune:
     """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Tune, with a progress bar, and say how to train with the result."""
+        from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
+
         from baselines.console import console
+        from baselines.paper.published import tuning_ranges
         from baselines.sweep.run import make_engine
-        from baselines.tuning.display import tune_display
-        from baselines.tuning.study import ended, open_study
-        from baselines.tuning.trial import Space, TuneConfig
-        from baselines.tuning.tune import tune
+        from baselines.training.config import TrainConfig
+        from baselines.tuning.tune import CONFIG, DIVERGED, ended, load_study, search_space, tune
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}
         check_options("tuning", wrong)
         engine = make_engine(self.engine, self.processes, self.address)
-        config = TuneConfig(**{one.name: getattr(self, one.name) for one in fields(TuneConfig)})
+        space = search_space(self.algorithm)
+        config = TrainConfig(setting="A", **{name: getattr(self, name) for name in CONFIG})
         out = self.out or Path("runs") / f"tune-{self.algorithm}-{Path(self.field).stem}"
         screen = console()
-        for name in Space.of(self.algorithm).skipped:
-            screen.print(f"skipped: {name}, since {self.algorithm} has no such argument")
-        before = len(ended(open_study(out))) if self.resume else 0
-        names = ("trials", "database", "resume", "force")
-        how: dict[str, Any] = {name: getattr(self, name) for name in names}
-        with tune_display(self.trials, before, self.steps, screen) as show:
-            path = tune(config, out, engine=engine, command=command_line, listener=show, **how)
-        screen.print(
-            f"written to {out}: trials.csv, study.png, {path.name}. To train with it:\n"
-            f"mbn train {self.algorithm} FIELD --setting B --hyperparams {path}",
-            soft_wrap=True,
-            highlight=False,
+        for name in tuning_ranges(self.algorithm):
+            if name not in space:
+                print(f"skipped: {name}, since {self.algorithm} has no such argument")
+        before = len(ended(load_study(out))) if self.resume else 0
+        columns = (*Progress.get_default_columns()[:3], MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=screen, disable=not screen.is_terminal) as bars:
+            whole = bars.add_task("trials", total=self.trials, completed=before)
+
+            def tell(trial: FrozenTrial) -> None:
+                state = DIVERGED if DIVERGED in trial.user_attrs else trial.state.name.lower()
+                reward = "" if trial.value is None else f", return {trial.value:,.0f}"
+                values = " ".join(f"{name}={value:.4g}" for name, value in trial.params.items())
+                print(f"trial {trial.number}: {state}{reward}; {values}", flush=True)
+                bars.advance(whole)
+
+            path = tune(
+                config,
+                out,
+                trials=self.trials,
+                engine=engine,
+                command=command_line,
+                resume=self.resume,
+                force=self.force,
+                listener=tell,
+            )
+        print(
+            f"written to {out}: trials.csv, history.png, {path.name}. To train with it:\n"
+            f"mbn train {self.algorithm} FIELD --setting B --hyperparams {path}"
         )

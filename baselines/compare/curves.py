@@ -55,7 +55,6 @@ class Pair(NamedTuple):
 
 
 def draw_statistics(comparison: Comparison) -> dict[str, Figure]:
-    """Draw what is over all fields; return the figures by title."""
     drawn, by_label = {}, {one["label"]: one for one in comparison.aggregates}
     if by_label:
         drawn["Aggregates"] = intervals_figure(
@@ -68,7 +67,7 @@ def draw_statistics(comparison: Comparison) -> dict[str, Figure]:
         drawn["Performance profiles"] = profiles_figure(profiles, THRESHOLDS, comparison.looks)
     if pairs := list(itertools.combinations(comparison.looks, 2)):
         title = "Probability of improvement"
-        chances = {f"{x} > {y}": comparison.improvement[x][y] for x, y in pairs}
+        chances = {f"{x} > {y}": comparison.probability_of_improvement[x][y] for x, y in pairs}
         figure = drawn[title] = intervals_figure({title.lower(): chances})
         figure.axes[0].axvline(0.5, color=style.FAINT_INK, ls=":", lw=1.2, zorder=1)
         figure.axes[0].set(xlim=(0.0, 1.0), xticks=[0.0, 0.25, 0.5, 0.75, 1.0])
@@ -191,51 +190,6 @@ def pairs(
     ]
     handles.append(Line2D([], [], ls=":", label=f"threshold {threshold:,.0f}", **_RULE))
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
-    return figure
-
-
-@matplotlib.rc_context(style.MATPLOTLIB)
-def study_figure(trials: DataFrame, importances: Mapping[str, float], title: str) -> Figure:
-    """Draw the history of a study beside the importance of each hyperparameter.
-
-    Args:
-        trials: those with a return, in order: ``trial``, ``return_mean`` and ``state``.
-        importances: how much each hyperparameter had to do with a trial's being in the better
-            half, as shares of 1, largest first; empty if that is not known.
-        title: above the figure.
-
-    Raises:
-        MbnError: there is no trial.
-    """
-    if trials.empty:
-        raise MbnError("study: there is no trial to draw")
-    figure = Figure(figsize=(7.2, 2.9), layout="constrained")
-    history, bars = figure.subplots(1, 2, width_ratios=(3, 2))
-    done = trials[trials.state == "complete"]
-    pruned = trials[trials.state != "complete"]
-    best = done.return_mean.cummax()
-    history.step(done.trial, best, where="post", color=style.ORANGE, lw=1.6, label="best so far")
-    look: dict[str, Any] = {"ls": "none", "ms": 4.5}
-    history.plot(done.trial, done.return_mean, c=style.BLUE, marker="o", label="finished", **look)
-    words = "pruned, last return"
-    history.plot(
-        pruned.trial, pruned.return_mean, c=style.VERMILLION, marker="x", label=words, **look
-    )
-    lowest, highest = trials.return_mean.min(), max(RETURN_THRESHOLD, trials.return_mean.max())
-    note = _scale_returns(history, "y", lowest, highest)
-    history.xaxis.set_major_locator(MaxNLocator(integer=True))
-    history.set(xlabel="trial", ylabel=f"mean return of fresh episodes{note}")
-    history.grid(True)
-    places = range(len(importances), 0, -1)
-    drawn = bars.barh(places, list(importances.values()), 0.6, color=style.BLUISH_GREEN)
-    bars.bar_label(drawn, fmt="{:.0%}", padding=2, fontsize=8.0)
-    bars.set_yticks(places, list(importances))
-    bars.set_xlim(0.0, 1.15 * max(importances.values(), default=1.0))
-    bars.xaxis.set_major_formatter(PercentFormatter(1.0))
-    bars.set_xlabel("share in being in the better half" if importances else "too few trials")
-    bars.grid(True, axis="x")
-    figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
-    figure.legend(*history.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-import pandas
 from matplotlib.figure import Figure
 
 from baselines.algorithms import SETTINGS, Setting
@@ -17,11 +16,9 @@ from baselines.compare.curves import Pair, Panel
 from baselines.compare.records import ordered
 from baselines.compare.text_table import DASH
 from baselines.paper import published, tables
-from baselines.paper.tables import ALGORITHMS, FIELDS, MISSING
+from baselines.paper.tables import KINDS, MISSING
 from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
-from baselines.runs.files import RunError, read_json, read_text, write_text
-from baselines.runs.provenance import write_provenance
-from baselines.runs.report_path import Place
+from baselines.runs.files import Place, RunError, read_text, write_provenance, write_text
 from mbn_marl.field import load_field
 from mbn_marl.render import figures
 
@@ -54,37 +51,39 @@ def write_report(
     drawn = {
         **{f"curves_{name}": learning_curves(trainings, name) for name in reported},
         **{f"A_against_{name}": against(trainings, "A", name) for name in OTHERS},
-        "optuna": None if study is None else draw_study(study),
         "fields": figures.fields_figure([load_field(name) for name in published.FIELDS]),
     }
+    copied = {} if study is None else study_pictures(study)
     place = Place.of(out, "paper.md")
     place.claim(force=force)
     trainings.save(place.folder)
+    for name, path in copied.items():
+        shutil.copy(path, place.folder / f"{name}.png")
     for name, figure in drawn.items():
         if figure is not None:
             figures.save(figure, place.folder / f"{name}.png")
     texts = {}
-    for kind in (ALGORITHMS, FIELDS):
-        same = [table for table in tables.paper_tables(trainings) if table.kind is kind]
-        write_text(place.folder / f"{kind.row}s.csv", tables.write_csv(same))
-        latex = [table.text().latex(f"tab:{kind.row}s-{table.sample}") for table in same]
-        write_text(place.folder / f"{kind.row}s.tex", "\n".join(latex))
-        texts[f"{kind.row}s"] = "\n\n".join(table.text().markdown() for table in same)
+    for kind in KINDS:
+        same = [table for table in tables.paper_tables(trainings) if table.kind == kind]
+        write_text(place.folder / f"{kind}s.csv", tables.write_csv(same))
+        latex = [table.text().latex(f"tab:{kind}s-{table.sample}") for table in same]
+        write_text(place.folder / f"{kind}s.tex", "\n".join(latex))
+        texts[f"{kind}s"] = "\n\n".join(table.text().markdown() for table in same)
     write_provenance(place.folder, command)
-    write_text(place.page, _page(trainings, texts, drawn, place, command, preface))
+    write_text(place.page, _page(trainings, texts, {**drawn, **copied}, place, command, preface))
     return place
 
 
 def _page(
     trainings: Trainings,
     texts: Mapping[str, str],
-    drawn: Mapping[str, Figure | None],
+    drawn: Mapping[str, object],
     place: Place,
     command: str,
     preface: str,
 ) -> str:
     def picture(name: str, title: str) -> str:
-        if drawn[name] is None:
+        if drawn.get(name) is None:
             return f"{title}: missing."
         return f"{title}:\n\n![{title}]({place.link(f'{name}.png')})"
 
@@ -114,7 +113,10 @@ def _page(
         success=tables.success(trainings).markdown(),
         curves="\n\n".join(shown),
         against="\n\n".join(pairs),
-        study=picture("optuna", "History of the study and importance of each hyperparameter"),
+        study="\n\n".join(
+            picture(f"study_{name}", f"{title} of the study")
+            for name, title in (("history", "History"), ("importances", "Importances"))
+        ),
         overview=picture("fields", "The ten fields, each to a scale of its own"),
         commands="\n".join(trainings.runs.command),
     )
@@ -175,21 +177,9 @@ def against(trainings: Trainings, first: str, second: str) -> Figure | None:
     return curves.pairs(panels, (f"setting {first}", f"setting {second}"))
 
 
-def draw_study(folder: Path) -> Figure:
-    """Draw the history of the study of ``folder`` and what mattered in it.
-
-    Raises:
-        RunError: there is no study, or ``mbn tune`` has not come to its end there.
-        MbnError: no trial has a return yet.
-    """
-    try:
-        table = pandas.read_csv(folder / "trials.csv")
-        trials = table[table.return_mean.notna() & (table.state != "fail")]
-        importances = json.loads((folder / "importances.json").read_text())
-    except (OSError, ValueError, AttributeError) as error:
-        raise RunError(
-            f"{folder} is not the folder of a study that mbn tune has written to its end ({error})"
-        ) from None
-    config = read_json(folder / "config.json")
-    title = f"{config['algorithm']} on {config['field']}, {config['steps']:,} env-steps a trial"
-    return curves.study_figure(trials, importances, title)
+def study_pictures(study: Path) -> dict[str, Path]:
+    """Return the pictures that ``mbn tune`` made at the end of a study; a RunError without any."""
+    pictures = {f"study_{path.stem}": path for path in study.glob("*.png")}
+    if "study_history" not in pictures:
+        raise RunError(f"{study} has no history.png: mbn tune has finished no study there")
+    return pictures

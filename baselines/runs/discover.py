@@ -1,11 +1,11 @@
-"""Run folders found inside other folders."""
+"""Find run folders inside other folders."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from baselines.runs.files import RunError, moved_aside, read_json
+from baselines.runs.files import RunError, read_text
 
 
 def run_folders(
@@ -22,47 +22,43 @@ def run_folders(
     Raises:
         RunError: a path holds no run.
     """
-    found = [folder for path in paths for folder in _inside(path, note, comparisons)]
-    return list({folder.resolve(): folder for folder in found}.values())
-
-
-def _inside(path: Path, note: Callable[[str], None], comparisons: bool) -> list[Path]:
-    """Return the folders of runs at or below ``path``, sorted, but for what is left out."""
-    if not path.is_dir():
-        raise RunError(f"{path} is not a folder")
-    if "database" in _config(path):
-        raise RunError(f"{path} is a study, and holds no run to report on; draw it with --study")
-    folders: list[Path] = []
+    found: dict[Path, Path] = {}
     left_out: dict[Path, str] = {}
-    for folder in sorted(file.parent for file in path.rglob("field.yaml")):
-        below = (place for place in (*reversed(folder.parents), folder) if path in place.parents)
-        for place in below:
-            if why := _why_left_out(place, comparisons):
-                left_out[place] = why
-                break
-        else:
-            folders.append(folder)
+    for path in paths:
+        if not path.is_dir():
+            raise RunError(f"{path} is not a folder")
+        if _is_study(path):
+            raise RunError(
+                f"{path} is a study, and holds no run to report on; draw it with --study"
+            )
+        runs = sorted(file.parent for file in path.rglob("field.yaml"))
+        for run in runs:
+            inside = [place for place in (*reversed(run.parents), run) if path in place.parents]
+            reasons = {place: why for place in inside if (why := _why_left_out(place, comparisons))}
+            if reasons:
+                place = next(iter(reasons))
+                left_out[place] = reasons[place]
+            else:
+                found[run.resolve()] = run
+        if not found.keys() & {run.resolve() for run in runs}:
+            raise RunError(f"{path} is not a run folder, and holds none")
     for place, why in left_out.items():
         note(f"left out: {place}, {why}")
-    if not folders:
-        raise RunError(f"{path} is not a run folder, and holds none")
-    return folders
+    return list(found.values())
 
 
 def _why_left_out(folder: Path, comparisons: bool) -> str | None:
-    """Return why what is in ``folder`` is left out; ``None`` if it is not."""
-    if moved_aside(folder):
+    """Return why the runs in ``folder`` are left out; ``None`` if they are not."""
+    if folder.suffix[1:].isdecimal() and folder.with_suffix("").exists():
         return "moved aside by --force"
-    config, is_run = _config(folder), (folder / "field.yaml").is_file()
-    if "database" in config:
+    if _is_study(folder):
         return "a study; draw it with --study"
-    if not is_run and not comparisons and "variants" in config:
-        return "a comparison; name it to report on its runs"
-    return None
+    if comparisons or (folder / "field.yaml").is_file():
+        return None
+    config = folder / "config.json"
+    is_comparison = config.is_file() and '"variants"' in read_text(config)
+    return "a comparison; name it to report on its runs" if is_comparison else None
 
 
-def _config(folder: Path) -> Collection[str]:
-    """Return the entries of ``config.json``; none without the file."""
-    path = folder / "config.json"
-    config = read_json(path) if path.is_file() else None
-    return config if isinstance(config, dict) else ()
+def _is_study(folder: Path) -> bool:
+    return (folder / "study.log").is_file()

@@ -1,39 +1,42 @@
-"""Folders and files of runs: claimed without overwriting, written whole or not at all."""
+"""Folders and files of runs: claimed without overwriting, written whole, with their origin."""
 
 from __future__ import annotations
 
 import errno
+import importlib.metadata
 import json
-import math
 import os
+import platform
 import shutil
 import socket
-import stat
+import subprocess
 import tempfile
 import warnings
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.runs.checksums import LIST, check, digests_of
-from mbn_marl.errors import DamageError, MbnError
-from mbn_marl.files import free_name, replacing
+from mbn_marl.errors import MbnError
+from mbn_marl.files import check_free, claim_file, free_name, replacing
 
 NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
-"""Errors of drives without locks; for ``ENOSYS`` the library takes a file in their place."""
+"""Errors of drives without locks; for ``ENOSYS`` the library uses a file instead."""
+PACKAGES = (
+    *("mbn-marl", "numpy", "numba", "gymnasium", "pettingzoo", "sb3-contrib", "stable-baselines3"),
+    *("supersuit", "tensordict", "torch", "torchrl"),
+)
 LOCK = ".lock"
-"""In the folder of a running process: which process that is."""
+"""The file in the folder of a running process that names this process."""
 
 
 class RunError(MbnError):
-    """A run folder is missing, incomplete, in use, or would be overwritten."""
+    """A run folder is missing, incomplete, damaged, in use, or would be overwritten."""
 
 
 def claim_folder(path: Path, *, force: bool = False) -> Path:
@@ -66,11 +69,7 @@ def is_untouched(path: Path) -> bool:
 
 
 def check_text(words: str) -> None:
-    """Check that a path or a command can be written to a file.
-
-    Raises:
-        RunError: it has bytes that are not UTF-8.
-    """
+    """Raise a RunError if a path or a command has bytes that are not UTF-8."""
     try:
         words.encode()
     except UnicodeEncodeError:
@@ -79,25 +78,17 @@ def check_text(words: str) -> None:
 
 @contextmanager
 def reading(place: Path) -> Iterator[None]:
-    """Name ``place`` in any error that its content causes.
-
-    Raises:
-        RunError: in place of what a value of a wrong kind makes others raise.
-    """
+    """Turn every error that the content of ``place`` causes into a RunError that names it."""
     try:
         yield
     except MbnError as error:
-        if isinstance(error, DamageError) or str(place) in str(error):
+        if str(place) in str(error):
             raise
         raise RunError(f"{place}: {error}") from None
-    except WRONG_CONTENT as error:
+    except (OSError, ImportError):
+        raise
+    except Exception as error:
         raise RunError(f"{place} holds what no run writes: {error!r}") from error
-
-
-WRONG_CONTENT = (
-    *(ArithmeticError, AttributeError, LookupError, MemoryError),
-    *(RuntimeError, TypeError, ValueError),
-)
 
 
 @contextmanager
@@ -145,11 +136,6 @@ def differences(recorded: Mapping[str, Any], asked: Mapping[str, Any]) -> list[s
     ]
 
 
-def moved_aside(path: Path) -> bool:
-    """Return whether ``path`` was moved aside by ``force``, and its successor is there."""
-    return path.suffix[1:].isdecimal() and path.with_suffix("").exists()
-
-
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` atomically: a reader sees the old file or the new one, never a part."""
     with replacing(path) as temporary:
@@ -161,22 +147,17 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
-def read_json(path: Path) -> Any:
-    """Read a JSON file of a run.
-
-    Raises:
-        RunError: the file is missing or is not JSON.
-        DamageError: see :func:`~baselines.runs.checksums.check`.
-    """
+def read_json(path: Path, kind: type[Any] = object) -> Any:
+    """Read a JSON file of a run; raise a RunError if it is missing, not JSON, or not a ``kind``."""
     try:
-        check(path)
-        return json.loads(path.read_bytes())
+        content = json.loads(path.read_bytes())
     except FileNotFoundError:
         raise RunError(f"{path} is missing: {path.parent} is not a finished run") from None
-    except MbnError:
-        raise
     except (ValueError, RecursionError) as error:  # no text, no JSON, or nested without end
         raise RunError(f"{path} is not valid JSON: {error}") from None
+    if not isinstance(content, kind):
+        raise RunError(f"{path} is {type(content).__name__}; allowed: {kind.__name__}")
+    return content
 
 
 def read_text(path: Path) -> str:
@@ -187,11 +168,6 @@ def read_text(path: Path) -> str:
         raise RunError(f"{path} cannot be read: {error}") from None
 
 
-def seal(folder: Path) -> None:
-    """List the checksums of the files in ``folder``, none of which may change from now on."""
-    write_json(folder / LIST, {"sha256": digests_of(folder)})
-
-
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bool = False) -> None:
     """Write arrays by name as ``.npz``, atomically."""
     save = np.savez_compressed if compress else np.savez
@@ -199,60 +175,17 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bo
         save(temporary, allow_pickle=False, **arrays)
 
 
-def read_arrays(
-    path: Path, like: Mapping[str, NDArray[Any]] | None = None
-) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Read what :func:`write_arrays` wrote; nothing in a file is run.
-
-    Args:
-        path: the file.
-        like: arrays that are as large as its own may be, even if those shrank to nearly nothing.
 
     Raises:
         RunError: the file is missing or damaged, or is another kind of archive.
-        DamageError: it does not have the checksum that its folder lists.
     """
     try:
-        check(path)
-        own = 2 * sum(array.nbytes for array in (like or {}).values())
-        _check_members(path, max(own, ROOM, EXPANSION * path.stat().st_size))
         with np.load(path, allow_pickle=False) as arrays:
             return dict(arrays)
-    except MbnError:
-        raise
-    except UNREADABLE as error:
+    except Exception as error:  # the readers of damaged archives raise many kinds
         raise RunError(f"{path} cannot be read: {error}") from None
-
-
-ROOM, EXPANSION = 1 << 26, 100
-"""The bytes that the arrays of any file may have, and how many times those of the file."""
-UNREADABLE = (
-    *(OSError, ValueError, EOFError, NotImplementedError, MemoryError),
-    *(zipfile.BadZipFile, zlib.error),
-)
-"""The errors of Python's and NumPy's readers for damaged archives."""
-HEADERS = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
-
-
-def _check_members(path: Path, room: int) -> None:
-    """Check that an archive names only files inside it, whose arrays fit into ``room`` bytes."""
-    with zipfile.ZipFile(path) as archive:
-        for member in archive.infolist():
-            name = PurePosixPath(member.filename.replace("\\", "/"))
-            leaves = name.is_absolute() or ".." in name.parts or ":" in member.filename
-            if leaves or stat.S_ISLNK(member.external_attr >> 16):
-                raise RunError(f"{path}: {member.filename!r} in it leads out of the archive")
-        if (size := sum(member.file_size for member in archive.infolist())) > room:
-            raise RunError(f"{path}: {size:,} bytes in it; allowed: {room:,}")
-        for member in archive.infolist():
-            with archive.open(member) as file:
-                shape, _, dtype = HEADERS[np.lib.format.read_magic(file)](file)
-                if math.prod(shape) * dtype.itemsize > member.file_size:
-                    wrong = f"has no room for {shape} of {dtype}"
-                    raise RunError(f"{path}: {member.filename!r} in it {wrong}")
 
 
 @contextmanager
@@ -269,3 +202,66 @@ def replacing_folder(path: Path) -> Iterator[Path]:
         new.rename(path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def write_provenance(path: Path, command: str) -> None:
+    """Record in the folder ``path`` the exact command, and the versions it ran with."""
+    write_text(path / "command.txt", command + "\n")
+    write_json(path / "versions.json", versions())
+
+
+def versions(*more: str) -> dict[str, Any]:
+    """Return Python, packages and ``more``, machine, git revision (``None`` outside a clone)."""
+    packages: dict[str, str | None] = dict.fromkeys((*PACKAGES, *more))
+    for name in packages:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            packages[name] = importlib.metadata.version(name)
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processors": os.cpu_count(),
+        "git_revision": _git_revision(),
+        "packages": packages,
+    }
+
+
+def _git_revision() -> str | None:
+    """Return the revision of the clone with this file, with ``-dirty`` if it was changed."""
+    root = Path(__file__).resolve().parents[2]
+    describe = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    if (root / ".git").exists():
+        with suppress(OSError, subprocess.CalledProcessError):
+            found = subprocess.run(describe, cwd=root, capture_output=True, text=True, check=True)
+            return found.stdout.strip()
+    return None
+
+
+@dataclass(frozen=True)
+class Place:
+    """The Markdown page of a report, and the folder of everything else."""
+
+    page: Path
+    folder: Path
+
+    @classmethod
+    def of(cls, out: Path, page: str) -> Place:
+        """Return the place for ``out``: ``NAME.md`` is the page, beside its folder ``NAME``.
+
+        Any other path is the folder, and ``page`` the name of the page in it.
+        """
+        if out.suffix == ".md":
+            return cls(out, out.with_suffix(""))
+        return cls(out / page, out)
+
+    def claim(self, *, force: bool) -> None:
+        """Make the folder; with ``force`` move what is there aside, or else raise an MbnError."""
+        beside = self.page.parent != self.folder
+        if beside:
+            check_free(self.page, force=force)
+        claim_folder(self.folder, force=force)
+        if beside:
+            claim_file(self.page, force=force)
+
+    def link(self, name: str) -> str:
+        """Return the link from the page to a file of the folder."""
+        return (self.folder / name).relative_to(self.page.parent).as_posix()

@@ -1,21 +1,4 @@
-"""The folder of a training run, which records everything about it.
-
-Files of a run folder:
-    config.json        the resolved configuration: the request, hyperparameters, environment
-    field.yaml         the field, or the sampler of its fields
-    command.txt        the exact command
-    versions.json      Python, packages, machine, git revision
-    resumed.json       if it was interrupted: where it was resumed, by what command
-    progress.csv       one row per window of training, see baselines.training.run_logger
-    tensorboard/       the same numbers and the library's own, as TensorBoard events
-    evaluations.json   the fresh evaluations during training, in order
-    checkpoints/       until the run is finished: the newest checkpoint, named by its env-steps
-    policy/            the final policy
-    evaluation.json    the final evaluation; its presence marks a finished run
-    .lock              the process that is running here, if there is one
-
-A checkpoint, policy/ and the zoo's entries have a checksums.json, see baselines.runs.checksums.
-"""
+"""The folder of a training run; docs/baselines.md lists its files."""
 
 from __future__ import annotations
 
@@ -27,19 +10,18 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
-from baselines.runs.checksums import check
 from baselines.runs.files import (
     RunError,
     differences,
     read_json,
     read_text,
     replacing_folder,
-    seal,
+    versions,
     write_json,
+    write_provenance,
 )
-from baselines.runs.provenance import versions, write_provenance
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, FieldSampler, load_fields, save_field
 
@@ -50,11 +32,8 @@ FILES = (
 FOLDERS = ("policy", "checkpoints", "tensorboard")
 
 
-Content = TypeVar("Content", dict[str, Any], list[dict[str, Any]])
-
-
 class RunFolder:
-    """The folder ``path`` of one run; see the module's docstring for its files."""
+    """The folder ``path`` of one run."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -94,17 +73,10 @@ class RunFolder:
         entry = {"env_steps": folder.saved_steps, "command": command, "versions": versions()}
         history = path / "resumed.json"
         write_json(history, [*(read_json(history) if history.exists() else []), entry])
-        if not (path / "field.yaml").exists():  # it was killed too early to write these
+        if not (path / "versions.json").exists():  # it was killed too early to write these
             save_field(field, path / "field.yaml")
-        if not (path / "versions.json").exists():
             write_provenance(path, command)
         return folder
-
-    def _clear_leftovers(self) -> None:
-        """Remove what a killed process left half-written."""
-        for name in (*FILES, "policy"):
-            for leftover in self.path.glob(f".{name}.*"):
-                shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
 
     @classmethod
     def open(cls, path: Path) -> Self:
@@ -113,30 +85,26 @@ class RunFolder:
             raise RunError(f"{path} is not a run folder: it has no config.json")
         inside = (file for name in FOLDERS for file in (path / name).rglob("*"))
         for file in (*path.iterdir(), *inside):
-            if file.is_symlink():
+            if file.is_symlink():  # to resume would write to the link's target
                 raise RunError(f"{file} is a link; a run folder has its files in it")
         return cls(path)
 
-    def _read(self, name: str, kind: type[Content]) -> Content:
-        """Read a JSON file of the folder, which must hold a ``kind``."""
-        content = read_json(self.path / name)
-        if not isinstance(content, kind):
-            found = f"is {type(content).__name__}; allowed: {kind.__name__}"
-            raise RunError(f"{self.path / name} {found}")
-        return content
+    def _clear_leftovers(self) -> None:
+        """Remove what a killed process left half-written."""
+        for name in (*FILES, "policy"):
+            for leftover in self.path.glob(f".{name}.*"):
+                shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
 
     @property
     def config(self) -> dict[str, Any]:
         """The resolved configuration."""
-        return self._read("config.json", dict)
+        content: dict[str, Any] = read_json(self.path / "config.json", dict)
+        return content
 
     @property
     def fields(self) -> Field | FieldSampler:
         """The field that the run was trained on, as recorded then, or the sampler of its fields."""
-        path = self.path / "field.yaml"
-        if path.is_file():
-            check(path)
-        return load_fields(path)
+        return load_fields(self.path / "field.yaml")
 
     @property
     def field(self) -> Field:
@@ -147,31 +115,45 @@ class RunFolder:
 
     @property
     def command(self) -> str:
-        """The exact command that began it."""
         return read_text(self.path / "command.txt").strip()
 
     @property
     def evaluations(self) -> list[dict[str, Any]]:
         """The summaries of the fresh evaluations during training, in order."""
-        return self._read("evaluations.json", list)
+        content: list[dict[str, Any]] = read_json(self.path / "evaluations.json", list)
+        return content
 
     @property
     def evaluation(self) -> dict[str, Any]:
         """The final evaluation of a finished run."""
-        return self._read("evaluation.json", dict)
+        content: dict[str, Any] = read_json(self.path / "evaluation.json", dict)
+        return content
 
     @property
     def finished(self) -> bool:
-        """Return whether the run came to its end."""
         return (self.path / "evaluation.json").is_file()
+
+    @property
+    def state(self) -> str:
+        """The progress in words, such as ``1,000 of 5,000 env-steps``."""
+        if self.finished:
+            return "finished"
+        if (self.path / "policy").exists():
+            return "not evaluated"
+        if not self.saved_steps:
+            return "begun" if (self.path / "config.json").is_file() else "not begun"
+        return self._steps
+
+    @property
+    def _steps(self) -> str:
+        return f"{self.saved_steps:,} of {self.config['steps']:,} env-steps"
 
     @property
     def unfinished(self) -> str | None:
         """The progress of a run without a final policy, in words; ``None`` if it has one."""
         if (self.path / "policy").exists():
             return None
-        saved, asked = self.saved_steps, self.config["steps"]
-        return f"unfinished: checkpoint at {saved:,} of {asked:,} env-steps"
+        return f"unfinished: checkpoint at {self._steps}"
 
     @property
     def checkpoint(self) -> Path | None:
@@ -195,9 +177,6 @@ class RunFolder:
         path = self.path / "checkpoints" / f"{env_steps:012d}"
         with replacing_folder(path) as folder:
             yield folder
-            for part in (folder, folder / "policy"):
-                if part.exists():
-                    seal(part)
         for other in (*self._checkpoints(), *path.parent.glob(".[0-9]*")):
             if other != path:
                 shutil.rmtree(other)
@@ -208,10 +187,9 @@ class RunFolder:
         self._check_there()
         with replacing_folder(self.path / "policy") as folder:
             yield folder
-            seal(folder)
 
     def _check_there(self) -> None:
-        """Raise a RunError if somebody has deleted the folder: no other file tells of the run."""
+        """Raise a RunError if somebody has deleted the folder."""
         if not (self.path / "config.json").is_file():
             raise RunError(f"{self.path} has lost its config.json, so the run ends here")
 
@@ -228,7 +206,6 @@ class RunFolder:
 
     @property
     def progress(self) -> Path:
-        """The table of training's windows."""
         return self.path / "progress.csv"
 
     @property
@@ -248,14 +225,10 @@ class RunFolder:
     def append_progress(self, row: Mapping[str, float]) -> None:
         """Append a row to ``progress.csv``, with the columns of the first row."""
         self._check_there()
-        with self.progress.open("a+", newline="") as file:
+        with self.progress.open("a", newline="") as file:
             writer = csv.writer(file)
-            file.seek(0)
-            columns = next(csv.reader(file), None)
-            if columns is None:
+            if not self.progress_bytes:
                 writer.writerow(row)
-            elif columns != list(row):
-                raise ValueError(f"progress columns {list(row)} differ from {columns}")
             writer.writerow([f"{value:.6g}" if value % 1 else int(value) for value in row.values()])
 
 

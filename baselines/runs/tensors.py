@@ -1,16 +1,17 @@
-"""Tensors by name in safetensors files: weights, and what optimisers remember."""
+"""A learner's tensors in safetensors files, and the random number generators as JSON values."""
 
 from __future__ import annotations
 
+import random
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors import torch as safetensors_torch
 
-from baselines.runs.checksums import check
 from baselines.runs.files import RunError
 from mbn_marl.files import replacing
 
@@ -33,10 +34,8 @@ def read_tensors(
     Raises:
         RunError: the file is missing or damaged, or a number in it is not finite, or it has
             another type than the tensor of its name in ``like``.
-        DamageError: it does not have the checksum that its folder lists.
     """
     try:
-        check(path)
         tensors: dict[str, torch.Tensor] = safetensors_torch.load_file(path)
     except (OSError, SafetensorError) as error:
         raise RunError(f"{path} cannot be read: {error}") from None
@@ -65,3 +64,33 @@ def with_moments(state: Mapping[str, Any], moments: Mapping[str, torch.Tensor]) 
         index, name = key.split(".")
         entries.setdefault(int(index), {})[name] = tensor
     return {**state, "state": entries}
+
+
+def save_generators() -> dict[str, Any]:
+    """Return the states of Python's, NumPy's and torch's global generators, as JSON values."""
+    numbers: Any = np.random.get_state(legacy=False)
+    numbers["state"]["key"] = numbers["state"]["key"].tolist()
+    cuda: Any = torch.cuda  # not all of it has types
+    devices = cuda.get_rng_state_all() if cuda.is_initialized() else []
+    return {
+        "python": random.getstate(),
+        "numpy": numbers,
+        "torch": torch.get_rng_state().numpy().tobytes().hex(),
+        "cuda": [device.numpy().tobytes().hex() for device in devices],
+    }
+
+
+def restore_generators(saved: Mapping[str, Any]) -> None:
+    """Restore the states that :func:`save_generators` returned."""
+    version, numbers, gauss = saved["python"]
+    random.setstate((version, tuple(numbers), gauss))
+    if not 0 <= (pos := saved["numpy"]["state"]["pos"]) <= 624:  # NumPy would read past the key
+        raise ValueError(f"pos {pos}; allowed: 0 to 624")
+    np.random.set_state(saved["numpy"])
+    torch.set_rng_state(_tensor(saved["torch"]))
+    if saved["cuda"]:
+        torch.cuda.set_rng_state_all([_tensor(device) for device in saved["cuda"]])
+
+
+def _tensor(digits: str) -> torch.Tensor:
+    return torch.frombuffer(bytearray.fromhex(digits), dtype=torch.uint8)

@@ -23,7 +23,7 @@ from stable_baselines3.common.utils import set_random_seed
 from baselines.algorithms import find_algorithm
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import RunFolder, saved_at
-from baselines.runs.rng_state import restore_generators, save_generators
+from baselines.runs.tensors import restore_generators, save_generators
 from baselines.sb3.config import SB3Config, algorithm_class, model_arguments
 from baselines.sb3.envs import make_env
 from baselines.sb3.policy import SHAPE, Normalization, SB3Policy, put_into
@@ -146,7 +146,7 @@ class Learner:
         model._setup_learn(0)  # makes what is filled here
         self.begin_with(checkpoint / "policy")
         self._worlds.begin(TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"]))
-        arrays = read_arrays(checkpoint / WORLDS, self.engine.save_state())
+        arrays = read_arrays(checkpoint / WORLDS)
         for name in SEEN:
             seen, own = arrays.pop(name, None), getattr(model, name)
             if getattr(seen, "shape", None) != getattr(own, "shape", None):

@@ -1,27 +1,32 @@
-"""Train many runs into a store, by one of the engines."""
+"""Train many runs into one folder, the store, which all machines see under the same path.
+
+The run folders are the only memory: whoever trains a run looks at its folder and resumes it there,
+so it can be repeated at any time. The lock of a run folder keeps two processes apart.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from baselines.runs.files import RunError, differences
+from baselines.runs.files import RunError, alone, differences
+from baselines.runs.folder import RunFolder
 from baselines.sweep.processes import Failure, LocalEngine
 from baselines.sweep.ray_cluster import RayEngine
-from baselines.sweep.spec import GridSpec, Resources, runs_of, without_source
-from baselines.sweep.store import Note, Store, open_store
-from baselines.sweep.worker import Outcome, TrainJob, source_of, train_in_store
-from baselines.training.config import TrainConfig
+from baselines.sweep.spec import Resources, without_source
+from baselines.training.config import DivergenceError, TrainConfig
 from baselines.training.run_logger import Listener, Report
-from baselines.training.train import prepare, resolve
-from mbn_marl.errors import ConfigError
+from baselines.training.train import prepare, resolve, train
+from mbn_marl.errors import ConfigError, MbnError
 
 Engine = LocalEngine | RayEngine
 SHOWN = 10
 """Failures that a message lists."""
+# A lost machine may hold the lock of a run folder for a while.
+PATIENCE = 60.0
 
 
 def make_engine(
@@ -30,12 +35,9 @@ def make_engine(
     address: str | None,
     resources: Resources | None = None,
 ) -> Engine:
-    """Return the engine that a command line asks for.
+    """Return the engine that a command line asks for; a ConfigError for options that do not fit.
 
     Without ``resources`` a job gets a core, and no retries on this machine.
-
-    Raises:
-        ConfigError: ``processes`` is below 1, or ``address`` is given without ``"ray"``.
     """
     if name == "ray":
         given = resources or Resources()
@@ -45,130 +47,111 @@ def make_engine(
     return LocalEngine(processes, 0 if resources is None else resources.retries)
 
 
+@dataclass(frozen=True)
+class TrainJob:
+    """A run to train into ``store``, where the run that it begins with is too."""
+
+    run: TrainConfig
+    store: Path
+    wandb: str | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of work on a run."""
+
+    name: str
+    state: Literal["done", "diverged", "failed"]
+    error: str | None = None
+
+
+def train_in_store(job: TrainJob, report: Listener) -> Outcome:
+    """Train or resume a run; errors that a repetition would raise again are outcomes."""
+    run, folder = job.run, job.store / job.run.name
+    if run.transferred_from is not None:
+        run = replace(run, transferred_from=job.store / run.transferred_from.name)
+    try:
+        if folder.is_dir():
+            with alone(folder, "mbn train", patience=PATIENCE):
+                pass
+        begun = (folder / "config.json").is_file()
+        train(run, folder, resume=begun, wandb=job.wandb, listener=report)
+    except DivergenceError as error:
+        return Outcome(run.name, "diverged", str(error))
+    except MbnError as error:
+        return Outcome(run.name, "failed", str(error))
+    return Outcome(run.name, "done")
+
+
 def train_runs(
-    runs: Iterable[TrainConfig],
-    place: str,
+    runs: Sequence[TrainConfig],
+    store: Path,
     engine: Engine,
     *,
-    noted: bool = False,
-    upload_seconds: float = 0.0,
     wandb: str | None = None,
     listener: Listener = lambda report: None,
     ended: Callable[[Outcome], None] = lambda outcome: None,
 ) -> dict[str, Outcome]:
     """Train every run that is not finished; one that fails or diverges stops no other.
 
-    Args:
-        runs: what to train; each comes after the one that it begins with, and the next one is
-            drawn when there is a process for it.
-        place: the path or URL of the store.
-        engine: runs the jobs.
-        noted: write notes about the runs in the store, for ``mbn grid status``.
-        upload_seconds: least seconds between two copies of checkpoints into a remote store.
-        wandb: a project of Weights & Biases to log to as well.
-        listener: receives the progress of the runs.
-        ended: receives how each run ended; all ends are returned, by the run's name.
+    Runs that begin with another one of ``runs`` come after all others. ``wandb`` is a project of
+    Weights & Biases to log to as well; ``listener`` receives the progress, ``ended`` how each run
+    ended. All ends are returned, by the run's name.
     """
     outcomes: dict[str, Outcome] = {}
-    drawn: set[str | None] = set()
-
-    def jobs() -> Iterator[TrainJob]:
-        for run in runs:
-            source = source_of(run)
-            after = source if source in drawn else None
-            drawn.add(run.name)
-            yield TrainJob(run, place, after, noted, upload_seconds, wandb)
+    store = store.resolve()
 
     def end(job: TrainJob, result: Outcome | Failure) -> None:
+        name = job.run.name
         if isinstance(result, Failure):
-            result = Outcome(job.name, "failed", result.error)
-            if noted:  # a process that was killed has left no note itself
-                store = open_store(place)
-                known = store.last_note(job.name) or Note(state="failed")
-                failed = {"state": "failed", "error": result.error}
-                store.note(job.name, known.model_copy(update=failed))
+            result = Outcome(name, "failed", result.error)
+        elif result.state == "done" and not RunFolder(store / name).finished:
+            missing = f"it is not in {store}; do all machines see that folder?"
+            result = Outcome(name, "failed", missing)
         if result.error is not None:
-            listener(Report(job.name, error=result.error))
-        outcomes[job.name] = result
+            listener(Report(name, error=result.error))
+        outcomes[name] = result
         ended(result)
 
-    engine.run(train_in_store, jobs(), listener, end)
+    names = {run.name for run in runs}
+    batches: tuple[list[TrainJob], list[TrainJob]] = [], []
+    for run in runs:
+        source = run.transferred_from
+        batches[source is not None and source.name in names].append(TrainJob(run, store, wandb))
+    for jobs in filter(None, batches):
+        engine.run(train_in_store, jobs, listener, end)
     return outcomes
 
 
 def check_outcomes(
-    outcomes: Collection[Outcome], place: str | Path, again: str = "the same command and --resume"
+    outcomes: Collection[Outcome], store: Path, again: str = "the same command and --resume"
 ) -> None:
-    """Check that all runs are done; raise a RunError that says which are not, and why.
-
-    It says that ``again`` resumes them.
-    """
-    lines = [f"{one.name}: {first_line(one.error)}" for one in outcomes if one.state != "done"]
+    """Raise a RunError if a run is not done: it names the runs and how to resume them."""
+    failed = [one for one in outcomes if one.error is not None]
+    lines = [f"{one.name}: {one.error}".splitlines()[0] for one in failed]
     if lines:
         more = [f"and {len(lines) - SHOWN} more"] if len(lines) > SHOWN else []
         shown = "\n  - ".join([*lines[:SHOWN], *more])
         raise RunError(
-            f"{place}: {len(outcomes) - len(lines)} of {len(outcomes)} runs are done; resume the "
+            f"{store}: {len(outcomes) - len(lines)} of {len(outcomes)} runs are done; resume the "
             f"others with {again}\n  - {shown}"
         )
 
 
-def first_line(error: str | None) -> str:
-    """Return the first line of an error, or the last one of a traceback."""
-    lines = (error or "").strip().splitlines()
-    return lines[-1] if lines and lines[0].endswith("process failed:") else "".join(lines[:1])
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """The checked runs of a grid, in order, and their store at ``place``, a path or URL."""
-
-    runs: Sequence[TrainConfig]
-    resources: Resources
-    place: str
-    store: Store
-
-    @classmethod
-    def of(cls, spec: GridSpec) -> Sweep:
-        """Expand and check a grid; raise a ConfigError that names every value that is wrong."""
-        place = spec.store if "://" in spec.store else str(Path(spec.store).resolve())
-        return cls(runs_of(spec), spec.resources, place, open_store(place))
-
-    @property
-    def names(self) -> list[str]:
-        """The names of the runs."""
-        return [run.name for run in self.runs]
-
-    def left(self) -> list[TrainConfig]:
-        """Return the runs to do; raise a ConfigError if a finished one is of another grid."""
-        finished = self.store.finished(self.names)
-        problems = []
-        for run in (run for run in self.runs if run.name in finished):
-            recorded = self.store.config(run.name)
-            asked = json.loads(json.dumps(dict(resolve(*prepare(without_source(run))))))
-            # Where the run's source lay does not matter.
-            same = {"transferred_from": recorded.get("transferred_from"), "setting": run.setting}
-            found = differences(recorded, {**asked, **same})
-            problems += [f"{run.name}: {problem}" for problem in found]
-        if problems:
-            raise ConfigError(f"{self.place}: finished runs are of another grid", problems)
-        return [run for run in self.runs if run.name not in finished]
-
-    def train(
-        self, engine: Engine, ended: Callable[[Outcome], None] = lambda outcome: None
-    ) -> None:
-        """Train every run that is not finished; ``ended`` receives how each one ended.
-
-        Raises:
-            RunError: runs failed; the message names the first ones.
-            MbnError: a finished run is of another configuration, or there is no Ray cluster.
-        """
-        seconds = self.resources.upload_seconds
-        outcomes = train_runs(
-            self.left(), self.place, engine, noted=True, upload_seconds=seconds, ended=ended
-        )
-        for name in outcomes.keys() - self.store.finished(outcomes):
-            if outcomes[name].state == "done":
-                missing = "it is not in the store; do all machines see that place?"
-                outcomes[name] = Outcome(name, "failed", missing)
-        check_outcomes(outcomes.values(), self.place, "the same command")
+def runs_left(runs: Iterable[TrainConfig], store: Path) -> list[TrainConfig]:
+    """Return the runs to do; raise a ConfigError if a finished one has another configuration."""
+    left, problems = [], []
+    for run in runs:
+        folder = RunFolder(store / run.name)
+        if not folder.finished:
+            left.append(run)
+            continue
+        recorded = folder.config
+        asked: dict[str, Any] = json.loads(json.dumps(resolve(*prepare(without_source(run)))))
+        # The folder of the run's source may have moved.
+        same = {"transferred_from": recorded.get("transferred_from"), "setting": run.setting}
+        found = differences(recorded, {**asked, **same})
+        problems += [f"{run.name}: {problem}" for problem in found]
+    if problems:
+        raise ConfigError(f"{store}: finished runs are of another grid", problems)
+    return left

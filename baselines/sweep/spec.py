@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,7 +14,6 @@ import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from baselines.algorithms import Setting, find_algorithm
-from baselines.sweep.store import open_store
 from baselines.training.aids import Count, NonNegative, Positive
 from baselines.training.config import ENVIRONMENT, MOST_SEED, TrainConfig, default_label, parse
 from baselines.training.train import found_anywhere, prepare, sizes
@@ -22,86 +21,59 @@ from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, MbnError, ProblemsError
 from mbn_marl.field import catalogue_names, load_field
 
-_STRICT = ConfigDict(frozen=True, extra="forbid")
 
-
-def _that_loads(load: Callable[[str], object]) -> AfterValidator:
+def _known(load: Callable[[str], object]) -> AfterValidator:
     """Return a validator of names that ``load`` knows."""
-
-    def check(name: str) -> str:
-        load(name)
-        return name
-
-    return AfterValidator(check)
+    return AfterValidator(lambda name: load(name) and name)
 
 
 def _each_once(values: Sequence[Any]) -> Sequence[Any]:
-    """Check that no value is there twice."""
     twice = [value for place, value in enumerate(values) if value in values[:place]]
     if twice:
         raise ValueError(f"{', '.join(map(str, twice))} given twice")
     return values
 
 
+def _folder(store: Path) -> Path:
+    if ":/" in str(store):
+        raise ValueError("allowed: a folder; mount other storage")
+    return store.resolve()
+
+
 _Axis = (Field(min_length=1), AfterValidator(_each_once))
-Seed = Annotated[int, Field(ge=0, le=MOST_SEED)]
-Algorithm = Annotated[str, _that_loads(find_algorithm)]
-FieldName = Annotated[str, _that_loads(load_field)]
+Algorithm = Annotated[str, _known(find_algorithm)]
+FieldName = Annotated[str, _known(load_field)]
 
 
-class Budget(BaseModel):
-    """The length of each run, see :class:`TrainConfig`; by default the setting's own steps."""
+class _Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
-    model_config = _STRICT
 
+class Budget(_Strict):
     steps: Count | None = None
     evaluate_every: Count = 32_768
     episodes: Count = 100
     stop_at: float | None = None
 
 
-class Resources(BaseModel):
-    """The resources of a run.
-
-    Attributes:
-        cpus: cores that Ray sets aside for it; training uses one.
-        gpus: GPUs or a share of one; with any, the networks run on a GPU.
-        retries: how often a run is resumed after an unforeseen error, or when its process or
-            machine is lost.
-        upload_seconds: least seconds between two copies of checkpoints into a remote store.
-    """
-
-    model_config = _STRICT
-
+class Resources(_Strict):
     cpus: Positive = 1.0
     gpus: NonNegative = 0.0
     retries: Annotated[int, Field(ge=0)] = 3
-    upload_seconds: NonNegative = 300.0
 
 
-class GridSpec(BaseModel):
+class GridSpec(_Strict):
     """Every algorithm on every field under every setting with every seed, and more axes.
 
-    Attributes:
-        store: where the run folders go: a path, or a URL that fsspec knows.
-        algorithms: names of :data:`baselines.algorithms.ALGORITHMS`.
-        fields: catalogue names or paths of field files.
-        settings: an algorithm takes part under those that it has.
-        seeds: of networks, exploration and worlds.
-        robots: team sizes; by default that of the field.
-        set: more axes: the values of a hyperparameter, or of ``environment.NAME``.
-        source: the field whose run under A the runs under C begin with.
-        budget: of each run.
-        resources: of each run.
+    docs/grid.md explains the keys. ``source`` is the field whose run under A the runs under C begin
+    with; an algorithm takes part under those settings that it has.
     """
 
-    model_config = _STRICT
-
-    store: Annotated[str, _that_loads(open_store)]
+    store: Annotated[Path, AfterValidator(_folder)]
     algorithms: Annotated[tuple[Algorithm, ...], *_Axis]
     fields: Annotated[tuple[FieldName, ...], *_Axis] = tuple(catalogue_names())
     settings: Annotated[tuple[Setting, ...], *_Axis] = ("N",)
-    seeds: Annotated[tuple[Seed, ...], *_Axis]
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0, le=MOST_SEED)], ...], *_Axis]
     robots: Annotated[tuple[Count, ...], *_Axis] | None = None
     set: Mapping[str, Annotated[list[Any], *_Axis]] = Field(default_factory=dict)
     source: FieldName = "field_01"
@@ -121,18 +93,16 @@ def read_spec(path: Path) -> GridSpec:
         return GridSpec.model_validate(values)
     except ValidationError as error:
         problems, wrong = describe(error, GridSpec), {one["loc"][0] for one in error.errors()}
-    if not wrong & {"algorithms", "fields", "settings"}:  # then the others can be looked at too
+    if not wrong & {"algorithms", "fields", "settings"}:  # then the others can be checked too
         right = {name: value for name, value in values.items() if name not in wrong}
-        spec = GridSpec.model_validate({"store": "", "seeds": [0], **right})
-        problems += _problems(spec)
+        problems += _problems(GridSpec.model_validate({"store": "", "seeds": [0], **right}))
     raise ConfigError(str(path), problems)
 
 
 def runs_of(spec: GridSpec) -> list[TrainConfig]:
-    """Return the checked runs of a grid, each after the one that it begins with.
+    """Return the checked runs of a grid, and those that runs under C begin with.
 
-    Runs under A that those under C begin with are among them; ``transferred_from`` names them. A
-    ConfigError names everything that does not fit together.
+    A ConfigError names everything that does not fit together.
     """
     if problems := _problems(spec):
         raise ConfigError("grid", problems)
@@ -141,39 +111,27 @@ def runs_of(spec: GridSpec) -> list[TrainConfig]:
 
 
 def without_source(run: TrainConfig) -> TrainConfig:
-    """Return the same training without its source, which need not be there yet."""
-    if run.transferred_from is None:
-        return run
-    return replace(run, setting="A", transferred_from=None)
-
-
-def size_problems(source: str, fields: Iterable[str]) -> list[str]:
-    """Return for which of ``fields`` a policy of ``source`` is of another size, and why."""
-    theirs = load_field(source)
-    return [
-        f"{field}: {name} {ours}; allowed: {allowed}, as {source} has"
-        for field in fields
-        for name, (allowed, ours) in sizes(theirs, load_field(field)).items()
-        if allowed != ours
-    ]
+    """Return the same training without its source, which need not exist yet."""
+    return run if run.transferred_from is None else replace(run, setting="A", transferred_from=None)
 
 
 def _problems(spec: GridSpec) -> list[str]:
     """Return what does not fit together in a grid whose values are valid."""
-    problems, fields = [], list(spec.fields)
+    problems: list[str] = []
     for name in spec.algorithms:
-        there = find_algorithm(name).settings
-        if not set(there) & set(spec.settings):
-            problems.append(f"settings: {name} has {', '.join(there)}, and none is asked for")
+        known = find_algorithm(name).settings
+        if not set(known) & set(spec.settings):
+            problems.append(f"settings: {name} has {', '.join(known)}, and none is asked for")
     if "C" in spec.settings:
-        problems += [f"fields: {problem}" for problem in size_problems(spec.source, fields)]
-        fields.append(spec.source)
+        source = load_field(spec.source)
+        problems += [
+            f"fields: {name}: {what} {ours}; allowed: {allowed}, as {spec.source} has"
+            for name in spec.fields
+            for what, (allowed, ours) in sizes(source, load_field(name)).items()
+            if allowed != ours
+        ]
     if spec.robots and (axis := f"{ENVIRONMENT}.n_robots") in spec.set:
         problems.append(f"set: {axis} is what robots says")
-    for field in dict.fromkeys(fields):
-        starts, most = len(load_field(field).starts), max(spec.robots or (1,))
-        if most > starts:
-            problems.append(f"robots: {field} has {starts} starts, not {most}")
     return problems or list(dict.fromkeys(_problems_of_runs(spec)))
 
 
@@ -188,21 +146,12 @@ def _problems_of_runs(spec: GridSpec) -> Iterator[str]:
             same = replace(without_source(run), seed=0)
             if same.command not in checked:
                 checked.add(same.command)
-                problems = _problems_of(same)
-                yield from problems
-                if problems:  # of the environment may hide those of the hyperparameters
-                    yield from _problems_of(replace(same, environment={}))
-                    yield from _problems_of(replace(same, hyperparameters={}))
+                try:
+                    prepare(same)
+                except MbnError as error:
+                    yield from error.problems if isinstance(error, ProblemsError) else [str(error)]
     except ConfigError as error:
         yield from error.problems
-
-
-def _problems_of(run: TrainConfig) -> list[str]:
-    try:
-        prepare(run)
-    except MbnError as error:
-        return error.problems if isinstance(error, ProblemsError) else [str(error)]
-    return []
 
 
 def _runs(spec: GridSpec) -> Iterator[TrainConfig]:

@@ -18,11 +18,17 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
-from baselines.evaluation.policy import load_trained
+from baselines.policies.load import load_trained, open_run
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import saved_at
-from baselines.runs.rng_state import restore_generators, save_generators
-from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
+from baselines.runs.tensors import (
+    moments_of,
+    read_tensors,
+    restore_generators,
+    save_generators,
+    with_moments,
+    write_tensors,
+)
 from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
@@ -31,7 +37,6 @@ from baselines.torchrl.teacher import Teacher, check_teacher
 from baselines.training.aids import RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
-from baselines.zoo.entries import open_run
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
@@ -52,7 +57,7 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     """Check that the hyperparameters fit the environment; a ConfigError names all that do not."""
     settings, drawn = make_config(task.settings), isinstance(task.field, FieldSampler)
     sets = hyperparameters.network == "entities"
-    most = task.field.most_robots if drawn else len(task.field.starts)  # type: ignore[union-attr]
+    most = task.field.robots[1] if drawn else len(task.field.starts)  # type: ignore[union-attr]
     few = (settings.n_robots or most) < 2
     wrong = {
         "scattered": (drawn, 0.0, "on random fields"),
@@ -315,11 +320,10 @@ class Trainer:
             counters = read_json(folder / COUNTERS)
             self.curriculum = TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"])
             env = self._make_env()
-            env.load_state(read_arrays(folder / WORLDS, env.save_state()))
+            env.load_state(read_arrays(folder / WORLDS))
             self._collect_from(env)
             if self.teacher is not None:
-                own = self.teacher.save_state()
-                self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS, own))
+                self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS))
             restore_generators(counters["generators"])  # last: a new collector tries the policy
             env_steps = saved_at(folder, counters["env_steps"])
         return env_steps

@@ -1,118 +1,220 @@
-"""A study from its beginning, or from where it was interrupted, to the file for setting B."""
+"""A study of hyperparameters: Optuna draws, prunes and records the trials."""
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from uuid import uuid4
+from typing import Any
 
+import matplotlib.pyplot as plt
+import optuna
 import yaml
-from optuna import Study
-from optuna.trial import TrialState
+from optuna import Study, Trial, TrialPruned
+from optuna.storages import JournalStorage, journal
+from optuna.trial import FrozenTrial, TrialState
+from optuna.visualization import matplotlib as plots
 
 from baselines.algorithms import find_algorithm
-from baselines.paper.report import draw_study
-from baselines.runs.files import (
-    RunError,
-    alone,
-    claim_folder,
-    differences,
-    read_json,
-    write_json,
-    write_text,
-)
-from baselines.runs.provenance import write_provenance
+from baselines.paper import published
+from baselines.runs import files
+from baselines.runs.files import RunError, write_provenance, write_text
+from baselines.runs.folder import RunFolder
+from baselines.sb3.config import accepted_arguments
 from baselines.sweep.processes import Failure
 from baselines.sweep.run import Engine
-from baselines.training.train import found_anywhere
-from baselines.tuning.study import (
-    CONFIG,
-    DATABASE,
-    begin_study,
-    ended,
-    importances,
-    open_study,
-    resume_study,
-    trials_csv,
-)
-from baselines.tuning.trial import BASE, News, TrialJob, TuneConfig, run_trial
-from mbn_marl.errors import ConfigError
-from mbn_marl.render.figures import save
+from baselines.training.config import MOST_SEED, DivergenceError, TrainConfig
+from baselines.training.run_logger import Report
+from baselines.training.train import found_anywhere, train
+from mbn_marl.errors import ConfigError, MbnError
+
+JOURNAL = "study.log"
+CONFIG = ("algorithm", "field", "seed", "steps", "evaluate_every", "episodes", "num_envs")
+"""What a study records of its trainings."""
+DIVERGED = "diverged"
+"""The attribute of a trial whose learner diverged, with its error, and its constraint."""
 
 
 def tune(
-    config: TuneConfig,
+    config: TrainConfig,
     out: Path,
     *,
     trials: int,
     engine: Engine,
     command: str,
-    database: str | None = None,
     resume: bool = False,
     force: bool = False,
-    listener: Callable[[News], None] = lambda news: None,
+    listener: Callable[[FrozenTrial], None] = lambda trial: None,
 ) -> Path:
     """Run a study in the folder ``out``; return the YAML file with the best values as setting B.
 
-    It ends when ``trials`` (> 0) are finished or pruned, with those from before. A journal in
-    ``out`` keeps them, or the database at a URL, which all machines of a Ray cluster have to see.
-    ``out`` records the exact command; ``force`` moves a folder that is there aside, ``resume``
-    continues its study and runs an interrupted trial again. ``listener`` receives where they stand.
+    Its trainings are ``config`` under setting A with values that Optuna draws; the seed is the
+    sampler's too. It ends when ``trials`` (> 0) are finished or pruned, with those from before.
+    ``out``, which all machines of a Ray cluster see, records the exact ``command``; ``force`` moves
+    a folder that is there aside, ``resume`` continues its study. ``listener`` receives each trial.
 
     Raises:
-        ConfigError: ``trials`` is below 1, or the study in ``out`` tunes something else; or
-            ``force`` with a ``database``, where the study would keep its name.
-        RunError: ``out`` holds something already, no study to resume, or one that is running; or
-            no trial was finished; or the database refuses the study.
-        MbnError: there is no Ray cluster.
+        ConfigError: ``trials`` is below 1, or the study in ``out`` tunes something else.
+        RunError: ``out`` holds something already, no study to resume, a damaged one, or one that is
+            running; or no trial was finished.
+        MbnError: the paper did not tune the algorithm, or there is no Ray cluster.
     """
-    problems = [f"trials: must be at least 1 (got {trials})"] if trials < 1 else []
-    if force and database is not None:
-        problems.append("force: allowed without --database; choose another --out")
-    if problems:
-        raise ConfigError("tuning", problems)
-    asked = {**asdict(config), DATABASE: database}
+    if trials < 1:
+        raise ConfigError("tuning", [f"trials: must be at least 1 (got {trials})"])
+    search_space(config.algorithm)
+    asked = {name: getattr(config, name) for name in CONFIG}
     if resume:
-        open_study(out)
-        if changed := differences(read_json(out / CONFIG), asked):
+        load_study(out)
+        if changed := files.differences(files.read_json(out / "config.json"), asked):
             raise ConfigError(str(out), changed)
     else:
-        claim_folder(out, force=force)
-        begin_study(out, database)
-        write_json(out / CONFIG, asked)
+        files.claim_folder(out, force=force)
+        begin_study(out)
+        files.write_json(out / "config.json", asked)
         write_provenance(out, command)
-    with alone(out, "mbn tune", "; --processes runs trials side by side"):
-        study = resume_study(out)
-        first = (out / "command.txt").read_text().strip()
+
+    def end(job: TrialJob, result: FrozenTrial | Failure) -> None:
+        if isinstance(result, Failure):
+            raise RunError(result.error)
+        listener(result)
+
+    with files.alone(out, "mbn tune", "; --processes runs trials side by side"):
+        # A killed process may not have written its last line to the end.
+        os.truncate(out / JOURNAL, (out / JOURNAL).read_bytes().rfind(b"\n") + 1)
+        study = _without_lost_trials(out)
         same = replace(config, field=found_anywhere(config.field))
-        jobs = [
-            TrialJob(same, out.resolve(), database, first, uuid4().hex)
-            for _ in range(trials - len(ended(study)))
-        ]
-        engine.run(run_trial, jobs, listener, _stop_at_a_failure)
-        return _write_results(study, config, out)
+        job = TrialJob(same, out.resolve(), RunFolder(out).command)
+        engine.run(run_trial, [job] * (trials - len(ended(study))), lambda message: None, end)
+        return _write_results(_without_lost_trials(out), config, out)
 
 
-def _stop_at_a_failure(job: TrialJob, result: Failure | None) -> None:
-    if result is not None:
-        raise RunError(result.error)
+def search_space(algorithm: str) -> dict[str, tuple[float, float]]:
+    """Return the paper's ranges for what the library's class takes; an MbnError without any."""
+    find_algorithm(algorithm)
+    if algorithm not in published.ALGORITHMS:
+        known = ", ".join(published.ALGORITHMS)
+        raise MbnError(f"{algorithm} has no ranges to tune it in; those that have: {known}")
+    ranges, accepted = published.tuning_ranges(algorithm), accepted_arguments(algorithm)
+    return {name: ends for name, ends in ranges.items() if name in accepted}
 
 
-def _write_results(study: Study, config: TuneConfig, folder: Path) -> Path:
-    """Write the table, the figure and the file for setting B: setting A's with the tuned values."""
-    write_text(folder / "trials.csv", trials_csv(study))
-    write_json(folder / "importances.json", dict(importances(study)))
+def suggest(trial: Trial, algorithm: str) -> dict[str, Any]:
+    """Draw each hyperparameter; one whose ends are whole numbers above 1 is whole."""
+    values: dict[str, float] = {}
+    for name, (low, high) in search_space(algorithm).items():
+        if low > 1 and low % 1 == high % 1 == 0:
+            values[name] = trial.suggest_int(name, int(low), int(high))
+        else:
+            # Each decade of the learning rate is as likely; the paper does not say how it drew.
+            values[name] = trial.suggest_float(name, low, high, log=name == "learning_rate")
+    return values
+
+
+def begin_study(folder: Path) -> None:
+    """Write the journal of a study without trials."""
+    optuna.create_study(study_name="study", storage=_storage(folder), direction="maximize")
+
+
+def load_study(folder: Path) -> Study:
+    """Load the study of ``folder``; raise a RunError if its journal is missing or damaged."""
+    place = folder / JOURNAL
+    if not place.is_file():
+        raise RunError(f"{folder} is not the folder of a study: it has no {JOURNAL}")
+    try:
+        study = optuna.load_study(study_name="study", storage=_storage(folder))
+    except Exception as error:  # Optuna's reader raises many kinds
+        raise RunError(f"{place} cannot be read: {error!r}") from None
+    folders, known = len([*folder.glob("trials/trial-*")]), len(study.get_trials(deepcopy=False))
+    if folders > known:
+        raise RunError(f"{place} is damaged: it has {known} of {folders} trials")
+    return study
+
+
+def _storage(folder: Path) -> JournalStorage:
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return JournalStorage(journal.JournalFileBackend(str(folder / JOURNAL)))
+
+
+def ended(study: Study) -> list[FrozenTrial]:
+    """Return the trials that count: finished or pruned."""
+    return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
+
+
+def _without_lost_trials(folder: Path) -> Study:
+    """Load a study that nobody runs; trials of processes that were lost have failed."""
+    study = load_study(folder)
+    for lost in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        study.tell(lost.number, state=TrialState.FAIL)
+    return study
+
+
+@dataclass(frozen=True)
+class TrialJob:
+    """The next trial of the study in ``folder``."""
+
+    config: TrainConfig
+    folder: Path
+    command: str
+
+
+def run_trial(job: TrialJob, report: Callable[[Any], None]) -> FrozenTrial:
+    """Run the study's next trial, which Optuna writes to the journal; return how it ended."""
+    trials: list[FrozenTrial] = []
+    load_study(job.folder).optimize(
+        lambda trial: _train(job, trial), 1, callbacks=[lambda study, trial: trials.append(trial)]
+    )
+    return trials[0]
+
+
+def _train(job: TrialJob, trial: Trial) -> float:
+    """Train a trial; return the mean return of its final evaluation.
+
+    Raises:
+        TrialPruned: its best return so far is below the median of the finished trials', or its
+            learner diverged.
+    """
+    # The trial's number decides the draws: no process, and no later one, repeats those of another.
+    seed = (job.config.seed + trial.number) % (MOST_SEED + 1)
+    trial.study.sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
+    values = suggest(trial, job.config.algorithm)
+    out = job.folder / "trials" / f"trial-{trial.number:04d}"
+    seen = 0
+
+    def prune(report: Report) -> None:
+        nonlocal seen
+        new = RunFolder(out).evaluations[seen:]
+        for entry in new:
+            # Evaluations are counted: their env-steps may differ from trial to trial.
+            seen += 1
+            trial.report(entry["return_mean"], seen)
+        if new and report.env_steps < job.config.steps and trial.should_prune():
+            raise TrialPruned
+
+    config = replace(job.config, hyperparameters={"model": values})
+    try:
+        run = train(config, out, command=job.command, listener=prune)
+    except DivergenceError as error:
+        trial.set_user_attr(DIVERGED, str(error))
+        trial.set_constraint(DIVERGED, 1.0)  # the sampler takes it for the worst that can be
+        raise TrialPruned from error
+    return float(run.evaluation["stochastic"]["return_mean"])
+
+
+def _write_results(study: Study, config: TrainConfig, folder: Path) -> Path:
+    """Write the table, the figures and the file for setting B: A's with the tuned values."""
+    table = study.trials_dataframe(("number", "state", "value", "params", "user_attrs"))
+    write_text(folder / "trials.csv", table.to_csv(index=False))
     if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
         raise RunError(
             f"{folder}: no trial finished, all {len(ended(study))} were pruned or diverged; see "
             "trials.csv, and continue with --resume and more --trials"
         )
-    save(draw_study(folder), folder / "study.png")
-    path = folder / f"{config.algorithm}.yaml"
+    _draw(study, folder)
     best = study.best_trial
     hyperparameters = find_algorithm(config.algorithm).resolve(
-        {"model": best.params}, setting=BASE, num_envs=config.num_envs
+        {"model": best.params}, setting="A", num_envs=config.num_envs
     )
     source = (
         f"mbn tune {config.algorithm}: trial {best.number}, the best of {len(ended(study))}, on "
@@ -121,5 +223,21 @@ def _write_results(study: Study, config: TuneConfig, folder: Path) -> Path:
     )
     values = hyperparameters.model_dump(mode="json", exclude={"skipped"})
     block = {"B": {**values, "source": source}}
+    path = folder / f"{config.algorithm}.yaml"
     write_text(path, yaml.safe_dump(block, sort_keys=False, width=100))
     return path
+
+
+def _draw(study: Study, folder: Path) -> None:
+    """Save Optuna's figures ``history.png`` and, with enough trials, ``importances.png``."""
+    with plt.rc_context(), warnings.catch_warnings(action="ignore"):  # they are experimental
+        plots.plot_optimization_history(study, target_name="mean return")
+        plt.savefig(folder / "history.png")
+        plt.close()
+        # PED-ANOVA says how much a hyperparameter decides whether a trial is in the better half, in
+        # which Optuna asks for five trials.
+        if len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))) >= 10:
+            evaluator = optuna.importance.PedAnovaImportanceEvaluator(target_quantile=0.5)
+            plots.plot_param_importances(study, evaluator=evaluator)
+            plt.savefig(folder / "importances.png", bbox_inches="tight")
+            plt.close()

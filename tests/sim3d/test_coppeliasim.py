@@ -22,8 +22,8 @@ pytest.importorskip("coppeliasim_zmqremoteapi_client", reason="needs mbn_marl[si
 import cbor
 import zmq
 
-from baselines.classical.controller import make_classical
 from baselines.cli import main
+from baselines.policies.classical import make_classical
 from mbn_marl.errors import ConfigError, SimulatorError
 from mbn_marl.field import Field
 from mbn_marl.sim3d import Mission, Scale, deploy

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.classical.controller import make_classical
-from baselines.evaluation.policy import load_trained
 from baselines.evaluation.rollout import record_episode
-from baselines.zoo.entries import open_run
+from baselines.policies.classical import make_classical
+from baselines.policies.load import load_trained, open_run
 from mbn_marl.config import RewardProfile, Uniform
 from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.episode import Episode

@@ -15,8 +15,8 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from baselines.classical.controller import make_classical
 from baselines.cli import main
+from baselines.policies.classical import make_classical
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, save_field
 from mbn_marl.sim3d import Mission, PlaneSimulator, Scale, deploy

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from baselines.policies.policy import Policy
 from mbn_marl.field import Field
 
 BEND = [(200, 150), (300, 150), (300, 170), (220, 170), (220, 250), (200, 250)]
@@ -17,10 +18,8 @@ SMALL = Field(
 )
 
 
-class Wander:
+class Wander(Policy):
     """Actions that look at nothing but the observation, and push into walls."""
-
-    observes = "observations"
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         return (np.floor(seen[:, :, :2] * 185.0) % 3 - 1).astype(np.float32)

@@ -1,31 +1,30 @@
-"""Many runs: each ends once, whatever happens on the way, and says how it stands."""
+"""Many runs: each is trained once, resumed after kill -9, and stops no other."""
 
 from __future__ import annotations
 
-import io
 import multiprocessing
-import os
-import platform
 import re
+import subprocess
+import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from rich.console import Console
 
 from baselines.cli import main
-from baselines.runs.files import RunError, alone
+from baselines.runs.files import RunError, alone, read_json
 from baselines.runs.folder import RunFolder
+from baselines.sweep import run as sweep
 from baselines.sweep.processes import Failure, LocalEngine
-from baselines.sweep.run import Sweep
-from baselines.sweep.status import Status, duration, show
-from baselines.sweep.store import LOST, Note
-from baselines.sweep.worker import Outcome, TrainJob, train_in_store
+from baselines.sweep.run import TrainJob, check_outcomes, train_in_store
+from baselines.sweep.spec import runs_of
+from baselines.training.train import train
 from mbn_marl.errors import ConfigError
-from tests.support.dying import FileJob, die_once
+from tests.support.dying import die_once
 from tests.support.grids import BUDGET, TINY, run_here, spec_of
 from tests.support.runs import recorded, same_policies
 
@@ -39,14 +38,14 @@ def test_runs_are_those_of_mbn_train_and_are_made_once(
     changes = {"settings": ["C"], "set": {"model.learning_rate": [0.01]}}
     path.write_text(yaml.safe_dump({"store": str(store), **TINY, **changes}))
     assert main(["grid", str(path), "--check"]) == 0
-    assert "2 runs, 0 of them done" in capsys.readouterr().out
+    names = ["a2c-A-learning_rate0.01-field_01-seed0", "a2c-C-learning_rate0.01-field_03-seed0"]
+    listed = capsys.readouterr().out.splitlines()
+    assert listed[0].startswith("2 runs, 0 of them done")
+    assert listed[1:] == [f"{name}: not begun" for name in names]
     assert not store.exists()
-    assert main(["grid", str(path), "--processes", "1"]) == 0
-    runs = sorted(folder for folder in store.iterdir() if folder.name != ".grid")
-    assert [run.name for run in runs] == [
-        "a2c-A-learning_rate0.01-field_01-seed0",
-        "a2c-C-learning_rate0.01-field_03-seed0",
-    ]
+    assert main(["grid", str(path), "--processes", "2"]) == 0
+    runs = sorted(store.iterdir())
+    assert [run.name for run in runs] == names
     run, same = RunFolder(runs[1]), RunFolder(tmp_path / "same")
     assert main([*run.command.split()[1:], "--out", str(same.path)]) == 0
     assert recorded(same) == recorded(run) and same_policies(same, run)
@@ -58,123 +57,93 @@ def test_runs_are_those_of_mbn_train_and_are_made_once(
     assert {file: file.stat().st_mtime_ns for file in store.rglob("*")} == before
     changed = spec_of(store, **changes, budget={**BUDGET, "episodes": 2})
     with pytest.raises(ConfigError, match=r"a2c-A-.*: episodes: "):
-        run_here(Sweep.of(changed))
+        run_here(changed)
+
+
+@pytest.mark.all
+def test_a_grid_resumes_after_kill_9(tmp_path: Path) -> None:
+    path, store = tmp_path / "grid.yaml", tmp_path / "runs"
+    long = {**BUDGET, "steps": 4000, "evaluate_every": 1000}
+    path.write_text(yaml.safe_dump({"store": str(store), **TINY, "budget": long}))
+    (run,) = runs_of(spec_of(store, budget=long))
+    folder = RunFolder(store / run.name)
+    words = [sys.executable, "-m", "mbn_marl", "grid", str(path), "--processes", "1"]
+    process = subprocess.Popen(words)
+    while folder.checkpoint is None:
+        assert process.poll() is None, "the run was over before it could be killed"
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    assert not folder.finished
+    assert "000 of 4,000 env-steps" in folder.state
+    assert main(words[3:]) == 0
+    assert [entry["env_steps"] > 0 for entry in read_json(folder.path / "resumed.json")] == [True]
+    whole = train(run, tmp_path / "whole")
+    assert recorded(folder) == recorded(whole) and same_policies(folder, whole)
 
 
 def test_a_run_that_diverges_stops_no_other(tmp_path: Path) -> None:
     wild = {"model.learning_rate": [1e30, 1e-4], "model.max_grad_norm": [1e30]}
-    sweep = Sweep.of(spec_of(tmp_path, set=wild, budget={**BUDGET, "steps": 100}))
-    bad, good = sweep.names
+    spec = spec_of(tmp_path, set=wild, budget={**BUDGET, "steps": 100})
+    bad, good = (run.name for run in runs_of(spec))
+    outcomes = run_here(spec)
+    assert [outcomes[name].state for name in (bad, good)] == ["diverged", "done"]
     with pytest.raises(RunError, match=re.escape(bad)):
-        run_here(sweep)
-    status = Status.of(sweep)
-    assert [one.standing for one in status.runs] == ["failed", "done"]
-    assert {name: note.state for name, note in sweep.store.notes().items()} == {
-        bad: "diverged",
-        good: "done",
-    }
-    with pytest.raises(RunError):
-        run_here(sweep)  # tried again, and only that
-    notes = sweep.store.notes()
-    assert [notes[name].attempt for name in sweep.names] == [2, 1]
+        check_outcomes(outcomes.values(), tmp_path)
+    assert run_here(spec).keys() == {bad}, "only a run that failed is repeated"
 
 
 def test_a_defect_fails_its_run_alone_and_is_shown(tmp_path: Path) -> None:
-    sweep = Sweep.of(spec_of(tmp_path, seeds=[0, 1]))
-    first, second = sweep.runs
+    first, second = runs_of(spec_of(tmp_path, seeds=[0, 1]))
     nowhere: Any = None
-    tries = [TrainJob(first, nowhere), TrainJob(second, str(tmp_path))]
-    ended: dict[str, Any] = {}
+    jobs = [TrainJob(first, nowhere), TrainJob(second, tmp_path)]
+    ended: dict[Any, Any] = {}
     engine = LocalEngine(1, retries=1)
-    engine.run(train_in_store, tries, print, lambda job, end: ended.update({job.name: end}))
+    engine.run(train_in_store, jobs, print, lambda job, end: ended.update({job.run.name: end}))
     assert isinstance(ended[first.name], Failure) and "Traceback" in ended[first.name].error
-    assert ended[second.name] == Outcome(second.name, "done")
+    assert ended[second.name].state == "done"
 
 
 def test_a_run_that_another_process_trains_is_left_to_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("baselines.sweep.worker.PATIENCE", 0.1)
-    sweep = Sweep.of(spec_of(tmp_path, seeds=[0, 1]))
-    held = tmp_path / sweep.names[0]
+    monkeypatch.setattr(sweep, "PATIENCE", 0.1)
+    spec = spec_of(tmp_path, seeds=[0, 1])
+    held, free = (tmp_path / run.name for run in runs_of(spec))
     held.mkdir()
-    with alone(held, "mbn grid"), pytest.raises(RunError):
-        run_here(sweep)
-    assert sweep.store.finished(sweep.names) == {sweep.names[1]}
-    assert sweep.names[0] not in sweep.store.notes()
+    with alone(held, "mbn grid"):
+        outcomes = run_here(spec)
+    assert [outcomes[place.name].state for place in (held, free)] == ["failed", "done"]
+    assert "another mbn grid" in str(outcomes[held.name].error)
+    source = replace(runs_of(spec)[0], transferred_from=held, setting="C")
+    assert train_in_store(TrainJob(source, tmp_path), print).state == "failed"
 
 
-def _note(**changes: Any) -> Note:
-    """A note of a process that runs: this one."""
-    here = {"machine": platform.node(), "process": os.getpid(), "updated": time.time()}
-    return Note.model_validate({"state": "running", "attempt": 1, **here, **changes})
-
-
-def test_what_is_left_is_estimated_from_what_is_known(tmp_path: Path) -> None:
-    spec = spec_of(tmp_path, algorithms=["a2c", "ppo"], seeds=[0, 1], budget={"steps": 1000})
-    sweep = Sweep.of(spec)
-    assert Status.of(sweep).seconds_left() is None
-    a2c, ppo = sweep.names[0], sweep.names[1]
-    sweep.store.note(a2c, _note(env_steps=500, steps_per_second=10.0, machine="m1"))
-    sweep.store.note(ppo, _note(env_steps=0, steps_per_second=0.0))
-    status = Status.of(sweep)
-    # 500 + 1000 steps of A2C at 10/s, 2 x 1000 of PPO, of which nothing is known, too; two at once.
-    assert status.seconds_left() == pytest.approx((1500 + 2000) / 10.0 / 2)
-    sweep.store.note(ppo, _note(state="failed", error="no [b]memory[/b]\nmore", env_steps=7))
-    sweep.store.note(sweep.names[2], _note(updated=time.time() - LOST - 1.0))
-    sweep.store.note(sweep.names[3], _note(process=2**22 + 1))  # larger than any process's
-    status = Status.of(sweep)
-    assert [one.standing for one in status.runs] == ["running", "failed", "waiting", "waiting"]
-    console = Console(width=100, file=io.StringIO(), record=True)
-    console.print(show(status))
-    assert f"{ppo} (failed): no [b]memory[/b]" in console.export_text()
-    words = ["60 s", "10 min", "2.5 h", "3.5 days"]
-    assert [duration(seconds) for seconds in (59.6, 600, 9000, 3e5)] == words
-
-
-def run_jobs(jobs: Sequence[FileJob], engine: LocalEngine) -> tuple[list[str], dict[str, Any]]:
+def run_jobs(jobs: Sequence[Path], engine: LocalEngine) -> tuple[list[str], dict[str, Any]]:
     """Do jobs that die once; the reports, and how each job ended."""
     done: list[str] = []
     ended: dict[str, Any] = {}
     engine.run(die_once, jobs, done.append, lambda job, end: ended.update({job.name: end}))
-    return done, ended
+    return sorted(done), ended
 
 
 def test_a_worker_that_is_killed_fails_its_job_alone(tmp_path: Path) -> None:
-    jobs = [FileJob(tmp_path / name) for name in "abcd"]
+    jobs = [tmp_path / name for name in "abcd"]
     for job in jobs[1:]:
-        job.path.touch()
+        job.touch()
     done, ended = run_jobs(jobs, LocalEngine(2))
-    assert sorted(done) == ["b", "c", "d"]
+    assert done == ["b", "c", "d"]
     assert ended.pop("a") == Failure("a process died with exit code -9")
     assert ended == {"b": 1, "c": 1, "d": 1}
-    jobs[0].path.unlink()
-    jobs[1] = FileJob(jobs[1].path, after="a")  # b has to wait for a's second try
+    jobs[0].unlink()
     done, ended = run_jobs(jobs, LocalEngine(2, retries=1))
-    assert sorted(done) == ["a", "b", "c", "d"] and set(ended.values()) == {1}
-    assert done.index("a") < done.index("b")
-
-
-def test_jobs_are_drawn_when_one_has_ended(tmp_path: Path) -> None:
-    ended: list[str] = []
-
-    def jobs() -> Iterator[FileJob]:
-        for number in range(4):
-            assert len(ended) >= number - 1, "drawn before there was a process for it"
-            job = FileJob(tmp_path / str(number))
-            job.path.touch()
-            yield job
-
-    LocalEngine(2).run(die_once, jobs(), print, lambda job, end: ended.append(job.name))
-    assert sorted(ended) == ["0", "1", "2", "3"]
+    assert done == ["a", "b", "c", "d"] and set(ended.values()) == {1}
 
 
 def test_an_error_on_the_way_stops_all(tmp_path: Path) -> None:
-    jobs = [FileJob(tmp_path / name) for name in "ab"]
-
-    def stop(job: FileJob, end: Any) -> None:
+    def stop(job: Path, end: Any) -> None:
         raise RunError(end.error)
 
     with pytest.raises(RunError, match="exit code -9"):
-        LocalEngine(2).run(die_once, jobs, print, stop)
+        LocalEngine(2).run(die_once, [tmp_path / name for name in "ab"], print, stop)
     assert not multiprocessing.active_children()
