@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -25,9 +23,6 @@ from mbn_marl.field import Field, FieldSampler, load_fields
 
 # The hyperparameters that decide which networks there are.
 NETWORK = ("actor", "network", "hidden", "sharing")
-# Of glibc's malloc: how many blocks may be mappings of their own (``M_MMAP_MAX``), and how many
-# bytes may lie free at the top (``M_TRIM_THRESHOLD``).
-KEPT = {-4: 0, -1: 2**31 - 1}
 
 
 def train(
@@ -147,7 +142,6 @@ def _running(run: RunFolder) -> Iterator[None]:
             hook(arguments)
 
     torch.set_num_threads(1)
-    keep_freed_memory()
     threading.excepthook = quiet
     try:
         yield
@@ -204,13 +198,6 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
     ]
     if problems:
         raise ConfigError(f"from: {source.path}", problems)
-
-
-def keep_freed_memory() -> None:
-    # A learner soon wants as much memory as it frees, which Linux would have to clear.
-    if sys.platform == "linux" and (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)):
-        for option, size in KEPT.items():
-            mallopt(option, size)
 
 
 def found_anywhere(field: str) -> str:
