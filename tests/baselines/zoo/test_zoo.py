@@ -175,4 +175,4 @@ def test_every_file_of_the_zoo_is_package_data(zoo: Path) -> None:
     patterns = settings["package-data"]["baselines"]
     installed = {path for pattern in patterns for path in zoo.parent.glob(pattern)}
     files = {path for path in zoo.rglob("*") if path.is_file()}
-    assert len(files) == 8 and files <= installed
+    assert len(files) == 6 and files <= installed
