@@ -61,11 +61,9 @@ class Algorithm:
     def resolve(
         self, overrides: Mapping[str, Any], *, setting: Setting = "N", **options: Any
     ) -> Any:
-        """Return the hyperparameters of a setting: the recorded ones with ``overrides``.
-
-        Of the options ``num_envs`` replaces the number of worlds side by side, and the block of the
-        setting in the YAML ``file`` the recorded block. A ConfigError names all that is wrong.
-        """
+        """Return the recorded hyperparameters with ``overrides``; a ConfigError names all wrong."""
+        # Of the options ``num_envs`` replaces the number of worlds side by side, and the block of
+        # the setting in the YAML ``file`` the recorded block.
         return self._module("config").load(self.name, setting, overrides, **options)
 
     def check(self, task: Any, hyperparameters: Any) -> None:

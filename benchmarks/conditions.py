@@ -9,9 +9,9 @@ from typing import Any, ClassVar, get_args
 import numpy as np
 
 from baselines import load_policy
-from baselines.classical.controller import CLASSICAL
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate
+from baselines.policies.classical import CLASSICAL
 from benchmarks.report import Benchmark, Findings
 from mbn_marl.config import Condition
 from mbn_marl.errors import ConfigError, collecting
@@ -29,18 +29,17 @@ class Conditions(Benchmark):
     name: ClassVar[str] = "conditions"
 
     policies: tuple[str, ...] = POLICIES
-    """Which of them; or a run or zoo:NAME, with mean actions."""
+    """Some of them; or a run or zoo:NAME, with mean actions."""
     conditions: tuple[Condition, ...] = get_args(Condition)
     """Under which conditions."""
     fields: tuple[str, ...] = tuple(catalogue_names())
     """Names of `mbn fields`."""
     episodes: int = 100
-    """How many episodes of each."""
+    """The number of episodes of each."""
     seed: int = EVALUATION_SEED
     """Of the episodes; by default that of all evaluations."""
 
     def measure(self) -> Findings:
-        """Evaluate every policy on every field under every condition."""
         problems: list[str] = []
         for policy in (name for name in self.policies if name not in POLICIES):
             with collecting(problems):
@@ -52,15 +51,14 @@ class Conditions(Benchmark):
             for policy in self.policies
         }
         size = f"{len(self.fields)} fields, {self.episodes} episodes each, seed {self.seed}"
+        shown = {
+            "success: mean over fields (lowest)": _success,
+            "return: mean over fields": _return,
+        }
         tables = {}
-        for title, show in (
-            ("success: mean over fields (lowest)", _success),
-            ("return: mean over fields", _return),
-        ):
-            lines = [
-                (condition, *(show(cells[condition]) for cells in found.values()))
-                for condition in self.conditions
-            ]
+        for title, show in shown.items():
+            cells = [[show(one[name]) for one in found.values()] for name in self.conditions]
+            lines = [(name, *row) for name, row in zip(self.conditions, cells, strict=True)]
             tables[title] = TextTable(size, ("condition", *found), lines)
         return Findings(tables, {"evaluations": found})
 

@@ -14,14 +14,14 @@ from baselines.compare.benchmark import (
     CAPTION,
     WAYS,
     cells,
-    headings,
     is_summary,
     load_protocol,
     load_tiers,
     tier_problems,
 )
+from baselines.compare.benchmark import COLUMNS as COLUMNS_OF_RESULTS
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.shielded import behind
+from baselines.policies.shielded import behind
 from baselines.runs.files import read_json, write_text
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import Instance, splits
@@ -51,7 +51,6 @@ class Leaderboard:
     the page is beside it."""
 
     def run(self, command: str) -> bool:
-        """Write the page."""
         page = self.folder.with_suffix(".md")
         write_text(page, leaderboard(self.folder))
         print(f"written to {page}")
@@ -61,9 +60,7 @@ class Leaderboard:
 def leaderboard(folder: Path) -> str:
     """Return the page of the results in a folder.
 
-    Raises:
-        ConfigError: there is no such folder; or naming the results that cannot be read, or are not
-            of the whole split by the present protocol.
+    A ConfigError names those that cannot be read, or are not of the whole split by this protocol.
     """
     protocol = load_protocol()
     if not folder.is_dir():
@@ -99,51 +96,41 @@ def leaderboard(folder: Path) -> str:
 
 
 def _by_condition(results: Mapping[str, Any]) -> TextTable:
-    """Return a table of the mean success in the instances of each condition."""
     lines = []
     for name, way, rows in _rows_of(results, splits.WEATHER):
-        found = {
-            condition: [row[way]["success_rate"] for row in rows if row["condition"] == condition]
-            for condition in splits.CONDITIONS
-        }
-        lines.append(
-            (name, way, *(f"{np.mean(one):.1%}" if one else "-" for one in found.values()))
-        )
-    return TextTable("", ("policy", "actions", *splits.CONDITIONS), tuple(lines), words=2)
+        cells = []
+        for condition in splits.CONDITIONS:
+            own = [row[way]["success_rate"] for row in rows if row["condition"] == condition]
+            cells.append(f"{np.mean(own):.1%}" if own else "-")
+        lines.append((name, way, *cells))
+    return TextTable("", ("policy", "actions", *splits.CONDITIONS), lines, words=2)
 
 
 def _faster(results: Mapping[str, Any]) -> TextTable:
-    """Return a table of how many instances have a mean makespan below the reference's."""
     counts: dict[tuple[str, str], dict[str, str]] = {}
     for tier in splits.TIERS:
         theirs = [row["mean"]["makespan"] for row in results[REFERENCE]["tiers"][tier]["instances"]]
         for name, way, rows in _rows_of(results, tier):
-            ours = (row[way]["makespan"] for row in rows)
-            pairs = [*zip(ours, theirs, strict=True)]
+            pairs = [*zip((row[way]["makespan"] for row in rows), theirs, strict=True)]
             faster = sum(a is not None and (b is None or a < b) for a, b in pairs)
             if name != REFERENCE:
                 counts.setdefault((name, way), {})[tier] = f"{faster} of {len(pairs)}"
-    lines = tuple(
-        (*who, *(one.get(tier, "-") for tier in splits.TIERS)) for who, one in counts.items()
-    )
+    lines = [(*who, *(one.get(tier, "-") for tier in splits.TIERS)) for who, one in counts.items()]
     return TextTable("", ("policy", "actions", *splits.TIERS), lines, words=2)
 
 
 def _rows_of(results: Mapping[str, Any], tier: str) -> Iterator[tuple[str, str, Sequence[Any]]]:
-    """Yield the policies and ways of acting that have instances in a tier, with the instances."""
     for name, record in results.items():
         rows = record["tiers"][tier]["instances"]
         yield from ((name, way, rows) for way in WAYS if rows and rows[0][way])
 
 
 def _row_name(name: str, record: Mapping[str, Any]) -> str:
-    """Return the name of a result in the tables; those behind the shield say so."""
     shield = record.get("shield", False)
     return f"{name.removesuffix('-shield') if shield else name}{behind(shield)}"
 
 
 def _problems(record: Any, frozen: Mapping[str, tuple[Instance, ...]]) -> Iterator[str]:
-    """Yield why a result has no place in the leaderboard."""
     if not isinstance(record, dict) or not isinstance(record.get("tiers"), dict):
         yield "is no result of mbn benchmark"
         return
@@ -168,33 +155,27 @@ def _problems(record: Any, frozen: Mapping[str, tuple[Instance, ...]]) -> Iterat
 
 
 def _is_whole(found: Any, tiers: Sequence[Mapping[str, Any]]) -> bool:
-    """Return whether a result has of all tiers together what it should have."""
     if any(one["misfit"] for one in tiers):
         return found is None
     rows = [row for one in tiers for row in one["instances"]]
-    with suppress(KeyError):
-        return (
-            isinstance(found, dict) and found["instances"] == len(rows) and is_summary(found, rows)
-        )
+    with suppress(KeyError, TypeError):
+        return bool(found["instances"] == len(rows)) and is_summary(found, rows)
     return False
 
 
 def _table(found: Mapping[str, Mapping[str, Any]]) -> TextTable:
-    """Return a table with a line for each policy and way of acting, the best first."""
     ways = [one[way] for one in found.values() for way in WAYS if one.get(way)]
-    key = "gap_with_failures"
-    if not any(way[key] for way in ways):
-        key = "makespan_with_failures"  # the tier has no bounds
+    bounded = any(way["gap_with_failures"] for way in ways)
+    key = "gap_with_failures" if bounded else "makespan_with_failures"
     columns, lines = (key, *COLUMNS), []
     for name, one in found.items():
-        for way in WAYS:
-            if one.get(way):
-                words = cells(one, way, "mean", columns)
-                whole = (text.replace("\n", "<br>").replace(" ", NO_BREAK) for text in words)
-                line = (name, way, *whole)
-                lines.append((one[way][key]["mean"], line))
+        for way in filter(one.get, WAYS):
+            words = cells(one, way, "mean", columns)
+            whole = (text.replace("\n", "<br>").replace(" ", NO_BREAK) for text in words)
+            lines.append((one[way][key]["mean"], (name, way, *whole)))
         if one.get("misfit"):
             line = (name, "does not fit", *cells({}, "mean", "mean", columns))
             lines.append((float("inf"), line))
-    ordered = tuple(line for _, line in sorted(lines))
-    return TextTable("", ("policy", "actions", *headings(columns)), ordered, words=2)
+    headings = (COLUMNS_OF_RESULTS[column][0] for column in columns)
+    ordered = [line for _, line in sorted(lines)]
+    return TextTable("", ("policy", "actions", *headings), ordered, words=2)

@@ -27,23 +27,20 @@ class Measurement:
     value: float | None  # None if it was not measured (the note says why), infinite for never
     unit: str
     target: float | None = None
-    at_least: bool = True  # whether the target is a lower bound; otherwise it is an upper one
+    at_least: bool = True  # the target is a lower bound; otherwise it is an upper one
     note: str = ""
 
     @property
     def met(self) -> bool | None:
-        """Return whether the target is met; ``None`` without a figure or a target."""
         if self.value is None or self.target is None:
             return None
         return bool(self.value >= self.target if self.at_least else self.value <= self.target)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the line as JSON values; never is ``None``."""
         value = None if self.value == math.inf else self.value
         return {**asdict(self), "value": value, "met": self.met}
 
     def words(self) -> tuple[str, ...]:
-        """Return the cells of the line."""
         value = "-" if self.value is None else f"{number(self.value)} {self.unit}".rstrip()
         value = "never" if self.value == math.inf else value
         bound = ">=" if self.at_least else "<="
@@ -64,8 +61,6 @@ def measurement_table(rows: Sequence[Measurement], caption: str = "") -> TextTab
 
 @dataclass(frozen=True)
 class Findings:
-    """The results of a benchmark: tables to print, by title, and JSON values to write."""
-
     tables: dict[str, TextTable]
     values: dict[str, Any]
 
@@ -83,15 +78,12 @@ class Benchmark:
 
     @property
     def folder(self) -> Path:
-        """Return the folder to write."""
         return self.out or Path(f"runs/bench-{self.name}")
 
     def measure(self) -> Findings:
-        """Measure."""
         raise NotImplementedError
 
     def run(self, command: str) -> bool:
-        """Measure, print the tables, write JSON."""
         folder = claim_folder(self.folder, force=self.force)
         began = perf_counter()
         found = self.measure()

@@ -27,7 +27,7 @@ from benchmarks.report import Benchmark, Findings, Measurement, measurement_tabl
 from mbn_marl import BatchEngine, FieldSampler, load_field, parallel_env
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.field import catalogue_names
-from mbn_marl.field.layout import FAMILIES
+from mbn_marl.field.generator.layout import FAMILIES
 
 Step = Callable[[Any], object]
 MILLION, RATE = 1e6, "M env-steps/s"
@@ -48,8 +48,6 @@ env.step(dict.fromkeys(env.agents, (0.0, 0.0)))
 
 @dataclass(frozen=True)
 class Budget:
-    """How much is measured."""
-
     rounds: int = 15  # turns of every case
     seconds: float = 0.06  # of a turn, about; at least one call
     warm_up: int = 1000  # steps before; as many as an episode has at most: episodes of all ages
@@ -66,7 +64,6 @@ class Speed(Benchmark):
     budget: ClassVar[Budget] = Budget()
 
     def measure(self) -> Findings:
-        """Measure the engine, its adapters, and the start of a process."""
         torch.set_num_threads(1)  # an engine with several threads would undo it
         startup = measure_startup() if self.budget.startup else []
         parts = (measure_engine, measure_pettingzoo, measure_torchrl)
@@ -181,7 +178,7 @@ class Case:
 
     name: str
     run: Callable[[int], object]  # does it so many times
-    units: float = 1.0  # how many units (env-steps, say) it does each time
+    units: float = 1.0  # units (env-steps, say) of a call
     prepare: Callable[[int], object] = lambda calls: None  # before the clock starts
 
 
@@ -259,13 +256,10 @@ def cycling_case(name: str, sets: Iterable[Any], step: Step, units: float = 1.0)
 
 
 def plain_case() -> Case:
-    """Return the plain loop on field_01, in seconds per env-step.
-
-    One world of the tests' oracle does what the engine does in a step: revisit memory, rewards and
-    their terms, an observation for each robot, and metrics and a reset when an episode ends.
-    """
+    """Return the plain loop, one world of the tests' oracle, in seconds per env-step."""
     oracle = import_module("tests.support.oracle").Oracle(load_field(FIELD))
 
+    # All that the engine does in a step, with the metrics and the reset when an episode ends.
     def step(actions: Any) -> None:
         outcome = oracle.step(actions.tolist())
         if outcome.terminated or outcome.truncated:
@@ -296,7 +290,6 @@ def vmas_cases(scenario: str) -> list[Case]:
 
 
 def mpe2_cases() -> list[Case]:
-    """Return one world of MPE2 ``simple_spread``, in seconds per env-step."""
     if not find_spec("mpe2"):
         return []
     from mpe2 import simple_spread_v3

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import CORES, OptionalOutput, Output, check_options
+from baselines.cli.options import CORES, OptionalOutput, Output, Writes, check_options
 from baselines.compare.variants import CompareConfig, read_variants
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Compare:
+class Compare(Writes):
     """Train every algorithm on every field with every seed, then print and write a comparison."""
 
     config: Annotated[CompareConfig, arg(name="")]
@@ -29,8 +29,6 @@ class Compare:
     """Runs at a time; each takes one core."""
     out: Output = Path("runs/comparison")
     """The folder to write: tables, figures, GIFs, and a run folder for every run."""
-    force: bool = False
-    """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
     resume: bool = False
     """Resume the comparison in the folder: finished runs are kept, interrupted ones are resumed,
     missing ones are started. The rest of the command must be the same."""
@@ -38,7 +36,6 @@ class Compare:
     """Log every run to this project of Weights & Biases too (pip install wandb)."""
 
     def run(self, command_line: str) -> None:
-        """Train with a bar for every run, then print the tables."""
         config = self.config
         both = self.variants is not None and config.variants != CompareConfig.variants
         wrong = {
@@ -82,7 +79,7 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Resul
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(Writes):
     """Report on runs: the paper's tables and figures with ours beside them, or a comparison."""
 
     runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUN ...")]]
@@ -99,11 +96,8 @@ class Report:
     """The folder of an `mbn tune`, to draw."""
     notes: Path | None = None
     """A Markdown file to put at the top of the page."""
-    force: bool = False
-    """If there is a report already, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Write the report."""
         from baselines.compare.report import is_page, report_comparison
         from baselines.compare.tables import print_comparison
         from baselines.console import console
@@ -131,14 +125,14 @@ class Report:
 
 
 @dataclass(frozen=True)
-class Benchmark:
+class Benchmark(Writes):
     """Measure a policy on frozen fields with proved bounds, by the same rules for all."""
 
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
     """zoo:NAME, a policy of `mbn zoo`; the folder of a run; greedy, planner, replan or random;
     or module:callable, your own."""
     split: Literal["test", "validation"] = "test"
-    """Which fields: those to choose by are of validation."""
+    """The fields: those to choose by are of validation."""
     shield: bool = False
     """Let robots do only what they could brake after, whatever the policy wants."""
     tiers: tuple[str, ...] = ()
@@ -146,13 +140,10 @@ class Benchmark:
     out: OptionalOutput = None
     """The folder to write: result.json, page.html, episodes; by default
     runs/benchmark-POLICY-SPLIT, or runs/benchmark-POLICY-shield-SPLIT."""
-    force: bool = False
-    """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
     resume: bool = False
-    """Go on with a benchmark that was interrupted: tiers that are done are kept."""
+    """Continue a benchmark that was interrupted: tiers that are done are kept."""
 
     def run(self, command_line: str) -> None:
-        """Measure with a progress bar, print the tables, write the result and its page."""
         from rich.progress import Progress
 
         from baselines.compare.benchmark import (
@@ -164,9 +155,9 @@ class Benchmark:
             run_benchmark,
         )
         from baselines.console import console
-        from baselines.evaluation.shielded import behind
+        from baselines.policies.load import check_known
+        from baselines.policies.shielded import behind
         from baselines.runs.files import alone, claim_folder, write_text
-        from baselines.zoo.sources import check_known
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}
         check_options("benchmark", wrong)
@@ -201,7 +192,6 @@ class Runs:
     """Run folders, or folders that hold some."""
 
     def run(self, command_line: str) -> None:
-        """Print the table."""
         from baselines.compare.text_table import TextTable
         from baselines.runs.discover import run_folders
         from baselines.runs.folder import RunFolder

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import OptionalOutput, check_options
+from baselines.cli.options import OptionalOutput, Writes, check_options
 
 if TYPE_CHECKING:
     from mbn_marl.field import Field
 
 
 @dataclass(frozen=True)
-class Fields:
+class Fields(Writes):
     """List fields: robots, ROIs, edges, area, proved optimum. Or make random ones, or a map's."""
 
     fields: Positional[Annotated[tuple[str, ...], arg(metavar="[FIELD ...]")]] = ()
@@ -30,7 +30,7 @@ class Fields:
     seed: int = 0
     """Of the first random field of each family; the next one has the next seed."""
     count: int = 1
-    """How many random fields of each family."""
+    """The number of random fields of each family."""
     robots: int = 3
     """Of each random field, or of a map without starts."""
     rois: int = 6
@@ -41,11 +41,8 @@ class Fields:
     """The folder to write random fields to, or the field file to make of a map."""
     figure: Path | None = None
     """Draw them in this file (.png, .pdf or .svg), side by side."""
-    force: bool = False
-    """If files to write exist, move them aside."""
 
     def run(self, command_line: str) -> None:
-        """Print the table; write what is asked for."""
         from mbn_marl.field import catalogue_names, load_field
 
         self._check()
@@ -80,7 +77,7 @@ class Fields:
     def _made(self) -> list[Field]:
         from mbn_marl.field import generate, load_map
 
-        counts: dict[str, int] = {"robots": self.robots, "rois": self.rois}
+        counts: dict[str, Any] = {"robots": self.robots, "rois": self.rois}
         if self.map is not None:
             scale = self.metres_per_unit
             field, notes = load_map(self.map, metres_per_unit=scale, seed=self.seed, **counts)

@@ -68,9 +68,13 @@ def _whole_number(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[int] | No
 
 
 @dataclass(frozen=True, kw_only=True)
-class InWeather:
-    """A policy in some weather."""
+class Writes:
+    force: bool = False
+    """If an output exists, move it aside (to OUT.1, OUT.2, ...)."""
 
+
+@dataclass(frozen=True, kw_only=True)
+class InWeather(Writes):
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
     """The folder of a run; zoo:NAME, a policy of `mbn zoo`; zoo, that of the field; greedy,
     earliest visit first; planner, the best plan, followed in closed loop; replan, which plans again
@@ -84,7 +88,7 @@ class InWeather:
 
     @property
     def asked(self) -> dict[str, Any]:
-        """The settings that replace the policy's, for ``find_actor``."""
+        """The settings that replace the policy's, for ``find_policy``."""
         return {"condition": self.condition} | ({} if self.wind is None else {"wind": self.wind})
 
     @property
@@ -96,7 +100,5 @@ class InWeather:
 
 @dataclass(frozen=True, kw_only=True)
 class Subject(InWeather):
-    """A policy in a field and some weather."""
-
     field: str | None = None
     """A name of `mbn fields`, or a field file; by default that of the run or of zoo:NAME."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import OptionalOutput, check_options
+from baselines.cli.options import OptionalOutput, Writes, check_options
 from mbn_marl.config import Condition, Observation
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(Writes):
     """Find the fewest steps in which the robots can visit every ROI, and prove it."""
 
     field: Positional[Annotated[str, arg(metavar="FIELD")]]
@@ -36,11 +36,8 @@ class Plan:
     """Seconds after which the best interval so far is returned."""
     out: OptionalOutput = None
     """The folder to write; by default runs/plan-FIELD."""
-    force: bool = False
-    """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Plan, print, and write the files."""
         from baselines.runs.files import claim_folder, write_json
         from mbn_marl.config import make_config
         from mbn_marl.field import load_field
@@ -98,8 +95,9 @@ def proved_makespan(folder: Path, field: Field, settings: Mapping[str, Any]) -> 
     found = read_json(path) if path.is_file() else None
     wanted = {"field": field.to_dict(), "settings": settings, "optimal": True}
     wanted = json.loads(json.dumps(wanted))
-    alike = isinstance(found, dict) and all(found.get(name) == wanted[name] for name in wanted)
-    makespan = found.get("makespan") if alike else None
+    if not isinstance(found, dict) or any(found.get(name) != wanted[name] for name in wanted):
+        return None
+    makespan = found.get("makespan")
     return makespan if isinstance(makespan, int) else None
 
 
@@ -125,8 +123,6 @@ def write_optimum(path: Path, makespan: int | None) -> None:
 
 
 def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> list[str]:
-    import numpy as np
-
     from baselines.runs.files import write_arrays
     from mbn_marl.config import make_config
     from mbn_marl.episode import play, save_episode
@@ -137,13 +133,8 @@ def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> lis
     episode = play(found.field, config, found.actions, source=f"plan{kind}")
     save_episode(episode, folder / "episode.json")
     write_arrays(folder / "plan.npz", {"actions": found.actions, "positions": found.trail})
-    figure = figures.trajectory_figure(
-        found.field,
-        found.trail,
-        visited=np.ones(len(found.field.rois), np.bool_),
-        wind=config.wind_increment(),
-        title=f"{found.field.name}: {found.makespan} steps{', optimal' if found.optimal else ''}",
-    )
+    title = f"{found.field.name}: {found.makespan} steps{', optimal' if found.optimal else ''}"
+    figure = figures.trajectory_figure(episode.snapshot(episode.steps), title)
     figures.save(figure, folder / "plan.png")
     return ["plan.npz", "plan.png", "episode.json"]
 
@@ -178,7 +169,6 @@ class Warmup:
     """The named conditions to compile for."""
 
     def run(self, command_line: str) -> None:
-        """Use all that an engine on the CPU offers, once for each kind of configuration."""
         from mbn_marl import BatchEngine
 
         for observation in self.observation:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import OptionalOutput, Output, Subject, check_options
+from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check_options
 
 if TYPE_CHECKING:
     from mbn_marl.episode import Episode
@@ -29,11 +29,8 @@ class Render(Subject):
     """Of the world and of the sampled actions."""
     steps: int | None = None
     """Stop after so many steps; by default at the end of the episode."""
-    force: bool = False
-    """If the file exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Run the episode and write it."""
         from baselines.evaluation.rollout import check_ending, write_episode
         from mbn_marl.files import check_free, claim_file
 
@@ -47,9 +44,8 @@ class Render(Subject):
         print(f"written to {self.out}")
 
     def _episode(self) -> Episode:
-        from baselines.demo.resolve import find_actor
         from baselines.evaluation.rollout import record_episode
-        from baselines.zoo.sources import RANDOM
+        from baselines.policies.load import RANDOM, find_policy
         from mbn_marl.episode import check_episode, is_episode_file, load_episode
         from mbn_marl.episode.files import EXPECTED
         from mbn_marl.errors import FieldError
@@ -64,13 +60,13 @@ class Render(Subject):
             return episode
         try:
             how: dict[str, Any] = {"seed": self.seed, "alone": lambda field: RANDOM, **self.asked}
-            actor = find_actor(self.source, self.field, **how)
+            actor = find_policy(self.source, self.field, **how)
         except FieldError as error:
             if not self.source.lower().endswith(".json"):
                 raise
             raise FieldError(self.source, [*error.problems, f"nor is it {EXPECTED}"]) from None
         return record_episode(
-            *(actor.policy, actor.field, actor.settings),
+            *(actor.policy, actor.place, actor.settings),
             deterministic=not self.sampled,
             seed=self.seed,
             limit=self.steps,
@@ -83,7 +79,7 @@ def result(episode: Episode) -> str:
 
 
 @dataclass(frozen=True)
-class Replay:
+class Replay(Writes):
     """Write a self-contained HTML page that plays episodes side by side, without a server."""
 
     episodes: Positional[Annotated[tuple[Path, ...], arg(metavar="EPISODE ...")]]
@@ -92,15 +88,12 @@ class Replay:
     """The .html file to write."""
     title: str | None = None
     """Of the page; by default the fields' names."""
-    force: bool = False
-    """If the file exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
-        """Check every episode in the engine, and write the page."""
         from mbn_marl.episode import check_episode, load_episode
         from mbn_marl.errors import MbnError
         from mbn_marl.files import check_free, claim_file, replacing
-        from mbn_marl.web.replay import replay_page
+        from mbn_marl.render.web import replay_page
 
         if self.out.suffix.lower() != ".html":
             raise MbnError(f"{self.out}: the file name has to end in .html")
@@ -135,26 +128,28 @@ class _Window(Subject):
     """Close the window after so many."""
     out: OptionalOutput = None
     """Write the last episode to this .json file (see `mbn replay`)."""
-    force: bool = False
-    """If that file exists, move it aside."""
 
     def run(self, command_line: str) -> None:
-        """Show episodes until the window is closed, and keep the last one if asked to."""
-        from baselines.demo.interactive import Show, play, watch
-        from baselines.demo.resolve import find_actor, zoo_policy
+        from baselines.evaluation.window import watch
+        from baselines.policies.load import find_policy, of_zoo
         from mbn_marl.episode import save_episode
         from mbn_marl.errors import MbnError
         from mbn_marl.files import check_free, claim_file
 
-        how: dict[str, Any] = {"seed": self.seed, "alone": zoo_policy, **self.asked}
-        actor = find_actor(self.source, self.field, **how)
+        how: dict[str, Any] = {"seed": self.seed, "alone": of_zoo, **self.asked}
+        actor = find_policy(self.source, self.field, **how)
         if self.out is not None:
             if self.out.suffix.lower() != ".json":
                 raise MbnError(f"{self.out}: the file name has to end in .json")
             check_free(self.out, force=self.force)
-        show = Show(not self.sampled, self.seed, self.speed, self.episodes)
-        robot = self.robot if isinstance(self, Play) else None
-        shown = watch(actor, show) if robot is None else play(actor, show, robot)
+        shown = watch(
+            actor,
+            driven=self.robot if isinstance(self, Play) else None,
+            deterministic=not self.sampled,
+            seed=self.seed,
+            speed=self.speed,
+            episodes=self.episodes,
+        )
         for episode in shown:
             print(result(episode))
         if self.out is not None and shown:
@@ -172,4 +167,4 @@ class Play(_Window):
     """Drive one robot with the arrow keys or W, A, S, D, while a policy drives the others."""
 
     robot: int = 0
-    """Which robot is yours."""
+    """The number of your robot."""

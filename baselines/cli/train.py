@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import CORES, OptionalOutput, Output, check_options
+from baselines.cli.options import CORES, OptionalOutput, Output, Writes, check_options
 from baselines.training.config import TrainConfig
 from mbn_marl.config import Condition
 
 
 @dataclass(frozen=True)
-class Train:
+class Train(Writes):
     """Train one policy on one field and record everything in a run folder."""
 
     config: Annotated[TrainConfig, arg(name="")]
@@ -27,14 +27,11 @@ class Train:
     """Log to this project of Weights & Biases too (pip install wandb)."""
     out: OptionalOutput = None
     """The run folder; by default runs/ALGORITHM-SETTING-FIELD-seedSEED."""
-    force: bool = False
-    """If the run folder exists, move it aside (to OUT.1, OUT.2, ...)."""
     resume: bool = False
     """Resume the interrupted run in the folder from its newest checkpoint; the rest of the command
     must be the same."""
 
     def run(self, command_line: str) -> None:
-        """Train, with a progress bar, and print the final evaluation."""
         from baselines.cli.evaluate import print_evaluations
         from baselines.training.config import ENVIRONMENT, parse
         from baselines.training.run_logger import progress_bars
@@ -69,10 +66,10 @@ class Transfer:
     algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
     """a2c, ppo, trpo, ars, crossq or tqc."""
     fields: tuple[str, ...] = ()
-    """Where to continue: names of `mbn fields` or paths; by default all others of the catalogue."""
+    """Those to continue on: names of `mbn fields` or paths; by default all of the catalogue."""
     source: str = "field_01"
-    """Where the policy comes from. A finished run of it in OUT is taken, of any budget unless
-    --source-steps says which."""
+    """The field of the policy. A finished run of it in OUT is taken, of any budget, or of that of
+    --source-steps."""
     seed: int = 33
     """Of networks, exploration and worlds."""
     steps: int = 5_000_000
@@ -81,8 +78,6 @@ class Transfer:
     """Budget of the source's run; by default the same."""
     num_envs: int | None = None
     """Worlds stepped side by side; by default 1."""
-    device: Literal["cpu", "cuda"] = "cpu"
-    """The device of the networks."""
     evaluate_every: int = 32_768
     """Env-steps between two fresh evaluations; after each one a checkpoint is written."""
     episodes: int = 100
@@ -95,7 +90,6 @@ class Transfer:
     """Resume interrupted runs from their newest checkpoints, and leave finished ones."""
 
     def run(self, command_line: str) -> None:
-        """Train with a bar for every run, then print the final evaluations."""
         from baselines.cli.evaluate import print_evaluations
         from baselines.runs.files import RunError
         from baselines.runs.folder import RunFolder
@@ -125,7 +119,7 @@ class Transfer:
             "budget": {n: getattr(self, n) for n in ("steps", "evaluate_every", "episodes")},
         }
         first, *targets = (
-            replace(run, num_envs=self.num_envs, device=self.device)
+            replace(run, num_envs=self.num_envs)
             for run in runs_of(validate(GridSpec, spec, "transfer"))
         )
         source, runs = RunFolder(self.out / first.name), targets

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import time
@@ -14,26 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from baselines.classical.controller import NoPlanError
 from baselines.compare.report import Section, report_page
 from baselines.compare.summary import interquartile_mean
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
 from baselines.evaluation.intervals import mean_interval, mean_of_known
-from baselines.evaluation.policy import Origin, Policy, restart, show
-from baselines.evaluation.shielded import Shielded, behind
+from baselines.policies.classical import NoPlanError
+from baselines.policies.load import Source
+from baselines.policies.policy import Policy, Wrapped
+from baselines.policies.shielded import Shielded, behind
 from baselines.runs.files import RunError, differences, read_json, versions, write_json
-from baselines.zoo.sources import find_policy, is_trained
 from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, load_episode, save_episode
-from mbn_marl.errors import (
-    ConfigError,
-    EpisodeError,
-    FieldError,
-    ProblemsError,
-    collecting,
-)
+from mbn_marl.errors import ConfigError, EpisodeError, FieldError, ProblemsError, collecting
 from mbn_marl.field import Instance, load_split, splits
 from mbn_marl.planning import UnsolvableError
 from mbn_marl.render.figures import trajectory_panels
@@ -72,64 +65,43 @@ CAPTION = (
 
 
 class EpisodeCounts(Checked):
-    """How many episodes an instance has.
-
-    Attributes:
-        mean: with mean actions, where they are all the same.
-        mean_if_random: with mean actions, where they are not.
-        sampled: with sampled actions.
-    """
-
-    mean: int
-    mean_if_random: int
+    mean: int  # with mean actions, where they are all the same
+    mean_if_random: int  # with mean actions, where they are not
     sampled: int
 
 
 class Protocol(Checked):
-    """The rules that all policies are measured by.
+    """The rules that all policies are measured by."""
 
-    Attributes:
-        version: of the rules; results of different versions are not to be compared.
-        splits: the version of the frozen fields.
-        tiers: what a whole benchmark has.
-        episodes: how many an instance has.
-        seed: the seed of an instance is this, 1000 for each tier before its own, and its number.
-        settings: those that a policy may choose; all others are the paper's, or the condition's.
-    """
-
-    version: int
-    splits: int
-    tiers: tuple[str, ...]
-    episodes: EpisodeCounts
-    seed: int
-    settings: tuple[str, ...]
+    version: int  # results of different versions are not to be compared
+    splits: int  # the version of the frozen fields
+    tiers: tuple[str, ...]  # of a whole benchmark
+    episodes: EpisodeCounts  # of an instance
+    seed: int  # of an instance: this, 1000 for each tier before its own, and its number
+    settings: tuple[str, ...]  # those that a policy may choose
 
 
 class SettingsError(ConfigError):
     """A policy wants an environment in which the task is another."""
 
 
-class Timed:
+class Timed(Wrapped):
     """A policy whose decisions are timed: ``seconds`` of the processors, how many ``decisions``."""
 
     def __init__(self, policy: Policy) -> None:
-        self.observes = policy.observes
-        self.origin: Origin | None = getattr(policy, "origin", None)
+        super().__init__(policy)
         self.seconds, self.decisions = 0.0, 0
-        self._policy = policy
 
-    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+    def fit(self, engine: BatchEngine) -> Timed:
+        self.policy = self.policy.fit(engine)
+        return self
+
+    def act_in(self, world: Any, observations: Any, *, deterministic: bool = True) -> Any:
         began = time.process_time()
-        actions = self._policy.act(seen, deterministic=deterministic)
+        actions = self.policy.act_in(world, observations, deterministic=deterministic)
         self.seconds += time.process_time() - began
-        self.decisions += len(seen)
+        self.decisions += len(actions)
         return actions
-
-    def watch(self, engine: BatchEngine) -> None:
-        show(self._policy, engine)
-
-    def reset(self, worlds: np.ndarray | None = None) -> None:
-        restart(self._policy, worlds)
 
 
 def load_protocol() -> Protocol:
@@ -165,22 +137,14 @@ def run_benchmark(
 ) -> dict[str, Any]:
     """Measure a policy on all instances; write the result after each tier.
 
-    Args:
-        source: of the policy, as for :func:`baselines.load_policy`.
-        split: the name of the split.
-        tiers: the instances of each tier.
-        out: the folder to write.
-        command: what was typed.
-        shield: whether the policy acts behind the shield (:class:`Shielded`).
-        resume: keep the tiers that are in ``out``.
-        advance: called with the number of instances that are newly done.
+    The ``source`` is that of :func:`baselines.load_policy`. With ``resume`` the tiers that are in
+    ``out`` are kept; ``advance`` receives the number of instances that are newly done.
 
     Returns:
         The content of ``result.json``, as JSON values.
 
     Raises:
-        SettingsError: the policy's settings change the task.
-        ConfigError: the policy fits no tier.
+        ConfigError: the policy fits no tier, or its settings change the task (SettingsError).
         RunError: there is no such policy, or it failed; or what is in ``out`` is damaged, or of
             another command or version.
     """
@@ -190,14 +154,15 @@ def run_benchmark(
     record: dict[str, Any] = {**asked, "command": command, "versions": versions(), "tiers": {}}
     if resume and path.exists():
         record = _resumed(path, record, asked, tiers)
-    if is_trained(source):  # with settings that are the same in all fields
-        check_settings(find_policy(source, condition="calm").settings, "calm", protocol)
+    loaded = Source(source)
+    if loaded.run is not None:  # with settings that are the same in all fields
+        check_settings(loaded.make(condition="calm").settings, "calm", protocol)
     done = record["tiers"]
     for tier, instances in tiers.items():
         if tier in done:
             advance(len(instances))
             continue
-        done[tier], episodes = _run_tier(source, shield, tier, instances, protocol, advance)
+        done[tier], episodes = _run_tier(loaded, shield, tier, instances, protocol, advance)
         if all(one["misfit"] for one in done.values()):
             continue  # nothing is measured yet
         for name, episode in episodes.items():
@@ -239,7 +204,7 @@ def _resumed(
 
 
 def _run_tier(
-    source: str,
+    source: Source,
     shield: bool,
     tier: str,
     instances: Sequence[Instance],
@@ -261,17 +226,14 @@ def _run_tier(
         except Exception as error:
             what = "".join(traceback.format_exception_only(error)).strip()
             last = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{tier}, {one.field.name}: {what} ({last.filename}, line {last.lineno})"
             kept = "--resume keeps the tiers that are done"
-            raise RunError(
-                f"{source} failed in {tier}, {one.field.name}: {what} "
-                f"({last.filename}, line {last.lineno}); {kept}"
-            ) from error
+            raise RunError(f"{source.name} failed in {place}; {kept}") from error
         rows.append(row)
         episodes.append(episode)
         advance(1)
     costs = [
-        row["mean"]["makespan_with_failures"] / (one.makespan_lower_bound or 1)
-        for row, one in zip(rows, instances, strict=True)
+        row["mean"]["makespan_with_failures"] / (row["makespan_lower_bound"] or 1) for row in rows
     ]
     order = np.argsort(costs, kind="stable")
     chosen = dict(zip(CHOSEN, (int(order[len(order) // 2]), int(order[-1])), strict=True))
@@ -284,24 +246,23 @@ def _run_tier(
 
 
 def _run_instance(
-    source: str, shield: bool, one: Instance, seed: int, protocol: Protocol
+    source: Source, shield: bool, one: Instance, seed: int, protocol: Protocol
 ) -> tuple[dict[str, Any], Episode]:
-    """Return the numbers of an instance, and its first episode with mean actions."""
     began = time.process_time()
-    loaded = find_policy(source, one.field, seed=seed, condition=one.condition)
+    loaded = source.make(one.field, seed=seed, condition=one.condition)
     begin = time.process_time() - began
     check_settings(loaded.settings, one.condition, protocol)
     team, fixed = len(one.field.starts), make_config(loaded.settings).n_robots
     if fixed not in (None, team):
         raise ConfigError("policy", [f"n_robots: {fixed}; the field has {team}"])
-    policy = Shielded(loaded) if shield else loaded.policy
+    policy = Shielded(loaded.policy) if shield else loaded.policy
     counts = protocol.episodes
     timed, where = Timed(policy), (one.field, loaded.settings)
     same = is_one_episode(policy, loaded.settings, deterministic=True)
     count = counts.mean if same else counts.mean_if_random
     mean = evaluate(timed, *where, episodes=count, deterministic=True, seed=seed, record=[0])
     sampled = None
-    if getattr(policy, "samples", True):
+    if policy.draws(deterministic=False):
         sampled = evaluate(policy, *where, episodes=counts.sampled, seed=seed)
     row = {
         **{"field": one.field.name, "condition": one.condition},
@@ -330,8 +291,6 @@ def check_settings(settings: Mapping[str, Any], condition: Condition, protocol: 
 
 
 def numbers(found: Evaluation, one: Instance) -> dict[str, float | None]:
-    """Return the :data:`METRICS` of the episodes of an instance."""
-
     def gap(steps: float | None, least: int | None) -> float | None:
         return None if steps is None or least is None else steps / least - 1.0
 
@@ -354,7 +313,6 @@ def numbers(found: Evaluation, one: Instance) -> dict[str, float | None]:
 
 
 def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the statistics of each metric over instances, for both ways of acting."""
     found: dict[str, Any] = {}
     for way, names in ((WAYS[0], METRICS), (WAYS[1], METRICS), ("times", TIMES)):
         known = [row[way] for row in rows if row[way] is not None]
@@ -436,10 +394,6 @@ def cells(
     return tuple(map(cell, columns))
 
 
-def headings(columns: Iterable[str] = COLUMNS) -> tuple[str, ...]:
-    return tuple(COLUMNS[name][0] for name in columns)
-
-
 def result_tables(record: Mapping[str, Any], statistic: str = "mean") -> dict[str, TextTable]:
     """Return the tables of a result, one of :data:`STATISTICS`, by the way of acting in words."""
     misfits = {tier: one["misfit"] for tier, one in record["tiers"].items() if one["misfit"]}
@@ -455,28 +409,23 @@ def result_tables(record: Mapping[str, Any], statistic: str = "mean") -> dict[st
         lines += [(tier, "-", {}) for tier in misfits]
         tables[f"{way} actions, {STATISTICS[statistic]}"] = TextTable(
             "\n".join([CAPTION, *reasons]),
-            ("tier", "fields", *headings()),
+            ("tier", "fields", *(heading for heading, _ in COLUMNS.values())),
             [(tier, count, *cells(one, way, statistic)) for tier, count, one in lines],
         )
     return tables
 
 
 def result_page(record: Mapping[str, Any], out: Path) -> str:
-    """Return the HTML page of a result whose episodes are in the folder ``out``."""
-    found = [result_tables(record, statistic).items() for statistic in STATISTICS]
-    sections = [Section("All tiers", tables=dict(itertools.chain(*found)))]
+    means, iqms = (result_tables(record, statistic) for statistic in STATISTICS)
+    sections = [Section("All tiers", tables=means | iqms)]
     sections += [_section(tier, one, out) for tier, one in record["tiers"].items()]
     sections.append(Section("Command", texts={"This benchmark": record["command"]}))
-    policy = f"{record['policy']}{behind(record['shield'])}"
-    summary = (
-        f"{policy} on the split {record['split']}, protocol {record['protocol']}. "
-        f"Made by mbn_marl {__version__}."
-    )
-    return report_page("Benchmark", summary, sections)
+    policy = f"{record['policy']}{behind(record['shield'])} on the split {record['split']}"
+    by = f"protocol {record['protocol']}. Made by mbn_marl {__version__}."
+    return report_page("Benchmark", f"{policy}, {by}", sections)
 
 
 def _section(tier: str, found: Mapping[str, Any], out: Path) -> Section:
-    """Return the paths and replays of the median and the worst instance of a tier."""
     if found["misfit"]:
         return Section(tier, texts={"Does not fit": found["misfit"]})
     try:

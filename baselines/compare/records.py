@@ -41,8 +41,6 @@ Positive = Annotated[RealNumber, Range(ge=0, le=MOST)]
 
 
 class Listed(BaseModel):
-    """The part of a configuration that a list of runs reads."""
-
     algorithm: str
     field: str
     seed: Count
@@ -50,35 +48,25 @@ class Listed(BaseModel):
 
 
 class Score(BaseModel):
-    """The part of ``Evaluation.summary`` that every report reads."""
-
     return_mean: Number
     success_rate: Annotated[RealNumber, Range(ge=0, le=1)]
 
 
 class Summary(Score):
-    """The part of it that a comparison reads."""
-
     makespan: Positive | None
 
 
 class Progress(BaseModel):
-    """The part of a fresh evaluation during training that a comparison reads."""
-
     env_steps: Count
     seconds: Positive
     return_mean: Number
 
 
 class Scores(BaseModel):
-    """The part of the final evaluation that every report reads."""
-
     stochastic: Score
 
 
 class Final(BaseModel):
-    """The part of the final evaluation that a comparison reads."""
-
     env_steps: Count
     seconds: Positive
     stochastic: Summary
@@ -97,8 +85,7 @@ class RunRecord:
     def read(cls, run: RunFolder, *, finished: bool = True) -> RunRecord:
         """Read a run; check too that it has all that a comparison needs, if it is ``finished``.
 
-        Raises:
-            RunError: a file cannot be read, or lacks what runs record now.
+        A RunError names a file that cannot be read, or lacks what runs record now.
         """
         record = cls(run, run.config, run.field)
         path = run.path / "config.json"
@@ -125,17 +112,14 @@ class RunRecord:
 
     @cached_property
     def evaluations(self) -> list[dict[str, Any]]:
-        """The summaries of its fresh evaluations during training, in order."""
         return self.run.evaluations
 
     @cached_property
     def evaluation(self) -> dict[str, Any]:
-        """The final evaluation."""
         return self.run.evaluation
 
     @property
     def label(self) -> str:
-        """The name in tables and figures."""
         return self.config.get("label") or self.default_label
 
     @property
@@ -149,7 +133,6 @@ class RunRecord:
         return optimal_return(self.field, make_config(self.config["environment"]))
 
     def final(self, *path: str) -> float:
-        """A number of the final evaluation."""
         value: Any = self.evaluation
         for name in path:
             value = value[name]
@@ -174,10 +157,8 @@ def find_records(
 ) -> list[RunRecord]:
     """Read the runs at ``paths``, see ``run_folders``, and :meth:`RunRecord.read` for ``finished``.
 
-    Runs on random fields are left out; ``note`` receives a line about each.
-
-    Raises:
-        RunError: a path holds no run, a run cannot be read, or all are on random fields.
+    Runs on random fields are left out; ``note`` receives a line about each. A RunError names a
+    path that holds no run, and a run that cannot be read.
     """
     runs = [RunFolder.open(path) for path in run_folders(paths, note, comparisons=comparisons)]
     some = [run for run in runs if isinstance(run.fields, Field)]
@@ -204,19 +185,13 @@ def ordered(algorithms: Mapping[str, str]) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Results:
-    """Finished runs that may be compared: each label on each field with equally many seeds.
+    """Finished runs that may be compared: each label on each field with equally many seeds."""
 
-    Attributes:
-        looks: the labels in order, with the numbers of their looks in figures.
-        fields: names, in order.
-        cells: the runs of each label and field, by seed.
-        broken: the error of each run that diverged, by its name. Its label is not in ``cells``:
-            the runs that are left of it would be too good.
-    """
-
-    looks: Mapping[str, int]
-    fields: tuple[str, ...]
-    cells: Mapping[tuple[str, str], tuple[RunRecord, ...]]
+    looks: Mapping[str, int]  # the labels in order, with the numbers of their looks in figures
+    fields: tuple[str, ...]  # names, in order
+    cells: Mapping[tuple[str, str], tuple[RunRecord, ...]]  # of each label and field, by seed
+    # The error of each run that diverged, by its name. Its label is not in ``cells``: the runs
+    # that are left of it would be too good.
     broken: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @classmethod
@@ -228,8 +203,7 @@ class Results:
     ) -> Results:
         """Put finished runs together, their labels in an ``order``, or that of their algorithms.
 
-        Raises:
-            ConfigError: naming everything that keeps them from being compared.
+        A ConfigError names everything that keeps them from being compared.
         """
         if not records:
             raise ConfigError("comparison", ["runs: there is none"])
@@ -247,20 +221,16 @@ class Results:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The labels in order."""
         return tuple(self.looks)
 
     @property
     def seeds(self) -> int:
-        """Runs of a cell."""
         return len(next(iter(self.cells.values())))
 
     def of_label(self, label: str) -> list[RunRecord]:
-        """The runs of a label, field by field."""
         return [one for field in self.fields for one in self.cells[label, field]]
 
     def of_field(self, field: str) -> dict[str, tuple[RunRecord, ...]]:
-        """The runs on a field, by label."""
         return {label: self.cells[label, field] for label in self.looks}
 
     def returns(
@@ -280,7 +250,6 @@ class Results:
         return {name: optimum for name, optimum in alike.items() if optimum is not None}
 
     def on(self, fields: Collection[str]) -> Results:
-        """The part on some fields."""
         cells = {place: cell for place, cell in self.cells.items() if place[1] in fields}
         return Results(self.looks, tuple(fields), cells)
 

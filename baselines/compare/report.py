@@ -17,31 +17,27 @@ from baselines.compare.records import Results, RunRecord, find_records
 from baselines.compare.summary import Comparison, summarise
 from baselines.compare.tables import field_tables, gaps, overall_tables
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.policy import load_trained
-from baselines.evaluation.rollout import record_episode, write_animation, write_trajectories
+from baselines.evaluation.rollout import record_episode, write_episode
+from baselines.policies.load import load_trained
 from baselines.runs.files import Place, write_json, write_provenance, write_text
 from mbn_marl.episode import Episode
 from mbn_marl.files import claim_file, replacing
+from mbn_marl.render import web
 from mbn_marl.render.figures import save, svg, trajectory_panels
 from mbn_marl.version import __version__
-from mbn_marl.web import page
 
 PAGE = "comparison.md"
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a HTML page.
-
-    It has tables and figures by title, episodes to play side by side, and long texts by title,
-    folded away.
-    """
+    """A part of a HTML page; tables, figures and texts are by title."""
 
     title: str
     tables: Mapping[str, TextTable] = dataclasses.field(default_factory=dict)
     figures: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
-    episodes: Sequence[Episode] = ()
-    texts: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    episodes: Sequence[Episode] = ()  # to play side by side
+    texts: Mapping[str, str] = dataclasses.field(default_factory=dict)  # folded away
 
 
 def report_comparison(
@@ -56,12 +52,7 @@ def report_comparison(
 
     ``out`` is an ``.html`` file for one self-contained page, otherwise see :meth:`Place.of`; it
     records the exact command, and ``force`` moves one that is there aside. ``note`` receives what
-    is left out, and why.
-
-    Raises:
-        RunError: a path holds no run, a run is not finished, or something is at ``out`` already.
-        MbnError: there is a page at ``out`` already.
-        ConfigError: naming everything that keeps the runs from being compared.
+    is left out, and why. Errors are those of :meth:`Results.of` and :func:`find_records`.
     """
     results = Results.of(find_records(paths, note))
     if is_page(out):
@@ -79,7 +70,6 @@ def report_comparison(
 
 
 def is_page(out: Path) -> bool:
-    """Return whether a comparison at ``out`` is one self-contained page."""
     return out.suffix.lower() == ".html"
 
 
@@ -99,10 +89,10 @@ def write_comparison(results: Results, place: Place) -> Comparison:
         best = ranked(itertools.chain(*groups.values()))[0]
         episode = record_episode(load_trained(best.run), best.field, best.config["environment"])
         title = f"{best.run.path.name}: return {episode.team_return:,.0f}, {episode.steps} steps"
-        write_trajectories(episode, out / f"trajectories_{field}.png", title)
-        write_animation(episode, out / f"episode_{field}.gif")
+        write_episode(episode, out / f"trajectories_{field}.png", title)
+        write_episode(episode, out / f"episode_{field}.gif")
     tables = overall_tables(comparison) | field_tables(comparison)
-    broken = [f"- {name}: {error}" for name, error in comparison.broken.items()]
+    broken = [f"- {name}: {error}" for name, error in comparison.broken_runs.items()]
     parts = [f"# {comparison.question}", comparison.verdict]
     if broken:
         parts += ["## Runs that diverged: their variants are left out", "\n".join(broken)]
@@ -122,7 +112,6 @@ def ranked(records: Iterable[RunRecord]) -> list[RunRecord]:
 
 
 def comparison_page(results: Results, comparison: Comparison, command: str) -> str:
-    """Return the HTML page, which needs no other file and records the exact command."""
     runs = [record for cell in results.cells.values() for record in cell]
     made = "\n".join(record.run.command for record in runs)
     tables = overall_tables(comparison) | {"Optimality gap per field": gaps(comparison)}
@@ -157,10 +146,7 @@ def _field_section(results: Results, comparison: Comparison, field: str) -> Sect
 
 
 def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
-    """Return a self-contained HTML page of ``sections``, with links to each and to its player.
-
-    The ``summary`` is a sentence below the title.
-    """
+    """Return a self-contained HTML page, with links to each section and to its player."""
     links = []
     for number, section in enumerate(sections):
         replay = f' (<a href="#replay-{number}">replay</a>)' if section.episodes else ""
@@ -171,7 +157,7 @@ def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
         "contents": "\n".join(links),
         "sections": "\n".join(_section(*numbered) for numbered in enumerate(sections)),
     }
-    return page.whole("report.html", title, values, extra_styles=("report.css",))
+    return web.whole("report.html", title, values, extra_styles=("report.css",))
 
 
 def _section(number: int, section: Section) -> str:
@@ -181,7 +167,7 @@ def _section(number: int, section: Section) -> str:
         pictures = "".join(_figure(*named) for named in section.figures.items())
         parts.append(f'<div class="figures">{pictures}</div>')
     if section.episodes:
-        data = page.episodes_data(section.episodes)
+        data = web.episodes_data(section.episodes)
         parts += [
             f'<div id="replay-{number}" data-replay="episodes-{number}"></div>',
             f'<script type="application/json" id="episodes-{number}">{data}</script>',

@@ -36,18 +36,15 @@ def train_all_runs(
     wandb: str | None = None,
     listener: Listener = lambda report: None,
 ) -> Results:
-    """Train every run into a folder of its own under ``out``, so many ``processes`` at a time.
+    """Train every run into a folder under ``out``, so many ``processes`` at a time.
 
     A run that diverges stops no other; its label is then left out of the results, which say so.
-    ``out`` records the exact command; ``force`` moves one that is there aside. With ``resume``,
-    finished runs there are kept, unfinished ones resumed, missing ones started. ``wandb`` is a
-    project of Weights & Biases to log to as well; ``listener`` receives where the runs stand.
+    With ``resume``, finished runs there are kept, unfinished ones resumed, missing ones started.
+    ``wandb`` is a project of Weights & Biases to log to as well.
 
     Raises:
-        RunError: ``out`` already holds something, or another process compares there, or a run
-            failed, or every label has one that diverged.
+        RunError: ``out`` already holds something, or a run failed, or all labels diverged.
         ConfigError: naming all that is not valid, or with ``resume`` all that differs.
-        MbnError: Weights & Biases is asked for and not installed.
     """
     if wandb is not None:
         find_wandb()

@@ -22,27 +22,19 @@ from mbn_marl.field import load_field
 
 
 class Variant(BaseModel):
-    """A way to train.
-
-    Attributes:
-        algorithm: a name of :data:`baselines.algorithms.ALGORITHMS`.
-        setting: one of those it has; C begins with another run, and cannot be compared.
-        label: what the comparison calls it; ``None`` for the algorithm's own name.
-        hyperparameters: those that differ from the recorded ones.
-        environment: settings of the environment that differ from the algorithm's own.
-    """
+    """A way to train; hyperparameters and environment are what differs from the recorded ones."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     algorithm: str
+    # C begins with another run: nothing to compare.
     setting: Literal["A", "B", "N", "J", "G"] = "N"
-    label: str | None = None
+    label: str | None = None  # in tables; by default the algorithm's name
     hyperparameters: dict[str, Any] = Field(default_factory=dict)
     environment: dict[str, Any] = Field(default_factory=dict)
 
     @property
     def name(self) -> str:
-        """The name in tables and figures."""
         return self.label or default_label(self.algorithm, self.setting)
 
     def training(self, field: str, seed: int, **budget: Any) -> TrainConfig:
@@ -51,11 +43,7 @@ class Variant(BaseModel):
 
 
 def parse_variant(word: str) -> Variant:
-    """Read a variant from ``ALGO``, or ``ALGO:SETTING`` for another setting than N.
-
-    Raises:
-        ConfigError: naming an unknown setting and what is allowed.
-    """
+    """Read a variant from ``ALGO``, or ``ALGO:SETTING`` for another setting than N."""
     name, colon, setting = word.partition(":")
     values = {"algorithm": name, "setting": setting if colon else "N"}
     return validate(Variant, values, "comparison")
@@ -75,11 +63,7 @@ Word = Annotated[
 
 
 def read_variants(path: Path) -> tuple[Variant, ...]:
-    """Read variants from a YAML file: a block for each, under its label.
-
-    Raises:
-        ConfigError: the file cannot be read, or naming every value of a block that is not valid.
-    """
+    """Read variants from a YAML file, a block for each; a ConfigError names what is wrong."""
     return labelled(read_blocks(path), str(path))
 
 
@@ -154,12 +138,10 @@ class CompareConfig:
             raise ConfigError("comparison", problems)
 
     def runs(self) -> list[TrainConfig]:
-        """Return the runs, seed by seed."""
         return [self._run(*cell) for cell in self._cells()]
 
     @property
     def core_hours(self) -> float:
-        """About how many hours of one core training takes, evaluations excluded."""
         speeds = [find_algorithm(run.algorithm).speed(run.setting) for run in self.runs()]
         return sum(self.steps / speed for speed in speeds) / 3600
 
@@ -171,6 +153,5 @@ class CompareConfig:
         return variant.training(field, seed, **budget)
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as JSON values."""
         values: dict[str, Any] = to_jsonable_python(self)
         return values

@@ -54,7 +54,6 @@ def verdict(results: Results) -> str:
 
 
 def question(results: Results) -> str:
-    """Return who is compared, where, at which budget."""
     sides: dict[str, list[str]] = {}
     for label in results.labels:
         sides.setdefault(form_of(results, label), []).append(label)
@@ -80,12 +79,11 @@ def difference_interval(
 
 
 def form_of(results: Results, label: str) -> str:
-    """Return whether a label is centralised or decentralised, as its algorithm is."""
     return _algorithm(results, label).form
 
 
 def _of_one_library(results: Results, order: list[str]) -> list[str]:
-    """Return the labels of the first library that has both forms; without one, all labels."""
+    # Those of the first library that has both forms; without one, all labels.
     for first in order:
         package = _algorithm(results, first).package
         labels = [label for label in order if _algorithm(results, label).package == package]

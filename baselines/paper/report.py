@@ -16,7 +16,7 @@ from baselines.compare.curves import Pair, Panel
 from baselines.compare.records import ordered
 from baselines.compare.text_table import DASH
 from baselines.paper import published, tables
-from baselines.paper.tables import ALGORITHMS, FIELDS, MISSING
+from baselines.paper.tables import KINDS, MISSING
 from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
 from baselines.runs.files import Place, RunError, read_text, write_provenance, write_text
 from mbn_marl.field import load_field
@@ -63,12 +63,12 @@ def write_report(
         if figure is not None:
             figures.save(figure, place.folder / f"{name}.png")
     texts = {}
-    for kind in (ALGORITHMS, FIELDS):
-        same = [table for table in tables.paper_tables(trainings) if table.kind is kind]
-        write_text(place.folder / f"{kind.row}s.csv", tables.write_csv(same))
-        latex = [table.text().latex(f"tab:{kind.row}s-{table.sample}") for table in same]
-        write_text(place.folder / f"{kind.row}s.tex", "\n".join(latex))
-        texts[f"{kind.row}s"] = "\n\n".join(table.text().markdown() for table in same)
+    for kind in KINDS:
+        same = [table for table in tables.paper_tables(trainings) if table.kind == kind]
+        write_text(place.folder / f"{kind}s.csv", tables.write_csv(same))
+        latex = [table.text().latex(f"tab:{kind}s-{table.sample}") for table in same]
+        write_text(place.folder / f"{kind}s.tex", "\n".join(latex))
+        texts[f"{kind}s"] = "\n\n".join(table.text().markdown() for table in same)
     write_provenance(place.folder, command)
     write_text(place.page, _page(trainings, texts, {**drawn, **copied}, place, command, preface))
     return place
@@ -114,10 +114,8 @@ def _page(
         curves="\n\n".join(shown),
         against="\n\n".join(pairs),
         study="\n\n".join(
-            [
-                picture("study_history", "History of the study"),
-                picture("study_importances", "Importance of each hyperparameter in the study"),
-            ]
+            picture(f"study_{name}", f"{title} of the study")
+            for name, title in (("history", "History"), ("importances", "Importances"))
         ),
         overview=picture("fields", "The ten fields, each to a scale of its own"),
         commands="\n".join(trainings.runs.command),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
 
 import numpy as np
 import pandas
@@ -48,29 +47,17 @@ SAMPLES = {
 """The evaluations that a number is taken over: in words, and how; by the end of LaTeX's label."""
 
 
-class Kind(NamedTuple):
-    """The subject of a table's ``row``; in the plural, the name of its files.
-
-    Its ``unit``, in reward units, and ``digits`` are the paper's, whose numbers ``in_paper`` gives
-    by (row, setting).
-    """
-
-    row: Literal["algorithm", "field"]
-    title: str
-    unit: float
-    unit_name: str
-    digits: int
-    in_paper: Callable[[], dict[tuple[str, str], published.Numbers]]
-
-
-ALGORITHMS = Kind(
-    *("algorithm", "Table 1: each algorithm over the paper's ten fields"),
-    *(published.ALGORITHM_UNIT, "1e6 reward", 4, published.by_algorithm),
-)
-FIELDS = Kind(
-    *("field", "Appendix tables: each field over the paper's six algorithms"),
-    *(1.0, "reward", 1, published.by_field),
-)
+KINDS = {
+    "algorithm": (
+        *("Table 1: each algorithm over the paper's ten fields", published.by_algorithm),
+        *(published.ALGORITHM_UNIT, "1e6 reward", 4),
+    ),
+    "field": (
+        *("Appendix tables: each field over the paper's six algorithms", published.by_field),
+        *(1.0, "reward", 1),
+    ),
+}
+"""By the subject of a row: title, the paper's numbers by (row, setting), its unit and digits."""
 COLUMNS = [
     (setting, source)
     for setting in published.REPORTED
@@ -82,24 +69,24 @@ COLUMNS = [
 
 @dataclass(frozen=True)
 class PaperTable:
-    """A table in reward units, with our numbers over one of the ``SAMPLES``.
+    """A table of one of the ``KINDS``, with our numbers over one of the ``SAMPLES``.
 
-    ``cells`` has a row for each (row, setting, source), a column for each of ``STATISTICS``; NaN
-    where there is nothing.
+    ``cells`` (reward units) has a row for each (row, setting, source), a column for each of
+    ``STATISTICS``; NaN where there is nothing.
     """
 
-    kind: Kind
+    kind: str
     sample: str
     cells: DataFrame
 
     @classmethod
-    def of(cls, kind: Kind, sample: str, names: Iterable[str], rows: DataFrame) -> PaperTable:
+    def of(cls, kind: str, sample: str, names: Iterable[str], rows: DataFrame) -> PaperTable:
         """Make the table of the rows ``names`` from the paper's numbers and training's ``rows``."""
         here = {
             (*key, "here"): Series(SAMPLES[sample][1](group), list(STATISTICS))
-            for key, group in rows.groupby([kind.row, "setting"], sort=False)
+            for key, group in rows.groupby([kind, "setting"], sort=False)
         }
-        paper = {(*key, "paper"): Series(numbers) for key, numbers in kind.in_paper().items()}
+        paper = {(*key, "paper"): Series(cell) for key, cell in KINDS[kind][1]().items()}
         index = MultiIndex.from_tuples(
             [(name, *column) for name in names for column in COLUMNS],
             names=["row", "setting", "source"],
@@ -108,19 +95,19 @@ class PaperTable:
         return cls(kind, sample, cells)
 
     def means(self, setting: str, source: str) -> Series:
-        """The means of a column, of the rows that have one, the best first."""
         column = self.cells.xs((setting, source), level=("setting", "source"))["mean"]
         return column.dropna().sort_values(ascending=False, kind="stable")
 
     def text(self) -> TextTable:
         """The table as it is shown: four lines a row, one for each number."""
+        title, _, unit, unit_name, digits = KINDS[self.kind]
 
         def word(number: float, source: str) -> str:
             if np.isnan(number):
                 return DASH if source == "paper" else MISSING
-            return f"{number:,.{self.kind.digits}f}"
+            return f"{number:,.{digits}f}"
 
-        wide = (self.cells / self.kind.unit).stack(future_stack=True).unstack(["setting", "source"])
+        wide = (self.cells / unit).stack(future_stack=True).unstack(["setting", "source"])
         order = MultiIndex.from_product([self.cells.index.unique("row"), STATISTICS])
         lines = [
             (
@@ -131,27 +118,26 @@ class PaperTable:
             for (name, statistic), numbers in wide.reindex(order).iterrows()
         ]
         caption = (
-            f"{self.kind.title}, in units of {self.kind.unit_name}, the paper's and ours; "
-            f"'here' is over {SAMPLES[self.sample][0]}."
+            f"{title}, in units of {unit_name}, the paper's and ours; 'here' is over "
+            f"{SAMPLES[self.sample][0]}."
         )
         headings = (f"{' '.join(column)}{marked(column[0])}" for column in COLUMNS)
-        return TextTable(caption, (self.kind.row, "", *headings), lines, words=2)
+        return TextTable(caption, (self.kind, "", *headings), lines, words=2)
 
     def lines(self) -> DataFrame:
         """The table for a CSV file, a line a cell; the numbers of a missing one are empty."""
-        names = [self.kind.row, "setting", "source"]
-        lines = (self.cells / self.kind.unit).reset_index(names=names)
-        lines[self.kind.row] = lines[self.kind.row].map(self._shown)
+        _, _, unit, unit_name, _ = KINDS[self.kind]
+        lines = (self.cells / unit).reset_index(names=[self.kind, "setting", "source"])
+        lines[self.kind] = lines[self.kind].map(self._shown)
         lines.insert(3, "over", np.where(lines.source == "here", SAMPLES[self.sample][0], ""))
-        lines.insert(4, "unit", self.kind.unit_name)
+        lines.insert(4, "unit", unit_name)
         return lines
 
     def _shown(self, row: str) -> str:
-        return published.display_name(row) if self.kind is ALGORITHMS else row
+        return published.display_name(row) if self.kind == "algorithm" else row
 
 
 def marked(setting: str) -> str:
-    """A mark behind a setting that is not the paper's."""
     return "" if setting in published.SETTINGS else ", ours"
 
 
@@ -162,10 +148,12 @@ def paper_tables(trainings: Trainings) -> list[PaperTable]:
     runs of other algorithms the other way round.
     """
     rows = trainings.rows
-    chosen = (
-        (ALGORITHMS, trainings.algorithms, rows[rows.field.isin(published.FIELDS)]),
-        (FIELDS, trainings.field_names, rows[rows.algorithm.isin(published.ALGORITHMS)]),
+    papers = (
+        rows[rows.field.isin(published.FIELDS)],
+        rows[rows.algorithm.isin(published.ALGORITHMS)],
     )
+    names = (trainings.algorithms, trainings.field_names)
+    chosen = [*zip(KINDS, names, papers, strict=True)]
     return [PaperTable.of(kind, sample, *part) for kind, *part in chosen for sample in SAMPLES]
 
 
@@ -176,8 +164,6 @@ def write_csv(tables: Iterable[PaperTable]) -> str:
 
 
 def coverage(trainings: Trainings) -> TextTable:
-    """Which cells were run: seeds and env-steps."""
-
     def cell(runs: DataFrame) -> str:
         ends = runs.env_steps.min(), runs.env_steps.max()
         unfinished = int((~runs.finished).sum())
@@ -189,8 +175,6 @@ def coverage(trainings: Trainings) -> TextTable:
 
 
 def success(trainings: Trainings) -> TextTable:
-    """Success of the trained policies on fresh episodes."""
-
     def cell(runs: DataFrame) -> str:
         if not runs.finished.any():
             return MISSING
@@ -204,7 +188,7 @@ def success(trainings: Trainings) -> TextTable:
 
 
 def reached(trainings: Trainings) -> TextTable:
-    """How many runs of an algorithm passed the threshold during training, and how soon."""
+    """The runs of each algorithm that passed the threshold, and the soonest of them."""
 
     def cell(runs: DataFrame) -> str:
         hits = runs.reach.count()
@@ -225,7 +209,7 @@ def reached(trainings: Trainings) -> TextTable:
 def ranking(trainings: Trainings) -> TextTable:
     """The algorithms of each setting from the best mean to the worst, in the paper and here."""
     alike = trainings.alike()
-    tables = [table for table in paper_tables(alike) if table.kind is ALGORITHMS]
+    tables = [table for table in paper_tables(alike) if table.kind == "algorithm"]
     lines = []
     for setting in published.SETTINGS:
         fields = set(alike.runs.field[alike.runs.setting == setting]) & set(published.FIELDS)
@@ -248,7 +232,6 @@ def ranking(trainings: Trainings) -> TextTable:
 
 
 def _per_cell(trainings: Trainings, caption: str, shown: Callable[[DataFrame], str]) -> TextTable:
-    """A line for every algorithm and setting, a column for every field."""
     fields = trainings.field_names
     index = MultiIndex.from_product([trainings.algorithms, published.REPORTED])
     table = trainings.runs.groupby(CELL).apply(shown, include_groups=False).unstack()
@@ -263,5 +246,4 @@ def _per_cell(trainings: Trainings, caption: str, shown: Callable[[DataFrame], s
 
 
 def _short(steps: float) -> str:
-    """Env-steps in three digits with k or M."""
     return f"{steps / 1e6:.3g}M" if steps >= 1e6 else f"{steps / 1e3:.3g}k"

@@ -44,28 +44,22 @@ RUNS_FILE, ROWS_FILE = "runs.csv", "progress.csv.xz"
 
 @dataclass(frozen=True)
 class Trainings:
-    """Runs, finished or not.
+    """Runs, finished or not."""
 
-    Attributes:
-        runs: a row for each: ``algorithm``, ``setting``, ``field`` (one from a file is called by
-            the file's name), ``seed``, ``env_steps`` recorded, the field's proved ``optimum`` (NaN
-            for none), ``reach`` (env-steps at which the moving mean reached the threshold, NaN for
-            never), ``success_rate`` and ``return_mean`` of the final evaluation with sampled
-            actions (NaN while it is not finished), ``finished`` and the exact ``command``.
-        rows: those of :func:`read_progress` since the first episode, with cell and seed of the run.
-    """
-
+    # A row for each run: its cell (a field from a file is called by the file's name) and seed, the
+    # env-steps recorded, the field's proved optimum, the env-steps at which the moving mean reached
+    # the threshold, success and return of the final evaluation with sampled actions, and the exact
+    # command. What is not known, or not reached, is NaN.
     runs: DataFrame
+    # Those of ``read_progress`` since the first episode, with the cell and the seed of the run.
     rows: DataFrame
 
     @property
     def algorithms(self) -> list[str]:
-        """The paper's algorithms in its order, then the others."""
         return _known_first(published.ALGORITHMS, self.runs.algorithm)
 
     @property
     def field_names(self) -> list[str]:
-        """The paper's fields, then the others."""
         return _known_first(published.FIELDS, self.runs.field)
 
     def alike(self) -> Trainings:
@@ -79,12 +73,10 @@ class Trainings:
         return Trainings(runs, self.rows.merge(runs[RUN]))
 
     def optimum(self, field: str) -> float | None:
-        """Return the proved best return on a field, or ``None`` if nothing is proved."""
         value = self.runs.optimum[self.runs.field == field].iloc[0]
         return None if np.isnan(value) else float(value)
 
     def save(self, folder: Path) -> None:
-        """Write both tables, for :func:`find_trainings`."""
         write_text(folder / RUNS_FILE, self.runs.to_csv(index=False))
         rows = self.rows[[*RUN, *COLUMNS]].astype({"env_steps": int, "episodes": int})
         with replacing(folder / ROWS_FILE) as temporary:
@@ -223,10 +215,9 @@ def read_progress(path: Path) -> DataFrame:
 
 
 def moving_mean(rows: DataFrame) -> NDArray[np.float64]:
-    """The mean return of the latest episodes at each row, (k,) reward units.
+    """The mean return of the latest episodes at each row, (k,) reward units; NaN before the first.
 
-    It is over the fewest whole rows, up to that one, that hold at least ``SMOOTHING`` episodes;
-    over all so far while there are fewer; NaN before the first.
+    It is over the fewest whole rows, up to that one, that hold at least ``SMOOTHING`` episodes.
     """
     counts = rows.episodes.to_numpy()
     returns = np.where(counts > 0, counts * rows.return_mean, 0.0)
@@ -239,9 +230,6 @@ def moving_mean(rows: DataFrame) -> NDArray[np.float64]:
 
 
 def first_reach(rows: DataFrame, threshold: float) -> float:
-    """Env-steps at which the moving mean first is ``threshold`` or more; NaN for never.
-
-    Rows before ``SMOOTHING`` episodes have ended do not count.
-    """
+    """Env-steps at which the moving mean of ``SMOOTHING`` episodes reaches it; NaN for never."""
     reached = (rows.episodes.cumsum() >= SMOOTHING) & (rows.moving_mean >= threshold)
     return float(rows.env_steps[reached].min())

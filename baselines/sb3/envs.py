@@ -17,14 +17,7 @@ from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPol
 
 
 class TrainingWorlds(VecEnvWrapper):
-    """Worlds as the learner gets them: rewards scaled, episodes noted, ROIs of a changing size.
-
-    A world has ``stride`` rows, of which the first one reports the world's episodes.
-
-    Attributes:
-        curriculum: it counts each row's episodes; when the size changes, all worlds begin anew.
-        every: the size may change after so many steps: the rollout of an on-policy learner.
-    """
+    """Worlds as the learner gets them: rewards scaled, episodes noted, ROIs of a changing size."""
 
     def __init__(
         self,
@@ -35,7 +28,11 @@ class TrainingWorlds(VecEnvWrapper):
     ) -> None:
         self._make, self.curriculum, self._episodes, self._scale = make, curriculum, episodes, scale
         super().__init__(make(curriculum))
-        self.every, self._steps, self.stride = 1, 0, self.num_envs // curriculum.window
+        # The size of ROIs may change after so many steps: the rollout of an on-policy learner.
+        self.every, self._steps = 1, 0
+        # A world has so many rows, of which the first one reports its episodes. The curriculum
+        # counts those of every row.
+        self.stride = self.num_envs // curriculum.window
         curriculum.window = self.num_envs
 
     def reset(self) -> VecEnvObs:
@@ -69,10 +66,8 @@ class TrainingWorlds(VecEnvWrapper):
 def make_env(
     task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow
 ) -> tuple[TrainingWorlds, VecEnv]:
-    """The worlds of training: a row for each, or row ``w * n + i`` for robot i of world w.
-
-    The second is what the learner sees, which may be normalised.
-    """
+    """The worlds of training: a row for each, or row ``w * n + i`` for robot i of world w."""
+    # The second is what the learner sees, which may be normalised.
     count, config = hyperparameters.num_envs, task.config
 
     def make(curriculum: RoiCurriculum) -> NavigationVecEnv:

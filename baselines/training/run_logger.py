@@ -13,14 +13,13 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-from rich.table import Column
+from rich.progress import Progress, TextColumn
 from torch.utils.tensorboard import SummaryWriter
 
 from baselines.console import console
 from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate, unseen
 from baselines.evaluation.intervals import passes
-from baselines.evaluation.policy import TrainedPolicy
+from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
 from baselines.runs.folder import RunFolder, saved_at
 from baselines.training.config import Task
@@ -68,14 +67,10 @@ Listener = Callable[[Report], None]
 def progress_bars(runs: Iterable[str], total: int) -> Iterator[Listener]:
     """Show one bar per run; yield what receives the reports."""
     # Without a terminal (in a log file) each finished run prints one line.
-    name, state = (
-        TextColumn(f"{{task.fields[{part}]}}", table_column=Column(overflow="fold"))
-        for part in ("run", "state")
-    )
-    columns = (name, BarColumn(bar_width=10), TaskProgressColumn(), state, TimeElapsedColumn())
     screen = console()
+    columns = (*Progress.get_default_columns(), TextColumn("{task.fields[state]}"))
     with Progress(*columns, console=screen, disable=not screen.is_terminal) as progress:
-        tasks = {run: progress.add_task("", False, total, run=run, state="waiting") for run in runs}
+        tasks = {run: progress.add_task(run, False, total, state="waiting") for run in runs}
 
         def show(report: Report) -> None:
             task, done = tasks[report.run], min(report.env_steps, total)
@@ -117,39 +112,30 @@ class EpisodeWindow:
 
     def pop(self) -> dict[str, float]:
         """Return count, mean, range and success rate since the last call; NaN without episodes."""
-        returns = np.asarray(self._returns or [np.nan])
+        count, returns = float(len(self._returns)), np.asarray(self._returns or [np.nan])
+        rate = float(np.mean(self._successes or [np.nan]))
+        self._returns, self._successes = [], []
         names = ("mean", "std", "min", "max")
-        row = {
-            "episodes": float(len(self._returns)),
-            **{f"return_{name}": float(getattr(returns, name)()) for name in names},
-            "success_rate": float(np.mean(self._successes or [np.nan])),
-        }
-        self._returns.clear()
-        self._successes.clear()
-        return row
+        row = {f"return_{name}": float(getattr(returns, name)()) for name in names}
+        return {"episodes": count, **row, "success_rate": rate}
 
 
 class Recorder:
-    """Records the run of a task in its folder, from the start or from the newest checkpoint.
+    """Records the run of a task in its folder, from the start or from the newest checkpoint."""
 
-    ``listener`` receives the progress after every row. Numbers go to TensorBoard's events too, and
-    to ``wandb``, a project of Weights & Biases.
-
-    Attributes:
-        episodes: the training episodes since the last row.
-        checkpoint: the checkpoint that the trainer has to resume, or ``None``.
-        passed: whether a fresh evaluation met the run's criterion for stopping early; the trainer
-            then goes straight to :meth:`finish`.
-        checkpoint_due: whether the trainer should call :meth:`save_checkpoint` as soon as it is
-            between two updates.
-    """
-
+    # ``listener`` receives the progress after every row. Numbers go to TensorBoard's events too,
+    # and to ``wandb``, a project of Weights & Biases.
     def __init__(
         self, folder: RunFolder, task: Task, listener: Listener, wandb: str | None = None
     ) -> None:
+        # The training episodes since the last row.
         self.episodes = EpisodeWindow()
+        # The checkpoint that the trainer has to resume.
         self.checkpoint = folder.checkpoint
-        self.checkpoint_due = self.passed = False
+        # Whether the trainer should call save_checkpoint as soon as it is between two updates.
+        self.checkpoint_due = False
+        # Whether a fresh evaluation met the criterion for stopping: the trainer then calls finish.
+        self.passed = False
         self._folder, self._task, self._listener = folder, task, listener
         self._diagnostics: Mapping[str, float] = {}
         self._started_at = self._wall_started_at = 0.0

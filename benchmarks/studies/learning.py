@@ -5,44 +5,34 @@ from __future__ import annotations
 import heapq
 import json
 import math
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import pandas as pd
 from pydantic import BaseModel, ConfigDict
 from tyro.conf import Positional
 
 from baselines.cli.compare import train_and_compare
+from baselines.cli.options import CORES
 from baselines.compare.records import RunRecord
-from baselines.compare.text_table import TextTable
+from baselines.compare.text_table import TextTable, shown
 from baselines.compare.variants import CompareConfig, labelled
-from baselines.evaluation import intervals as statistics
+from baselines.evaluation.intervals import passes
 from baselines.paper import published
 from baselines.runs.files import write_json, write_text
 from baselines.training.config import validate
 from benchmarks.report import Benchmark, Measurement, measurement_table
-from mbn_marl.field import catalogue_names, safe_yaml
+from mbn_marl.errors import ConfigError, unknown
+from mbn_marl.field import catalogue_names
+from mbn_marl.field.files import parse_yaml
 
-StudyName = Literal[
-    "ablations",
-    "aids",
-    "conditions",
-    "failing",
-    "forms",
-    "learning",
-    "reward",
-    "sensing",
-    "sets",
-    "sharing",
-    "teams",
-]
-
+STUDIES = sorted(path.stem for path in Path(__file__).parent.glob("*.yaml"))
+PAPER = published.by_field()
 STEPS = 1_441_792  # env-steps of a run
-NEAR = 0.0025  # how far below the optimum a return may be to count as near it
+NEAR = 0.0025  # a return so far below the optimum still counts as near it
 BUDGET = 1_500_000  # env-steps within which a run has to pass
 CAPTION = (
     "A run passes when the mean return of fresh sampled episodes is 100 000 or more, 99 % of them "
@@ -75,25 +65,16 @@ COLUMNS = {
 
 
 class Plan(BaseModel):
-    """A study, as its YAML file in this folder has it.
-
-    Attributes:
-        fields: names of `mbn fields`, or paths.
-        seeds: one run for each variant, field and seed; 100 and up, where nothing was tuned.
-        steps: env-steps of every run.
-        evaluate_every: env-steps between two fresh evaluations.
-        targets: whether to hold the one variant against the targets of the recorded setting.
-        variants: by label, the values of :class:`~baselines.compare.variants.Variant`.
-    """
+    """A study, as its YAML file in this folder has it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     fields: tuple[str, ...] = tuple(catalogue_names())
-    seeds: tuple[int, ...]
+    seeds: tuple[int, ...]  # 100 and up, where nothing was tuned
     steps: int = STEPS
     evaluate_every: int = 65_536
-    targets: bool = False
-    variants: dict[str, dict[str, Any]]
+    targets: bool = False  # hold the one variant against the targets of the recorded setting
+    variants: dict[str, dict[str, Any]]  # the values of ``Variant``, by label
 
 
 @dataclass(frozen=True)
@@ -102,41 +83,39 @@ class Study(Benchmark):
 
     name: ClassVar[str] = "study"
 
-    study: Positional[StudyName] = "forms"
-    """The name of the file."""
+    study: Positional[str] = "forms"
+    """The name of the file: forms, learning, aids and others."""
     fields: tuple[str, ...] = ()
     """Names of `mbn fields`, or paths; by default the study's."""
     seeds: tuple[int, ...] = ()
     """One run for each variant, field and seed; by default the study's."""
     steps: int | None = None
     """Env-steps of every run; by default the study's."""
-    processes: int = os.cpu_count() or 1
+    processes: int = CORES
     """Runs at a time, each on one core."""
     resume: bool = False
     """Resume what is in the folder, as `mbn compare` does."""
 
     @property
     def folder(self) -> Path:
-        """Return the folder to write."""
         return self.out or Path(f"runs/bench-{self.study}")
 
     @property
     def plan(self) -> Plan:
-        """Return the study, with the options in it."""
+        if self.study not in STUDIES:
+            raise ConfigError("study", [f"{self.study}: {unknown('study', self.study, STUDIES)}"])
         given = {name: getattr(self, name) for name in ("fields", "seeds", "steps")}
         path = Path(__file__).with_name(f"{self.study}.yaml")
-        values: Any = safe_yaml.parse_yaml(path.read_bytes(), str(path))
+        values: Any = parse_yaml(path.read_bytes(), str(path))
         plan = validate(Plan, values, str(path))
         return plan.model_copy(update={name: value for name, value in given.items() if value})
 
     def config(self) -> CompareConfig:
-        """Return the comparison; errors as those of ``CompareConfig``."""
         plan = self.plan
         variants = labelled(plan.variants, self.study)
         return CompareConfig(variants, plan.fields, plan.seeds, plan.steps, plan.evaluate_every)
 
     def run(self, command: str) -> bool:
-        """Train what is missing, print and write the comparison, and the targets if it has any."""
         options = {name: getattr(self, name) for name in ("processes", "force", "resume")}
         results = train_and_compare(self.config(), self.folder, command=command, **options)
         print(f"written to {self.folder}: comparison.md, comparison.json, figures, runs")
@@ -150,6 +129,11 @@ class Study(Benchmark):
 
 def target_rows(runs: pd.DataFrame, processes: int) -> list[Measurement]:
     """Return the targets, for ``processes`` runs at a time."""
+
+    def count(name: str, met: Sequence[bool], share: float) -> Measurement:
+        least = math.ceil(share * len(met) - 1e-9)
+        return Measurement(name, int(sum(met)), f"of {len(met)}", least)
+
     lines = field_table(runs)
     near = lines.deterministic_median >= (1 - NEAR) * lines.optimum
     best, title = lines.deterministic_best, "fields, best return"
@@ -159,12 +143,12 @@ def target_rows(runs: pd.DataFrame, processes: int) -> list[Measurement]:
     fields, note = len(lines), f"{processes} at a time"
     all_pass = f"until {fields} fields pass, one seed each, wall time"
     return [
-        count_row("final policies that pass", runs.passed, 1.0),
+        count("final policies that pass", runs.passed, 1.0),
         Measurement("until a run passes, worst run", worst, "env-steps", BUDGET, False),
         Measurement(all_pass, until_all, "s", 16 * fields, False, f"{note}, median over seeds"),
-        count_row("fields, median return within 0.25 % of the optimum", near, 1.0),
-        count_row(f"{title} at or above the paper's", best >= lines.paper_best, 1.0),
-        count_row(f"{title} is the proved optimum", best == lines.optimum, 0.9),
+        count("fields, median return within 0.25 % of the optimum", near, 1.0),
+        count(f"{title} at or above the paper's", best >= lines.paper_best, 1.0),
+        count(f"{title} is the proved optimum", best == lines.optimum, 0.9),
         Measurement("wall time of all runs", wall, "s", 180.0 * fields, False, note),
     ]
 
@@ -177,12 +161,6 @@ def makespan(seconds: Iterable[float], workers: int) -> float:
     return max(busy_until)
 
 
-def count_row(name: str, met: Sequence[bool], share: float) -> Measurement:
-    """Count how many are met, with the share that is aimed at."""
-    least = math.ceil(share * len(met) - 1e-9)
-    return Measurement(name, int(sum(met)), f"of {len(met)}", least)
-
-
 def write_targets(runs: pd.DataFrame, rows: Sequence[Measurement], out: Path) -> None:
     """Write ``learning.md`` and ``learning.json`` into the folder ``out``."""
     lines = field_table(runs)
@@ -192,68 +170,48 @@ def write_targets(runs: pd.DataFrame, rows: Sequence[Measurement], out: Path) ->
     lines["below"] = 1.0 - lines.deterministic_median / lines.optimum
     lines["pass"] = lines.passed.astype(str) + "/" + lines.runs.astype(str)
     lines = lines.astype(object).where(lines.ne(math.inf) & lines.notna(), None)
-    cells = tuple(
-        tuple(
-            "-" if line[name] is None else form.format(line[name])
-            for name, form in COLUMNS.values()
-        )
+    cells = [
+        [shown(line[name], form) for name, form in COLUMNS.values()]
         for line in lines.to_dict("records")
-    )
-    tables = measurement_table(rows, CAPTION), TextTable(FIELD_CAPTION, tuple(COLUMNS), cells)
+    ]
+    tables = measurement_table(rows, CAPTION), TextTable(FIELD_CAPTION, [*COLUMNS], cells)
     parts = ["# Learning", tables[0].markdown("Targets"), tables[1].markdown("Fields")]
     write_text(out / "learning.md", "\n\n".join(parts) + "\n")
-
-
-def first_pass(record: RunRecord) -> tuple[float, float]:
-    """Return env-steps and wall seconds to the first fresh evaluation that passes, or infinity."""
-    for entry in record.evaluations:
-        if statistics.passes(entry, entry["deterministic_success_rate"]):
-            return float(entry["env_steps"]), float(entry["wall_seconds"])
-    return math.inf, math.inf
-
-
-def best_return(record: RunRecord) -> float:
-    """Return the best return with mean actions of a run's evaluations, on the way or at the end."""
-    on_the_way = [float(entry["deterministic_return_mean"]) for entry in record.evaluations]
-    return max(record.final("deterministic", "return_mean"), *on_the_way)
-
-
-def paper_best(field: str) -> float | None:
-    """Return the largest number that the paper has for a field, a mean of 100 episodes."""
-    cells = [cell for (name, _), cell in published.by_field().items() if name == field]
-    return max((cell["max"] for cell in cells), default=None)
 
 
 def run_table(records: Iterable[RunRecord]) -> pd.DataFrame:
     """Return a row for each run: when it first passed, its final evaluation, its best return.
 
-    ``optimum`` (proved) and ``paper_best`` are the best returns of its field; NaN where unknown.
+    ``best`` is the best return with mean actions of any evaluation, during training or at its end.
+    ``optimum`` (proved) and ``paper_best``, the largest number that the paper has, are those of
+    its field; NaN where unknown.
     """
     rows = []
     for record in records:
-        env_steps, seconds = first_pass(record)
-        sampled = record.evaluation["stochastic"]
-        mean_success = record.final("deterministic", "success_rate")
+        final, found = record.evaluation, record.evaluations
+        passing = (e for e in found if passes(e, e["deterministic_success_rate"]))
+        first = next(passing, {"env_steps": math.inf, "wall_seconds": math.inf})
+        deterministic = final["deterministic"]["return_mean"]
+        paper = [cell for (field, _), cell in PAPER.items() if field == record.field.name]
         rows.append(
             {
                 "field": record.field.name,
-                "passed": statistics.passes(sampled, mean_success),
-                "env_steps": env_steps,
-                "seconds": seconds,
-                "wall_seconds": record.final("wall_seconds"),
-                "return_mean": sampled["return_mean"],
-                "success_rate": sampled["success_rate"],
-                "deterministic": record.final("deterministic", "return_mean"),
-                "best": best_return(record),
+                "passed": passes(final["stochastic"], final["deterministic"]["success_rate"]),
+                "env_steps": first["env_steps"],
+                "seconds": first["wall_seconds"],
+                "wall_seconds": final["wall_seconds"],
+                "return_mean": final["stochastic"]["return_mean"],
+                "success_rate": final["stochastic"]["success_rate"],
+                "deterministic": deterministic,
+                "best": max(deterministic, *(e["deterministic_return_mean"] for e in found)),
                 "optimum": record.optimum,
-                "paper_best": paper_best(record.field.name),
+                "paper_best": max((cell["max"] for cell in paper), default=None),
             }
         )
     return pd.DataFrame(rows).astype({"optimum": float, "paper_best": float})
 
 
 def field_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each field: sums, medians and bests over seeds."""
     lines = runs.groupby("field", sort=False).agg(
         runs=("passed", "size"),
         passed=("passed", "sum"),  # final policies

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +28,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("splits")
     assert dataclasses.replace(CONVEX, out=folder).run("command")
     return folder / "test-1-convex.json"
-
-
-def test_the_hash_is_that_of_the_numbers_in_milli_units() -> None:
-    field = Field([(0, 0), (50, 0), (0, 50)], rois=[(9, 9.5)], starts=[(20, 20)], arena=(100, 60))
-    outline = [[round(1000 * x), round(1000 * y)] for x, y in field.vertices]
-    text = f"[[[100000, 60000]], {outline}, [[9000, 9500]], [[20000, 20000]]]"
-    assert geometry_hash(field) == hashlib.sha256(text.encode()).hexdigest()
 
 
 def test_instances_are_proved_and_an_interrupted_run_goes_on(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.speed.peers import plain_case
-from benchmarks.speed.timing import Budget, engine_case, interleaved
+from benchmarks.speed import Budget, engine_case, interleaved, plain_case
 from mbn_marl import BatchEngine
 
 WORLDS = 1024

@@ -20,20 +20,13 @@ from baselines.cli.main import main, read_command
 from mbn_marl.jit.compile import ANNOUNCEMENT
 from tests.baselines.conftest import Refusal
 from tests.support.records import make_run
+from tests.support.terminal import MBN
 
 CATALOGUE = Path(__file__).parents[3] / "envs_catalog"
 TINY = ("--steps", "1", "--evaluate-every", "4096", "--episodes", "2")
 
 
 pytestmark = pytest.mark.slow
-
-
-def test_fields_lists_the_catalogue(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["fields"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    row = next(line for line in lines if "field_03" in line)
-    assert row.split() == ["field_03", "3", "6", "0", "4", "10,800", "17", "159,490"]
-    assert sum("field_" in line for line in lines) == 10
 
 
 def test_train_records_the_run_and_evaluate_repeats_its_evaluation(
@@ -110,7 +103,7 @@ def test_a_stopped_comparison_leaves_no_process_behind(tmp_path: Path) -> None:
     chosen = ("compare", "--algos", "ppo", "--processes", "2", "--out", str(out))
     endless = ("--steps", "100000000", "--evaluate-every", "100000000")
     process = subprocess.Popen(
-        [sys.executable, "-m", "mbn_marl", *chosen, *endless],
+        [*MBN, *chosen, *endless],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         start_new_session=True,

@@ -39,12 +39,6 @@ def test_an_unknown_policy_is_answered_with_a_known_one(command: str, refusal: R
     assert "greddy: unknown policy (did you mean greedy?)" in error
 
 
-@pytest.mark.parametrize("command", ["evaluate", "deploy"])
-def test_a_field_alone_is_no_policy(command: str, refusal: Refusal) -> None:
-    assert "greedy --field field_03" in refusal([command, "field_03", *COMMANDS[command]])
-    assert "--field field_03" in refusal([command, "greedy", *COMMANDS[command]])
-
-
 def test_episodes_are_of_the_policy_the_field_and_the_wind_that_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -70,3 +64,4 @@ def test_a_policy_of_the_zoo_is_taken_to_another_field(
     assert "zoo:field_03 in field_04" in capsys.readouterr().out
     speeds = [*elsewhere, "field_04", "--wind-speeds", "0,0.2"]
     assert "json: needed" in refusal(speeds)
+    assert "greedy --field field_03" in refusal(["evaluate", "field_03"])

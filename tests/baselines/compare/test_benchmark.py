@@ -14,7 +14,6 @@ import pytest
 
 from baselines import load_policy
 from baselines.cli.main import main
-from baselines.compare import benchmark
 from baselines.compare.benchmark import (
     METRICS,
     SettingsError,
@@ -28,9 +27,12 @@ from baselines.compare.benchmark import (
     statistics,
 )
 from baselines.evaluation.evaluate import Evaluation, evaluate
+from baselines.policies import load
+from baselines.policies.load import Source, load_trained
+from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import RunError, alone
+from baselines.runs.folder import RunFolder
 from mbn_marl import Field
-from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Instance, load_field, splits
 from mbn_marl.planning import plan
@@ -141,48 +143,18 @@ def test_statistics_are_over_the_known_values() -> None:
     assert alone is not None and (alone["iqm"], alone["low"], alone["iqm_high"]) == (7, None, None)
 
 
-def test_the_protocol_is_of_these_splits(monkeypatch: pytest.MonkeyPatch) -> None:
-    protocol = load_protocol()
-    assert protocol.tiers == splits.NAMES and protocol.splits == splits.VERSION
-    assert set(protocol.settings) < set(NavigationConfig.model_fields)
-    monkeypatch.setattr(splits, "VERSION", 2)
-    with pytest.raises(ConfigError, match="splits: "):
-        load_protocol()
-
-
-def test_a_plan_that_is_proved_has_no_gap(tmp_path: Path) -> None:
-    found = run("planner", ["1-convex"], tmp_path)
-    summary = found["tiers"]["1-convex"]["mean"]
-    for name in ("gap", "gap_to_best_known", "gap_with_failures"):
-        assert summary[name]["mean"] == summary[name]["iqm"] == 0.0, name
-    assert summary["success_rate"]["mean"] == summary["clean_rate"]["mean"] == 1.0
-    assert found["tiers"]["1-convex"]["sampled"] is None and found["all"] is None
-
-
 def test_each_instance_is_evaluated_with_its_own_seed(tmp_path: Path) -> None:
-    found = run("random", ["1-convex", "2-sizes"], tmp_path)["tiers"]
-    for tier, first in (("1-convex", 4_000_000), ("2-sizes", 4_001_000)):
+    found = run("random", ["1-convex", "5-weather"], tmp_path)["tiers"]
+    for tier, first in (("1-convex", 4_000_000), ("5-weather", 4_004_000)):
         for k, one in enumerate(load_tiers("test", [tier])[tier]):
-            policy = load_policy("random", one.field, seed=first + k)
+            policy = load_policy("random", one.field, seed=first + k, condition=one.condition)
             how: dict[str, Any] = {"episodes": 10, "seed": first + k}
-            mean = evaluate(policy, one.field, {}, deterministic=True, **how)
+            place = policy, one.field, policy.settings
             row = found[tier]["instances"][k]
-            assert row["mean"] == numbers(mean, one)
-            assert row["sampled"] == numbers(evaluate(policy, one.field, {}, **how), one)
+            assert row["mean"] == numbers(evaluate(*place, deterministic=True, **how), one)
+            assert row["sampled"] == numbers(evaluate(*place, **how), one)
             assert row["times"]["decision_ms"] > 0.0
-
-
-def test_under_a_condition_there_are_ten_episodes_and_no_gap(tmp_path: Path) -> None:
-    (one, *_) = load_tiers("test", ["5-weather"])["5-weather"]
-    tiers = {"5-weather": (one,)}
-    found = run_benchmark("greedy", "test", tiers, tmp_path, command="c")["tiers"]["5-weather"]
-    (windy,) = found["instances"]
-    policy = load_policy("greedy", one.field, condition="windy")
-    how: dict[str, Any] = {"episodes": 10, "seed": 4_004_000, "deterministic": True}
-    evaluated = evaluate(policy.policy, one.field, policy.settings, **how)
-    assert len(set(evaluated.steps)) > 1
-    assert windy["mean"] == numbers(evaluated, one)
-    assert found["mean"]["gap"] is None and found["mean"]["makespan"]["instances"] == 1
+    assert found["5-weather"]["mean"]["gap"] is None
 
 
 def test_an_interrupted_run_goes_on_and_gives_the_same(
@@ -190,15 +162,15 @@ def test_an_interrupted_run_goes_on_and_gives_the_same(
 ) -> None:
     tiers = ["1-convex", "2-sizes"]
     whole = run("greedy", tiers, tmp_path / "whole")
-    calls = []
+    calls, true = [], Source.make
 
-    def stopping(source: str, field: Field, **how: Any) -> Any:
+    def stopping(source: Source, field: Field, **how: Any) -> Any:
         calls.append(field.name)
         if len(calls) == COUNT + 2:
             raise KeyboardInterrupt
-        return load_policy(source, field, **how)
+        return true(source, field, **how)
 
-    monkeypatch.setattr(benchmark, "find_policy", stopping)
+    monkeypatch.setattr(Source, "make", stopping)
     with pytest.raises(KeyboardInterrupt):
         run("greedy", tiers, tmp_path / "cut")
     kept = json.loads((tmp_path / "cut" / "result.json").read_text())
@@ -217,38 +189,60 @@ def test_the_shield_is_a_part_of_what_was_asked(tmp_path: Path, greedy: dict[str
     found = run("greedy", ["1-convex"], tmp_path, shield=True)
     assert (found["shield"], greedy["shield"]) == (True, False)
     assert timeless(found["tiers"]) == timeless(greedy["tiers"]), "it brakes by itself"
-    with pytest.raises(RunError, match="shield: "):
-        run("greedy", ["1-convex"], tmp_path, resume=True)
 
 
-def test_what_is_not_to_be_resumed_says_why(tmp_path: Path, greedy: dict[str, Any]) -> None:
-    stale = copy.deepcopy(greedy)
-    stale["tiers"]["1-convex"]["mean"]["steps"]["low"] = 0.5
-    for damage, place in (
+@pytest.mark.parametrize(
+    ("damage", "place"),
+    [
         ("{", "result.json"),
         ([], "result.json"),
-        ({**greedy, "tiers": []}, "result.json"),
-        ({**greedy, "tiers": {"1-convex": {}}}, "1-convex: "),
-        ({**greedy, "versions": {"packages": {"mbn-marl": "0.0.1"}}}, "mbn-marl: "),
-        (stale, "1-convex: statistics"),
-    ):
-        text = damage if isinstance(damage, str) else json.dumps(damage)
-        (tmp_path / "result.json").write_text(text)
-        with pytest.raises(RunError, match=place):
-            run("greedy", ["1-convex"], tmp_path, resume=True)
+        ({"tiers": []}, "result.json"),
+        ({"tiers": {"1-convex": {}}}, "1-convex: "),
+        ({"versions": {"packages": {"mbn-marl": "0.0.1"}}}, "mbn-marl: "),
+        ({"shield": True}, "shield: "),
+        ("stale", "1-convex: statistics"),
+    ],
+)
+def test_what_is_not_to_be_resumed_is_named(
+    damage: Any, place: str, tmp_path: Path, greedy: dict[str, Any]
+) -> None:
+    record: Any = copy.deepcopy(greedy)
+    if damage == "stale":
+        record["tiers"]["1-convex"]["mean"]["steps"]["low"] = 0.5
+    elif isinstance(damage, dict):
+        record |= damage
+    else:
+        record = damage
+    text = record if isinstance(record, str) else json.dumps(record)
+    (tmp_path / "result.json").write_text(text)
+    with pytest.raises(RunError, match=place):
+        run("greedy", ["1-convex"], tmp_path, resume=True)
 
 
 def test_settings_of_a_trained_policy_are_checked_before_the_first_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    true = benchmark.find_policy
+    true = Source.make
 
-    def changed(source: str, *place: Field, **how: Any) -> Any:
+    def changed(source: Source, *place: Field, **how: Any) -> Any:
         return true(source, *place, **how, max_steps=40)
 
-    monkeypatch.setattr(benchmark, "find_policy", changed)
+    monkeypatch.setattr(Source, "make", changed)
     with pytest.raises(SettingsError, match="max_steps: "):  # that does not even fit
         run("zoo:field_03", ["2-sizes"], tmp_path)
+
+
+def test_weights_are_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loads = []
+
+    def counted(folder: RunFolder) -> TrainedPolicy:
+        loads.append(folder.path.name)
+        return load_trained(folder)
+
+    monkeypatch.setattr(load, "load_trained", counted)
+    found = run("zoo:generalist", ["1-convex", "2-sizes"], tmp_path)
+    assert sum(len(tier["instances"]) for tier in found["tiers"].values()) == 2 * COUNT
+    assert loads == ["generalist"]
 
 
 def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
@@ -263,7 +257,7 @@ def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
     assert "Does not fit" in result_page(found, tmp_path)
 
 
-def test_policies_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_policies_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.py").write_text(OWN)
     with pytest.raises(RunError, match=r"2-sizes, convex-3000001: LookupError.*small\.py, line"):
@@ -276,17 +270,8 @@ def test_policies_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         run("small:Small", ["1-convex"], tmp_path / "own")
     assert len(error.value.problems) == 1
     assert not (tmp_path / "own" / "result.json").exists()
-
-
-def test_settings_that_change_the_task_are_listed() -> None:
-    protocol = load_protocol()
-    chosen = {"observation": "local", "sensing_radius": 40.0, "dtype": "float64", "n_robots": 3}
-    check_settings({**chosen, "reward": "formal", "condition": "noisy"}, "noisy", protocol)
-    with pytest.raises(ConfigError) as error:
-        check_settings({"n_robots": 2, "roi_radius": 12.0}, "noisy", protocol)
-    assert {problem.split(":")[0] for problem in error.value.problems} == {
-        *("roi_radius", "position_noise", "velocity_noise", "action_noise")
-    }
+    chosen = {"observation": "local", "dtype": "float64", "n_robots": 3, "condition": "noisy"}
+    check_settings(chosen, "noisy", load_protocol())
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal: Refusal) -> None:

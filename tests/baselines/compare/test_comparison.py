@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -34,18 +33,9 @@ def test_an_algorithm_looks_the_same_whatever_it_is_compared_with() -> None:
     # A second label of mappo has the first look that no algorithm here has: a2c's, then trpo's.
     labels = {"team": "mappo", "ppo": "ppo", "alone": "mappo", "last": "mappo"}
     found = ordered(labels)
+    assert found == ordered(dict(reversed(labels.items())))
     assert list(found) == ["ppo", "alone", "last", "team"]
     assert list(found.values()) == [registry.index("ppo"), mappo, 0, 2]
-
-
-def test_order_and_looks_do_not_depend_on_the_order_of_the_runs(tmp_path: Path) -> None:
-    names = [("mappo", "field_03"), ("ppo", "field_03"), ("mappo", "field_01"), ("ppo", "field_01")]
-    runs = [make_run(tmp_path, algorithm=name, field=field) for name, field in names]
-    found, back = Results.of(runs), Results.of(runs[::-1])
-    assert list(found.looks.items()) == list(back.looks.items())
-    assert (found.labels, found.fields) == (("ppo", "mappo"), ("field_01", "field_03"))
-    assert summarise(found).to_json() == summarise(back).to_json()
-    assert Results.of(runs, order=["mappo", "ppo"]).labels == ("mappo", "ppo")
 
 
 def test_a_comparison_by_hand(tmp_path: Path) -> None:
@@ -83,7 +73,7 @@ def test_a_comparison_by_hand(tmp_path: Path) -> None:
     assert (mappo["reached"], mappo["fields"], mappo["seeds"]) == (2, 2, 2)
     assert (central["form"], central["success_rate"]) == ("centralized", 0.6)
     # In each field one run of two is above 0.6 of the optimum.
-    assert found.improvement["mappo"]["central"].value == 0.5
+    assert found.probability_of_improvement["mappo"]["central"].value == 0.5
     share = dict(zip(THRESHOLDS.round(3), mappo["profile"].share, strict=True))
     assert (share[0.2], share[0.3], share[0.45]) == (0.75, 0.5, 0.25)
 
@@ -107,18 +97,6 @@ def test_the_threshold_is_reached_at_the_first_evaluation_that_has_it(tmp_path: 
     assert [row[name] for name in names[:4]] == [0, 1, None, None]
 
 
-def test_runs_that_pass_are_counted(tmp_path: Path) -> None:
-    entry = {"env_steps": 400, "seconds": 1.0, "return_mean": 0.0}
-    runs = []
-    ends = [(1e5, 0.99, 1.0), (9e4, 1.0, 1.0), (1e5, 1.0, 0.9), (1e5, 0.98, 1.0)]
-    for seed, (mean, sampled, own) in enumerate(ends):
-        stochastic = {"return_mean": mean, "success_rate": sampled, "makespan": None}
-        final = {"env_steps": 400, "seconds": 1.0, "stochastic": stochastic}
-        final["deterministic"] = {**stochastic, "success_rate": own}
-        runs.append(make_run(tmp_path, seed=seed, recorded=([entry], final)))
-    assert summarise(Results.of(runs)).aggregates[0]["passed"] == 1
-
-
 def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
     (tmp_path / "runs").mkdir()
     for seed, share in enumerate((1.0, 0.5)):
@@ -126,6 +104,9 @@ def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
         make_run(tmp_path / "runs", 0.9, seed=seed, label="other")
     out = io.StringIO()
     comparison = summarise(Results.of(find_records([tmp_path / "runs"])))
+    assert gaps(comparison).lines == [
+        ("field_03", "62.50% (50.00..75.00)", "55.00% (55.00..55.00)")
+    ]
     print_comparison(comparison, Console(width=200, file=out))
     text = out.getvalue()
     assert "field_03: 400 env-steps a run, 2 seeds each" in text
@@ -138,46 +119,25 @@ def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
     assert comparison.csv().splitlines()[1].startswith("mappo,mappo,decentralized,2,400,0.75")
 
 
-def test_a_comparison_is_printed_whole_in_80_columns(tmp_path: Path) -> None:
-    low = {"return_mean": -1_972_196.0, "success_rate": 0.0, "makespan": 1000.0}
-    history = [{"env_steps": 100, "seconds": 1.0, "return_mean": -5.0}]
-    long, out = "ppo-shared-with-a-long-label", io.StringIO()
-    for label, sign in (("mappo", 1.0), (long, 10.0)):
-        for seed in (0, 1):
-            sampled = {**low, "return_mean": sign * low["return_mean"] - seed * 10**6}
-            final = {"env_steps": 400, "seconds": 1.0, "stochastic": sampled, "deterministic": low}
-            make_run(tmp_path, label=label, seed=seed, recorded=(history, final))
-    found = summarise(Results.of(find_records([tmp_path])))
-    print_comparison(found, Console(width=80, file=out))
-    lines = out.getvalue().splitlines()
-    words = {word for line in lines for word in re.split(r"\s{2,}", line.strip())}
-    # Means over the two seeds, and the bounds that one seed alone gives.
-    bounds = ("-2,472,196", "-20,221,960", "-20722.0..-19722.0", "-1,972,196", "- 0/2")
-    assert words.issuperset((long, *bounds))
-    assert sum(long in line for line in lines) == 7, "once a block, and in the question"
-    assert max(map(len, lines)) <= 80
-
-
 def test_fields_without_a_proof_are_left_out_of_the_aggregates(tmp_path: Path) -> None:
     known = load_field("field_03")
     own = Field(vertices=known.vertices, rois=known.rois, starts=known.starts, name="own")
     unproved = make_run(tmp_path, 0.5, field_object=own)
     assert summarise(Results.of([unproved])).aggregates == []
     both = summarise(Results.of([unproved, make_run(tmp_path, 0.5)]))
-    assert both.unproved == ["own"]
+    assert both.fields_without_proved_optimum == ["own"]
     assert both.aggregates[0]["fields"] == 1
     assert both.aggregates[0]["deterministic_gap"].value == pytest.approx(0.5)
 
 
-WIND = {**NavigationConfig().model_dump(mode="json"), "wind": [0.1, 30.0]}
-TEAM = {**NavigationConfig().model_dump(mode="json"), "reward_sharing": "team"}
+WORLD = NavigationConfig().model_dump(mode="json")
+WIND, TEAM = {**WORLD, "wind": [0.1, 30.0]}, {**WORLD, "reward_sharing": "team"}
+GUSTS = [{**WORLD, "gust": 0.2, "gust_time": time} for time in (5.0, 9.0)]
 
 
-def test_what_may_not_be_compared_is_refused_by_place(tmp_path: Path) -> None:
-    gusty = [{**WIND, "wind": [0.0, 0.0], "gust": 0.2, "gust_time": time} for time in (5.0, 9.0)]
-    known = load_field("field_01")
-    other = Field(known.vertices, known.rois[:1], known.starts, name="field_03")
-    cases: list[tuple[list[dict[str, Any]], list[str]]] = [
+@pytest.mark.parametrize(
+    ("changes", "places"),
+    [
         ([{"seed": 0}], ["seeds: ppo on field_03 has 1"]),
         (
             [{"seed": 0}, {"field": "field_01", "seed": 1}],
@@ -186,46 +146,46 @@ def test_what_may_not_be_compared_is_refused_by_place(tmp_path: Path) -> None:
                 for one in ("ppo on field_01", "ppo on field_03", "mappo on field_01")
             ],
         ),
-        (
-            [{"seed": 0}, {"seed": 0}],
-            ["seeds: ppo on field_03 has 1", "seeds: ppo on field_03 has"],
-        ),
+        ([{"seed": 0}] * 2, ["seeds: ppo on field_03 has 1", "seeds: ppo on field_03 has"]),
         ([{"seed": 0}, {"seed": 1, "steps": 500, "episodes": 3}], ["steps: ", "episodes: "]),
         ([{"seed": 0}, {"seed": 1, "hyperparameters": {}}], ["hyperparameters: "]),
         ([{"seed": k, "environment": WIND} for k in (0, 1)], ["environment.wind: "]),
         ([{"seed": 0}, {"seed": 1, "environment": TEAM}], ["environment: "]),
-        ([{"seed": k, "environment": gusty[0]} for k in (0, 1)], ["environment.gust: "]),
-        ([{"seed": k, "field_object": other} for k in (0, 1)], ["fields: "] * 2),
-    ]
+        ([{"seed": k, "environment": GUSTS[0]} for k in (0, 1)], ["environment.gust: "]),
+        ([{"seed": k, "field_object": "other"} for k in (0, 1)], ["fields: "] * 2),
+    ],
+)
+def test_what_may_not_be_compared_is_refused_by_place(
+    changes: list[dict[str, Any]], places: list[str], tmp_path: Path
+) -> None:
+    known = load_field("field_01")
+    other = Field(known.vertices, known.rois[:1], known.starts, name="field_03")
     runs = [make_run(tmp_path, seed=seed) for seed in (0, 1)]
-    for changes, places in cases:
-        others = [make_run(tmp_path, algorithm="ppo", **one) for one in changes]
-        with pytest.raises(ConfigError) as caught:
-            Results.of([*runs, *others])
-        problems = caught.value.problems
-        assert len(problems) == len(places), problems
-        for problem, place in zip(problems, places, strict=True):
-            assert problem.startswith(place)
+    for one in changes:
+        own = {"field_object": other} if "field_object" in one else {}
+        runs.append(make_run(tmp_path, algorithm="ppo", **{**one, **own}))
+    with pytest.raises(ConfigError) as caught:
+        Results.of(runs)
+    problems = caught.value.problems
+    assert len(problems) == len(places), problems
+    assert all(map(str.startswith, problems, places))
+
+
+def test_labels_may_name_different_tasks(tmp_path: Path) -> None:
+    plain = make_run(tmp_path)
+    Results.of([plain, make_run(tmp_path, label="team", environment=TEAM)])  # sees other things
     lulls = [
         make_run(tmp_path, algorithm=name, environment=world)
-        for name, world in zip(("mappo", "ippo", "ppo"), (*gusty[:1], *gusty), strict=True)
+        for name, world in zip(("mappo", "ippo", "ppo"), (*GUSTS[:1], *GUSTS), strict=True)
     ]
     Results.of(lulls[:2])
     with pytest.raises(ConfigError, match=r"environment\.gust_time: "):
         Results.of(lulls)
-    Results.of([runs[0], make_run(tmp_path, label="team", environment=TEAM)])  # sees other things
-
-
-def test_labels_may_name_different_tasks(tmp_path: Path) -> None:
-    runs = [make_run(tmp_path), make_run(tmp_path, label="in_wind", environment=WIND)]
-    assert [*Results.of(runs[:1]).optima] == ["field_03"]
-    comparison = summarise(Results.of(runs))
-    assert not comparison.aggregates and comparison.unproved == ["field_03"]
+    comparison = summarise(Results.of([plain, make_run(tmp_path, label="windy", environment=WIND)]))
+    assert not comparison.aggregates and comparison.fields_without_proved_optimum == ["field_03"]
     (line,) = gaps(comparison).lines
     cells = dict(zip(comparison.looks, line[1:], strict=True))
-    assert cells["in_wind"] == "-" and cells["mappo"].endswith("%")
-    with pytest.raises(ConfigError, match=r"environment\.wind: "):
-        Results.of([runs[0], make_run(tmp_path, algorithm="ppo", environment=WIND)])
+    assert cells["windy"] == "-" and cells["mappo"].endswith("%")
 
 
 def test_only_finished_runs_are_compared(tmp_path: Path) -> None:
@@ -253,31 +213,24 @@ def test_runs_on_random_fields_are_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "path", "value"),
     [
-        *(("config.json", ["label"], bad) for bad in (3, ["a"], {"a": 1}, "a | b", "a\nb", "=1")),
-        *(("config.json", ["algorithm"], bad) for bad in ("<b>x", 3, ["mappo"], None)),
-        *(("config.json", ["setting"], bad) for bad in ("<b>", "A", None, [])),
+        *(("config.json", ["label"], bad) for bad in (3, ["a"], "a | b", "a\nb", "=1")),
+        *(("config.json", ["algorithm"], bad) for bad in ("<b>x", ["mappo"], None)),
+        *(("config.json", ["setting"], bad) for bad in ("<b>", "A", None)),
         *(("config.json", ["seed"], bad) for bad in ("a", -5, 1.5, True, 2**32)),
         *(("config.json", ["steps"], bad) for bad in ("many", 10**30, 0, float("nan"))),
-        ("config.json", ["episodes"], "x"),
         ("config.json", ["evaluate_every"], None),
-        *(("config.json", ["environment"], bad) for bad in (None, [1], "calm")),
+        *(("config.json", ["environment"], bad) for bad in (None, [1])),
         ("config.json", ["environment", "evil"], 1),
-        ("config.json", ["hyperparameters"], None),
-        *(("config.json", [], bad) for bad in ([1], "x", None)),
+        *(("config.json", [], bad) for bad in ([1], None)),
         *(
             ("evaluation.json", ["stochastic", "return_mean"], bad)
             for bad in ("x", float("nan"), float("inf"), 1e308, None, True)
         ),
         *(("evaluation.json", ["deterministic", "success_rate"], bad) for bad in (5.0, -1, "1")),
-        *(("evaluation.json", ["stochastic", "makespan"], bad) for bad in ("x", -1.0)),
-        *(("evaluation.json", ["env_steps"], bad) for bad in (-7, 1.5, "x")),
-        *(("evaluation.json", ["seconds"], bad) for bad in ("x", -1, float("inf"))),
-        *(("evaluation.json", ["stochastic"], bad) for bad in ([1], None, 3)),
-        ("evaluation.json", [], [1]),
-        ("evaluations.json", [], {"a": 1}),
-        ("evaluations.json", [], []),
-        ("evaluations.json", [], [1]),
-        ("evaluations.json", [0, "return_mean"], float("nan")),
+        ("evaluation.json", ["stochastic", "makespan"], -1.0),
+        ("evaluation.json", ["env_steps"], 1.5),
+        ("evaluation.json", ["stochastic"], [1]),
+        *(("evaluations.json", [], bad) for bad in ({"a": 1}, [], [1])),
         ("evaluations.json", [0, "seconds"], "x"),
     ],
 )
@@ -303,9 +256,12 @@ def test_words_stay_in_their_cells() -> None:
     table = TextTable("c", ("x", "y", "z"), (words,), words=3)
     assert table.markdown().splitlines()[-1] == r"| a \| b ## c | &lt;img src=x> | \input{x}$^~ |"
     shown = r"\textbackslash{}input\{x\}\$\textasciicircum{}\textasciitilde{}"
-    assert rf"a | b \#\# c & \textless{{}}img src=x\textgreater{{}} & {shown} \\" in table.latex(
-        "t"
-    )
+    latex = table.latex("t")
+    assert rf"a | b \#\# c & \textless{{}}img src=x\textgreater{{}} & {shown} \\" in latex
+    assert "<td>&lt;img src=x&gt;</td>" in TextTable("c", "xyz", (words,)).html("t")
+    table = TextTable("a_b, 5%", ("field", "x"), (("field_01", "-1.5"), ("", "2"), ("c&d", "3")))
+    assert r"\caption{a\_b, 5\%}" in table.latex("t")
+    assert "field\\_01 & $-$1.5 \\\\\n & 2 \\\\\n\\addlinespace\nc\\&d & 3 \\\\" in table.latex("t")
     signs = DataFrame({"label": ["=1+2", "+1", "-x", "@x", "plain"], "number": [-1.0, 2, 3, 4, 5]})
     rows = ["label,number", "'=1+2,-1.0", "'+1,2.0", "'-x,3.0", "'@x,4.0", "plain,5.0"]
     assert csv_text(signs).splitlines() == rows

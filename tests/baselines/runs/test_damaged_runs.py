@@ -18,7 +18,7 @@ import pytest
 import torch
 
 from baselines.cli import main
-from baselines.evaluation.policy import load_trained
+from baselines.policies.load import load_trained
 from baselines.runs.files import RunError, read_arrays, read_json, write_arrays
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import read_tensors, write_tensors
