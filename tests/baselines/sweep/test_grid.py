@@ -92,17 +92,6 @@ def test_a_run_that_diverges_stops_no_other(tmp_path: Path) -> None:
     assert run_here(spec).keys() == {bad}, "only a run that failed is repeated"
 
 
-def test_a_defect_fails_its_run_alone_and_is_shown(tmp_path: Path) -> None:
-    first, second = runs_of(spec_of(tmp_path, seeds=[0, 1]))
-    nowhere: Any = None
-    jobs = [TrainJob(first, nowhere), TrainJob(second, tmp_path)]
-    ended: dict[Any, Any] = {}
-    engine = LocalEngine(1, retries=1)
-    engine.run(train_in_store, jobs, print, lambda job, end: ended.update({job.run.name: end}))
-    assert isinstance(ended[first.name], Failure) and "Traceback" in ended[first.name].error
-    assert ended[second.name].state == "done"
-
-
 def test_a_run_that_another_process_trains_is_left_to_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,20 +107,22 @@ def test_a_run_that_another_process_trains_is_left_to_it(
     assert train_in_store(TrainJob(source, tmp_path), print).state == "failed"
 
 
-def test_a_worker_that_is_killed_fails_its_job_alone(tmp_path: Path) -> None:
-    jobs = [tmp_path / name for name in "abcd"]
+def test_a_process_that_dies_or_fails_fails_its_job_alone(tmp_path: Path) -> None:
+    jobs = [tmp_path / name for name in ("a", "b", "c", "bad")]
     for job in jobs[1:]:
         job.touch()
     done: list[str] = []
     ended: dict[str, Any] = {}
     LocalEngine(2).run(die_once, jobs, done.append, lambda job, end: ended.update({job.name: end}))
-    assert sorted(done) == ["b", "c", "d"]
+    assert sorted(done) == ["b", "c"]
     assert ended.pop("a") == Failure("a process died with exit code -9")
-    assert ended == {"b": 1, "c": 1, "d": 1}
+    assert "Traceback" in ended.pop("bad").error
+    assert ended == {"b": 1, "c": 1}
     jobs[0].unlink()
     engine = LocalEngine(2, retries=1)
     engine.run(die_once, jobs, done.append, lambda job, end: ended.update({job.name: end}))
-    assert sorted(done) == ["a", "b", "b", "c", "c", "d", "d"] and set(ended.values()) == {1}
+    assert sorted(done) == ["a", "b", "b", "c", "c"]
+    assert ended["a"] == 1 and isinstance(ended["bad"], Failure)
     jobs[0].unlink()
 
     def stop(job: Path, end: Any) -> None:
