@@ -107,11 +107,9 @@ class Normalize(TensorDictModuleBase):
     def normalize(self, observations: torch.Tensor) -> torch.Tensor:
         if self._tokens:
             return observations
-        normalized: torch.Tensor = (observations - self.statistics.mean) / self.scale()
+        scale = torch.where(self.statistics.count > 0, self.statistics.scale(), 1.0)
+        normalized: torch.Tensor = (observations - self.statistics.mean) / scale
         return normalized.clamp_(-CLIP, CLIP)
-
-    def scale(self) -> torch.Tensor:
-        return torch.where(self.statistics.count > 0, self.statistics.scale(), 1.0)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         return tensordict.set(Key.NORMALIZED, self.normalize(tensordict.get(Key.OBSERVATION)))
