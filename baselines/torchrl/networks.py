@@ -40,8 +40,6 @@ HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 @dataclass(frozen=True)
 class TeamShape:
-    """The sizes of a team's networks."""
-
     obs_size: int
     n_robots: int
     # These are as in MultiAgentPPOConfig.

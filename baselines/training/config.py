@@ -106,12 +106,10 @@ class TrainConfig:
 
     @property
     def shown_as(self) -> str:
-        """The name in tables and figures."""
         return self.label or default_label(self.algorithm, self.setting)
 
     @property
     def command(self) -> str:
-        """The command line that repeats this run."""
         words: list[str] = []
         for field in dataclasses.fields(self)[2:-2]:
             name = "from" if field.name == "transferred_from" else field.name.replace("_", "-")
@@ -162,8 +160,6 @@ def default_label(algorithm: str, setting: str) -> str:
 
 
 class Hyperparameters(pydantic.BaseModel):
-    """The entries that all hyperparameters have."""
-
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     # Where the numbers come from.
@@ -236,7 +232,6 @@ def parse(words: Sequence[str]) -> dict[str, Any]:
 
 
 def words_of(values: Mapping[str, Any]) -> list[str]:
-    """Return the words that :func:`parse` reads ``values`` from."""
     words = []
     for name, value in to_jsonable_python(dict(values)).items():
         if isinstance(value, Mapping) and value:
@@ -265,8 +260,6 @@ class Budget(NamedTuple):
 
 @dataclass(frozen=True)
 class Task:
-    """A request as a trainer gets it."""
-
     config: TrainConfig
     field: Field | FieldSampler
     # Keyword arguments of the environment: the algorithm's own and the request's.

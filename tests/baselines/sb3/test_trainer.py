@@ -14,9 +14,8 @@ from baselines.algorithms import find_algorithm
 from baselines.evaluation.evaluate import evaluate
 from baselines.policies.load import load_trained
 from baselines.sb3.config import load
-from baselines.sb3.envs import TrainingWorlds, make_env
 from baselines.sb3.policy import SB3Policy, load_policy
-from baselines.sb3.trainer import Learner
+from baselines.sb3.trainer import Learner, TrainingWorlds, make_env
 from baselines.training import aids, run_logger
 from baselines.training.aids import RoiCurriculum
 from baselines.training.config import Task, TrainConfig
