@@ -27,10 +27,7 @@ USAGE += "\n".join(f"  {name:<12}{about}" for name, (*_, about) in SUBJECTS.item
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a benchmark with ``arguments``, by default those of the process; return the exit code.
-
-    It is 0, 1 for frozen fields that are not as written, 2 for wrong input, 130 after Ctrl-C.
-    """
+    """Run a benchmark; return 0, 1 for wrong frozen fields, 2 for wrong input, 130 after Ctrl-C."""
     words = sys.argv[1:] if arguments is None else list(arguments)
     if not words or words[0] in ("-h", "--help"):
         print(USAGE)

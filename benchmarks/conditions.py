@@ -29,13 +29,13 @@ class Conditions(Benchmark):
     name: ClassVar[str] = "conditions"
 
     policies: tuple[str, ...] = POLICIES
-    """Which of them; or a run or zoo:NAME, with mean actions."""
+    """Some of them; or a run or zoo:NAME, with mean actions."""
     conditions: tuple[Condition, ...] = get_args(Condition)
     """Under which conditions."""
     fields: tuple[str, ...] = tuple(catalogue_names())
     """Names of `mbn fields`."""
     episodes: int = 100
-    """How many episodes of each."""
+    """The number of episodes of each."""
     seed: int = EVALUATION_SEED
     """Of the episodes; by default that of all evaluations."""
 
@@ -51,15 +51,14 @@ class Conditions(Benchmark):
             for policy in self.policies
         }
         size = f"{len(self.fields)} fields, {self.episodes} episodes each, seed {self.seed}"
+        shown = {
+            "success: mean over fields (lowest)": _success,
+            "return: mean over fields": _return,
+        }
         tables = {}
-        for title, show in (
-            ("success: mean over fields (lowest)", _success),
-            ("return: mean over fields", _return),
-        ):
-            lines = [
-                (condition, *(show(cells[condition]) for cells in found.values()))
-                for condition in self.conditions
-            ]
+        for title, show in shown.items():
+            cells = [[show(one[name]) for one in found.values()] for name in self.conditions]
+            lines = [(name, *row) for name, row in zip(self.conditions, cells, strict=True)]
             tables[title] = TextTable(size, ("condition", *found), lines)
         return Findings(tables, {"evaluations": found})
 

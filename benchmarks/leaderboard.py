@@ -60,9 +60,7 @@ class Leaderboard:
 def leaderboard(folder: Path) -> str:
     """Return the page of the results in a folder.
 
-    Raises:
-        ConfigError: there is no such folder; or naming the results that cannot be read, or are not
-            of the whole split by the present protocol.
+    A ConfigError names those that cannot be read, or are not of the whole split by this protocol.
     """
     protocol = load_protocol()
     if not folder.is_dir():

@@ -14,8 +14,7 @@ from typing import Annotated, Any, ClassVar
 from tyro.conf import arg
 
 from baselines.compare.text_table import TextTable
-from baselines.runs.files import claim_folder, write_json
-from baselines.runs.provenance import versions
+from baselines.runs.files import claim_folder, versions, write_json
 
 CPU = Path("/proc/cpuinfo")
 
@@ -28,7 +27,7 @@ class Measurement:
     value: float | None  # None if it was not measured (the note says why), infinite for never
     unit: str
     target: float | None = None
-    at_least: bool = True  # whether the target is a lower bound; otherwise it is an upper one
+    at_least: bool = True  # the target is a lower bound; otherwise it is an upper one
     note: str = ""
 
     @property

@@ -27,7 +27,7 @@ from benchmarks.report import Benchmark, Findings, Measurement, measurement_tabl
 from mbn_marl import BatchEngine, FieldSampler, load_field, parallel_env
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.field import catalogue_names
-from mbn_marl.field.layout import FAMILIES
+from mbn_marl.field.generator.layout import FAMILIES
 
 Step = Callable[[Any], object]
 MILLION, RATE = 1e6, "M env-steps/s"
@@ -178,7 +178,7 @@ class Case:
 
     name: str
     run: Callable[[int], object]  # does it so many times
-    units: float = 1.0  # how many units (env-steps, say) it does each time
+    units: float = 1.0  # units (env-steps, say) of a call
     prepare: Callable[[int], object] = lambda calls: None  # before the clock starts
 
 
@@ -256,13 +256,10 @@ def cycling_case(name: str, sets: Iterable[Any], step: Step, units: float = 1.0)
 
 
 def plain_case() -> Case:
-    """Return the plain loop on field_01, in seconds per env-step.
-
-    One world of the tests' oracle does what the engine does in a step: revisit memory, rewards and
-    their terms, an observation for each robot, and metrics and a reset when an episode ends.
-    """
+    """Return the plain loop, one world of the tests' oracle, in seconds per env-step."""
     oracle = import_module("tests.support.oracle").Oracle(load_field(FIELD))
 
+    # All that the engine does in a step, with the metrics and the reset when an episode ends.
     def step(actions: Any) -> None:
         outcome = oracle.step(actions.tolist())
         if outcome.terminated or outcome.truncated:

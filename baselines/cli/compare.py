@@ -132,7 +132,7 @@ class Benchmark(Writes):
     """zoo:NAME, a policy of `mbn zoo`; the folder of a run; greedy, planner, replan or random;
     or module:callable, your own."""
     split: Literal["test", "validation"] = "test"
-    """Which fields: those to choose by are of validation."""
+    """The fields: those to choose by are of validation."""
     shield: bool = False
     """Let robots do only what they could brake after, whatever the policy wants."""
     tiers: tuple[str, ...] = ()
@@ -141,7 +141,7 @@ class Benchmark(Writes):
     """The folder to write: result.json, page.html, episodes; by default
     runs/benchmark-POLICY-SPLIT, or runs/benchmark-POLICY-shield-SPLIT."""
     resume: bool = False
-    """Go on with a benchmark that was interrupted: tiers that are done are kept."""
+    """Continue a benchmark that was interrupted: tiers that are done are kept."""
 
     def run(self, command_line: str) -> None:
         from rich.progress import Progress

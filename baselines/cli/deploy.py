@@ -39,7 +39,7 @@ class Deploy(InWeather):
     seconds_per_step: float = 1.0
     """The pace of the world: how long a unit of the MDP's time takes."""
     host: str = "localhost"
-    """Where CoppeliaSim runs."""
+    """The machine on which CoppeliaSim runs."""
     port: int = 23000
     """Of CoppeliaSim's ZeroMQ remote API."""
     timeout: float = 10.0

@@ -22,7 +22,7 @@ class Evaluate(Subject):
     """Evaluate a policy on fresh episodes, with sampled and with mean actions."""
 
     episodes: int = 100
-    """How many episodes."""
+    """The number of episodes."""
     seed: int | None = None
     """Of the episodes; by default the seed that every run's final evaluation has."""
     json: Path | None = None

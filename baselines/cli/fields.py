@@ -30,7 +30,7 @@ class Fields(Writes):
     seed: int = 0
     """Of the first random field of each family; the next one has the next seed."""
     count: int = 1
-    """How many random fields of each family."""
+    """The number of random fields of each family."""
     robots: int = 3
     """Of each random field, or of a map without starts."""
     rois: int = 6

@@ -93,7 +93,7 @@ class Replay(Writes):
         from mbn_marl.episode import check_episode, load_episode
         from mbn_marl.errors import MbnError
         from mbn_marl.files import check_free, claim_file, replacing
-        from mbn_marl.web.replay import replay_page
+        from mbn_marl.render.web import replay_page
 
         if self.out.suffix.lower() != ".html":
             raise MbnError(f"{self.out}: the file name has to end in .html")
@@ -167,4 +167,4 @@ class Play(_Window):
     """Drive one robot with the arrow keys or W, A, S, D, while a policy drives the others."""
 
     robot: int = 0
-    """Which robot is yours."""
+    """The number of your robot."""

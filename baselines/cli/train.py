@@ -66,10 +66,10 @@ class Transfer:
     algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
     """a2c, ppo, trpo, ars, crossq or tqc."""
     fields: tuple[str, ...] = ()
-    """Where to continue: names of `mbn fields` or paths; by default all others of the catalogue."""
+    """Those to continue on: names of `mbn fields` or paths; by default all of the catalogue."""
     source: str = "field_01"
-    """Where the policy comes from. A finished run of it in OUT is taken, of any budget unless
-    --source-steps says which."""
+    """The field of the policy. A finished run of it in OUT is taken, of any budget, or of that of
+    --source-steps."""
     seed: int = 33
     """Of networks, exploration and worlds."""
     steps: int = 5_000_000

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import time
@@ -23,18 +22,11 @@ from baselines.policies.classical import NoPlanError
 from baselines.policies.load import Source
 from baselines.policies.policy import Policy, Wrapped
 from baselines.policies.shielded import Shielded, behind
-from baselines.runs.files import RunError, differences, read_json, write_json
-from baselines.runs.provenance import versions
+from baselines.runs.files import RunError, differences, read_json, versions, write_json
 from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, load_episode, save_episode
-from mbn_marl.errors import (
-    ConfigError,
-    EpisodeError,
-    FieldError,
-    ProblemsError,
-    collecting,
-)
+from mbn_marl.errors import ConfigError, EpisodeError, FieldError, ProblemsError, collecting
 from mbn_marl.field import Instance, load_split, splits
 from mbn_marl.planning import UnsolvableError
 from mbn_marl.render.figures import trajectory_panels
@@ -83,8 +75,8 @@ class Protocol(Checked):
 
     version: int  # results of different versions are not to be compared
     splits: int  # the version of the frozen fields
-    tiers: tuple[str, ...]  # what a whole benchmark has
-    episodes: EpisodeCounts  # how many an instance has
+    tiers: tuple[str, ...]  # of a whole benchmark
+    episodes: EpisodeCounts  # of an instance
     seed: int  # of an instance: this, 1000 for each tier before its own, and its number
     settings: tuple[str, ...]  # those that a policy may choose
 
@@ -424,16 +416,13 @@ def result_tables(record: Mapping[str, Any], statistic: str = "mean") -> dict[st
 
 
 def result_page(record: Mapping[str, Any], out: Path) -> str:
-    found = [result_tables(record, statistic).items() for statistic in STATISTICS]
-    sections = [Section("All tiers", tables=dict(itertools.chain(*found)))]
+    means, iqms = (result_tables(record, statistic) for statistic in STATISTICS)
+    sections = [Section("All tiers", tables=means | iqms)]
     sections += [_section(tier, one, out) for tier, one in record["tiers"].items()]
     sections.append(Section("Command", texts={"This benchmark": record["command"]}))
-    policy = f"{record['policy']}{behind(record['shield'])}"
-    summary = (
-        f"{policy} on the split {record['split']}, protocol {record['protocol']}. "
-        f"Made by mbn_marl {__version__}."
-    )
-    return report_page("Benchmark", summary, sections)
+    policy = f"{record['policy']}{behind(record['shield'])} on the split {record['split']}"
+    by = f"protocol {record['protocol']}. Made by mbn_marl {__version__}."
+    return report_page("Benchmark", f"{policy}, {by}", sections)
 
 
 def _section(tier: str, found: Mapping[str, Any], out: Path) -> Section:

@@ -67,7 +67,7 @@ def draw_statistics(comparison: Comparison) -> dict[str, Figure]:
         drawn["Performance profiles"] = profiles_figure(profiles, THRESHOLDS, comparison.looks)
     if pairs := list(itertools.combinations(comparison.looks, 2)):
         title = "Probability of improvement"
-        chances = {f"{x} > {y}": comparison.improvement[x][y] for x, y in pairs}
+        chances = {f"{x} > {y}": comparison.probability_of_improvement[x][y] for x, y in pairs}
         figure = drawn[title] = intervals_figure({title.lower(): chances})
         figure.axes[0].axvline(0.5, color=style.FAINT_INK, ls=":", lw=1.2, zorder=1)
         figure.axes[0].set(xlim=(0.0, 1.0), xticks=[0.0, 0.25, 0.5, 0.75, 1.0])

@@ -19,13 +19,12 @@ from baselines.compare.tables import field_tables, gaps, overall_tables
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.rollout import record_episode, write_episode
 from baselines.policies.load import load_trained
-from baselines.runs.files import Place, write_json, write_text
-from baselines.runs.provenance import write_provenance
+from baselines.runs.files import Place, write_json, write_provenance, write_text
 from mbn_marl.episode import Episode
 from mbn_marl.files import claim_file, replacing
+from mbn_marl.render import web
 from mbn_marl.render.figures import save, svg, trajectory_panels
 from mbn_marl.version import __version__
-from mbn_marl.web import page
 
 PAGE = "comparison.md"
 
@@ -53,12 +52,7 @@ def report_comparison(
 
     ``out`` is an ``.html`` file for one self-contained page, otherwise see :meth:`Place.of`; it
     records the exact command, and ``force`` moves one that is there aside. ``note`` receives what
-    is left out, and why.
-
-    Raises:
-        RunError: a path holds no run, a run is not finished, or something is at ``out`` already.
-        MbnError: there is a page at ``out`` already.
-        ConfigError: naming everything that keeps the runs from being compared.
+    is left out, and why. Errors are those of :meth:`Results.of` and :func:`find_records`.
     """
     results = Results.of(find_records(paths, note))
     if is_page(out):
@@ -98,7 +92,7 @@ def write_comparison(results: Results, place: Place) -> Comparison:
         write_episode(episode, out / f"trajectories_{field}.png", title)
         write_episode(episode, out / f"episode_{field}.gif")
     tables = overall_tables(comparison) | field_tables(comparison)
-    broken = [f"- {name}: {error}" for name, error in comparison.broken.items()]
+    broken = [f"- {name}: {error}" for name, error in comparison.broken_runs.items()]
     parts = [f"# {comparison.question}", comparison.verdict]
     if broken:
         parts += ["## Runs that diverged: their variants are left out", "\n".join(broken)]
@@ -163,7 +157,7 @@ def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
         "contents": "\n".join(links),
         "sections": "\n".join(_section(*numbered) for numbered in enumerate(sections)),
     }
-    return page.whole("report.html", title, values, extra_styles=("report.css",))
+    return web.whole("report.html", title, values, extra_styles=("report.css",))
 
 
 def _section(number: int, section: Section) -> str:
@@ -173,7 +167,7 @@ def _section(number: int, section: Section) -> str:
         pictures = "".join(_figure(*named) for named in section.figures.items())
         parts.append(f'<div class="figures">{pictures}</div>')
     if section.episodes:
-        data = page.episodes_data(section.episodes)
+        data = web.episodes_data(section.episodes)
         parts += [
             f'<div id="replay-{number}" data-replay="episodes-{number}"></div>',
             f'<script type="application/json" id="episodes-{number}">{data}</script>',

@@ -7,9 +7,16 @@ from pathlib import Path
 from baselines.algorithms import find_algorithm
 from baselines.compare.records import Results, RunRecord
 from baselines.compare.variants import CompareConfig
-from baselines.runs.files import RunError, alone, claim_folder, differences, read_json, write_json
+from baselines.runs.files import (
+    RunError,
+    alone,
+    claim_folder,
+    differences,
+    read_json,
+    write_json,
+    write_provenance,
+)
 from baselines.runs.folder import RunFolder
-from baselines.runs.provenance import write_provenance
 from baselines.sweep.processes import LocalEngine
 from baselines.sweep.run import check_outcomes, train_runs
 from baselines.training.run_logger import Listener, find_wandb
@@ -29,18 +36,15 @@ def train_all_runs(
     wandb: str | None = None,
     listener: Listener = lambda report: None,
 ) -> Results:
-    """Train every run into a folder of its own under ``out``, so many ``processes`` at a time.
+    """Train every run into a folder under ``out``, so many ``processes`` at a time.
 
     A run that diverges stops no other; its label is then left out of the results, which say so.
-    ``out`` records the exact command; ``force`` moves one that is there aside. With ``resume``,
-    finished runs there are kept, unfinished ones resumed, missing ones started. ``wandb`` is a
-    project of Weights & Biases to log to as well; ``listener`` receives where the runs stand.
+    With ``resume``, finished runs there are kept, unfinished ones resumed, missing ones started.
+    ``wandb`` is a project of Weights & Biases to log to as well.
 
     Raises:
-        RunError: ``out`` already holds something, or another process compares there, or a run
-            failed, or every label has one that diverged.
+        RunError: ``out`` already holds something, or a run failed, or all labels diverged.
         ConfigError: naming all that is not valid, or with ``resume`` all that differs.
-        MbnError: Weights & Biases is asked for and not installed.
     """
     if wandb is not None:
         find_wandb()

@@ -58,7 +58,7 @@ def optimality_gap(scores: FloatArray) -> Estimate:
 
 
 def probability_of_improvement(ours: FloatArray, theirs: FloatArray) -> Estimate:
-    """How likely a run of ``ours`` is to score more than one of ``theirs``, mean over fields.
+    """The chance that a run of ``ours`` scores more than one of ``theirs``, mean over fields.
 
     Equal scores count half, so that the two directions sum to 1.
     """
@@ -89,50 +89,32 @@ def _estimate(scores: FloatArray, statistic: Callable[[FloatArray], Any]) -> Est
 
 
 def _shares(shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
-    # How often each resample draws each run, as a share of its field's: (resamples, *shape).
+    # The count of each run in each resample, as a share of its field's: (resamples, *shape).
     drawn = rng.integers(0, shape[1], (RESAMPLES, *shape))
     return np.stack([(drawn == seed).mean(axis=2) for seed in range(shape[1])], axis=2)
 
 
-FIELDS_OF_JSON = {
-    **{name: name for name in ("question", "verdict", "rows", "aggregates")},
-    **{"probability_of_improvement": "improvement", "fields_without_proved_optimum": "unproved"},
-    "broken_runs": "broken",
-}
 Numbers = Mapping[str, Any]
 """A label's numbers by name; ``None`` is unknown."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Everything that a comparison found.
-
-    Rows and aggregates have a label, its ``algorithm`` and ``form``, the ``seeds`` of a field, the
-    ``env_steps`` of a run, the ``success_rate`` of final episodes with sampled actions and with
-    mean ones (``deterministic_...``), how many runs ``passed``, how many ``reached`` a fresh
-    evaluation at 100 000, the mean env-steps and training seconds of the first such evaluation
-    (``..._to_threshold``), and the mean training ``seconds`` of a run, without evaluations.
-
-    Rows have besides the mean return over seeds with its 95 % bootstrap interval, the mean
-    ``makespan`` of successful episodes, the proved ``optimum``, the return's share of it, and the
-    returns with mean actions; aggregates have the interquartile mean ``iqm``, the optimality
-    ``gap`` and the performance ``profile`` (at ``THRESHOLDS``) of the scores, the returns as shares
-    of the optimum, also with mean actions (``deterministic_...``).
-    """
+    """Everything that a comparison found; of rows and aggregates see ``_row``, ``_aggregate``."""
 
     question: str
     verdict: str
     looks: Mapping[str, int]  # the labels in order, with the numbers of their looks in figures
     rows: Sequence[Numbers]  # every label on every field, field by field
     aggregates: Sequence[Numbers]  # every label over the fields with a proved optimum
-    # How likely a run of the first label has a higher return with sampled actions than one of the
-    # second on the same field, over all fields.
-    improvement: Mapping[str, Mapping[str, Estimate]]
-    unproved: Sequence[str]  # the fields that the aggregates leave out
-    broken: Mapping[str, str]  # the error of each run that diverged, whose label is left out
+    # The chance that a run of the first label has a higher return with sampled actions than one of
+    # the second on the same field, over all fields.
+    probability_of_improvement: Mapping[str, Mapping[str, Estimate]]
+    fields_without_proved_optimum: Sequence[str]  # the aggregates leave them out
+    broken_runs: Mapping[str, str]  # the error of each that diverged; its label is left out
 
     def to_json(self) -> dict[str, Any]:
-        values = {name: getattr(self, field) for name, field in FIELDS_OF_JSON.items()}
+        values = {name: value for name, value in vars(self).items() if name != "looks"}
         plain: dict[str, Any] = _plain({**values, "profile_thresholds": THRESHOLDS})
         return plain
 
@@ -149,7 +131,7 @@ def summarise(results: Results) -> Comparison:
         looks=results.looks,
         rows=[_row(results.cells[label, field]) for field in results.fields for label in labels],
         aggregates=[_aggregate(results.on(proved), label) for label in labels if proved],
-        improvement={
+        probability_of_improvement={
             ours: {
                 theirs: probability_of_improvement(results.returns(ours), results.returns(theirs))
                 for theirs in labels
@@ -157,8 +139,8 @@ def summarise(results: Results) -> Comparison:
             }
             for ours in labels
         },
-        unproved=[field for field in results.fields if field not in proved],
-        broken=results.broken,
+        fields_without_proved_optimum=[field for field in results.fields if field not in proved],
+        broken_runs=results.broken,
     )
 
 

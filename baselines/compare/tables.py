@@ -82,7 +82,7 @@ def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
     if len(comparison.looks) > 1:
         lines = [
             (ours, *(f"{than[one].value:.0%}" if one in than else "-" for one in comparison.looks))
-            for ours, than in comparison.improvement.items()
+            for ours, than in comparison.probability_of_improvement.items()
         ]
         table = TextTable(OF_IMPROVEMENT, ("", *comparison.looks), lines)
         tables["Probability of improvement"] = table
@@ -105,7 +105,7 @@ def _by_field(rows: Sequence[Numbers]) -> dict[str, list[Numbers]]:
 
 
 def _aggregates(comparison: Comparison) -> TextTable:
-    left_out = ", ".join(comparison.unproved)
+    left_out = ", ".join(comparison.fields_without_proved_optimum)
     caption = OF_AGGREGATES + (
         f" Left out, without one proved optimum for all: {left_out}." if left_out else ""
     )

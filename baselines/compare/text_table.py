@@ -43,7 +43,7 @@ class TextTable:
         caption: sentences about it.
         headings: of the columns; one may have several lines.
         lines: each as long as the headings; an empty first word belongs to the word above it.
-        words: how many columns, from the left, hold words; the others hold numbers.
+        words: the number of columns, from the left, that hold words and no numbers.
     """
 
     caption: str

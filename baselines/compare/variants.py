@@ -29,7 +29,7 @@ class Variant(BaseModel):
     algorithm: str
     # C begins with another run: nothing to compare.
     setting: Literal["A", "B", "N", "J", "G"] = "N"
-    label: str | None = None  # what the comparison calls it; by default the algorithm's name
+    label: str | None = None  # in tables; by default the algorithm's name
     hyperparameters: dict[str, Any] = Field(default_factory=dict)
     environment: dict[str, Any] = Field(default_factory=dict)
 

@@ -83,7 +83,7 @@ def form_of(results: Results, label: str) -> str:
 
 
 def _of_one_library(results: Results, order: list[str]) -> list[str]:
-    """Return the labels of the first library that has both forms; without one, all labels."""
+    # Those of the first library that has both forms; without one, all labels.
     for first in order:
         package = _algorithm(results, first).package
         labels = [label for label in order if _algorithm(results, label).package == package]

@@ -84,16 +84,4 @@ def _frames(episode: Episode) -> Iterator[NDArray[np.uint8]]:
 
 def draw_trajectories(episode: Episode, title: str | None = None) -> Figure:
     """Draw the robots' paths."""
-    last = episode.snapshot(episode.steps)
-    return figures.trajectory_figure(
-        last.field,
-        last.trail,
-        visited=last.visited,
-        collision=last.collision,
-        wind=last.winds,
-        headings=last.headings,
-        failed=last.failed,
-        gone=last.gone,
-        roi_radius=last.roi_radius,
-        title=title,
-    )
+    return figures.trajectory_figure(episode.snapshot(episode.steps), title)

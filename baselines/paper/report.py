@@ -18,8 +18,7 @@ from baselines.compare.text_table import DASH
 from baselines.paper import published, tables
 from baselines.paper.tables import KINDS, MISSING
 from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
-from baselines.runs.files import Place, RunError, read_text, write_text
-from baselines.runs.provenance import write_provenance
+from baselines.runs.files import Place, RunError, read_text, write_provenance, write_text
 from mbn_marl.field import load_field
 from mbn_marl.render import figures
 
@@ -115,10 +114,8 @@ def _page(
         curves="\n\n".join(shown),
         against="\n\n".join(pairs),
         study="\n\n".join(
-            [
-                picture("study_history", "History of the study"),
-                picture("study_importances", "Importance of each hyperparameter in the study"),
-            ]
+            picture(f"study_{name}", f"{title} of the study")
+            for name, title in (("history", "History"), ("importances", "Importances"))
         ),
         overview=picture("fields", "The ten fields, each to a scale of its own"),
         commands="\n".join(trainings.runs.command),

@@ -188,7 +188,7 @@ def success(trainings: Trainings) -> TextTable:
 
 
 def reached(trainings: Trainings) -> TextTable:
-    """How many runs of an algorithm passed the threshold during training, and how soon."""
+    """The runs of each algorithm that passed the threshold, and the soonest of them."""
 
     def cell(runs: DataFrame) -> str:
         hits = runs.reach.count()

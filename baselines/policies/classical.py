@@ -18,8 +18,7 @@ from mbn_marl.field import Field
 if TYPE_CHECKING:  # the planner's packages are an extra
     from mbn_marl.planning.greedy import Greedy
     from mbn_marl.planning.problem import Problem
-    from mbn_marl.planning.replanning import Replanner
-    from mbn_marl.planning.tracking import Tracker
+    from mbn_marl.planning.replanning import Replanner, Tracker
 
     Controller = Greedy | Tracker | Replanner
 
@@ -84,8 +83,7 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
     from mbn_marl.planning import plan
     from mbn_marl.planning.greedy import Greedy
     from mbn_marl.planning.problem import make_problem
-    from mbn_marl.planning.replanning import Replanner
-    from mbn_marl.planning.tracking import Tracker
+    from mbn_marl.planning.replanning import Replanner, Tracker
 
     problem = make_problem(field, make_config(settings), closed_loop=name != "planner")
     if name == "greedy":

@@ -168,7 +168,7 @@ def _turns(config: NavigationConfig, n: int) -> bool:
 def acts_on(field: Field | FieldSampler, config: NavigationConfig) -> dict[str, Any]:
     """Return by name what the numbers that a policy acts on depend on."""
     if isinstance(field, FieldSampler):
-        robots, rois = field.most_robots, field.most_rois
+        robots, rois = field.robots[1], field.rois[1]
     else:
         robots, rois = len(field.starts), len(field.rois)
     robots = config.n_robots or robots

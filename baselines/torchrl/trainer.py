@@ -52,7 +52,7 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     """Check that the hyperparameters fit the environment; a ConfigError names all that do not."""
     settings, drawn = make_config(task.settings), isinstance(task.field, FieldSampler)
     sets = hyperparameters.network == "entities"
-    most = task.field.most_robots if drawn else len(task.field.starts)  # type: ignore[union-attr]
+    most = task.field.robots[1] if drawn else len(task.field.starts)  # type: ignore[union-attr]
     few = (settings.n_robots or most) < 2
     wrong = {
         "scattered": (drawn, 0.0, "on random fields"),

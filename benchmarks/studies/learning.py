@@ -26,12 +26,13 @@ from baselines.runs.files import write_json, write_text
 from baselines.training.config import validate
 from benchmarks.report import Benchmark, Measurement, measurement_table
 from mbn_marl.errors import ConfigError, unknown
-from mbn_marl.field import catalogue_names, safe_yaml
+from mbn_marl.field import catalogue_names
+from mbn_marl.field.files import parse_yaml
 
 STUDIES = sorted(path.stem for path in Path(__file__).parent.glob("*.yaml"))
 PAPER = published.by_field()
 STEPS = 1_441_792  # env-steps of a run
-NEAR = 0.0025  # how far below the optimum a return may be to count as near it
+NEAR = 0.0025  # a return so far below the optimum still counts as near it
 BUDGET = 1_500_000  # env-steps within which a run has to pass
 CAPTION = (
     "A run passes when the mean return of fresh sampled episodes is 100 000 or more, 99 % of them "
@@ -64,25 +65,16 @@ COLUMNS = {
 
 
 class Plan(BaseModel):
-    """A study, as its YAML file in this folder has it.
-
-    Attributes:
-        fields: names of `mbn fields`, or paths.
-        seeds: one run for each variant, field and seed; 100 and up, where nothing was tuned.
-        steps: env-steps of every run.
-        evaluate_every: env-steps between two fresh evaluations.
-        targets: whether to hold the one variant against the targets of the recorded setting.
-        variants: by label, the values of :class:`~baselines.compare.variants.Variant`.
-    """
+    """A study, as its YAML file in this folder has it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     fields: tuple[str, ...] = tuple(catalogue_names())
-    seeds: tuple[int, ...]
+    seeds: tuple[int, ...]  # 100 and up, where nothing was tuned
     steps: int = STEPS
     evaluate_every: int = 65_536
-    targets: bool = False
-    variants: dict[str, dict[str, Any]]
+    targets: bool = False  # hold the one variant against the targets of the recorded setting
+    variants: dict[str, dict[str, Any]]  # the values of ``Variant``, by label
 
 
 @dataclass(frozen=True)
@@ -114,7 +106,7 @@ class Study(Benchmark):
             raise ConfigError("study", [f"{self.study}: {unknown('study', self.study, STUDIES)}"])
         given = {name: getattr(self, name) for name in ("fields", "seeds", "steps")}
         path = Path(__file__).with_name(f"{self.study}.yaml")
-        values: Any = safe_yaml.parse_yaml(path.read_bytes(), str(path))
+        values: Any = parse_yaml(path.read_bytes(), str(path))
         plan = validate(Plan, values, str(path))
         return plan.model_copy(update={name: value for name, value in given.items() if value})
 

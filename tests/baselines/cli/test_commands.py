@@ -29,14 +29,6 @@ TINY = ("--steps", "1", "--evaluate-every", "4096", "--episodes", "2")
 pytestmark = pytest.mark.slow
 
 
-def test_fields_lists_the_catalogue(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["fields"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    row = next(line for line in lines if "field_03" in line)
-    assert row.split() == ["field_03", "3", "6", "0", "4", "10,800", "17", "159,490"]
-    assert sum("field_" in line for line in lines) == 10
-
-
 def test_train_records_the_run_and_evaluate_repeats_its_evaluation(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

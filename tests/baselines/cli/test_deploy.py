@@ -116,6 +116,7 @@ deploy greedy --field field_03 --video old.mp4 --json folder
 deploy greedy --field field_03 --json old --wind-speeds 0.1,x
 deploy greedy --field field_03 --json old --sim coppeliasim --port 1 --timeout 0.1
 render field_03 -o old
+evaluate greedy --field field_03 --json old --record file
 render nowhere -o old.gif
 replay broken.json -o old.html
 plan nowhere --out file

@@ -73,7 +73,7 @@ def test_a_comparison_by_hand(tmp_path: Path) -> None:
     assert (mappo["reached"], mappo["fields"], mappo["seeds"]) == (2, 2, 2)
     assert (central["form"], central["success_rate"]) == ("centralized", 0.6)
     # In each field one run of two is above 0.6 of the optimum.
-    assert found.improvement["mappo"]["central"].value == 0.5
+    assert found.probability_of_improvement["mappo"]["central"].value == 0.5
     share = dict(zip(THRESHOLDS.round(3), mappo["profile"].share, strict=True))
     assert (share[0.2], share[0.3], share[0.45]) == (0.75, 0.5, 0.25)
 
@@ -95,18 +95,6 @@ def test_the_threshold_is_reached_at_the_first_evaluation_that_has_it(tmp_path: 
     assert [row[name] for name in names] == [2, 3, 300.0, 6.0, None]
     (row,) = summarise(Results.of([make_run(tmp_path, seed=9)])).rows
     assert [row[name] for name in names[:4]] == [0, 1, None, None]
-
-
-def test_runs_that_pass_are_counted(tmp_path: Path) -> None:
-    entry = {"env_steps": 400, "seconds": 1.0, "return_mean": 0.0}
-    runs = []
-    ends = [(1e5, 0.99, 1.0), (9e4, 1.0, 1.0), (1e5, 1.0, 0.9), (1e5, 0.98, 1.0)]
-    for seed, (mean, sampled, own) in enumerate(ends):
-        stochastic = {"return_mean": mean, "success_rate": sampled, "makespan": None}
-        final = {"env_steps": 400, "seconds": 1.0, "stochastic": stochastic}
-        final["deterministic"] = {**stochastic, "success_rate": own}
-        runs.append(make_run(tmp_path, seed=seed, recorded=([entry], final)))
-    assert summarise(Results.of(runs)).aggregates[0]["passed"] == 1
 
 
 def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
@@ -137,7 +125,7 @@ def test_fields_without_a_proof_are_left_out_of_the_aggregates(tmp_path: Path) -
     unproved = make_run(tmp_path, 0.5, field_object=own)
     assert summarise(Results.of([unproved])).aggregates == []
     both = summarise(Results.of([unproved, make_run(tmp_path, 0.5)]))
-    assert both.unproved == ["own"]
+    assert both.fields_without_proved_optimum == ["own"]
     assert both.aggregates[0]["fields"] == 1
     assert both.aggregates[0]["deterministic_gap"].value == pytest.approx(0.5)
 
@@ -194,7 +182,7 @@ def test_labels_may_name_different_tasks(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"environment\.gust_time: "):
         Results.of(lulls)
     comparison = summarise(Results.of([plain, make_run(tmp_path, label="windy", environment=WIND)]))
-    assert not comparison.aggregates and comparison.unproved == ["field_03"]
+    assert not comparison.aggregates and comparison.fields_without_proved_optimum == ["field_03"]
     (line,) = gaps(comparison).lines
     cells = dict(zip(comparison.looks, line[1:], strict=True))
     assert cells["windy"] == "-" and cells["mappo"].endswith("%")

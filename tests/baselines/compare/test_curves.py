@@ -53,8 +53,7 @@ def test_band_is_the_bootstrap_of_scipy() -> None:
 
 
 @pytest.mark.parametrize(
-    ("returns", "scale"),
-    [([-3e5, 0.0, 150_000.0], "linear"), ([-4e6, 0.0, 150_000.0], "symlog")],
+    ("returns", "scale"), [([-3e5, 0.0, 150_000.0], "linear"), ([-4e6, 0.0, 150_000.0], "symlog")]
 )
 def test_very_bad_returns_do_not_flatten_the_good_ones(returns: list[float], scale: str) -> None:
     figure = drawn([run([0, 1, 2], returns)], 159_490.0)

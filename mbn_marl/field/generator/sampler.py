@@ -1,4 +1,4 @@
-"""Fields without end: random fields of named families, each known by its numbers alone."""
+"""Random fields by family; (seed, world, episode) decides each."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from itertools import accumulate
 from numbers import Integral, Real
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,11 +16,19 @@ from pydantic import PlainValidator, ValidationInfo, field_validator
 
 from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, Checked, RealNumber, WholeNumber
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import layout
-from mbn_marl.field.field import DEFAULT_ARENA, Field
-from mbn_marl.field.limits import MAX_COORDINATE
+from mbn_marl.field.field import Field
+from mbn_marl.field.generator.layout import (
+    FAMILIES,
+    MILLI,
+    MOST_EDGES,
+    WEIGHT_SUM,
+    Family,
+    Tables,
+    make_tables,
+    scratch_rows,
+)
+from mbn_marl.field.schema import DEFAULT_ARENA, MAX_COORDINATE
 
-Family = Literal["convex", "concave", "corridors", "obstacles", "farm"]
 MAX_SEED, MAX_EPISODE = 2**63 - 1, 2**32 - 1
 """Numbers of worlds go as far as seeds."""
 
@@ -31,24 +39,23 @@ def least_size(robots: int, rois: int) -> float:
 
 
 def _least_of(known: Mapping[str, Any]) -> tuple[float, str]:
-    """Return the least size for the most robots and ROIs of a sampler, and their numbers."""
     robots, rois = (known.get(name, (1, 1))[1] for name in ("robots", "rois"))
     return least_size(robots, rois), f"{robots} robots and {rois} ROIs"
 
 
 def _range_of(kind: type, least: float, most: float, allowed: str) -> Callable[[Any], Any]:
-    """Return what makes a range ``(low, high)`` of a number or a range."""
+    """Return a reader of a number or of a range."""
 
     def read(value: object) -> tuple[Any, Any] | None:
         if value is None and kind is float:
             return None  # a default that depends on the other arguments
         ends = (value, value) if isinstance(value, Real) else value
-        if not (isinstance(ends, Sequence) and len(ends) == 2 and not isinstance(ends, str)):
-            raise ValueError(f"Input should be {allowed}, or a range (low, high)")
-        for end in ends:
-            fits = isinstance(end, Integral if kind is int else Real) and not isinstance(end, bool)
-            if not (fits and least <= end <= most):
-                raise ValueError(f"Input should be {allowed}, or a range (low, high) of such")
+        number: Any = Integral if kind is int else Real
+        if not (isinstance(ends, list | tuple) and len(ends) == 2) or not all(
+            isinstance(end, number) and not isinstance(end, bool) and least <= end <= most
+            for end in ends
+        ):
+            raise ValueError(f"Input should be {allowed}, or a range (low, high) of such")
         if ends[0] > ends[1]:
             raise ValueError("Input should have a low end that is not above its high end")
         return kind(ends[0]), kind(ends[1])
@@ -160,97 +167,64 @@ class FieldSampler(Checked):
         return weights
 
     @property
-    def fewest_robots(self) -> int:
-        """The least number of robots that a field can have."""
-        return self.robots[0]
-
-    @property
-    def most_robots(self) -> int:
-        """The greatest number of robots that a field can have."""
-        return self.robots[1]
-
-    @property
-    def most_rois(self) -> int:
-        """The greatest number of ROIs that a field can have."""
-        return self.rois[1]
-
-    @property
     def most_edges(self) -> int:
-        """The greatest number of edges, of outline and holes, that a field can have."""
-        return max(layout.MOST_EDGES[family] for family in self.families)
+        return max(MOST_EDGES[family] for family in self.families)
 
     @property
     def most_bends(self) -> int:
         """The greatest number of corners at which a field can be other than convex."""
-        bent = [layout.MOST_EDGES[family] for family in self.families if family != "convex"]
+        bent = [MOST_EDGES[family] for family in self.families if family != "convex"]
         return max(bent, default=3) - 3  # an outline has three corners at least where it is convex
 
-    @property
-    def scratch_rows(self) -> int:
-        """How many rows of int64 the making of a field needs to work in."""
-        return layout.scratch_rows(self.most_robots, self.most_rois)
-
     def numbers(self) -> npt.NDArray[np.int64]:
-        """Return all but the seed as the whole numbers that ``families.make_field`` reads.
+        """Return all but the seed as the whole numbers (13,) that ``families.make_field`` reads.
 
-        Returns:
-            Shape (13,), lengths in milli-units, each range as its two ends. The arena's sides; the
-            ranges of sizes, of robots and of ROIs; for each family, in the order of
-            ``layout.FAMILIES``, the sum of the weights up to it, 2^30 in all.
+        These are the arena's sides, the ranges of sizes, robots and ROIs, and for each of
+        ``FAMILIES`` the sum of the weights up to it, 2^30 in all; lengths in milli-units.
         """
         given = self.weights or (1.0,) * len(self.families)
-        weights = dict.fromkeys(layout.FAMILIES, Fraction(0))
+        weights = dict.fromkeys(FAMILIES, Fraction(0))
         weights |= zip(self.families, map(Fraction, given), strict=True)
         sums = list(accumulate(weights.values()))
-        shares = [math.floor(each / sums[-1] * layout.WEIGHT_SUM) for each in sums]
-        arena = [_millis(side) - (_millis(side) / layout.MILLI > side) for side in self.arena]
+        shares = [math.floor(each / sums[-1] * WEIGHT_SUM) for each in sums]
+        arena = [_millis(side) - (_millis(side) / MILLI > side) for side in self.arena]
         sizes = [min(_millis(length), *arena) for length in self.size]
         return np.array([*arena, *sizes, *self.robots, *self.rois, *shares], np.int64)
 
     def field(self, world: int = 0, episode: int = 0) -> Field:
-        """Return the field that a world has in an episode.
+        """Return the field of a world (0 to 2^63 - 1) in an episode (0 to 2^32 - 1).
 
-        Args:
-            world: number of the world, 0 to 2^63 - 1.
-            episode: number of the episode, 0 to 2^32 - 1.
-
-        Returns:
-            The field. Its name is that of the family, with the seed, and with the numbers of world
-            and episode unless both are 0: ``concave-7``, ``concave-7-12-3``. Fields of the same
-            name are equal if ``robots``, ``rois``, ``size`` and ``arena`` are, whatever the other
-            families are.
+        Its name is such as ``concave-7`` or ``concave-7-12-3``: family, seed, world and episode.
+        Fields of the same name are equal if ``robots``, ``rois``, ``size`` and ``arena`` are.
 
         Raises:
             ConfigError: a number is not in its range.
-            FieldError: the field is not valid, which is an error of this package: please report it.
         """
-        from mbn_marl.field.families import make_fields
+        from mbn_marl.field.generator.families import make_fields
 
         limits = {"world": (world, MAX_SEED), "episode": (episode, MAX_EPISODE)}
-        problems = [
+        if problems := [
             f"{name}: expected a whole number from 0 to {most}"
             for name, (number, most) in limits.items()
             if isinstance(number, bool)
             or not (isinstance(number, Integral) and 0 <= number <= most)
-        ]
-        if problems:
+        ]:
             raise ConfigError("field", problems)
-        tables = layout.make_tables(self.most_edges, self.most_rois, self.most_robots, 1)
-        scratch = np.zeros((self.scratch_rows, 1), np.int64)
+        tables = make_tables(self.most_edges, self.rois[1], self.robots[1], 1)
+        scratch = np.zeros((scratch_rows(self.robots[1], self.rois[1]), 1), np.int64)
         families = np.zeros(1, np.int64)
         where = int(world), int(episode)
         make_fields(self.numbers(), self.seed, *where, scratch, tables, families)
-        name = f"{layout.FAMILIES[families[0]]}-{self.seed}"
+        name = f"{FAMILIES[families[0]]}-{self.seed}"
         name += f"-{world}-{episode}" if world or episode else ""
         return field_of(tables, self.arena, name)
 
 
 def _millis(length: float) -> int:
-    """Return a length in whole milli-units, the nearest."""
-    return round(Fraction(length) * layout.MILLI)
+    return round(Fraction(length) * MILLI)
 
 
-def field_of(tables: layout.Tables, arena: tuple[float, float], name: str, f: int = 0) -> Field:
+def field_of(tables: Tables, arena: tuple[float, float], name: str, f: int = 0) -> Field:
     """Return the field in column f of ``tables``."""
     rings: list[list[tuple[float, float]]] = []
     at = None
@@ -281,16 +255,8 @@ def generate(
     size: float | Sequence[float] | None = None,
     arena: Sequence[float] = DEFAULT_ARENA,
 ) -> Field:
-    """Return the random field of a family and a seed, on every processor the same.
+    """Return the random field of a family and a seed, such as ``convex-7``, equal on all machines.
 
-    ``family``, ``seed``, ``robots``, ``rois``, ``size`` (units) and ``arena`` (units) are arguments
-    as :class:`FieldSampler`.
-
-    Returns:
-        The field, whose name is such as ``convex-7``.
-
-    Raises:
-        ConfigError: naming every unknown or invalid argument and what is allowed.
+    Arguments and errors as for :class:`FieldSampler`.
     """
-    sampler = FieldSampler((family,), robots, rois, size, arena, seed=seed)
-    return sampler.field()
+    return FieldSampler((family,), robots, rois, size, arena, seed=seed).field()
