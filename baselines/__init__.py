@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from baselines.evaluation.fitting import LoadedPolicy
+    from baselines.policies.loaded import LoadedPolicy
     from mbn_marl.field import Field
 
 __all__ = ["load_policy"]
@@ -41,10 +41,12 @@ def load_policy(
         ModuleNotFoundError: the extra ``baselines`` is not installed.
     """
     try:
-        from baselines.zoo.sources import find_policy
+        from baselines.policies.load import Source
     except ModuleNotFoundError as error:
         from mbn_marl.errors import install
 
         error.add_note(f"{install('baselines')} brings what policies need")
         raise
-    return find_policy(str(source), field, seed=seed, **settings)
+    policy = Source(str(source)).make(field, seed=seed, **settings)
+    _ = policy.fitted  # raises
+    return policy

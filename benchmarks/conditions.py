@@ -9,9 +9,9 @@ from typing import Any, ClassVar, get_args
 import numpy as np
 
 from baselines import load_policy
-from baselines.classical.controller import CLASSICAL
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate
+from baselines.policies.classical import CLASSICAL
 from benchmarks.report import Benchmark, Findings
 from mbn_marl.config import Condition
 from mbn_marl.errors import ConfigError, collecting

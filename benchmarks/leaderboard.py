@@ -21,7 +21,7 @@ from baselines.compare.benchmark import (
 )
 from baselines.compare.benchmark import COLUMNS as COLUMNS_OF_RESULTS
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.shielded import behind
+from baselines.policies.shielded import behind
 from baselines.runs.files import read_json, write_text
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import Instance, splits

@@ -14,8 +14,7 @@ from typing import Annotated, Any, ClassVar
 from tyro.conf import arg
 
 from baselines.compare.text_table import TextTable
-from baselines.runs.files import claim_folder, write_json
-from baselines.runs.provenance import versions
+from baselines.runs.files import claim_folder, versions, write_json
 
 CPU = Path("/proc/cpuinfo")
 

@@ -27,7 +27,7 @@ from benchmarks.report import Benchmark, Findings, Measurement, measurement_tabl
 from mbn_marl import BatchEngine, FieldSampler, load_field, parallel_env
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.field import catalogue_names
-from mbn_marl.field.layout import FAMILIES
+from mbn_marl.field.generator.layout import FAMILIES
 
 Step = Callable[[Any], object]
 MILLION, RATE = 1e6, "M env-steps/s"

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.compare.text_table import TextTable
-from baselines.runs.files import read_arrays, read_json, write_arrays, write_json
-from baselines.runs.provenance import versions
+from baselines.runs.files import read_arrays, read_json, versions, write_arrays, write_json
 from mbn_marl.config import NavigationConfig
 from mbn_marl.episode import play
 from mbn_marl.errors import ConfigError, EpisodeError, FieldError, unknown

@@ -74,8 +74,9 @@ class Checked(BaseModel):
 
 
 # Words, and truth values in place of numbers, are not converted to these types.
-RealNumber = Annotated[float, BeforeValidator(_number)]
-WholeNumber = Annotated[int, BeforeValidator(_number)]
+NOT_A_WORD = BeforeValidator(_number)
+RealNumber = Annotated[float, NOT_A_WORD]
+WholeNumber = Annotated[int, NOT_A_WORD]
 Flag = Annotated[bool, BeforeValidator(_flag)]
 Finite = Annotated[RealNumber, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
 Positive = Annotated[RealNumber, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
@@ -88,7 +89,7 @@ StepNumber = Annotated[WholeNumber, Field(ge=1, le=1_000_000)]
 
 
 class Uniform(Checked):
-    """A range from which each episode draws a number (mdp.md, "Drawn numbers")."""
+    """A range from which each episode draws a number (conditions.md, "Drawn numbers")."""
 
     low: Annotated[RealNumber, Field(allow_inf_nan=False)]
     """The lower end, in the unit of the setting."""
@@ -189,7 +190,7 @@ REWARD_PROFILES: Mapping[str, RewardProfile] = {
 
 
 class Failures(Checked):
-    """How robots fail during an episode (mdp.md, "Failures")."""
+    """Failures of robots during an episode (failures.md)."""
 
     rate: AnyProbability = 0.0
     """The probability that a robot fails in a step, in [0, 1]."""
@@ -321,7 +322,7 @@ class NavigationConfig(Checked):
 
     @property
     def is_random(self) -> bool:
-        """Whether episodes or observations depend on random numbers."""
+        """``True`` if episodes or observations depend on random numbers."""
         failures = self.failures or Failures()
         return bool(
             any(getattr(self, name) for name in RANDOM)
@@ -411,7 +412,7 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
         **_FAILING,
     },
 }
-"""The settings of each named condition (mdp.md, "Conditions")."""
+"""The settings of each named condition (conditions.md)."""
 
 
 class FixedSettings(TypedDict, total=False):
@@ -511,7 +512,7 @@ def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
             lines += [f"{place}.{line}" for line in cause.problems]
             continue
         if kind == "too_short" and len(given) > context["actual_length"]:
-            continue  # an entry has a line of its own
+            continue  # an entry has its own line
         message = problem["msg"].removeprefix("Value error, ")
         if kind == "extra_forbidden":
             *path, name = problem["loc"]
@@ -519,11 +520,19 @@ def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
             message = unknown("name", str(name), [name for name, field in known if field.repr])
         elif kind == "literal_error":
             choices = re.findall(r"'(.*?)'", context["expected"])
-            message = f"{given!r:.80}: {unknown('choice', str(given), choices)}"
+            shown = _shown(given)
+            message = f"{shown}: " + unknown("choice", shown.strip("'"), choices)
         elif kind != "missing":  # else the input is all that is around it
-            message += f" (got {_SHORT.repr(given)})"
+            message += f" (got {_shown(given)})"
         lines.append(f"{place}: {message}")
     return lines
+
+
+def _shown(value: object) -> str:
+    try:
+        return _SHORT.repr(value)
+    except ValueError:  # a whole number of more digits than Python shows
+        return type(value).__name__
 
 
 def _level(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseModel]:

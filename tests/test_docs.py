@@ -34,6 +34,7 @@ from tests.support.pages import (
     write_file,
     write_own_files,
 )
+from tests.support.terminal import MBN
 
 TEXT = README.read_text(encoding="utf-8")
 RUN = [
@@ -131,7 +132,7 @@ def test_recipes_fit_the_code(tmp_path: Path) -> None:
             case "sh":
                 for words in commands_of(block):
                     tiny = TINY[words[1]].split()
-                    run(sys.executable, "-m", "mbn_marl", *words[1:], *tiny)
+                    run(*MBN, *words[1:], *tiny)
     assert languages == {"diff", "yaml", "python", "sh"}
 
 

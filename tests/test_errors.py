@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from baselines.algorithms import find_algorithm
+from baselines.policies.load import open_run
 from baselines.sweep.spec import GridSpec
 from baselines.training.config import validate
-from baselines.zoo.entries import open_run
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError, MbnError, unknown
 from mbn_marl.field import load_field, load_split

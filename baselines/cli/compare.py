@@ -155,9 +155,9 @@ class Benchmark(Writes):
             run_benchmark,
         )
         from baselines.console import console
-        from baselines.evaluation.shielded import behind
+        from baselines.policies.load import check_known
+        from baselines.policies.shielded import behind
         from baselines.runs.files import alone, claim_folder, write_text
-        from baselines.zoo.sources import check_known
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}
         check_options("benchmark", wrong)

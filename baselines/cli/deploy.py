@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,6 +13,7 @@ from baselines.cli.options import InWeather, check_options
 from mbn_marl.config import CONDITIONS
 
 if TYPE_CHECKING:
+    from baselines.policies.loaded import LoadedPolicy
     from mbn_marl.sim3d import Deployment, Scale, Simulator
 
 
@@ -53,7 +55,8 @@ class Deploy(InWeather):
     """Write all numbers to this file."""
 
     def run(self, command_line: str) -> None:
-        from baselines.demo.deploy3d import find_pilots, strongest_wind, summarise, sweep_wind
+        from baselines.policies.classical import CLASSICAL
+        from baselines.policies.load import find_policy
         from baselines.runs.files import write_json
         from mbn_marl.files import claim_file
         from mbn_marl.sim3d import Scale
@@ -66,8 +69,10 @@ class Deploy(InWeather):
             simulators = self._simulators(scale)
             for simulator in simulators.values():
                 stack.enter_context(simulator)
-            speed_limit = simulators[self.sim].speed_limit
-            pilots = find_pilots(self.source, self.field, speed_limit, **self.asked)
+            asked, limit = self.asked, simulators[self.sim].speed_limit
+            if self.source in CLASSICAL and limit is not None:  # they plan with it
+                asked["v_clip"] = limit
+            pilots = [find_policy(self.source, name, **asked) for name in self.field or (None,)]
             if self.video is not None:
                 claim_file(self.video, force=self.force)
             for actor in pilots:
@@ -192,3 +197,47 @@ def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
             )
         )
     TextTable(caption, (*headings, "error", "speed"), lines, words=3).print(title)
+
+
+def sweep_wind(
+    policy: LoadedPolicy, simulator: Simulator, speeds: list[float], angle: float, *, every: bool
+) -> list[Deployment]:
+    """Deploy a policy in winds, the weakest first, or without ``speeds`` in that of its settings.
+
+    Unless ``every``, the first failure is the last deployment.
+    """
+    from mbn_marl.engine import BatchEngine
+    from mbn_marl.sim3d import deploy
+
+    fitted = policy.fit(BatchEngine(policy.place, 1, threads=1, **policy.settings))
+    deployments: list[Deployment] = []
+    for wind in [{"wind": (speed, angle)} for speed in sorted(set(speeds))] or [{}]:
+        fitted.reset()
+        settings = {**policy.settings, **wind}
+        flown = deploy(fitted, policy.place, settings, simulator, source=policy.name)
+        deployments.append(flown)
+        if not (flown.success or every):
+            break
+    return deployments
+
+
+def strongest_wind(sweep: Sequence[Deployment]) -> float | None:
+    """Return the largest wind speed with success in it and in all weaker ones of a sweep."""
+    good = takewhile(lambda one: one.success, sweep)
+    return max((one.episode.config.wind[0] for one in good), default=None)
+
+
+def summarise(deployment: Deployment, scale: Scale) -> dict[str, Any]:
+    """Return a deployment at a scale as JSON values; what is not known is ``None``."""
+    episode, taken = deployment.episode, deployment.seconds
+    simulated = episode.steps * episode.config.tau * scale.seconds
+    own = ("success", "makespan", "wall_hits", "separation", "tracking_error")
+    return {
+        "field": episode.field.name,
+        **dict(zip(("wind_speed", "wind_angle"), episode.config.wind, strict=True)),
+        **{name: getattr(episode, name) for name in ("outcome", "steps", "rois_visited")},
+        **{name: getattr(deployment, name) for name in own},
+        "return": episode.team_return,
+        "failed": [int(step) or None for step in episode.failed],
+        "times_real_time": simulated / taken if taken else None,
+    }

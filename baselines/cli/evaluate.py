@@ -62,19 +62,17 @@ class Evaluate(Subject):
 
     def _subject(self) -> tuple[str, dict[str, Any]]:
         """Return the policy's name in titles, and the arguments of `evaluate`."""
-        from baselines.demo.resolve import find_actor
         from baselines.evaluation.evaluate import EVALUATION_SEED
-        from baselines.evaluation.shielded import Shielded, behind
-        from baselines.zoo.entries import open_run
-        from baselines.zoo.sources import is_trained
+        from baselines.policies.load import find_policy, is_trained, open_run
+        from baselines.policies.shielded import Shielded, behind
 
         seed = EVALUATION_SEED if self.seed is None else self.seed
-        actor = find_actor(self.source, self.field, seed=seed, **self.asked)
+        actor = find_policy(self.source, self.field, seed=seed, **self.asked)
         if is_trained(self.source) and (unfinished := open_run(self.source).unfinished):
             print(unfinished)
         return f"{actor.name}{behind(self.shield)}{self.weather}", {
             "policy": Shielded(actor.policy) if self.shield else actor.policy,
-            **{"field": actor.field, "settings": actor.settings},
+            **{"field": actor.place, "settings": actor.settings},
             **{"episodes": self.episodes, "seed": seed},
         }
 
@@ -198,8 +196,8 @@ class Zoo:
     if it was trained on random fields."""
 
     def run(self, command_line: str) -> None:
+        from baselines.policies.load import ENTRIES, entry_names, read_card
         from baselines.runs.folder import RunFolder
-        from baselines.zoo.entries import FOLDER, entry_names, read_card
         from baselines.zoo.make import make_entry
         from mbn_marl.field import FieldSampler
 
@@ -210,7 +208,7 @@ class Zoo:
         run = RunFolder.open(self.add)
         sampled, config = isinstance(run.fields, FieldSampler), run.config
         name = (config["label"] or config["algorithm"]) if sampled else run.field.name
-        print_cards([make_entry(run, self.out or FOLDER / name)])
+        print_cards([make_entry(run, self.out or ENTRIES / name)])
 
 
 def print_cards(cards: Iterable[Mapping[str, Any]]) -> None:
@@ -234,35 +232,30 @@ def print_cards(cards: Iterable[Mapping[str, Any]]) -> None:
 
 @dataclass(frozen=True)
 class Export(Writes):
-    """Write the mean actions of a trained policy as ONNX, torch.export or plain NumPy arrays."""
+    """Write the mean actions of a trained policy as an ONNX file."""
 
     policy: Positional[Annotated[str, arg(metavar="POLICY")]]
     """The folder of a run, or zoo:NAME (see `mbn zoo`)."""
     out: Output
-    """The file to write: .onnx, .pt2 or .npz."""
+    """The .onnx file to write."""
     field: str | None = None
     """A name of `mbn fields`, or a field file; by default that of the run or of zoo:NAME."""
 
     def run(self, command_line: str) -> None:
-        from baselines import load_policy
-        from baselines.evaluation.export import ALLOWED, export_policy, writer_of
-        from baselines.zoo.sources import check_known, is_trained, needs_field
+        from baselines.policies.export import ALLOWED, check_name, export_policy
+        from baselines.policies.load import check_known, find_policy, is_trained
         from mbn_marl.config import make_config
 
-        writer_of(self.out)
+        check_name(self.out)
         check_known(self.policy)
         check_options("export", {f"{self.policy}: {ALLOWED}": not is_trained(self.policy)})
-        policy = load_policy(self.policy, self.field)
-        if policy.field is None:
-            raise needs_field(self.policy)
+        policy = find_policy(self.policy, self.field)
         metadata, difference = export_policy(policy, self.out, force=self.force)
-        config, clip = make_config(policy.settings), metadata["clip"]
         shape, returned = (", ".join(map(str, metadata[name])) for name in ("shape", "returns"))
-        print(f"takes    {metadata['takes']} ({shape}) of W worlds")
+        print(f"takes    {metadata['takes']} ({shape}) of W worlds, raw numbers")
         if metadata["takes"] == "observations":
+            config = make_config(policy.settings)
             print(f"         observation={config.observation!r}, one_hot={config.one_hot}")
-        clipped = "" if clip is None else f"; normalises them, clipped to +-{clip:g}, itself"
-        print(f"         raw numbers{clipped}")
         print(f"returns  actions ({returned}), means in [-1, 1]")
         print(f"made for {metadata['field']}; all settings are in the file, under mbn_marl")
         print(f"written to {self.out}; differs from the policy by {difference:.0e} at most")

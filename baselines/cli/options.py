@@ -88,7 +88,7 @@ class InWeather(Writes):
 
     @property
     def asked(self) -> dict[str, Any]:
-        """The settings that replace the policy's, for ``find_actor``."""
+        """The settings that replace the policy's, for ``find_policy``."""
         return {"condition": self.condition} | ({} if self.wind is None else {"wind": self.wind})
 
     @property

@@ -123,8 +123,6 @@ def write_optimum(path: Path, makespan: int | None) -> None:
 
 
 def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> list[str]:
-    import numpy as np
-
     from baselines.runs.files import write_arrays
     from mbn_marl.config import make_config
     from mbn_marl.episode import play, save_episode
@@ -135,13 +133,8 @@ def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> lis
     episode = play(found.field, config, found.actions, source=f"plan{kind}")
     save_episode(episode, folder / "episode.json")
     write_arrays(folder / "plan.npz", {"actions": found.actions, "positions": found.trail})
-    figure = figures.trajectory_figure(
-        found.field,
-        found.trail,
-        visited=np.ones(len(found.field.rois), np.bool_),
-        wind=config.wind_increment(),
-        title=f"{found.field.name}: {found.makespan} steps{', optimal' if found.optimal else ''}",
-    )
+    title = f"{found.field.name}: {found.makespan} steps{', optimal' if found.optimal else ''}"
+    figure = figures.trajectory_figure(episode.snapshot(episode.steps), title)
     figures.save(figure, folder / "plan.png")
     return ["plan.npz", "plan.png", "episode.json"]
 

@@ -44,9 +44,8 @@ class Render(Subject):
         print(f"written to {self.out}")
 
     def _episode(self) -> Episode:
-        from baselines.demo.resolve import find_actor
         from baselines.evaluation.rollout import record_episode
-        from baselines.zoo.sources import RANDOM
+        from baselines.policies.load import RANDOM, find_policy
         from mbn_marl.episode import check_episode, is_episode_file, load_episode
         from mbn_marl.episode.files import EXPECTED
         from mbn_marl.errors import FieldError
@@ -61,13 +60,13 @@ class Render(Subject):
             return episode
         try:
             how: dict[str, Any] = {"seed": self.seed, "alone": lambda field: RANDOM, **self.asked}
-            actor = find_actor(self.source, self.field, **how)
+            actor = find_policy(self.source, self.field, **how)
         except FieldError as error:
             if not self.source.lower().endswith(".json"):
                 raise
             raise FieldError(self.source, [*error.problems, f"nor is it {EXPECTED}"]) from None
         return record_episode(
-            *(actor.policy, actor.field, actor.settings),
+            *(actor.policy, actor.place, actor.settings),
             deterministic=not self.sampled,
             seed=self.seed,
             limit=self.steps,
@@ -94,7 +93,7 @@ class Replay(Writes):
         from mbn_marl.episode import check_episode, load_episode
         from mbn_marl.errors import MbnError
         from mbn_marl.files import check_free, claim_file, replacing
-        from mbn_marl.web.replay import replay_page
+        from mbn_marl.render.web import replay_page
 
         if self.out.suffix.lower() != ".html":
             raise MbnError(f"{self.out}: the file name has to end in .html")
@@ -131,21 +130,26 @@ class _Window(Subject):
     """Write the last episode to this .json file (see `mbn replay`)."""
 
     def run(self, command_line: str) -> None:
-        from baselines.demo.interactive import Show, play, watch
-        from baselines.demo.resolve import find_actor, zoo_policy
+        from baselines.evaluation.window import watch
+        from baselines.policies.load import find_policy, of_zoo
         from mbn_marl.episode import save_episode
         from mbn_marl.errors import MbnError
         from mbn_marl.files import check_free, claim_file
 
-        how: dict[str, Any] = {"seed": self.seed, "alone": zoo_policy, **self.asked}
-        actor = find_actor(self.source, self.field, **how)
+        how: dict[str, Any] = {"seed": self.seed, "alone": of_zoo, **self.asked}
+        actor = find_policy(self.source, self.field, **how)
         if self.out is not None:
             if self.out.suffix.lower() != ".json":
                 raise MbnError(f"{self.out}: the file name has to end in .json")
             check_free(self.out, force=self.force)
-        show = Show(not self.sampled, self.seed, self.speed, self.episodes)
-        robot = self.robot if isinstance(self, Play) else None
-        shown = watch(actor, show) if robot is None else play(actor, show, robot)
+        shown = watch(
+            actor,
+            driven=self.robot if isinstance(self, Play) else None,
+            deterministic=not self.sampled,
+            seed=self.seed,
+            speed=self.speed,
+            episodes=self.episodes,
+        )
         for episode in shown:
             print(result(episode))
         if self.out is not None and shown:

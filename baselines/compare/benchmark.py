@@ -13,17 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from baselines.classical.controller import NoPlanError
 from baselines.compare.report import Section, report_page
 from baselines.compare.summary import interquartile_mean
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
 from baselines.evaluation.intervals import mean_interval, mean_of_known
-from baselines.evaluation.policy import Origin, Policy, restart, show
-from baselines.evaluation.shielded import Shielded, behind
-from baselines.runs.files import RunError, differences, read_json, write_json
-from baselines.runs.provenance import versions
-from baselines.zoo.sources import find_policy, is_trained
+from baselines.policies.classical import NoPlanError
+from baselines.policies.load import Source
+from baselines.policies.policy import Policy, Wrapped
+from baselines.policies.shielded import Shielded, behind
+from baselines.runs.files import RunError, differences, read_json, versions, write_json
 from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, load_episode, save_episode
@@ -86,27 +85,23 @@ class SettingsError(ConfigError):
     """A policy wants an environment in which the task is another."""
 
 
-class Timed:
+class Timed(Wrapped):
     """A policy whose decisions are timed: ``seconds`` of the processors, how many ``decisions``."""
 
     def __init__(self, policy: Policy) -> None:
-        self.observes = policy.observes
-        self.origin: Origin | None = getattr(policy, "origin", None)
+        super().__init__(policy)
         self.seconds, self.decisions = 0.0, 0
-        self._policy = policy
 
-    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+    def fit(self, engine: BatchEngine) -> Timed:
+        self.policy = self.policy.fit(engine)
+        return self
+
+    def act_in(self, world: Any, observations: Any, *, deterministic: bool = True) -> Any:
         began = time.process_time()
-        actions = self._policy.act(seen, deterministic=deterministic)
+        actions = self.policy.act_in(world, observations, deterministic=deterministic)
         self.seconds += time.process_time() - began
-        self.decisions += len(seen)
+        self.decisions += len(actions)
         return actions
-
-    def watch(self, engine: BatchEngine) -> None:
-        show(self._policy, engine)
-
-    def reset(self, worlds: np.ndarray | None = None) -> None:
-        restart(self._policy, worlds)
 
 
 def load_protocol() -> Protocol:
@@ -159,14 +154,15 @@ def run_benchmark(
     record: dict[str, Any] = {**asked, "command": command, "versions": versions(), "tiers": {}}
     if resume and path.exists():
         record = _resumed(path, record, asked, tiers)
-    if is_trained(source):  # with settings that are the same in all fields
-        check_settings(find_policy(source, condition="calm").settings, "calm", protocol)
+    loaded = Source(source)
+    if loaded.run is not None:  # with settings that are the same in all fields
+        check_settings(loaded.make(condition="calm").settings, "calm", protocol)
     done = record["tiers"]
     for tier, instances in tiers.items():
         if tier in done:
             advance(len(instances))
             continue
-        done[tier], episodes = _run_tier(source, shield, tier, instances, protocol, advance)
+        done[tier], episodes = _run_tier(loaded, shield, tier, instances, protocol, advance)
         if all(one["misfit"] for one in done.values()):
             continue  # nothing is measured yet
         for name, episode in episodes.items():
@@ -208,7 +204,7 @@ def _resumed(
 
 
 def _run_tier(
-    source: str,
+    source: Source,
     shield: bool,
     tier: str,
     instances: Sequence[Instance],
@@ -232,7 +228,7 @@ def _run_tier(
             last = traceback.extract_tb(error.__traceback__)[-1]
             place = f"{tier}, {one.field.name}: {what} ({last.filename}, line {last.lineno})"
             kept = "--resume keeps the tiers that are done"
-            raise RunError(f"{source} failed in {place}; {kept}") from error
+            raise RunError(f"{source.name} failed in {place}; {kept}") from error
         rows.append(row)
         episodes.append(episode)
         advance(1)
@@ -250,23 +246,23 @@ def _run_tier(
 
 
 def _run_instance(
-    source: str, shield: bool, one: Instance, seed: int, protocol: Protocol
+    source: Source, shield: bool, one: Instance, seed: int, protocol: Protocol
 ) -> tuple[dict[str, Any], Episode]:
     began = time.process_time()
-    loaded = find_policy(source, one.field, seed=seed, condition=one.condition)
+    loaded = source.make(one.field, seed=seed, condition=one.condition)
     begin = time.process_time() - began
     check_settings(loaded.settings, one.condition, protocol)
     team, fixed = len(one.field.starts), make_config(loaded.settings).n_robots
     if fixed not in (None, team):
         raise ConfigError("policy", [f"n_robots: {fixed}; the field has {team}"])
-    policy = Shielded(loaded) if shield else loaded.policy
+    policy = Shielded(loaded.policy) if shield else loaded.policy
     counts = protocol.episodes
     timed, where = Timed(policy), (one.field, loaded.settings)
     same = is_one_episode(policy, loaded.settings, deterministic=True)
     count = counts.mean if same else counts.mean_if_random
     mean = evaluate(timed, *where, episodes=count, deterministic=True, seed=seed, record=[0])
     sampled = None
-    if getattr(policy, "samples", True):
+    if policy.draws(deterministic=False):
         sampled = evaluate(policy, *where, episodes=counts.sampled, seed=seed)
     row = {
         **{"field": one.field.name, "condition": one.condition},

@@ -17,15 +17,14 @@ from baselines.compare.records import Results, RunRecord, find_records
 from baselines.compare.summary import Comparison, summarise
 from baselines.compare.tables import field_tables, gaps, overall_tables
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.policy import load_trained
-from baselines.evaluation.rollout import record_episode, write_animation, write_trajectories
-from baselines.runs.files import Place, write_json, write_text
-from baselines.runs.provenance import write_provenance
+from baselines.evaluation.rollout import record_episode, write_episode
+from baselines.policies.load import load_trained
+from baselines.runs.files import Place, write_json, write_provenance, write_text
 from mbn_marl.episode import Episode
 from mbn_marl.files import claim_file, replacing
+from mbn_marl.render import web
 from mbn_marl.render.figures import save, svg, trajectory_panels
 from mbn_marl.version import __version__
-from mbn_marl.web import page
 
 PAGE = "comparison.md"
 
@@ -90,8 +89,8 @@ def write_comparison(results: Results, place: Place) -> Comparison:
         best = ranked(itertools.chain(*groups.values()))[0]
         episode = record_episode(load_trained(best.run), best.field, best.config["environment"])
         title = f"{best.run.path.name}: return {episode.team_return:,.0f}, {episode.steps} steps"
-        write_trajectories(episode, out / f"trajectories_{field}.png", title)
-        write_animation(episode, out / f"episode_{field}.gif")
+        write_episode(episode, out / f"trajectories_{field}.png", title)
+        write_episode(episode, out / f"episode_{field}.gif")
     tables = overall_tables(comparison) | field_tables(comparison)
     broken = [f"- {name}: {error}" for name, error in comparison.broken_runs.items()]
     parts = [f"# {comparison.question}", comparison.verdict]
@@ -158,7 +157,7 @@ def report_page(title: str, summary: str, sections: Sequence[Section]) -> str:
         "contents": "\n".join(links),
         "sections": "\n".join(_section(*numbered) for numbered in enumerate(sections)),
     }
-    return page.whole("report.html", title, values, extra_styles=("report.css",))
+    return web.whole("report.html", title, values, extra_styles=("report.css",))
 
 
 def _section(number: int, section: Section) -> str:
@@ -168,7 +167,7 @@ def _section(number: int, section: Section) -> str:
         pictures = "".join(_figure(*named) for named in section.figures.items())
         parts.append(f'<div class="figures">{pictures}</div>')
     if section.episodes:
-        data = page.episodes_data(section.episodes)
+        data = web.episodes_data(section.episodes)
         parts += [
             f'<div id="replay-{number}" data-replay="episodes-{number}"></div>',
             f'<script type="application/json" id="episodes-{number}">{data}</script>',

@@ -7,9 +7,16 @@ from pathlib import Path
 from baselines.algorithms import find_algorithm
 from baselines.compare.records import Results, RunRecord
 from baselines.compare.variants import CompareConfig
-from baselines.runs.files import RunError, alone, claim_folder, differences, read_json, write_json
+from baselines.runs.files import (
+    RunError,
+    alone,
+    claim_folder,
+    differences,
+    read_json,
+    write_json,
+    write_provenance,
+)
 from baselines.runs.folder import RunFolder
-from baselines.runs.provenance import write_provenance
 from baselines.sweep.processes import LocalEngine
 from baselines.sweep.run import check_outcomes, train_runs
 from baselines.training.run_logger import Listener, find_wandb

@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from baselines.evaluation.fitting import LoadedPolicy, fitted
 from baselines.evaluation.intervals import mean_of_known
-from baselines.evaluation.policy import Policy, RandomPolicy, restart
-from baselines.evaluation.shielded import Shielded
-from mbn_marl.config import CONDITIONS, Condition, expand, make_config
+from baselines.policies.policy import Policy
+from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.field import Field, FieldSampler
@@ -34,29 +32,17 @@ LISTS = {
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The episodes of one evaluation, each list with one entry per episode.
+    """The episodes of one evaluation, each list with one entry per episode."""
 
-    Attributes:
-        deterministic: whether the policy's mean action was taken, or a sampled one.
-        seed: the seed of the episodes and of the sampled actions.
-        returns: true team returns (undiscounted, reward units).
-        successes: whether every ROI was visited and no robots collided.
-        collisions: whether two robots collided.
-        steps: lengths in env-steps.
-        rois_visited: ROIs visited at the end.
-        wall_hits: steps of any robot that pushed outside the field.
-        recorded: the episodes that were asked for, whole.
-    """
-
-    deterministic: bool
-    seed: int
-    returns: list[float]
-    successes: list[bool]
-    collisions: list[bool]
-    steps: list[int]
-    rois_visited: list[int]
-    wall_hits: list[int]
-    recorded: tuple[Episode, ...] = ()
+    deterministic: bool  # whether the policy's mean action was taken, or a sampled one
+    seed: int  # of the episodes and of the sampled actions
+    returns: list[float]  # true team returns (undiscounted, reward units)
+    successes: list[bool]  # whether every ROI was visited and no robots collided
+    collisions: list[bool]  # whether two robots collided
+    steps: list[int]  # lengths in env-steps
+    rois_visited: list[int]  # at the end
+    wall_hits: list[int]  # steps of any robot that pushed outside the field
+    recorded: tuple[Episode, ...] = ()  # those that were asked for, whole
 
     @property
     def makespans(self) -> list[int]:
@@ -97,13 +83,12 @@ def evaluate(
 ) -> Evaluation:
     """Run ``episodes`` fresh episodes (> 0) side by side, one world each.
 
-    A sampler gives each world a field of its own. The settings are those of
-    :class:`mbn_marl.config.NavigationConfig`. ``deterministic`` takes the mean action instead of a
+    A sampler draws a field for each world. ``deterministic`` takes the mean action instead of a
     sampled one; the seed is that of the worlds and of sampled actions. The episodes of the worlds
-    in ``record`` (from 0) are recorded, the policy is their ``source``.
+    in ``record`` (from 0) are recorded, with the policy's name, ``source``.
 
     Raises:
-        ConfigError: the policy was trained for other observations, see :func:`roll_out`.
+        ConfigError: the policy does not fit, see :meth:`~baselines.policies.policy.Policy.fit`.
     """
     engine = BatchEngine(field, episodes, seed=seed, threads=1, **settings)
     running = np.ones(episodes, dtype=bool)
@@ -131,21 +116,17 @@ def roll_out(
     """Reset the engine and let a policy act; yield at each step which episodes ended, (W,) bool.
 
     Sampled actions come from torch's generator, which is seeded, and at the end put back.
-
-    Raises:
-        ConfigError: see :func:`~.fitting.fitted`.
     """
-    policy = fitted(policy, engine)
-    restart(policy)
+    policy = policy.fit(engine)
+    policy.reset()
     observations = engine.reset()
     with sampling(seed):
         while True:
-            seen = engine.state() if policy.observes == "state" else observations
-            actions = policy.act(seen, deterministic=deterministic)
+            actions = policy.act_in(engine, observations, deterministic=deterministic)
             observations, _, terminated, truncated = engine.step(actions)
             ended = terminated | truncated
             if ended.any():
-                restart(policy, ended)
+                policy.reset(ended)
             yield ended
 
 
@@ -156,8 +137,7 @@ def sampling(seed: int) -> Iterator[None]:
     if torch is None:  # no policy here samples from it
         yield
         return
-    in_use = torch.cuda.is_initialized()
-    gpus = range(torch.cuda.device_count()) if in_use else ()
+    gpus = range(torch.cuda.device_count()) if torch.cuda.is_initialized() else ()
     with torch.random.fork_rng(gpus):
         torch.manual_seed(seed)
         yield
@@ -170,11 +150,7 @@ def unseen(fields: Field | FieldSampler, seed: int) -> Field | FieldSampler:
 
 def is_one_episode(policy: Policy, settings: Mapping[str, Any], *, deterministic: bool) -> bool:
     """Return whether all episodes are the same: they depend on no random number."""
-    while isinstance(policy, LoadedPolicy | Shielded):
-        policy = policy.policy
-    if make_config(settings).is_random or isinstance(policy, RandomPolicy):
-        return False
-    return deterministic or not getattr(policy, "samples", True)
+    return not (make_config(settings).is_random or policy.draws(deterministic=deterministic))
 
 
 def record_evaluation(
@@ -194,29 +170,8 @@ def record_evaluation(
 def evaluate_both(
     policy: Policy, field: Field | FieldSampler, settings: Mapping[str, Any], **how: Any
 ) -> dict[str, Evaluation]:
-    """Evaluate with sampled actions (``stochastic``) and with mean ones (``deterministic``).
-
-    Arguments as for :func:`evaluate`.
-    """
-    ways = {"stochastic": False, "deterministic": True}
+    """Evaluate with sampled actions (``stochastic``) and with mean ones (``deterministic``)."""
     return {
-        name: evaluate(policy, field, settings, deterministic=deterministic, **how)
-        for name, deterministic in ways.items()
+        name: evaluate(policy, field, settings, deterministic=name == "deterministic", **how)
+        for name in ("stochastic", "deterministic")
     }
-
-
-def under(settings: Mapping[str, Any], condition: Condition | None, **asked: Any) -> dict[str, Any]:
-    """Return the settings of a policy under a condition; ``None`` leaves them as they are.
-
-    Weather, disturbances and failures are those of the condition alone; ``asked`` are settings
-    that replace others too.
-
-    Raises:
-        ConfigError: the condition sets what is asked for.
-    """
-    if condition is None:
-        return {**settings, **asked}
-    weather = {name for one in CONDITIONS if one != "mixed" for name in CONDITIONS[one]}
-    own = expand(dict(settings))
-    others = {name: value for name, value in own.items() if name not in weather}
-    return {**others, **expand({**asked, "condition": condition})}

@@ -9,7 +9,6 @@ import numpy as np
 
 RETURN_THRESHOLD = 100_000.0
 """A mean return at or above this needs the success of nearly every episode (r_inf = 100 000)."""
-
 SUCCESS_THRESHOLD = 0.99
 """Share of the episodes with sampled actions that have to succeed for a policy to pass."""
 
@@ -17,10 +16,9 @@ SUCCESS_THRESHOLD = 0.99
 def passes(
     sampled: Mapping[str, Any], mean_success_rate: float, threshold: float = RETURN_THRESHOLD
 ) -> bool:
-    """Return whether a fresh evaluation says that a policy does its task.
+    """Return whether a policy does its task: by the summary of episodes with sampled actions.
 
-    In the summary of the episodes with sampled actions, ``return_mean`` has to be at least
-    ``threshold`` and ``success_rate`` at least 0.99; with mean actions all have to succeed.
+    Those with mean actions all have to succeed.
     """
     return bool(
         sampled["return_mean"] >= threshold
@@ -40,8 +38,7 @@ class Interval(NamedTuple):
 def mean_interval(values: Sequence[float]) -> Interval:
     """Mean and 95 % percentile-bootstrap interval (10 000 resamples, fixed generator).
 
-    With a handful of seeds the interval is narrow for what it claims; it lies within
-    ``[min(values), max(values)]`` by construction.
+    It lies within ``[min(values), max(values)]``: with a handful of seeds it is too narrow.
 
     Raises:
         ValueError: ``values`` is empty.
@@ -56,29 +53,18 @@ def mean_interval(values: Sequence[float]) -> Interval:
         return Interval(mean, mean, mean)
     from scipy import stats  # takes half a second
 
-    bounds = stats.bootstrap(
-        (sample,),
-        np.mean,
-        n_resamples=10_000,
-        method="percentile",
-        rng=np.random.default_rng(0),
-    ).confidence_interval
-    return Interval(mean, float(bounds.low), float(bounds.high))
+    how: dict[str, Any] = {"n_resamples": 10_000, "method": "percentile"}
+    found = stats.bootstrap((sample,), np.mean, rng=np.random.default_rng(0), **how)
+    return Interval(mean, *map(float, found.confidence_interval))
 
 
 def share_interval(outcomes: Sequence[bool]) -> Interval:
-    """The share of ``True`` with Wilson's 95 % interval, for independent outcomes.
-
-    Raises:
-        ValueError: ``outcomes`` is empty.
-    """
-    if not outcomes:
-        raise ValueError("a share needs at least one outcome")
+    """The share of ``True`` with Wilson's 95 % interval, for one outcome or more, independent."""
     from scipy import stats
 
     test = stats.binomtest(sum(outcomes), len(outcomes))
-    bounds = test.proportion_ci(method="wilson")
-    return Interval(sum(outcomes) / len(outcomes), float(bounds.low), float(bounds.high))
+    low, high = test.proportion_ci(method="wilson")
+    return Interval(sum(outcomes) / len(outcomes), float(low), float(high))
 
 
 def mean_of_known(values: Iterable[float | None]) -> float | None:

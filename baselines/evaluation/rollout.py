@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from baselines.evaluation.evaluate import roll_out
-from baselines.evaluation.policy import Policy
+from baselines.policies.policy import Policy
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder, save_episode
 from mbn_marl.errors import MbnError
@@ -37,12 +37,9 @@ def record_episode(
     limit: int | None = None,
     source: str = "",
 ) -> Episode:
-    """Record an episode of a policy; arguments as for :func:`~.evaluate.evaluate`.
+    """Record an episode of a policy; arguments and errors as of :func:`~.evaluate.evaluate`.
 
     ``limit`` stops it after so many steps (> 0); by default it is whole.
-
-    Raises:
-        ConfigError: the policy was trained for other observations.
     """
     engine = BatchEngine(field, 1, seed=seed, autoreset="disabled", threads=1, **settings)
     with EpisodeRecorder(engine, source=source) as recorder:
@@ -53,8 +50,16 @@ def record_episode(
     return recorder.episodes[0]
 
 
-def write_episode(episode: Episode, path: Path) -> None:
+def check_ending(path: Path) -> None:
+    """Check that an episode can be written to ``path`` as far as its name goes."""
+    if path.suffix.lower() not in FORMATS:
+        raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
+
+
+def write_episode(episode: Episode, path: Path, title: str | None = None) -> None:
     """Write an episode as the end of ``path`` says: the episode, an animation, or its paths.
+
+    ``title`` is that of the paths' picture.
 
     Raises:
         MbnError: another ending than :func:`check_ending` allows.
@@ -63,24 +68,9 @@ def write_episode(episode: Episode, path: Path) -> None:
     if ending == ".json":
         save_episode(episode, path)
     elif ending in ANIMATIONS:
-        write_animation(episode, path)
+        ANIMATIONS[ending](_frames(episode), path)
     else:
-        write_trajectories(episode, path)
-
-
-def check_ending(path: Path) -> None:
-    """Check that an episode can be written to ``path`` as far as its name goes.
-
-    Raises:
-        MbnError: naming the path and the endings allowed.
-    """
-    if path.suffix.lower() not in FORMATS:
-        raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
-
-
-def write_animation(episode: Episode, path: Path) -> None:
-    """Write the episode as a GIF or an MP4 that rests on its last frame."""
-    ANIMATIONS[path.suffix.lower()](_frames(episode), path)
+        figures.save(draw_trajectories(episode, title), path)
 
 
 def _frames(episode: Episode) -> Iterator[NDArray[np.uint8]]:
@@ -92,23 +82,6 @@ def _frames(episode: Episode) -> Iterator[NDArray[np.uint8]]:
         yield frame
 
 
-def write_trajectories(episode: Episode, path: Path, title: str | None = None) -> None:
-    """Write the robots' paths as a figure (png, pdf or svg)."""
-    figures.save(draw_trajectories(episode, title), path)
-
-
 def draw_trajectories(episode: Episode, title: str | None = None) -> Figure:
     """Draw the robots' paths."""
-    last = episode.snapshot(episode.steps)
-    return figures.trajectory_figure(
-        last.field,
-        last.trail,
-        visited=last.visited,
-        collision=last.collision,
-        wind=last.winds,
-        headings=last.headings,
-        failed=last.failed,
-        gone=last.gone,
-        roi_radius=last.roi_radius,
-        title=title,
-    )
+    return figures.trajectory_figure(episode.snapshot(episode.steps), title)

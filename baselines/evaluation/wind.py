@@ -1,4 +1,4 @@
-"""How a trained policy stands wind: fresh episodes at several wind speeds."""
+"""Evaluate a policy at several wind speeds."""
 
 from __future__ import annotations
 
@@ -9,60 +9,45 @@ from typing import Any
 
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
 from baselines.evaluation.intervals import mean_interval, share_interval
-from baselines.evaluation.policy import Policy
+from baselines.policies.policy import Policy
 from mbn_marl.episode import Episode
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 from mbn_marl.render import figures
 
 MOST_SPEEDS = 100
+ALLOWED = (
+    f"allowed: up to {MOST_SPEEDS} speeds of 0 and above between commas, and '..' for even steps "
+    "from two of them to the next; for example 0,0.1,..,0.5"
+)
 
 
 def parse_speeds(text: str) -> list[float]:
-    """Read wind speeds from numbers between commas; ``..`` is even steps up to the next one.
-
-    ``0,0.1,..,0.5`` is ``0,0.1,0.2,0.3,0.4,0.5``.
+    """Read wind speeds: ``0,0.1,..,0.5`` is ``0,0.1,0.2,0.3,0.4,0.5``.
 
     Raises:
-        ConfigError: a word is no number or negative, or ``..`` does not lie between two numbers
-            before it and a number after it that the steps reach.
+        ConfigError: naming the word that is no speed, or that even steps do not reach.
     """
     speeds: list[float] = []
     words = [word.strip() for word in text.split(",")]
-    try:
-        for before, word in itertools.pairwise(["", *words]):
-            if word != "..":
-                speed = _speed(word)
-                speeds += [*(_between(speeds, speed) if before == ".." else ()), speed]
-        if words[-1] == "..":
-            raise ValueError("'..' needs a number after it")
-        if len(speeds) > MOST_SPEEDS:
-            raise ValueError(f"{len(speeds)} speeds; allowed: up to {MOST_SPEEDS}")
-    except ValueError as error:
-        problem = f"wind_speeds {text!r}: {error}; for example 0,0.1,..,0.5"
-        raise ConfigError("wind", [problem]) from None
+    for before, word in itertools.pairwise(["", *words]):
+        if word == ".." and word is not words[-1]:
+            continue
+        try:
+            end = float(word)
+            if before == "..":
+                start, step = speeds[-1], speeds[-1] - speeds[-2]
+                count = round((end - start) / step)
+                if not 1 <= count <= MOST_SPEEDS or abs(start + count * step - end) > 1e-9:
+                    raise ValueError
+                speeds += [round(start + number * step, 12) for number in range(1, count)]
+            if not 0.0 <= end < float("inf") or len(speeds) >= MOST_SPEEDS:
+                raise ValueError
+        except (ValueError, IndexError, ZeroDivisionError, OverflowError):
+            place = f"{before},{word}" if before == ".." else repr(word)
+            raise ConfigError("wind", [f"wind_speeds {text!r}: {place}; {ALLOWED}"]) from None
+        speeds.append(end)
     return speeds
-
-
-def _speed(word: str) -> float:
-    try:
-        speed = float(word)
-    except ValueError:
-        raise ValueError(f"{word!r} is no number") from None
-    if not 0.0 <= speed < float("inf"):
-        raise ValueError(f"{word} is no speed; allowed: 0 and above")
-    return speed
-
-
-def _between(before: Sequence[float], end: float) -> list[float]:
-    """The speeds in the place of ``..``."""
-    if len(before) < 2:
-        raise ValueError("'..' needs two numbers before it")
-    start, step = before[-1], before[-1] - before[-2]
-    count = round((end - start) / step) if step else 0
-    if not 1 <= count <= MOST_SPEEDS or abs(start + count * step - end) > 1e-9:
-        raise ValueError(f"even steps of {step:g} from {start:g} do not reach {end:g}")
-    return [round(start + number * step, 12) for number in range(1, count)]
 
 
 def evaluate_in_wind(
@@ -82,7 +67,7 @@ def evaluate_in_wind(
 
     Returns:
         JSON values, an entry for every speed and way to act: see :func:`with_intervals`; and, by
-        its wind in words, the first of the evaluated episodes with mean actions at each speed.
+        its wind in words, the first episode with mean actions at each speed.
     """
     rows: list[dict[str, Any]] = []
     drawn: dict[str, Episode] = {}
@@ -103,10 +88,10 @@ def evaluate_in_wind(
 
 
 def with_intervals(evaluation: Evaluation, *, one_episode: bool) -> dict[str, Any]:
-    """An evaluation as JSON values, with 95 % intervals over its episodes.
+    """An evaluation as JSON values, with 95 % intervals unless it is of ``one_episode``.
 
     ``success_interval`` is Wilson's; ``return_interval`` and ``makespan_interval`` are bootstrap
-    intervals of the mean, the latter over successful episodes. ``one_episode`` has none.
+    intervals of the mean, the latter over successful episodes.
     """
     makespans = evaluation.makespans
     intervals = {
@@ -114,13 +99,11 @@ def with_intervals(evaluation: Evaluation, *, one_episode: bool) -> dict[str, An
         "return_interval": mean_interval(evaluation.returns),
         "makespan_interval": mean_interval(makespans) if makespans else None,
     }
-    return {
-        **evaluation.to_json(),
-        **{
-            name: None if interval is None or one_episode else interval._asdict()
-            for name, interval in intervals.items()
-        },
+    shown = {
+        name: None if interval is None or one_episode else interval._asdict()
+        for name, interval in intervals.items()
     }
+    return {**evaluation.to_json(), **shown}
 
 
 def write_panels(episodes: Mapping[str, Episode], path: Path) -> None:

@@ -18,8 +18,7 @@ from baselines.compare.text_table import DASH
 from baselines.paper import published, tables
 from baselines.paper.tables import KINDS, MISSING
 from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
-from baselines.runs.files import Place, RunError, read_text, write_text
-from baselines.runs.provenance import write_provenance
+from baselines.runs.files import Place, RunError, read_text, write_provenance, write_text
 from mbn_marl.field import load_field
 from mbn_marl.render import figures
 

@@ -1,12 +1,15 @@
-"""Folders and files of runs: claimed without overwriting, written whole or not at all."""
+"""Folders and files of runs: claimed without overwriting, written whole, with their origin."""
 
 from __future__ import annotations
 
 import errno
+import importlib.metadata
 import json
 import os
+import platform
 import shutil
 import socket
+import subprocess
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
@@ -24,6 +27,10 @@ from mbn_marl.files import check_free, claim_file, free_name, replacing
 
 NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
 """Errors of drives without locks; for ``ENOSYS`` the library uses a file instead."""
+PACKAGES = (
+    *("mbn-marl", "numpy", "numba", "gymnasium", "pettingzoo", "sb3-contrib", "stable-baselines3"),
+    *("supersuit", "tensordict", "torch", "torchrl"),
+)
 LOCK = ".lock"
 """The file in the folder of a running process that names this process."""
 
@@ -195,6 +202,38 @@ def replacing_folder(path: Path) -> Iterator[Path]:
         new.rename(path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def write_provenance(path: Path, command: str) -> None:
+    """Record in the folder ``path`` the exact command, and the versions it ran with."""
+    write_text(path / "command.txt", command + "\n")
+    write_json(path / "versions.json", versions())
+
+
+def versions(*more: str) -> dict[str, Any]:
+    """Return Python, packages and ``more``, machine, git revision (``None`` outside a clone)."""
+    packages: dict[str, str | None] = dict.fromkeys((*PACKAGES, *more))
+    for name in packages:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            packages[name] = importlib.metadata.version(name)
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processors": os.cpu_count(),
+        "git_revision": _git_revision(),
+        "packages": packages,
+    }
+
+
+def _git_revision() -> str | None:
+    """Return the revision of the clone with this file, with ``-dirty`` if it was changed."""
+    root = Path(__file__).resolve().parents[2]
+    describe = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    if (root / ".git").exists():
+        with suppress(OSError, subprocess.CalledProcessError):
+            found = subprocess.run(describe, cwd=root, capture_output=True, text=True, check=True)
+            return found.stdout.strip()
+    return None
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,10 @@ from baselines.runs.files import (
     read_json,
     read_text,
     replacing_folder,
+    versions,
     write_json,
+    write_provenance,
 )
-from baselines.runs.provenance import versions, write_provenance
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, FieldSampler, load_fields, save_field
 

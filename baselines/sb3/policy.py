@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 from torch.nn.utils import parameters_to_vector
 
-from baselines.evaluation.layers import Layers
+from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import RunError, read_json, reading, write_json
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
 from baselines.sb3.config import algorithm_class
-from baselines.sb3.layers import layers_of
 
 WEIGHTS, SHAPE, LEARNER = "policy.safetensors", "policy.json", "learner.safetensors"
 
@@ -69,7 +67,7 @@ class Normalization:
         return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
 
 
-class SB3Policy:
+class SB3Policy(TrainedPolicy):
     """One policy for every robot's observation, or for the team's, or for the paper's state."""
 
     # ``shape`` is what :meth:`of` makes. A ``model`` is the learner whose policy this is, and is
@@ -84,7 +82,7 @@ class SB3Policy:
     ) -> None:
         self.network, self.shape, self._model = network, shape, model
         self.normalization = normalization
-        self.observes: Literal["observations", "state"] = shape["observes"]
+        self.observes = shape["observes"]
 
     @classmethod
     def of(cls, model: BaseAlgorithm, algorithm: str, observes: str) -> Self:
@@ -110,15 +108,24 @@ class SB3Policy:
         rows = rows if self.normalization is None else self.normalization(rows)
         with torch.autocast("cpu", enabled=False):  # predict() wants what NumPy has a type for
             actions, _ = self.network.predict(rows, deterministic=deterministic)
-        return actions.reshape(len(seen), -1, 2)
+        answers: np.ndarray = actions.reshape(len(seen), -1, 2)
+        return answers
 
-    def layers(self) -> Layers:
-        """See :class:`~baselines.evaluation.layers.HasLayers`."""
-        size, seen = self.shape["obs_size"], self.normalization
-        if seen is None:
-            none = np.zeros(size, np.float32), np.ones(size, np.float32), math.inf
-            return layers_of(self.network, *none)
-        return layers_of(self.network, seen.mean, np.sqrt(seen.variance + seen.epsilon), seen.clip)
+    def means(self, seen: torch.Tensor) -> torch.Tensor:
+        network: Any = self.network
+        rows, norm = seen.reshape(-1, self.shape["obs_size"]), self.normalization
+        if norm is not None:
+            scale = np.sqrt(norm.variance + norm.epsilon)
+            scaled = (rows.double() - torch.tensor(norm.mean)) / torch.tensor(scale)
+            rows = scaled.clamp(-norm.clip, norm.clip).float()
+        if isinstance(network, ActorCriticPolicy):
+            parts = [network.mlp_extractor.policy_net, network.action_net]
+        elif hasattr(network, "actor"):
+            parts = [network.actor.latent_pi, network.actor.mu, torch.nn.Tanh()]
+        else:
+            parts = [network.action_net]
+        means: torch.Tensor = torch.nn.Sequential(*parts)(rows)
+        return means.reshape(seen.shape[0], -1, 2)
 
     def save(self, folder: Path) -> None:
         """Write weights (safetensors), shape and normalisation (JSON) into ``folder``."""

@@ -23,21 +23,17 @@ class Failure:
 
 
 Report = Callable[[Any], None]
+# A function of a module: work(job, report) returns a result, and reports on the way.
 Work = Callable[[Any, Report], Any]
-"""``work(job, report)``, a function of a module: returns a result, reports on the way."""
+# ended(job, result) receives each job once; the result may be a Failure.
 Ended = Callable[[Any, Any], None]
-"""``ended(job, result)`` receives each job once; the result may be a :class:`Failure`."""
 
 
 @dataclass(frozen=True)
 class LocalEngine:
-    """Run jobs in processes of this machine, each in a new one.
+    """Run so many jobs at a time, each in a new process; repeat a failed one ``retries`` times.
 
     A single process without retries is this process: errors of the work are raised.
-
-    Attributes:
-        processes: jobs at a time (>= 1).
-        retries: how often a failed job is repeated (>= 0).
     """
 
     processes: int

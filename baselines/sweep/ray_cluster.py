@@ -14,14 +14,11 @@ from mbn_marl.errors import MbnError
 
 @dataclass(frozen=True)
 class RayEngine:
-    """Run jobs on a Ray cluster that is already running; Ray places and repeats them.
+    """Run jobs on a Ray cluster that is already running.
 
-    Attributes:
-        address: HOST:PORT; ``None`` for that of ``RAY_ADDRESS``, or the cluster of this machine.
-        cpus: cores that a job takes (>= 0).
-        gpus: GPUs that a job takes (>= 0), whole or a share of one.
-        retries: how often a job is repeated (>= 0) when its machine is lost or it raises an error
-            other than for bad input.
+    The ``address``, HOST:PORT, is by default that of ``RAY_ADDRESS``, or of this machine. A job
+    takes ``cpus`` cores and ``gpus`` GPUs or a share of one. It is repeated when its machine is
+    lost, or after an error other than for bad input.
     """
 
     address: str | None = None

@@ -25,8 +25,8 @@ from mbn_marl.errors import ConfigError, MbnError
 Engine = LocalEngine | RayEngine
 SHOWN = 10
 """Failures that a message lists."""
+# A lost machine may hold the lock of a run folder for a while.
 PATIENCE = 60.0
-"""Seconds to wait for the lock of a run folder, which a lost machine may hold for a while."""
 
 
 def make_engine(
@@ -35,12 +35,9 @@ def make_engine(
     address: str | None,
     resources: Resources | None = None,
 ) -> Engine:
-    """Return the engine that a command line asks for.
+    """Return the engine that a command line asks for; a ConfigError for options that do not fit.
 
     Without ``resources`` a job gets a core, and no retries on this machine.
-
-    Raises:
-        ConfigError: ``processes`` is below 1, or ``address`` is given without ``"ray"``.
     """
     if name == "ray":
         given = resources or Resources()
@@ -69,10 +66,7 @@ class Outcome:
 
 
 def train_in_store(job: TrainJob, report: Listener) -> Outcome:
-    """Train a run to its end, unless it is finished; resume an interrupted one.
-
-    Bad values and divergence are outcomes. Other errors are raised: a repetition may succeed.
-    """
+    """Train or resume a run; errors that a repetition would raise again are outcomes."""
     run, folder = job.run, job.store / job.run.name
     if run.transferred_from is not None:
         run = replace(run, transferred_from=job.store / run.transferred_from.name)
@@ -100,13 +94,9 @@ def train_runs(
 ) -> dict[str, Outcome]:
     """Train every run that is not finished; one that fails or diverges stops no other.
 
-    Args:
-        runs: what to train; those that begin with another of them come after all others.
-        store: the folder of all run folders.
-        engine: runs the jobs.
-        wandb: a project of Weights & Biases to log to as well.
-        listener: receives the progress of the runs.
-        ended: receives how each run ended; all ends are returned, by the run's name.
+    Runs that begin with another one of ``runs`` come after all others. ``wandb`` is a project of
+    Weights & Biases to log to as well; ``listener`` receives the progress, ``ended`` how each run
+    ended. All ends are returned, by the run's name.
     """
     outcomes: dict[str, Outcome] = {}
     store = store.resolve()

@@ -21,8 +21,6 @@ from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, MbnError, ProblemsError
 from mbn_marl.field import catalogue_names, load_field
 
-_STRICT = ConfigDict(frozen=True, extra="forbid")
-
 
 def _known(load: Callable[[str], object]) -> AfterValidator:
     """Return a validator of names that ``load`` knows."""
@@ -47,35 +45,29 @@ Algorithm = Annotated[str, _known(find_algorithm)]
 FieldName = Annotated[str, _known(load_field)]
 
 
-class Budget(BaseModel):
-    """The length of each run, see :class:`TrainConfig`; by default the setting's own steps."""
+class _Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
-    model_config = _STRICT
 
+class Budget(_Strict):
     steps: Count | None = None
     evaluate_every: Count = 32_768
     episodes: Count = 100
     stop_at: float | None = None
 
 
-class Resources(BaseModel):
-    """The cores and GPUs of a run, and how often it is resumed after an unforeseen error."""
-
-    model_config = _STRICT
-
+class Resources(_Strict):
     cpus: Positive = 1.0
     gpus: NonNegative = 0.0
     retries: Annotated[int, Field(ge=0)] = 3
 
 
-class GridSpec(BaseModel):
+class GridSpec(_Strict):
     """Every algorithm on every field under every setting with every seed, and more axes.
 
     docs/grid.md explains the keys. ``source`` is the field whose run under A the runs under C begin
     with; an algorithm takes part under those settings that it has.
     """
-
-    model_config = _STRICT
 
     store: Annotated[Path, AfterValidator(_folder)]
     algorithms: Annotated[tuple[Algorithm, ...], *_Axis]

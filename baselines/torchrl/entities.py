@@ -13,15 +13,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-import numpy as np
 import torch
 from torch import nn
 
-from baselines.evaluation.layers import SHORT, Sets
 from mbn_marl.engine.mdp.entities import SCALES
 from mbn_marl.engine.mdp.observations import Entry
 
 NEAR, FAR = SCALES.tolist()
+SHORT = 1e-6
+"""Added to the square of a length, units, so that none is 0."""
 RAYS = tuple(f"ray_{k}" for k in range(8))
 
 
@@ -49,8 +49,8 @@ class Tokens:
         parts = torch.split(rows, [own, robots, rows.shape[-1] - own - robots], -1)
         return (
             parts[0],
-            parts[1].reshape(len(rows), n - 1, len(self.robot)),
-            parts[2].reshape(len(rows), -1, len(self.roi)),
+            parts[1].reshape(rows.shape[0], n - 1, len(self.robot)),
+            parts[2].reshape(rows.shape[0], -1, len(self.roi)),
         )
 
     def way_left(self, rows: torch.Tensor, n: int) -> torch.Tensor:
@@ -102,13 +102,13 @@ class Turned(nn.Module):
     def signs(self, rois: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the signs (B, 2), and the swaps (B, 1), that bring the next ROI there."""
         if self._fixed:
-            toward = rois.new_ones(len(rois), 2)
+            toward = rois.new_ones(rois.shape[0], 2)
         else:
             index = self._tokens.roi.index
             rank = rois[..., index("left")] * (2.0 - rois[..., index("away")])
             if "order" in self._tokens.roi:
                 rank = rank + 2.0 * rois[..., index("order")]
-            first = torch.arange(len(rois), device=rois.device), rank.argmax(1)
+            first = torch.arange(rois.shape[0], device=rois.device), rank.argmax(1)
             toward = rois[first][:, [index("far_x"), index("far_y")]]
         swap = toward[:, 1:].abs() > toward[:, :1].abs()
         return torch.where(toward < 0, -1.0, 1.0), swap
@@ -126,17 +126,6 @@ class Turned(nn.Module):
         pairs, rest = self._columns[kind]
         x, y = tokens[:, pairs[0]] * signs[:, :1], tokens[:, pairs[1]] * signs[:, 1:]
         return torch.cat([tokens[:, rest], torch.where(swap, y, x), torch.where(swap, x, y)], 1)
-
-    def columns(self) -> dict[str, np.ndarray]:
-        tokens, index = self._tokens, self._tokens.roi.index
-        order = ["order"] if "order" in tokens.roi else []
-        following = [index(name) for name in ("left", "away", *order, "far_x", "far_y")]
-        sizes = [len(tokens.own), len(tokens.robot), len(tokens.roi)]
-        named = {"sizes": sizes, "next": following, "turns": not self._fixed}
-        named |= {"first_ray": self._first_ray, "rays": self._rays.tolist()}
-        for kind, (pairs, rest) in self._columns.items():
-            named |= {f"{kind}_pairs": pairs, f"{kind}_rest": rest}
-        return {name: np.array(values) for name, values in named.items()}
 
     @staticmethod
     def back(actions: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor) -> torch.Tensor:
@@ -201,9 +190,6 @@ class Rivals(nn.Module):
         features: torch.Tensor = self.seen(torch.cat(seen, -1)) * robots[..., :1]
         return features.amax(1) if robots.shape[1] else features.sum(1)
 
-    def columns(self) -> dict[str, np.ndarray]:
-        return {"rivals": np.array(list(self._at.values())), "scales": SCALES}
-
 
 def _length(vectors: torch.Tensor) -> torch.Tensor:
     return (vectors.square().sum(-1, keepdim=True) + SHORT).sqrt()
@@ -240,40 +226,57 @@ class SetEncoder(nn.Module):
         own, robots, rois = self._tokens.split(rows, n)
         signs, swap = self.turned.signs(rois)
         # Only tokens of what is there are computed: a third of them.
-        row, place = rois[..., 0].nonzero(as_tuple=True)
-        tokens = self.turned("roi", rois[row, place], signs[row], swap[row])
+        roi, row = _present(rois)
+        tokens = self.turned("roi", roi, signs[row], swap[row])
         if not self._assigned:
-            rivals = self.rivals(own[row], robots[row], rois[row, place])
-            tokens = torch.cat([tokens, rivals], -1)
-        found = self.roi(tokens)
-        beside, place = robots[..., 0].nonzero(as_tuple=True)
-        team = self.robot(self.turned("robot", robots[beside, place], signs[beside], swap[beside]))
+            tokens = torch.cat([tokens, self.rivals(own[row], robots[row], roi)], -1)
+        found = _or_zero(self.roi(tokens), roi)
+        other, beside = _present(robots)
+        team = self.robot(self.turned("robot", other, signs[beside], swap[beside]))
+        team = _or_zero(team, other)
         turned = self.turned("own", own, signs, swap)
         own = torch.cat([turned, self.turned.rays(own, signs, swap)], -1)
-        blank = found.new_zeros(len(own), found.shape[-1])
-        pooled = _pooled(blank, row, found, self.query(own))
+        blank = found.new_zeros(own.shape[0], found.shape[-1])
+        pooled = _pooled(blank, row, found, self.query(own), roi)
         flow = self.mix(torch.cat([self.own(own), *pooled, _most(blank, beside, team)], -1))
         flow = flow + self.deep(flow)
         if not self._assigned:
-            found = torch.relu(self.again(found) + self.tell(flow)[row])
-            pooled = _pooled(blank, row, found, self.ask(flow))
+            found = _or_zero(torch.relu(self.again(found) + self.tell(flow)[row]), roi)
+            pooled = _pooled(blank, row, found, self.ask(flow), roi)
             flow = flow + self.whole(torch.cat([flow, *pooled], -1))
         return flow, signs, swap
 
-    def columns(self) -> dict[str, np.ndarray]:
-        named = self.turned.columns()
-        return named if self._assigned else {**named, **self.rivals.columns()}
+
+def _present(tokens: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the tokens (K, .) of (B, k, .) that are not absent, and the row (K,) of each."""
+    if torch.compiler.is_exporting():
+        # No size in an exported graph depends on the input: it keeps all, and _or_zero drops some.
+        rows, count = tokens.shape[:2]
+        return tokens.flatten(0, 1), torch.arange(rows)[:, None].expand(rows, count).flatten()
+    row, place = tokens[..., 0].nonzero(as_tuple=True)
+    return tokens[row, place], row
+
+
+def _or_zero(values: torch.Tensor, tokens: torch.Tensor) -> torch.Tensor:
+    """Return the values of tokens (K, .); in an exported graph, 0 for absent ones."""
+    if not torch.compiler.is_exporting():
+        return values
+    return values * (tokens[:, 0] if values.ndim == 1 else tokens[:, :1]).ne(0.0)
 
 
 def _pooled(
-    blank: torch.Tensor, row: torch.Tensor, features: torch.Tensor, query: torch.Tensor
+    blank: torch.Tensor,
+    row: torch.Tensor,
+    features: torch.Tensor,
+    query: torch.Tensor,
+    tokens: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the greatest of the features (K, width) of each row, and their mean by attention."""
     score = (features * query[row]).sum(-1) / math.sqrt(features.shape[-1])
-    most = score.new_full((len(query),), -torch.inf)
+    most = score.new_full((query.shape[0],), -torch.inf)
     most = most.scatter_reduce(0, row, score.detach(), "amax")
-    weight = (score - most[row]).exp()
-    total = weight.new_zeros(len(query)).index_add(0, row, weight)
+    weight = _or_zero((score - most[row]).exp(), tokens)
+    total = weight.new_zeros(query.shape[0]).index_add(0, row, weight).clamp(min=1e-30)
     weight = (weight / total[row]).unsqueeze(-1)
     return _most(blank, row, features), blank.index_add(0, row, weight * features)
 
@@ -286,13 +289,15 @@ def _most(blank: torch.Tensor, row: torch.Tensor, features: torch.Tensor) -> tor
 def _of_present(rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the rows (B, size) of (..., n, size) that are not all 0, and their numbers (B,)."""
     flat = rows.reshape(-1, rows.shape[-1])
+    if torch.compiler.is_exporting():  # see _present
+        return flat, torch.arange(flat.shape[0])
     present = flat.any(-1).nonzero()[:, 0]
     return (flat if len(present) == len(flat) else flat[present]), present
 
 
 def _to_all(values: torch.Tensor, present: torch.Tensor, shape: torch.Size) -> torch.Tensor:
     """Return (..., n, k): ``values`` (B, k) of those that are there, 0 of the others."""
-    whole = values.new_zeros(shape.numel(), values.shape[-1])
+    whole = values.new_zeros(math.prod(shape), values.shape[-1])
     return whole.index_copy(0, present, values).reshape(*shape, -1)
 
 
@@ -309,16 +314,9 @@ class SetActor(nn.Module):
         some, present = _of_present(rows)
         flow, signs, swap = self.encoder(some, rows.shape[-2])
         actions = self.encoder.turned.back(self.head(flow), signs, swap)
+        if torch.compiler.is_exporting():  # see _of_present
+            actions = actions * some.any(-1, keepdim=True)
         return _to_all(actions, present, rows.shape[:-1])
-
-    def layers(self) -> Sets:
-        named = self.encoder.columns()
-        for name, module in self.named_modules():
-            if isinstance(module, nn.Linear):
-                place = name.removeprefix("encoder.")
-                named[place] = module.weight.T.contiguous().numpy(force=True)
-                named[f"{place}_bias"] = module.bias[None].numpy(force=True)
-        return Sets(named)
 
 
 class SetCritic(nn.Module):

@@ -12,11 +12,10 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
-from baselines.evaluation.fitting import fitted
-from baselines.evaluation.policy import TrainedPolicy, load_trained
+from baselines.policies.load import load_trained, open_run
+from baselines.policies.policy import TrainedPolicy
 from baselines.torchrl.networks import Key
 from baselines.training.config import Task
-from baselines.zoo.entries import open_run
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
@@ -30,7 +29,8 @@ def find_teacher(source: str, learner: Mapping[str, Any]) -> tuple[TrainedPolicy
     """Return the policy of ``zoo:NAME`` or a run's folder, and the settings of what it sees."""
     # If it sees an assignment, that is the learner's. A learner that sees none could not know what
     # was assigned at first: then it is made for where robots are.
-    policy: Any = load_trained(open_run(source))
+    policy = load_trained(open_run(source))
+    assert policy.origin is not None
     seen = {name: getattr(policy.origin.config, name) for name in SEEN}
     shown = make_config(learner).assignment or "fresh"
     return policy, {**seen, "assignment": shown if seen["assignment"] else False}
@@ -42,7 +42,7 @@ def check_teacher(source: str, task: Task) -> None:
     if policy.observes != "observations":
         problem = f"teacher: {source} acts on the state; allowed: on robots' own observations"
         raise ConfigError("training", [problem])
-    fitted(policy, BatchEngine(task.field, 1, threads=1, **{**task.settings, **seen}))
+    policy.fit(BatchEngine(task.field, 1, threads=1, **{**task.settings, **seen}))
 
 
 class Teacher:
@@ -55,7 +55,7 @@ class Teacher:
     ) -> None:
         policy, seen = find_teacher(source, learner)
         self._env = make_env(**seen)
-        self._policy = fitted(policy, self._env.engine)
+        self._policy = policy.fit(self._env.engine)
         self._now = self._env.reset()
 
     def actions(self, rollout: TensorDictBase, repeat: int) -> torch.Tensor:

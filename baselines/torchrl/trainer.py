@@ -18,7 +18,7 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
-from baselines.evaluation.policy import load_trained
+from baselines.policies.load import load_trained, open_run
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import saved_at
 from baselines.runs.tensors import (
@@ -37,7 +37,6 @@ from baselines.torchrl.teacher import Teacher, check_teacher
 from baselines.training.aids import RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
-from baselines.zoo.entries import open_run
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
@@ -58,7 +57,7 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     """Check that the hyperparameters fit the environment; a ConfigError names all that do not."""
     settings, drawn = make_config(task.settings), isinstance(task.field, FieldSampler)
     sets = hyperparameters.network == "entities"
-    most = task.field.most_robots if drawn else len(task.field.starts)  # type: ignore[union-attr]
+    most = task.field.robots[1] if drawn else len(task.field.starts)  # type: ignore[union-attr]
     few = (settings.n_robots or most) < 2
     wrong = {
         "scattered": (drawn, 0.0, "on random fields"),

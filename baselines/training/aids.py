@@ -14,7 +14,7 @@ from shapely import Point
 from baselines.training.config import Hyperparameters, Task
 from mbn_marl.config import Uniform, make_config
 from mbn_marl.field import Field
-from mbn_marl.field.limits import SAFETY_DISTANCE
+from mbn_marl.field.schema import SAFETY_DISTANCE
 
 Count = Annotated[int, pydantic.Field(ge=1)]
 Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]

@@ -19,7 +19,8 @@ from tyro.conf import Positional, Suppress, arg
 from baselines.algorithms import SETTINGS, Setting, find_algorithm
 from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, FieldError, MbnError, collecting, unknown
-from mbn_marl.field import Field, FieldSampler, load_fields, safe_yaml
+from mbn_marl.field import Field, FieldSampler, load_fields
+from mbn_marl.field.files import parse_yaml
 
 # Overrides that begin with this and a point are settings of the environment.
 ENVIRONMENT = "environment"
@@ -188,7 +189,7 @@ def read_blocks(path: Path) -> dict[str, Any]:
     """Read a YAML file of named blocks; raise a ConfigError if it is none."""
     try:
         data = path.read_bytes()
-        blocks = safe_yaml.parse_yaml(data, str(path), max_scalar=safe_yaml.MAX_TEXT)
+        blocks = parse_yaml(data, str(path))
     except FieldError as error:
         raise ConfigError(str(path), error.problems) from None
     except OSError as error:

@@ -19,7 +19,7 @@ from torch.utils.tensorboard import SummaryWriter
 from baselines.console import console
 from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate, unseen
 from baselines.evaluation.intervals import passes
-from baselines.evaluation.policy import TrainedPolicy
+from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
 from baselines.runs.folder import RunFolder, saved_at
 from baselines.training.config import Task

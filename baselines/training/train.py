@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -12,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from baselines.algorithms import find_algorithm
-from baselines.evaluation.fitting import acts_on
+from baselines.policies.load import CARD, PREFIX, open_run
+from baselines.policies.policy import acts_on
 from baselines.runs.files import RunError, alone, check_text, claim_folder, is_untouched
 from baselines.runs.folder import RunFolder
 from baselines.training.config import DivergenceError, Hyperparameters, Task, TrainConfig
 from baselines.training.run_logger import Listener, Recorder, find_wandb
-from baselines.zoo.entries import CARD, PREFIX, open_run
 from mbn_marl.config import expand, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
@@ -25,9 +23,6 @@ from mbn_marl.field import Field, FieldSampler, load_fields
 
 # The hyperparameters that decide which networks there are.
 NETWORK = ("actor", "network", "hidden", "sharing")
-# Of glibc's malloc: how many blocks may be mappings of their own (``M_MMAP_MAX``), and how many
-# bytes may lie free at the top (``M_TRIM_THRESHOLD``).
-KEPT = {-4: 0, -1: 2**31 - 1}
 
 
 def train(
@@ -147,7 +142,6 @@ def _running(run: RunFolder) -> Iterator[None]:
             hook(arguments)
 
     torch.set_num_threads(1)
-    keep_freed_memory()
     threading.excepthook = quiet
     try:
         yield
@@ -204,13 +198,6 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
     ]
     if problems:
         raise ConfigError(f"from: {source.path}", problems)
-
-
-def keep_freed_memory() -> None:
-    # A learner soon wants as much memory as it frees, which Linux would have to clear.
-    if sys.platform == "linux" and (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)):
-        for option, size in KEPT.items():
-            mallopt(option, size)
 
 
 def found_anywhere(field: str) -> str:

@@ -20,9 +20,8 @@ from optuna.visualization import matplotlib as plots
 from baselines.algorithms import find_algorithm
 from baselines.paper import published
 from baselines.runs import files
-from baselines.runs.files import RunError, write_text
+from baselines.runs.files import RunError, write_provenance, write_text
 from baselines.runs.folder import RunFolder
-from baselines.runs.provenance import write_provenance
 from baselines.sb3.config import accepted_arguments
 from baselines.sweep.processes import Failure
 from baselines.sweep.run import Engine
@@ -115,13 +114,11 @@ def suggest(trial: Trial, algorithm: str) -> dict[str, Any]:
 
 def begin_study(folder: Path) -> None:
     """Write the journal of a study without trials."""
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
     optuna.create_study(study_name="study", storage=_storage(folder), direction="maximize")
 
 
 def load_study(folder: Path) -> Study:
     """Load the study of ``folder``; raise a RunError if its journal is missing or damaged."""
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
     place = folder / JOURNAL
     if not place.is_file():
         raise RunError(f"{folder} is not the folder of a study: it has no {JOURNAL}")
@@ -136,6 +133,7 @@ def load_study(folder: Path) -> Study:
 
 
 def _storage(folder: Path) -> JournalStorage:
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
     return JournalStorage(journal.JournalFileBackend(str(folder / JOURNAL)))
 
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
-from baselines.evaluation.policy import load_trained
-from baselines.runs.files import RunError, read_json, replacing_folder, write_json, write_text
+from baselines.policies.load import CARD, load_trained
+from baselines.runs.files import RunError, read_json, replacing_folder, write_json
 from baselines.runs.folder import RunFolder
-from baselines.zoo.entries import CARD, PREFIX
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, catalogue_names, sampler_names, save_field
@@ -20,34 +18,6 @@ from mbn_marl.optimum import optimal_return
 EPISODES = 100
 LARGEST = 1_000_000
 """Bytes of an entry's files together."""
-
-README = """\
-# {prefix}{name}
-
-{algorithm} on {field}, trained with seed {seed} for {env_steps:,} env-steps in {seconds:,.0f} s \
-(evaluations excluded):
-
-```sh
-{command}
-```
-
-`config.json` has its hyperparameters and environment, which decide where the package's own differ
-from them; `card.json` has the versions it ran with.
-
-{episodes} fresh episodes each, with sampled and with mean actions, seed {evaluation_seed} \
-({again}):
-
-| actions | return | min | max | success | collisions | makespan |
-|---|---|---|---|---|---|---|
-{rows}
-
-{optimum}
-"""
-ON_RANDOM_FIELDS = "each in a field of its own, that training never had"
-ROW = (
-    "| {actions} | {return_mean:,.0f} | {return_min:,.0f} | {return_max:,.0f} "
-    "| {success_rate:.1%} | {collision_rate:.1%} | {length} |"
-)
 
 
 def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
@@ -75,7 +45,6 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
         save_field(run.fields, folder / "field.yaml")
         load_trained(run).save(folder / "policy")
         write_json(folder / CARD, card)
-        write_text(folder / "README.md", readme(card))
         size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
         if size > LARGEST:
             raise ConfigError(str(run.path), [f"{size:,} bytes; allowed: up to {LARGEST:,}"])
@@ -111,27 +80,3 @@ def plain_command(command: str) -> str:
         elif word not in ("--force", "--resume") and not word.startswith("--out="):
             kept.append(word)
     return shlex.join(kept)
-
-
-def readme(card: Mapping[str, Any]) -> str:
-    """The card as Markdown."""
-    evaluations = card["stochastic"], card["deterministic"]
-    optimum = card["optimum"]
-    text = README.format(
-        **{key: value for key, value in card.items() if key != "optimum"},
-        optimum="" if optimum is None else f"The proved optimum is {optimum:,.0f}.",
-        prefix=PREFIX,
-        again=ON_RANDOM_FIELDS
-        if card["field"] in sampler_names()
-        else f"`mbn evaluate {PREFIX}{card['name']}`",
-        episodes=evaluations[0]["episodes"],
-        evaluation_seed=evaluations[0]["seed"],
-        rows="\n".join(map(_row, evaluations)),
-    )
-    return f"{text.rstrip()}\n"
-
-
-def _row(summary: Mapping[str, Any]) -> str:
-    length = "-" if summary["makespan"] is None else f"{summary['makespan']:.1f}"
-    actions = "mean" if summary["deterministic"] else "sampled"
-    return ROW.format(actions=actions, length=length, **summary)

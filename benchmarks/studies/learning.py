@@ -26,7 +26,8 @@ from baselines.runs.files import write_json, write_text
 from baselines.training.config import validate
 from benchmarks.report import Benchmark, Measurement, measurement_table
 from mbn_marl.errors import ConfigError, unknown
-from mbn_marl.field import catalogue_names, safe_yaml
+from mbn_marl.field import catalogue_names
+from mbn_marl.field.files import parse_yaml
 
 STUDIES = sorted(path.stem for path in Path(__file__).parent.glob("*.yaml"))
 PAPER = published.by_field()
@@ -105,7 +106,7 @@ class Study(Benchmark):
             raise ConfigError("study", [f"{self.study}: {unknown('study', self.study, STUDIES)}"])
         given = {name: getattr(self, name) for name in ("fields", "seeds", "steps")}
         path = Path(__file__).with_name(f"{self.study}.yaml")
-        values: Any = safe_yaml.parse_yaml(path.read_bytes(), str(path))
+        values: Any = parse_yaml(path.read_bytes(), str(path))
         plan = validate(Plan, values, str(path))
         return plan.model_copy(update={name: value for name, value in given.items() if value})
 

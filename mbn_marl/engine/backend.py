@@ -23,7 +23,7 @@ from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.engine.state import Array, Episode, Geometry, Memory, Output
 from mbn_marl.errors import ActionError, StepError, install
 from mbn_marl.field import Field, FieldSampler
-from mbn_marl.field.layout import Tables
+from mbn_marl.field.generator.layout import Tables
 
 CUDA_NEEDS = (
     "device: 'cuda' needs an NVIDIA GPU, a torch that can use it (see pytorch.org), "

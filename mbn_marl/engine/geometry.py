@@ -17,8 +17,8 @@ from mbn_marl.engine.mdp.observations import WITH_RAYS
 from mbn_marl.engine.mdp.ways import Ways, make_ways, no_ways
 from mbn_marl.engine.state import Array, Geometry
 from mbn_marl.field import Field, FieldSampler
-from mbn_marl.field.layout import Tables, make_tables, scratch_rows
-from mbn_marl.field.sampler import field_of
+from mbn_marl.field.generator.layout import Tables, make_tables, scratch_rows
+from mbn_marl.field.generator.sampler import field_of
 
 MARGIN = 1.02
 """Safety distances between starts: discs about them are polygons, and they are rounded."""
@@ -39,8 +39,8 @@ class Sizes(NamedTuple):
 def sizes_of(source: FieldSource) -> Sizes:
     """The sizes of the fields of a source; those of none are 1."""
     if isinstance(source, FieldSampler):
-        robots = source.most_robots, source.fewest_robots
-        return Sizes(source.most_edges, source.most_rois, *robots, source.arena)
+        fewest, most = source.robots
+        return Sizes(source.most_edges, source.rois[1], most, fewest, source.arena)
     edges, rois, teams = (
         [len(getattr(field, name)) for field in source] or [1]
         for name in ("edges", "rois", "starts")

@@ -18,7 +18,7 @@ from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
 from mbn_marl.engine.mdp.visits import all_visited, visit_code
 from mbn_marl.engine.mdp.ways import lay_ways
 from mbn_marl.engine.state import HEADING, OPTIONAL, Episode
-from mbn_marl.field.families import make_field
+from mbn_marl.field.generator.families import make_field
 from mbn_marl.jit.compile import compiled, generated
 from mbn_marl.jit.functions import column
 from mbn_marl.jit.random_numbers import (

@@ -15,7 +15,7 @@ from mbn_marl.engine.constants import AUTORESET_MODES
 from mbn_marl.engine.geometry import FieldSource, Sizes, sizes_of
 from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import Field, FieldSampler
-from mbn_marl.field.layout import MILLI, STARTS_APART
+from mbn_marl.field.generator.layout import MILLI, STARTS_APART
 
 SPACING = STARTS_APART / MILLI
 """The least distance of starts that are drawn, units."""
@@ -205,8 +205,8 @@ def _sampler_problems(
     sampler: FieldSampler, config: NavigationConfig, n: int, starts: NDArray[Any] | None
 ) -> list[str]:
     problems = [] if starts is None else ["starts: allowed with given fields"]
-    if n < sampler.most_robots:
-        allowed = f"at least {sampler.most_robots}, the most that the sampler draws"
+    if n < sampler.robots[1]:
+        allowed = f"at least {sampler.robots[1]}, the most that the sampler draws"
         problems.append(f"n_robots: {n}; allowed: {allowed}")
     if (distance := config.at_most().safety_distance) > SPACING:
         allowed = f"at most {SPACING:g}, the least distance of starts that are drawn"

@@ -1,7 +1,4 @@
-"""The file format ``mbn-episode/1``, which ``docs/replay.md`` describes: save and load episodes.
-
-Arrays are base64 of their bytes, so that they are exact and small.
-"""
+"""Save and load episodes in the format ``mbn-episode/1``, which ``docs/replay.md`` describes."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mbn_marl import field as fields
-from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, NavigationConfig, describe, make_config
+from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, describe, make_config
 from mbn_marl.engine import REWARD_TERMS
 from mbn_marl.episode.episode import Episode, Outcome
 from mbn_marl.errors import EpisodeError, MbnError
@@ -29,6 +26,7 @@ from mbn_marl.version import __version__
 FORMAT: Final = "mbn-episode/1"
 EXPECTED = f"an episode in the format {FORMAT}, as `mbn render -o episode.json` writes it"
 MAX_SOURCE = 200
+_Step = Annotated[int, Field(ge=1)]
 _LITTLE = {"float32": "<f4", "float64": "<f8", "uint8": "<u1", "uint16": "<u2"}
 
 
@@ -37,7 +35,7 @@ class _Strict(BaseModel):
 
 
 class PackedArray(_Strict):
-    """An array as base64 of its numbers, little-endian, in C order."""
+    """An array as base64 of its numbers, little-endian, in C order: exact and small."""
 
     dtype: Literal["float32", "float64", "uint8", "uint16"]
     shape: Annotated[list[Annotated[int, Field(ge=0)]], Len(1, 3)]
@@ -45,102 +43,79 @@ class PackedArray(_Strict):
 
     @classmethod
     def pack(cls, array: NDArray[Any]) -> Self:
-        """Pack an array of one of these dtypes."""
         name: Any = array.dtype.name
         data = base64.b64encode(array.astype(_LITTLE[name]).tobytes()).decode("ascii")
         return cls(dtype=name, shape=list(array.shape), data=data)
 
-    def unpack(self) -> NDArray[Any]:
-        """Return the array; raise ``ValueError`` if the data is not base64, or of another size."""
+    def unpack(self, shape: tuple[int, ...], dtype: str) -> NDArray[Any]:
+        """Return the array; raise ``ValueError`` if it is another, or broken."""
+        if (tuple(self.shape), self.dtype) != (shape, dtype):
+            raise ValueError(f"shape {self.shape} of {self.dtype}; allowed: {shape} of {dtype}")
         try:
             raw = base64.b64decode(self.data, validate=True)
         except binascii.Error as error:
             raise ValueError(f"data: not base64: {error}") from None
-        dtype = np.dtype(_LITTLE[self.dtype])
-        expected = math.prod(self.shape) * dtype.itemsize
-        if len(raw) != expected:
-            raise ValueError(f"data: {len(raw)} bytes; a {self.dtype} {self.shape} has {expected}")
-        return np.frombuffer(raw, dtype).reshape(self.shape).astype(self.dtype)
+        stored = np.dtype(_LITTLE[dtype])
+        if len(raw) != (expected := math.prod(shape) * stored.itemsize):
+            raise ValueError(f"data: {len(raw)} bytes; allowed: {expected}")
+        return np.frombuffer(raw, stored).reshape(shape).astype(dtype)
 
 
 class CodedArray(_Strict):
-    """An array with few different numbers: the numbers, and the index of each entry's number."""
+    """An array with at most 65,536 different numbers: they, and each entry's index in them."""
 
     values: list[float]
     indices: PackedArray
 
     @classmethod
     def pack(cls, array: NDArray[Any]) -> Self:
-        """Pack an array with at most 65,536 different numbers."""
         values, indices = np.unique(array, return_inverse=True)
         smallest = np.uint8 if len(values) <= 256 else np.uint16
         packed = PackedArray.pack(indices.reshape(array.shape).astype(smallest))
         return cls(values=values.tolist(), indices=packed)
 
-    def unpack(self) -> Any:
-        """Return the array; raise ``ValueError`` if the indices are broken or out of range."""
-        indices = self.indices.unpack()
+    def unpack(self, shape: tuple[int, ...], dtype: str) -> NDArray[Any]:
+        indices = self.indices.unpack(shape, self.indices.dtype)
         if indices.dtype.kind != "u" or (indices.size and indices.max() >= len(self.values)):
             raise ValueError(f"indices: allowed: whole numbers below {len(self.values)}")
-        return np.asarray(self.values, np.float64)[indices]
+        found: NDArray[Any] = np.asarray(self.values, dtype)[indices]
+        return found
 
 
 class Rewards(_Strict):
-    """The rewards of each step."""
-
-    terms: list[str] = Field(description="The names of the terms.")
-    robots: CodedArray = Field(description="(T, n, terms), the robots' own rewards by term.")
-    team: CodedArray = Field(description="(T,), the centralised rewards.")
+    terms: list[str]
+    robots: CodedArray  # (T, n, terms)
+    team: CodedArray  # (T,)
 
 
 class EpisodeFile(_Strict):
     """An episode of mbn_marl in the format mbn-episode/1. n robots, m ROIs, T steps."""
 
-    format: Literal["mbn-episode/1"] = Field(description="Name and version of the format.")
-    version: str = Field(description="The version of mbn_marl that wrote it.")
-    source: str = Field(max_length=MAX_SOURCE, description="The name of what acted.")
-    seed: int | None = Field(description="Of the world and of what acted.")
-    world: int = Field(default=0, ge=0, description="The number of the world.")
-    episode: int = Field(default=0, ge=0, description="Its number since the seed was set.")
-    robots: int = Field(ge=1, le=MAX_ROBOTS, description="n.")
-    steps: int = Field(ge=0, description="T.")
-    outcome: Outcome = Field(description="How it ended.")
-    team_return: float = Field(description="Sum of the centralised rewards.")
-    wind: tuple[float, float] = Field(description="Speed (units/step per step), angle (degrees).")
-    field: dict[str, Any] = Field(description="As in a field file of the format mbn-field/1.")
-    config: dict[str, Any] = Field(
-        description="Every setting of NavigationConfig; of the wind the range, if it was drawn."
-    )
-    visits: Annotated[list[int | None], Len(1, MAX_ROIS)] = Field(
-        description="The step in which each ROI was visited, from 1 on; null for never."
-    )
-    positions: PackedArray = Field(description="(T + 1, n, 2), units, from the reset on.")
-    headings: PackedArray | None = Field(
-        default=None,
-        description="(T + 1, n), radians, NaN for a robot without one; null if none has.",
-    )
-    winds: PackedArray | None = Field(
-        default=None,
-        description="(T + 1, 2), units/step, of wind and gust in the next step; null without.",
-    )
-    drawn: dict[str, float] = Field(
-        default_factory=dict, description="The numbers that the episode has drawn, by name."
-    )
-    failed: Annotated[list[int | None], Len(1, MAX_ROBOTS)] | None = Field(
-        default=None,
-        description="The step in which each robot failed, as in visits; null if none did.",
-    )
-    actions: PackedArray = Field(description="(T, n, 2), in [-1, 1].")
+    format: Literal["mbn-episode/1"]
+    version: str
+    source: str = Field(max_length=MAX_SOURCE)
+    seed: int | None
+    world: int = Field(default=0, ge=0)
+    episode: int = Field(default=0, ge=0)
+    robots: int = Field(ge=1, le=MAX_ROBOTS)
+    steps: int = Field(ge=0)
+    outcome: Outcome
+    team_return: float
+    wind: tuple[float, float]
+    field: dict[str, Any]
+    config: dict[str, Any]  # without the wind, unless it was drawn
+    visits: Annotated[list[_Step | None], Len(1, MAX_ROIS)]
+    positions: PackedArray  # (T + 1, n, 2)
+    headings: PackedArray | None = None  # (T + 1, n)
+    winds: PackedArray | None = None  # (T + 1, 2)
+    drawn: dict[str, float] = Field(default_factory=dict)
+    failed: Annotated[list[_Step | None], Len(1, MAX_ROBOTS)] | None = None
+    actions: PackedArray  # (T, n, 2)
     rewards: Rewards
 
 
 def save_episode(episode: Episode, path: str | Path) -> Path:
-    """Write ``episode`` to ``path`` as JSON, atomically, and return ``path``.
-
-    Raises:
-        MbnError: the name does not end in ``.json``.
-        OSError: the file cannot be written.
-    """
+    """Write ``episode`` atomically to ``path``, which has to end in ``.json``, and return that."""
     path = Path(path)
     if path.suffix.lower() != ".json":
         raise MbnError(f"{path}: the file name has to end in .json")
@@ -156,7 +131,6 @@ def load_episode(path: str | Path) -> Episode:
 
     Raises:
         EpisodeError: naming the file and all its problems.
-        OSError: the file cannot be read.
     """
     path = Path(path)
     if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would wait for ever
@@ -193,7 +167,6 @@ def is_episode_file(path: str | Path) -> bool:
 
 
 def to_file(episode: Episode) -> EpisodeFile:
-    """Return the content of the file of ``episode``."""
     robots, team = CodedArray.pack(episode.terms), CodedArray.pack(episode.team_rewards)
     missing, config = np.isnan(episode.headings), episode.config
     fixed = config.wind == config.with_drawn(episode.drawn).wind
@@ -224,42 +197,49 @@ def to_file(episode: Episode) -> EpisodeFile:
 
 def _from_file(content: EpisodeFile, name: str) -> Episode:
     """Return the episode in the file ``name``; raise ``EpisodeError`` with what does not fit."""
-    field, config = _place(content, name)
-    steps, robots, rois = content.steps, content.robots, len(field.rois)
+    place = "field"
+    try:
+        field = fields.Field(**content.field)
+        place = "config"
+        config = make_config({"wind": content.wind, **content.config})
+    except (TypeError, MbnError) as error:
+        raise EpisodeError(name, [f"{place}: {error}"]) from None
+    steps, robots, dtype = content.steps, content.robots, str(config.dtype)
     terms, known = content.rewards.terms, list(REWARD_TERMS)
+    packed: dict[str, tuple[PackedArray | CodedArray | None, tuple[int, ...], str]] = {
+        "positions": (content.positions, (steps + 1, robots, 2), dtype),
+        "actions": (content.actions, (steps, robots, 2), dtype),
+        "headings": (content.headings, (steps + 1, robots), dtype),
+        "winds": (content.winds, (steps + 1, 2), "float64"),
+        "rewards.robots": (content.rewards.robots, (steps, robots, len(terms)), "float64"),
+        "rewards.team": (content.rewards.team, (steps,), "float64"),
+    }
     arrays: dict[str, Any] = {}
     problems = []
-    packed: dict[str, tuple[PackedArray | CodedArray, tuple[int, ...]]] = {
-        "positions": (content.positions, (steps + 1, robots, 2)),
-        "actions": (content.actions, (steps, robots, 2)),
-        "rewards.robots": (content.rewards.robots, (steps, robots, len(terms))),
-        "rewards.team": (content.rewards.team, (steps,)),
+    for part, (array, shape, kind) in packed.items():
+        if array is not None:
+            try:
+                found = arrays[part] = array.unpack(shape, kind)
+                if (np.isinf(found) if part == "headings" else ~np.isfinite(found)).any():
+                    raise ValueError("allowed: finite numbers")
+            except ValueError as error:
+                problems.append(f"{part}: {error}")
+    count, failed = len(field.rois), content.failed or [None] * robots
+    late = f"allowed: null, or a step from 1 to {steps}"
+    checks = {
+        f"rewards.terms: {terms}; allowed: each at most once of {known}": (
+            len(set(terms)) < len(terms) or not set(terms) <= set(known)
+        ),
+        f"drawn: {sorted(content.drawn)}; allowed: {sorted(config.drawn)}": (
+            set(content.drawn) != set(config.drawn)
+        ),
+        f"config.n_robots: {config.n_robots}; allowed: {robots}": config.n_robots != robots,
+        f"visits: {len(content.visits)}; allowed: {count}": len(content.visits) != count,
+        f"failed: {len(failed)}; allowed: {robots}": len(failed) != robots,
+        f"visits: {late}": max(step or 0 for step in content.visits) > steps,
+        f"failed: {late}": max(step or 0 for step in failed) > steps,
     }
-    optional = {"headings": (content.headings, robots), "winds": (content.winds, 2)}
-    packed |= {part: (array, (steps + 1, k)) for part, (array, k) in optional.items() if array}
-    for part, (array, shape) in packed.items():
-        try:
-            found = arrays[part] = array.unpack()
-        except ValueError as error:
-            problems.append(f"{part}: {error}")
-            continue
-        if found.shape != shape:
-            problems.append(f"{part}: shape {found.shape}; allowed: {shape}")
-        wrong = np.isinf(found) if part == "headings" else ~np.isfinite(found)
-        expected = "float64" if part == "winds" else config.dtype
-        exact = found.dtype == expected and not wrong.any()
-        if not (exact or part.startswith("rewards")):
-            as_in = "" if part == "winds" else " as in config"
-            problems.append(f"{part}: allowed: finite numbers, {expected}{as_in}")
-    if len(set(terms)) < len(terms) or not set(terms) <= set(known):
-        problems.append(f"rewards.terms: {terms}; allowed: each at most once of {known}")
-    if set(content.drawn) != set(config.drawn):
-        problems.append(f"drawn: {sorted(content.drawn)}; allowed: {sorted(config.drawn)}")
-    if config.n_robots != robots:
-        problems.append(f"config.n_robots: {config.n_robots}; allowed: {robots}, as in robots")
-    failed = content.failed or [None] * robots
-    problems += _step_problems("visits", content.visits, steps, rois, "ROI")
-    problems += _step_problems("failed", failed, steps, robots, "robot")
+    problems += [problem for problem, wrong in checks.items() if wrong]
     if problems:
         raise EpisodeError(name, problems)
     own_terms = np.zeros((steps, robots, len(known)))  # of those that the file does not know: 0
@@ -269,7 +249,7 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         config=config,
         actions=arrays["actions"],
         positions=arrays["positions"],
-        headings=arrays.get("headings", np.full((steps + 1, robots), np.nan, config.dtype)),
+        headings=arrays.get("headings", np.full((steps + 1, robots), np.nan, dtype)),
         failed=np.array([step or 0 for step in failed], np.int32),
         visits=np.array([step or 0 for step in content.visits], np.int32),
         terms=own_terms,
@@ -282,26 +262,3 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         world=content.world,
         number=content.episode,
     )
-
-
-def _step_problems(
-    part: str, given: list[int | None], steps: int, count: int, what: str
-) -> list[str]:
-    """Return what is wrong with the steps in which something happened to each of ``count``."""
-    problems = []
-    if len(given) != count:
-        problems.append(f"{part}: {len(given)}; allowed: {count}, one for each {what}")
-    if not all(step is None or 1 <= step <= steps for step in given):
-        problems.append(f"{part}: allowed: null, or a step from 1 to {steps}")
-    return problems
-
-
-def _place(content: EpisodeFile, name: str) -> tuple[fields.Field, NavigationConfig]:
-    """Return the field and the configuration in the file ``name``."""
-    part = "field"
-    try:
-        field = fields.Field(**content.field)
-        part = "config"
-        return field, make_config({"wind": content.wind, **content.config})
-    except (TypeError, MbnError) as error:
-        raise EpisodeError(name, [f"{part}: {error}"]) from None

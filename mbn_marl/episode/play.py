@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine import REWARD_TERMS, BatchEngine
@@ -20,7 +20,7 @@ class EpisodeLog:
     def __init__(self, engine: BatchEngine) -> None:
         self._engine, first = engine, engine.snapshot()
         self._visits = np.zeros(engine.n_rois, np.int32)
-        self._positions = [self._state()[0]]
+        self._positions = [first.positions]
         self._headings, self._winds = [first.headings], [first.wind]
         self._failed = np.zeros(engine.n_robots, np.int32)
         self._actions: list[Array] = []
@@ -29,16 +29,15 @@ class EpisodeLog:
 
     def add(self, actions: Array) -> list[int]:
         """Log the engine's last step, with ``actions`` (n, 2); return the ROIs visited in it."""
-        positions, visited = self._state()
         moment = self._engine.snapshot()
-        self._positions.append(positions)
+        self._positions.append(moment.positions)
         self._headings.append(moment.headings)
         self._winds.append(moment.wind)
         self._actions.append(np.clip(actions, -1, 1).astype(self._engine.dtype))
         self._terms.append(self._engine.reward_terms()[0].astype(np.float64))
         self._rewards.append(float(self._engine.team_rewards[0]))
         self._failed[moment.failed & (self._failed == 0)] = len(self._actions)
-        fresh = np.flatnonzero(visited & (self._visits == 0))
+        fresh = np.flatnonzero(moment.visited & (self._visits == 0))
         self._visits[fresh] = len(self._actions)
         return fresh.tolist()
 
@@ -69,13 +68,6 @@ class EpisodeLog:
             number=int(engine.episode_numbers[0]),
         )
 
-    def _state(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Return positions (n, 2), units, and which ROIs are visited, (m,) bool."""
-        state, n = self._engine.state()[0], self._engine.n_robots
-        bits = reversed(range(self._engine.n_rois))  # the first ROI is the most significant
-        visited = np.array([int(state[-1]) >> bit & 1 for bit in bits], np.bool_)
-        return state[: 2 * n].reshape(n, 2), visited
-
 
 def of_team(config: NavigationConfig, n: int) -> NavigationConfig:
     """Return the configuration of a world that has only the first n robots."""
@@ -105,12 +97,12 @@ def play(
     """Play ``actions`` in a world of the engine.
 
     Args:
-        field: where.
+        field: of the episode.
         config: the configuration; ``random_starts`` is ignored.
         actions: (T, n, 2), clipped to [-1, 1].
         starts: the robots' starts, (n, 2), units; ``None`` for the field's own.
-        source: the name of what chose the actions.
-        seed: of the world, and of that; ``None`` for none, where nothing is random.
+        source: the name of the policy that chose the actions.
+        seed: of the world; ``None`` for none, where nothing is random.
         world: the number of the world.
         number: of the episode, since the seed was set.
 
@@ -145,15 +137,10 @@ def play(
 
 
 def check_episode(episode: Episode, name: str = "episode") -> None:
-    """Check that the engine reproduces an episode bit for bit.
-
-    Args:
-        episode: the episode.
-        name: its name in errors, such as its file.
+    """Check that the engine reproduces an episode, called ``name`` in errors, bit for bit.
 
     Raises:
-        EpisodeError: naming the first step that differs, or the parts of its field, configuration,
-            starts and actions that do not fit together.
+        EpisodeError: naming the first step that differs, or the parts that do not fit together.
     """
     try:
         again = play(

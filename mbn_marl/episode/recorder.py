@@ -14,14 +14,12 @@ from mbn_marl.episode.play import of_team, play
 from mbn_marl.errors import EpisodeError, MbnError
 from mbn_marl.field import Field
 
+# The attributes in which environments keep their engine, and wrappers their environment.
 _INNER = ("engine", "unwrapped", "env", "aec_env", "par_env", "venv", "base_env")
-"""The attributes in which environments keep their engine, and wrappers their environment."""
 
 
 @dataclass
 class _Tape:
-    """The record of one episode: starts and actions, and the team rewards for a check."""
-
     field: Field
     starts: Array
     seed: int
@@ -47,10 +45,7 @@ class EpisodeRecorder:
         environment: a PettingZoo, Gymnasium, Stable-Baselines3 or TorchRL environment of this
             package, in any wrappers, or a :class:`~mbn_marl.BatchEngine`.
         world: the index of the world.
-        source: the name of what acts.
-
-    Raises:
-        MbnError: ``environment`` has no engine, or no such world.
+        source: the name of the policy.
     """
 
     def __init__(self, environment: Any, world: int = 0, *, source: str = "") -> None:
@@ -68,17 +63,12 @@ class EpisodeRecorder:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop; keep what was recorded."""
         self._engine.listeners.remove(self)
         self._recording = False
 
     @property
     def episodes(self) -> list[Episode]:
-        """The episodes with at least one recorded step; the last one may be unfinished.
-
-        Raises:
-            EpisodeError: the engine did not give the same rewards again.
-        """
+        """The episodes with at least one recorded step; the last one may be unfinished."""
         return [self._episode(tape) for tape in self._tapes if tape.actions]
 
     def was_reset(self, mask: Any) -> None:
@@ -87,7 +77,7 @@ class EpisodeRecorder:
             self._begin()
 
     def stepped(self, actions: Any, ended: Any) -> None:
-        """Record the world's part of ``actions`` and ``ended``; the engine calls this."""
+        """Record the world's part of a step; the engine calls this."""
         engine, world = self._engine, self._world
         if not self._recording:
             if engine.autoreset == "next_step":
@@ -127,11 +117,7 @@ class EpisodeRecorder:
 
 
 def find_engine(environment: Any) -> BatchEngine:
-    """Return the engine of ``environment``, which may be wrapped or be an engine.
-
-    Raises:
-        MbnError: there is none.
-    """
+    """Return the engine of ``environment``, which may be wrapped or be an engine."""
     waiting, seen = [environment], set()
     while waiting:
         inner = waiting.pop()

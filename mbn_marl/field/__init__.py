@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from mbn_marl.field.catalogue import catalogue_names, sampler_names
 from mbn_marl.field.field import Field
-from mbn_marl.field.files import load_field, load_fields, save_field
+from mbn_marl.field.files import (
+    catalogue_names,
+    load_field,
+    load_fields,
+    sampler_names,
+    save_field,
+)
 from mbn_marl.field.from_map import load_map
-from mbn_marl.field.sampler import FieldSampler, generate
+from mbn_marl.field.generator.sampler import FieldSampler, generate
 from mbn_marl.field.schema import FORMAT, json_schema
 from mbn_marl.field.splits import Instance, load_split
 

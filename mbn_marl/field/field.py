@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import shapely
 
-from mbn_marl.errors import FieldError
-from mbn_marl.field.geometry import Point, PointReader
-from mbn_marl.field.limits import MAX_NAME, NAME_PATTERN
-from mbn_marl.field.validation import find_problems
+from mbn_marl.field.schema import DEFAULT_ARENA, FORMAT, check
 
 Points = Sequence[Sequence[float]] | npt.NDArray[Any]
 """A list of ``(x, y)``, or an array of shape (k, 2)."""
-
-DEFAULT_ARENA: Point = (1000.0, 1000.0)
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False, repr=False)
@@ -45,14 +40,8 @@ class Field:
             every ROI, with the default dynamics and no wind; ``None`` if unknown.
 
     Attributes:
-        vertices: float64 array of shape (k, 2), read-only, like all arrays here.
-        rois: float64 (m, 2).
-        starts: float64 (s, 2).
-        holes: tuple of float64 arrays (k, 2).
+        vertices: as given, float64 and read-only, like ``rois``, ``starts`` and each of ``holes``.
         edges: float64 (E, 4), ``(ax, ay, bx, by)`` of each edge: the outline's, then each hole's.
-        arena: ``(width, height)``.
-        name: the field's name.
-        optimal_makespan: steps, or ``None``.
         polygon: the field as a shapely polygon.
 
     Raises:
@@ -64,11 +53,11 @@ class Field:
     starts: npt.NDArray[np.float64]
     holes: tuple[npt.NDArray[np.float64], ...]
     edges: npt.NDArray[np.float64]
-    arena: Point
+    arena: tuple[float, float]
     name: str
     optimal_makespan: int | None
     polygon: shapely.Polygon
-    _key: tuple[object, ...]
+    _key: str
 
     def __init__(
         self,
@@ -81,30 +70,24 @@ class Field:
         name: str = "custom",
         optimal_makespan: int | None = None,
     ) -> None:
-        reader = PointReader()
-        points = reader.read(vertices, rois, starts, holes, arena)
-        labels = _label_problems(name, optimal_makespan)
-        if problems := [*labels, *reader.problems, *find_problems(points)]:
-            raise FieldError("field", problems)
-        rings = [points.outline.points, *(hole.points for hole in points.holes)]
-        values: dict[str, object] = {
-            "vertices": _constant(rings[0]),
-            "rois": _constant(points.rois.points),
-            "starts": _constant(points.starts.points),
-            "holes": tuple(_constant(ring) for ring in rings[1:]),
-            "edges": _constant([edge for ring in rings for edge in _edges(ring)]),
-            "arena": points.arena,
-            "name": name,
-            "optimal_makespan": optimal_makespan,
+        values = check(
+            {
+                **{"format": FORMAT, "vertices": vertices, "rois": rois, "starts": starts},
+                **{"holes": holes, "arena": arena, "name": name},
+                "optimal_makespan": optimal_makespan,
+            },
+            "field",
+        )
+        del values["format"]
+        rings = [values["vertices"], *values["holes"]]
+        arrays = {name: _constant(values[name]) for name in ("vertices", "rois", "starts")}
+        edges = [(*a, *b) for ring in rings for a, b in pairwise([*ring, ring[0]])]
+        values |= {
+            **arrays,
+            "holes": tuple(map(_constant, values["holes"])),
+            "edges": _constant(edges),
             "polygon": shapely.Polygon(rings[0], rings[1:]),
-            "_key": (
-                tuple(map(tuple, rings)),
-                tuple(points.rois.points),
-                tuple(points.starts.points),
-                points.arena,
-                name,
-                optimal_makespan,
-            ),
+            "_key": repr(values),
         }
         for attribute, value in values.items():
             object.__setattr__(self, attribute, value)
@@ -138,24 +121,7 @@ class Field:
         )
 
 
-def _label_problems(name: object, optimal_makespan: object) -> list[str]:
-    problems = []
-    if not (isinstance(name, str) and len(name) <= MAX_NAME and re.fullmatch(NAME_PATTERN, name)):
-        allowed = f"1 to {MAX_NAME} letters, digits, '_', '.' or '-', the first a letter or digit"
-        problems.append(f"name: expected {allowed}")
-    if optimal_makespan is not None and not (
-        type(optimal_makespan) is int and 1 <= optimal_makespan <= 1_000_000
-    ):
-        problems.append("optimal_makespan: expected a whole number of steps, 1 to 1000000")
-    return problems
-
-
 def _constant(rows: Sequence[Sequence[float]]) -> npt.NDArray[np.float64]:
     """Return an array over immutable bytes, which cannot be made writable."""
     array = np.array(rows, dtype=np.float64)
     return np.frombuffer(array.tobytes(), dtype=np.float64).reshape(array.shape)
-
-
-def _edges(ring: Sequence[Point]) -> list[tuple[float, float, float, float]]:
-    following = [*ring[1:], ring[0]]
-    return [(*a, *b) for a, b in zip(ring, following, strict=True)]

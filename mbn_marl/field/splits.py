@@ -1,24 +1,24 @@
-"""The frozen fields of the benchmark: which there are, and how they are read."""
+"""The frozen fields of the benchmark."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ValidationError, ValidationInfo, field_validator
 from pydantic import Field as Described
 
 from mbn_marl.config import Condition, describe
 from mbn_marl.errors import FieldError, ProblemsError, unknown
 from mbn_marl.field.field import Field
-from mbn_marl.field.sampler import FieldSampler
+from mbn_marl.field.generator.sampler import FieldSampler
 
 VERSION = 1
 """Of the definition below: what changes it makes other splits."""
@@ -48,10 +48,9 @@ class Instance:
     Attributes:
         field: the field; its name is unique in the split's tier.
         condition: that of the environment, ``"calm"`` but in the tier ``5-weather``.
-        makespan_lower_bound: steps, the proved least number in which the team visits every ROI
-            without pushing outside the field; ``None`` under a condition.
-        best_known: steps, the shortest makespan that is known, at least the bound; ``None`` under
-            a condition.
+        makespan_lower_bound: steps, proved for a team that never pushes outside the field;
+            ``None`` under a condition.
+        best_known: steps, the shortest makespan that is known; ``None`` under a condition.
     """
 
     field: Field
@@ -60,24 +59,40 @@ class Instance:
     best_known: int | None = None
 
 
-class _Entry(BaseModel):
-    """The keys of an instance that are read."""
-
+class _Calm(BaseModel):
     candidate: Annotated[int, Described(ge=0)]
     geometry: str
-    makespan_lower_bound: _Steps | None = None
-    makespan: _Steps | None = None
-    tier: Literal["1-convex", "2-sizes", "3-shapes"] | None = None
-    condition: Condition = "calm"
+    tier: None = None
+    condition: Literal["calm"] = "calm"
+    makespan_lower_bound: _Steps
+    makespan: _Steps
+
+    @field_validator("makespan")
+    @classmethod
+    def _not_below_bound(cls, steps: int, info: ValidationInfo) -> int:
+        if steps < info.data.get("makespan_lower_bound", 0):
+            raise ValueError("Input should be at least makespan_lower_bound")
+        return steps
 
 
-class _File(BaseModel):
-    """The keys of a file that are read."""
+class _Weathered(BaseModel):
+    candidate: Annotated[int, Described(ge=0)]
+    geometry: str
+    tier: Literal["1-convex", "2-sizes", "3-shapes"]
+    condition: Literal["windy", "gusty", "noisy", "delayed", "failing"]
+    makespan_lower_bound: None = None
+    makespan: None = None
 
-    version: int
+
+class _CalmFile(BaseModel):
+    version: Literal[1]
     split: Split
     tier: str
-    instances: Annotated[list[_Entry], Described(min_length=1)]
+    instances: Annotated[list[_Calm], Described(min_length=1)]
+
+
+class _WeatheredFile(_CalmFile):
+    instances: Annotated[list[_Weathered], Described(min_length=1)]  # type: ignore[assignment]
 
 
 def load_split(
@@ -103,61 +118,33 @@ def load_split(
     if problems:
         raise FieldError("split", problems)
     path = (FOLDER if folder is None else Path(folder)) / f"{split}-{tier}.json"
+    model = _WeatheredFile if tier == WEATHER else _CalmFile
     try:
-        found = _File.model_validate(json.loads(path.read_text(encoding="utf-8")))
+        found = model.model_validate(json.loads(path.read_text(encoding="utf-8")))
     except ValidationError as error:
-        raise FieldError(str(path), describe(error, _File)) from None
+        raise FieldError(str(path), describe(error, model)) from None
     except (OSError, ValueError, RecursionError) as error:
         raise FieldError(str(path), [f"file: cannot be read: {error}"]) from None
-    if (found.version, found.split, found.tier) != (VERSION, split, tier):
-        theirs = f"{found.split}, {found.tier}, version {found.version}"
-        raise FieldError(str(path), [f"file: is of {theirs}; needed: version {VERSION}"])
+    if (found.split, found.tier) != (split, tier):
+        raise FieldError(str(path), [f"file: is of {found.split}, {found.tier}"])
     samplers = {name: FieldSampler(**sampler_of(found.split, name)) for name in TIERS}
-    instances = []
-    first: dict[tuple[str, int], int] = {}
+    instances, fields = [], set[str]()
     for k, one in enumerate(found.instances):
-        source = one.tier or tier
-        wrong = [*_contradictions(one, tier)]
-        if (same := first.setdefault((source, one.candidate), k)) != k:
-            wrong.append(f"candidate: {one.candidate} again, as in instances[{same}]")
-        if not wrong:
-            instances.append(_made(one, samplers[source], wrong))
-        problems += [f"instances[{k}].{problem}" for problem in wrong]
+        try:
+            field = samplers[one.tier or tier].field(one.candidate)
+        except ProblemsError as error:
+            problems += [f"instances.{k}.candidate: {problem}" for problem in error.problems]
+            continue
+        if geometry_hash(field) != one.geometry:
+            problems.append(f"instances.{k}.geometry: {field.name} is not the one that was frozen")
+        if one.geometry in fields:
+            problems.append(f"instances.{k}.candidate: {one.candidate} again")
+        fields.add(one.geometry)
+        known = one.makespan_lower_bound, one.makespan
+        instances.append(Instance(field, one.condition, *known))
     if problems:
         raise FieldError(str(path), problems)
-    return tuple(one for one in instances if one)
-
-
-def _made(one: _Entry, sampler: FieldSampler, problems: list[str]) -> Instance | None:
-    """Return an instance with its field; ``None`` if that is another, which ``problems`` learn."""
-    try:
-        field = sampler.field(one.candidate)
-    except ProblemsError as error:
-        problems += [f"candidate: {problem}" for problem in error.problems]
-        return None
-    if geometry_hash(field) != one.geometry:
-        problems.append(f"geometry: {field.name} is not the field that was frozen")
-    return Instance(field, one.condition, one.makespan_lower_bound, one.makespan)
-
-
-def _contradictions(one: _Entry, tier: str) -> Iterator[str]:
-    """Yield what an instance of a tier has that it must not have, and what it lacks."""
-    least, best = one.makespan_lower_bound, one.makespan
-    bounds = {"makespan_lower_bound": least, "makespan": best}
-    if tier == WEATHER:
-        if one.tier is None:
-            yield "tier: missing; it has the field of another tier"
-        if one.condition == "calm":
-            yield f"condition: 'calm'; allowed: {', '.join(CONDITIONS)}"
-        yield from (f"{name}: {n}; none is known of {tier}" for name, n in bounds.items() if n)
-        return
-    if one.tier is not None:
-        yield f"tier: {one.tier}; allowed: none, the fields are this tier's own"
-    if one.condition != "calm":
-        yield f"condition: {one.condition!r}; allowed: 'calm'"
-    yield from (f"{name}: missing" for name, n in bounds.items() if n is None)
-    if least is not None and best is not None and least > best:
-        yield f"makespan_lower_bound: {least}; allowed: at most the makespan, {best}"
+    return tuple(instances)
 
 
 def sampler_of(split: Split, tier: str) -> dict[str, Any]:
@@ -168,9 +155,5 @@ def sampler_of(split: Split, tier: str) -> dict[str, Any]:
 def geometry_hash(field: Field) -> str:
     """Return the SHA-256 of a field's arena, outline, holes, ROIs and starts in milli-units."""
     rings: list[Any] = [[field.arena], field.vertices, *field.holes, field.rois, field.starts]
-    return hashlib.sha256(json.dumps([_millis(ring) for ring in rings]).encode()).hexdigest()
-
-
-def _millis(points: Any) -> list[Any]:
-    whole: list[Any] = np.rint(np.asarray(points, float) * 1000.0).astype(int).tolist()
-    return whole
+    millis = [np.rint(np.asarray(ring, float) * 1000.0).astype(int).tolist() for ring in rings]
+    return hashlib.sha256(json.dumps(millis).encode()).hexdigest()

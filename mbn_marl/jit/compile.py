@@ -121,7 +121,7 @@ class Rule(CPUDispatcher):
 
     @cached_property
     def alone(self) -> Any:
-        """The function with machine code of its own."""
+        """The function, compiled alone."""
         return _cached(self.py_func, _nrt=self.returns_views)
 
 

@@ -17,7 +17,7 @@ FLOATS = ir.VectorType(ir.FloatType(), SIDE)
 INDICES = ir.VectorType(ir.IntType(32), SIDE)
 LOWER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) for k in range(SIDE)])
 UPPER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) + SIDE // 2 for k in range(SIDE)])
-"""Which numbers of two vectors, one after the other, interleave their lower or upper halves."""
+"""Indices into two joined vectors that interleave their lower or upper halves."""
 
 
 def _prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:

@@ -28,7 +28,7 @@ FOR_NUMBERS = np.uint64(7)
 FOR_FIELDS = np.uint64(8)
 
 HIGH, LOW, TWELVE = np.uint64(24), np.uint64(0xFFF), np.uint64(12)
-"""Where the 40 bits begin that are counted, and the two numbers of twelve bits below them."""
+"""The start of the 40 bits that are counted; below them are two numbers of twelve bits."""
 PAIRS, QUADS = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333)
 BYTES, EACH_BYTE = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x0101010101010101)
 BY_1, BY_2, BY_4, TOP_BYTE = np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(56)
@@ -80,7 +80,7 @@ def uniform(key, counter):
 
 @compiled
 def count_ones(bits):
-    """How many of 64 bits are set."""
+    """The number of bits that are set, of 64."""
     bits -= (bits >> BY_1) & PAIRS
     bits = (bits & QUADS) + ((bits >> BY_2) & QUADS)
     bits = (bits + (bits >> BY_4)) & BYTES

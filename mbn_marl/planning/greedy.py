@@ -13,10 +13,9 @@ import shapely
 from numpy.typing import NDArray
 
 from mbn_marl.engine.snapshot import FloatArray
-from mbn_marl.planning.foresight import Weather
 from mbn_marl.planning.problem import Floats, Problem
 from mbn_marl.planning.roadmap import Roadmap, make_roadmap
-from mbn_marl.planning.shield import Cautious, around
+from mbn_marl.planning.shield import Cautious, Weather, around
 
 CLEARANCES = (4.0, 2.0, 1.0, 0.3, 0.0)
 """Clearances to try between paths and walls, in units; the first that closes no path is used."""
@@ -29,10 +28,7 @@ NOWHERE: Floats = np.zeros((0, 2))
 
 
 class Greedy(Cautious):
-    """Controls one team through one episode; arguments as :class:`Cautious`.
-
-    A copy goes on from the same state.
-    """
+    """Controls one team through one episode. A copy continues from the same state."""
 
     def __init__(self, problem: Problem, weather: Weather | None = None) -> None:
         super().__init__(problem, weather)
@@ -85,7 +81,6 @@ class Greedy(Cautious):
         self.queues = assign(self.roadmap, works, visited)
 
     def _wishes(self, i: int, position: Floats, visited: NDArray[np.bool_]) -> list[Floats]:
-        """Return the velocities for robot i to try, the best first."""
         left = [j for j in self.queues[i] if not visited[j]]
         if not left:
             stir = STIRS[self.stirred % len(STIRS)] * self.problem.forces[i]

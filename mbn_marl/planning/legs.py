@@ -9,6 +9,7 @@ import bisect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import shapely
@@ -36,9 +37,9 @@ class Legs:
 
 
 def proved_legs(problem: Problem, slack: float, most: int) -> Legs:
-    """Return least steps that hold in the engine, from the dynamics and the field's shape.
+    """Return least steps that hold in the engine; those above ``most`` are :data:`NEVER`.
 
-    ``slack`` is the allowance for rounding, in units; entries above ``most`` are :data:`NEVER`.
+    ``slack`` is the allowance for rounding, in units.
     """
     free = _free_legs(problem, slack, most)
     if problem.convex:
@@ -50,15 +51,14 @@ def proved_legs(problem: Problem, slack: float, most: int) -> Legs:
 
 
 def _free_legs(problem: Problem, slack: float, most: int) -> Legs:
-    """Return least steps without walls."""
     radius = problem.config.roi_radius + slack
     stride = problem.config.top_speed * problem.config.tau
     first = np.empty((problem.n, problem.m), np.int64)
     between = np.zeros((problem.m, problem.m), np.int64)
     for j, roi in enumerate(problem.rois):
         for i, drive in enumerate(problem.drives):
-            offset = roi - problem.starts[i]
-            first[i, j] = _first(offset, problem.velocities[i], drive, radius, most)
+            how = roi - problem.starts[i], problem.velocities[i], drive, radius
+            first[i, j] = max(_least(partial(_meets, *how), most), 1)
         for k in range(j):
             offset = np.abs(roi - problem.rois[k])
 
@@ -69,19 +69,15 @@ def _free_legs(problem: Problem, slack: float, most: int) -> Legs:
     return Legs(first, between)
 
 
-def _first(offset: Floats, velocity: Floats, drive: Drive, radius: float, most: int) -> int:
-    """Return the least number of steps within which the box of reachable offsets meets the disc."""
-
-    def meets(steps: int) -> bool:
-        gaps = []
-        for axis in (0, 1):
-            rate, _ = drive.rates(axis, offset[axis])
-            along = float(velocity[axis] if offset[axis] > 0 else -velocity[axis])
-            far = reach(along, rate, drive.top, drive.tau, steps)
-            gaps.append(max(abs(float(offset[axis])) - far, 0.0))
-        return math.hypot(*gaps) <= radius
-
-    return max(_least(meets, most), 1)
+def _meets(offset: Floats, velocity: Floats, drive: Drive, radius: float, steps: int) -> bool:
+    """Return whether the box of offsets that are reachable within ``steps`` meets the disc."""
+    gaps = []
+    for axis in (0, 1):
+        rate, _ = drive.rates(axis, offset[axis])
+        along = float(velocity[axis] if offset[axis] > 0 else -velocity[axis])
+        far = reach(along, rate, drive.top, drive.tau, steps)
+        gaps.append(max(abs(float(offset[axis])) - far, 0.0))
+    return math.hypot(*gaps) <= radius
 
 
 def roadmap_legs(problem: Problem, roadmap: Roadmap, radius: float, most: int) -> Legs:
@@ -94,19 +90,10 @@ def roadmap_legs(problem: Problem, roadmap: Roadmap, radius: float, most: int) -
     first = np.empty((n, m), np.int64)
     for i, drive in enumerate(problem.drives):
         rate, speed = max(*drive.rise, *drive.fall), float(np.abs(problem.velocities[i]).max())
+        far_by = partial(reach, speed, rate, drive.top, config.tau)
         for j in range(m):
             far = roadmap.lengths[i, n + j] - radius
-
-            def reaches(
-                steps: int,
-                far: float = far,
-                speed: float = speed,
-                rate: float = rate,
-                top: float = drive.top,
-            ) -> bool:
-                return far <= reach(speed, rate, top, config.tau, steps)
-
-            first[i, j] = max(_least(reaches, most), 1)
+            first[i, j] = max(_least(far_by, most, far), 1)
     stride = config.top_speed * config.tau
     steps = np.ceil((roadmap.lengths[n : n + m, n : n + m] - 2.0 * radius) / stride - 1e-9)
     between = np.where(steps <= most, np.maximum(steps, 0.0), NEVER).astype(np.int64)
@@ -114,9 +101,9 @@ def roadmap_legs(problem: Problem, roadmap: Roadmap, radius: float, most: int) -
     return Legs(first, between)
 
 
-def _least(meets: Callable[[int], bool], most: int) -> int:
-    """Return the least count in [0, most] from which the monotone ``meets`` holds, or NEVER."""
-    least = bisect.bisect_left(range(most + 1), True, key=meets)
+def _least(value: Callable[[int], float], most: int, enough: float = True) -> int:
+    """Return the least count in [0, most] whose rising ``value`` is ``enough``, or NEVER."""
+    least = bisect.bisect_left(range(most + 1), enough, key=value)
     return least if least <= most else NEVER
 
 

@@ -8,9 +8,11 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import highspy
 import numpy as np
+import scipy.sparse as sp
 
 from mbn_marl.planning.problem import Floats
 
@@ -28,42 +30,41 @@ class Cut:
 
 
 class LinearProgram:
-    """Minimise the last column subject to rows, which are added as they are found.
-
-    Args:
-        highs: the solver.
-        bounds: the least and the greatest value of each column.
-        rows: the first rows.
-    """
+    """Minimise the last column, within ``bounds`` of each, subject to rows; more can be added."""
 
     def __init__(
         self, highs: highspy.Highs, bounds: tuple[Floats, Floats], rows: list[Cut]
     ) -> None:
         self.highs, self.rows = highs, rows
         self.low, self.high = bounds
-        width = len(self.low)
-        self.cost = np.zeros(width)
+        self.cost = np.zeros(len(self.low))
         self.cost[-1] = 1.0
+        self.matrix, self.limits = self._sparse(rows)
         program = highspy.HighsLp()
-        program.num_col_, program.num_row_ = width, len(rows)
+        program.num_col_, program.num_row_ = len(self.low), len(rows)
         program.col_cost_, program.col_lower_, program.col_upper_ = self.cost, self.low, self.high
-        self.matrix = _Matrix(rows)
         program.row_lower_ = np.full(len(rows), -highspy.kHighsInf)
-        program.row_upper_ = self.matrix.limits
+        program.row_upper_ = self.limits
         program.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
-        program.a_matrix_.start_ = np.append(self.matrix.start, len(self.matrix.index))
-        program.a_matrix_.index_, program.a_matrix_.value_ = self.matrix.index, self.matrix.value
+        program.a_matrix_.start_, program.a_matrix_.index_ = self.matrix.indptr, self.matrix.indices
+        program.a_matrix_.value_ = self.matrix.data
         highs.passModel(program)
 
+    def _sparse(self, rows: list[Cut]) -> tuple[Any, Floats]:
+        starts = np.cumsum([0, *(len(cut.columns) for cut in rows)]).astype(np.int32)
+        columns = np.array([column for cut in rows for column in cut.columns], np.int32)
+        values = np.array([value for cut in rows for value in cut.values])
+        matrix = sp.csr_array((values, columns, starts), (len(rows), len(self.low)))
+        return matrix, np.array([cut.limit for cut in rows])
+
     def add(self, rows: list[Cut]) -> None:
-        """Add rows."""
-        self.rows = self.rows + rows
-        fresh = _Matrix(rows)
+        fresh, limits = self._sparse(rows)
         low = np.full(len(rows), -highspy.kHighsInf)
-        self.highs.addRows(
-            len(rows), low, fresh.limits, len(fresh.index), fresh.start, fresh.index, fresh.value
-        )
-        self.matrix = self.matrix.above(fresh)
+        entries = fresh.nnz, fresh.indptr[:-1], fresh.indices, fresh.data
+        self.highs.addRows(len(rows), low, limits, *entries)
+        self.rows = self.rows + rows
+        self.matrix = sp.vstack([self.matrix, fresh], format="csr")
+        self.limits = np.concatenate([self.limits, limits])
 
     def run(self) -> tuple[Floats, float]:
         """Return the solution and a valid lower bound of the optimum, even if the solver failed.
@@ -84,38 +85,11 @@ class LinearProgram:
         return np.array(solution.col_value), bound
 
     def _least(self, cost: Floats, y: Floats) -> float:
-        """Return the lower bound of a cost that multipliers of the rows give."""
-        rest = cost - self.matrix.weighted(y, len(cost))
-        return float(self.matrix.limits @ y + np.minimum(rest * self.low, rest * self.high).sum())
+        rest = cost - self.matrix.T @ y
+        return float(self.limits @ y + np.minimum(rest * self.low, rest * self.high).sum())
 
     def binding(self, first: int) -> list[Cut]:
-        """Return the binding rows from ``first`` on."""
         return [self.rows[k] for k in np.flatnonzero(self.y[first:]) + first]
-
-
-class _Matrix:
-    """Rows in the sparse layout of HiGHS."""
-
-    def __init__(self, rows: list[Cut]) -> None:
-        lengths = [len(cut.columns) for cut in rows]
-        self.start = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(np.int32)
-        self.row = np.repeat(np.arange(len(rows)), lengths)
-        self.index = np.array([column for cut in rows for column in cut.columns], np.int32)
-        self.value = np.array([value for cut in rows for value in cut.values])
-        self.limits = np.array([cut.limit for cut in rows])
-
-    def above(self, other: _Matrix) -> _Matrix:
-        """Return this matrix with the rows of ``other`` below."""
-        both = _Matrix([])
-        both.row = np.concatenate([self.row, other.row + len(self.limits)])
-        both.index = np.concatenate([self.index, other.index])
-        both.value = np.concatenate([self.value, other.value])
-        both.limits = np.concatenate([self.limits, other.limits])
-        return both
-
-    def weighted(self, weights: Floats, width: int) -> Floats:
-        """Return the weighted sum of the rows."""
-        return np.asarray(np.bincount(self.index, weights[self.row] * self.value, width), float)
 
 
 @contextmanager
@@ -134,15 +108,10 @@ def _printing_nothing() -> Iterator[None]:
 
 
 def make_solver() -> highspy.Highs:
-    """Return a quiet simplex solver on one thread."""
     with _printing_nothing():
         highs = highspy.Highs()  # type: ignore[no-untyped-call]
-    options: dict[str, bool | str | int] = {
-        "output_flag": False,
-        "presolve": "off",
-        "solver": "simplex",
-        "threads": 1,
-    }
-    for name, value in options.items():
-        highs.setOptionValue(name, value)
+    highs.setOptionValue("output_flag", False)
+    highs.setOptionValue("presolve", "off")
+    highs.setOptionValue("solver", "simplex")
+    highs.setOptionValue("threads", 1)
     return highs

@@ -8,9 +8,11 @@ the next linearisation to start from.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import combinations
+from typing import Any, TypeVar
 
 import clarabel
 import numpy as np
@@ -18,15 +20,27 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.planning.problem import Floats, Problem
+from mbn_marl.planning.roadmap import moved_into
+from mbn_marl.planning.team import Route
 
 DISC_ROOM, FIELD_ROOM, PAIR_ROOM = 0.05, 0.02, 0.05
 """Room that the program pays for, in units; rounding needs a hundredth of it."""
 EFFORT = 1e-3
 PRICE = 100.0
 """Price of a unit of missing room; effort is priced per squared full force and step."""
+ASIDE = 0.1
+"""Points are moved this far from the walls first, in units."""
+MOST_PLANES = 40
+ROUNDS = 12
+"""Linearisations of the distances in one attempt."""
+WATCH = 1.5
+"""Pairs closer than this many safety distances are kept apart from the next round on."""
 DRIFT = 0.03
 """Share of the force with which idle robots drift, since standing still costs a revisit."""
 
+T = TypeVar("T")
+Verify = Callable[[Floats, NDArray[np.float32]], T | None]
+"""A plan from paths (n, T, 2), units, and actions (T, n, 2), if it holds."""
 Sparse = Any
 """A sparse matrix of rows."""
 Parts = Sequence[ArrayLike]
@@ -66,8 +80,7 @@ def solve_motion(
         program.stay(i, places[i])
         program.visit(i, visits[i])
     program.separate(separations)
-    solution = program.solve()
-    return None if solution is None else program.motion(solution)
+    return program.solve()
 
 
 class _ConicProgram:
@@ -106,7 +119,6 @@ class _ConicProgram:
         self._append([[0, 1]], [self._rooms(i)], [[1.0, 1.0]], [DISC_ROOM, FIELD_ROOM])
 
     def stay(self, i: int, places: Sequence[HalfPlanes]) -> None:
-        """Keep robot i in its places after every step, with room."""
         if len(places) == 1:
             places = [*places] * self.steps
         normals, offsets = (np.concatenate(parts) for parts in zip(*places, strict=True))
@@ -117,7 +129,6 @@ class _ConicProgram:
         self._append([rows] * 3, columns, [*normals.T, np.ones(len(base))], limits)
 
     def visit(self, i: int, visits: Sequence[tuple[int, int]]) -> None:
-        """Keep robot i within an ROI's disc at the step of each visit, with room."""
         radius = self.problem.config.roi_radius
         for step, j in visits:
             base = i * self.block + step - 1
@@ -128,7 +139,6 @@ class _ConicProgram:
             self.cone_limits.append(np.array([radius, *offset]))
 
     def separate(self, separations: Sequence[Separation]) -> None:
-        """Keep pairs of robots apart, at a price for each shortfall."""
         count = len(separations)
         if not count:
             return
@@ -149,7 +159,7 @@ class _ConicProgram:
         self._append([np.arange(count)] * 5, columns, pulls, limits)
         self._append([np.arange(count)], [spare], [one], np.zeros(count))
 
-    def solve(self) -> Floats | None:
+    def solve(self) -> tuple[Floats, NDArray[np.float32]] | None:
         """Return the optimum, or ``None`` if the solver failed."""
         limits = np.concatenate(self.limits + self.cone_limits)
         lines = sum(len(one) for one in self.limits)
@@ -161,14 +171,10 @@ class _ConicProgram:
         rows = sp.vstack(self.linear + self.cones, format="csc")
         solver = clarabel.DefaultSolver(*self._cost(), rows, limits, kinds, settings)
         solution = solver.solve()
-        solved = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
-        if str(solution.status) not in solved:
-            return None
         x = np.array(solution.x)
-        return x if np.all(np.isfinite(x)) else None
-
-    def motion(self, x: Floats) -> tuple[Floats, NDArray[np.float32]]:
-        """Return the solution as paths and actions."""
+        solved = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
+        if str(solution.status) not in solved or not np.all(np.isfinite(x)):
+            return None
         problem, n, steps = self.problem, self.problem.n, self.steps
         offsets = x[: self.rooms].reshape(n, 2, steps).transpose(0, 2, 1)
         changes = np.stack([self.change @ x[self._span(i)] for i in range(n)])
@@ -197,19 +203,16 @@ class _ConicProgram:
         return sp.triu(square, format="csc"), linear
 
     def _first_change(self, i: int) -> Floats:
-        """Return (2T,): what robot i's velocity at the start adds to the second differences."""
         first = np.zeros((2, self.steps))
         first[:, 0] = self.problem.velocities[i] * self.problem.config.tau
         return first.ravel()
 
     def _append(self, rows: Parts, columns: Parts, values: Parts, limits: ArrayLike) -> None:
-        """Add linear rows, given by the parts of their entries."""
         entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
         self.limits.append(np.asarray(limits))
         self.linear.append(sp.csr_matrix(entries, (len(self.limits[-1]), self.width)))
 
     def _rooms(self, i: int) -> list[int]:
-        """Return the columns of robot i's room in discs and in the field."""
         return [self.rooms + 2 * i, self.rooms + 2 * i + 1]
 
     def _span(self, i: int) -> slice:
@@ -226,3 +229,104 @@ def _differences(steps: int) -> tuple[Sparse, Sparse]:
 def _shift(rows: Sparse, first: int, width: int) -> Sparse:
     csr = rows.tocsr()
     return sp.csr_matrix((csr.data, csr.indices + first, csr.indptr), (csr.shape[0], width))
+
+
+def surroundings(problem: Problem, paths: Floats) -> list[list[HalfPlanes]]:
+    """Return a convex part of the field for each robot and step, around ``paths`` (n, T, 2)."""
+    if problem.convex:
+        return [[problem.half_planes]] * len(paths)
+    inner = problem.area.buffer(-ASIDE, join_style="mitre")
+    area = problem.area if inner.is_empty else inner
+    centres = moved_into(area, paths.reshape(-1, 2))
+    pieces = [_piece(problem.walls, centre) for centre in centres]
+    steps = paths.shape[1]
+    return [pieces[i * steps : (i + 1) * steps] for i in range(len(paths))]
+
+
+def _piece(edges: Floats, centre: Floats) -> HalfPlanes:
+    """Return half-planes that contain ``centre`` and no wall; each one touches the nearest wall."""
+    starts, ends = edges[:, :2] - centre, edges[:, 2:] - centre
+    normals: list[Floats] = []
+    offsets: list[float] = []
+    while len(starts) and len(normals) < MOST_PLANES:
+        along = ends - starts
+        square = np.maximum(np.einsum("ij,ij->i", along, along), 1e-18)
+        share = np.clip(-np.einsum("ij,ij->i", starts, along) / square, 0.0, 1.0)
+        nearest = starts + share[:, None] * along
+        distance = np.hypot(nearest[:, 0], nearest[:, 1])
+        k = int(np.argmin(distance))
+        normal = nearest[k] / max(distance[k], 1e-12)
+        normals.append(normal)
+        offsets.append(float(distance[k]))
+        starts, ends = _in_front(starts, ends, normal, float(distance[k]))
+    found = np.array(normals)
+    return found, np.array(offsets) + found @ centre
+
+
+def _in_front(starts: Floats, ends: Floats, normal: Floats, offset: float) -> tuple[Floats, Floats]:
+    a, b = starts @ normal - offset, ends @ normal - offset
+    kept = np.minimum(a, b) < -1e-7
+    starts, ends, a, b = starts[kept], ends[kept], a[kept], b[kept]
+    share = np.clip(a / np.where(a == b, 1.0, a - b), 0.0, 1.0)[:, None]
+    crossing = starts + share * (ends - starts)
+    return (
+        np.where((a > 0.0)[:, None], crossing, starts),
+        np.where((b > 0.0)[:, None], crossing, ends),
+    )
+
+
+def coordinate(
+    problem: Problem, verify: Verify[T], steps: int, routes: Sequence[Route], deadline: float
+) -> T | None:
+    """Return a verified plan of ``steps`` steps along the routes, ``None`` if none was found.
+
+    The distances between robots, and the field where it is not convex, are linearised about the
+    last round's motions.
+    """
+    separations: dict[tuple[int, int, int], Separation] = {}
+    random = np.random.default_rng(0)
+    visits = [list(zip(route.visits.steps, route.order, strict=True)) for route in routes]
+    paths = np.stack(
+        [_padded(start, route, steps) for start, route in zip(problem.starts, routes, strict=True)]
+    )
+    for _ in range(ROUNDS):
+        places = surroundings(problem, paths)
+        motion = solve_motion(problem, steps, visits, places, list(separations.values()))
+        if motion is None:
+            return None
+        paths, actions = motion
+        if (verified := verify(paths, actions)) is not None:
+            return verified
+        close = list(close_pairs(problem, paths, random))
+        if (problem.convex and not close) or time.monotonic() > deadline:
+            return None
+        separations.update({(pair.i, pair.j, pair.step): pair for pair in close})
+    return None
+
+
+def _padded(start: Floats, route: Route, steps: int) -> Floats:
+    path = np.concatenate([start[None], route.visits.path])[: steps + 1]
+    return np.concatenate([path[1:], np.repeat(path[-1:], steps + 1 - len(path), axis=0)])
+
+
+def close_pairs(
+    problem: Problem, paths: Floats, random: np.random.Generator
+) -> Iterator[Separation]:
+    """Yield the pairs of robots that come too close, each step with a direction to separate them.
+
+    Pairs that never come closer than the safety distance are skipped.
+    """
+    least = problem.config.safety_distance
+    ways = np.concatenate([paths, problem.others_for(paths.shape[1])])
+    for i, j in combinations(range(len(ways)), 2):
+        if i >= problem.n:
+            break
+        apart = ways[i] - ways[j]
+        distance = np.hypot(apart[:, 0], apart[:, 1])
+        if distance.min() >= least + 0.5 * PAIR_ROOM:
+            continue
+        crossing = random.normal(size=2)
+        for k in np.flatnonzero(distance < WATCH * least):
+            direction = apart[k] if distance[k] > 0.1 * least else crossing
+            x, y = (direction / np.hypot(*direction)).tolist()
+            yield Separation(i, j, int(k) + 1, (x, y))

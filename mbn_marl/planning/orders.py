@@ -10,8 +10,17 @@ import highspy
 import numpy as np
 
 from mbn_marl.planning.problem import Drive, Floats, Start
-from mbn_marl.planning.relaxation import TIME, VX, Disc, Region, Relaxation, Solved, velocities
-from mbn_marl.planning.windows import StepWindows, fixed_windows
+from mbn_marl.planning.relaxation import (
+    TIME,
+    VX,
+    Disc,
+    Region,
+    Relaxation,
+    Solved,
+    StepWindows,
+    fixed_windows,
+    velocities,
+)
 
 ROOM = 0.02
 """The search stops at visits with this much room inside the discs, in units."""
@@ -62,11 +71,7 @@ class Search:
         return solved.bound <= self.slack
 
     def visits(self, discs: tuple[Disc, ...], windows: StepWindows) -> Visits | None:
-        """Return steps for the discs, within the windows; ``None`` is a proof that none exist.
-
-        Raises:
-            OutOfTimeError: at the deadline.
-        """
+        """Return steps for the discs, within the windows; ``None`` is a proof that none exist."""
         best: Visits | None = None
         relaxation = Relaxation(self.start, self.drive, self.region, discs)
         nodes = [(windows, relaxation.tangents())]
@@ -174,7 +179,6 @@ def interpolate(start: Start, drive: Drive, points: Floats) -> Floats:
 
 
 def _moves(drive: Drive, axis: int, length: int, before: Floats, now: Floats) -> Floats:
-    """Return one axis's velocities in a leg, between the slowest and the fastest possible."""
     least, most = velocities(drive, axis, length, before[VX + axis], now[VX + axis])
     wanted = (now[axis] - before[axis]) / drive.tau
     spread = float((most - least).sum())

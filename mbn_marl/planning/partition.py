@@ -42,11 +42,8 @@ def least_makespan(masks: Ints, bounds: Ints, whole: int) -> int:
 def cheapest_partition(masks: Ints, costs: Ints, whole: int) -> list[int] | None:
     """Return a partition of all ROIs with a small sum of costs, or ``None`` if there is none.
 
-    For few ROIs the sum is the least. Arguments as for :func:`least_makespan`, with costs instead
-    of steps.
-
-    Raises:
-        UndecidedError: for many ROIs, the search is too long.
+    Arguments as for :func:`least_makespan`. For few ROIs the sum is the least; for many the search
+    may raise an UndecidedError.
     """
     if whole >= 1 << FEW_ROIS:
         cover = _covered(masks, costs < NEVER, whole)
@@ -63,7 +60,6 @@ def cheapest_partition(masks: Ints, costs: Ints, whole: int) -> list[int] | None
 
 
 def _table(masks: Ints, values: Ints, whole: int) -> Ints:
-    """Return (n, whole + 1): the values of all subsets."""
     table = np.full((len(values), whole + 1), NEVER)
     table[:, masks] = values
     return table
@@ -97,11 +93,7 @@ def _best(costs: Ints, sums: bool) -> tuple[Ints, Ints]:
 
 
 def _covered(masks: Ints, allowed: np.ndarray, whole: int) -> list[int] | None:
-    """Return a partition into allowed sets, (n, K) bool, or ``None``: there is none.
-
-    Raises:
-        UndecidedError: after :data:`MOST_NODES` branches.
-    """
+    """Return a partition into allowed sets, (n, K) bool, or ``None``: there is none."""
     owners, sets = [], []
     for i, row in enumerate(allowed):
         largest: list[int] = []  # of a robot's sets those that no other one contains
@@ -148,7 +140,6 @@ def _cover(owners: Ints, sets: Ints, rest: int, chosen: Ints, budget: Ints) -> b
 
 @entry_point_of_one_file
 def _size(mask: int) -> int:
-    """Return how many ROIs a set has."""
     size = 0
     while mask:
         mask &= mask - 1
@@ -158,7 +149,6 @@ def _size(mask: int) -> int:
 
 @entry_point_of_one_file
 def _rarest(parts: Ints, rest: int) -> int:
-    """Return the ROI of ``rest`` that is in the fewest parts, as a set."""
     least, rarest = len(parts) + 1, 0
     while rest:
         roi = rest & -rest

@@ -16,15 +16,14 @@ from mbn_marl.config import Settings, make_config
 from mbn_marl.engine import FieldLike
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, load_field
-from mbn_marl.planning.coordination import coordinate
 from mbn_marl.planning.greedy import Greedy
-from mbn_marl.planning.guide import make_guide
 from mbn_marl.planning.legs import NEVER, TooManySetsError, possible_sets, proved_legs
+from mbn_marl.planning.motion import coordinate
 from mbn_marl.planning.orders import OutOfTimeError, UndecidedError
 from mbn_marl.planning.partition import FEW_ROIS, least_makespan
 from mbn_marl.planning.problem import Floats, Problem, make_problem
 from mbn_marl.planning.replay import Playback, Player
-from mbn_marl.planning.team import Team
+from mbn_marl.planning.team import Team, make_guide
 
 GREEDY_SHARE, BOUND_SHARE = 0.5, 0.8
 """Shares of the time limit after which the greedy plan and the bound are abandoned."""
@@ -66,7 +65,6 @@ class Plan:
 
     @property
     def optimal(self) -> bool:
-        """Return whether the plan is proved to be a shortest one."""
         return self.makespan == self.makespan_lower_bound
 
     def to_json(self) -> dict[str, Any]:
@@ -140,10 +138,7 @@ def plan(
 
 
 def _hardest(problem: Problem) -> Problem:
-    """Return the instance with :data:`FEW_ROIS` of its ROIs that are far apart.
-
-    A bound for some of the ROIs is one for all.
-    """
+    """Return the instance with few of its ROIs, far apart: a bound for some is one for all."""
     apart = np.hypot(*(problem.rois[:, None] - problem.rois[None]).transpose(2, 0, 1))
     near = np.hypot(*(problem.rois[:, None] - problem.starts[None]).transpose(2, 0, 1)).min(axis=1)
     chosen = [int(near.argmax())]
@@ -154,11 +149,7 @@ def _hardest(problem: Problem) -> Problem:
 
 
 def refuse_unsolvable(problem: Problem, left: Sequence[int]) -> None:
-    """Check that every ROI that is ``left`` can be reached within an episode.
-
-    Raises:
-        UnsolvableError: naming the ROIs that are too far.
-    """
+    """Raise an UnsolvableError if an ROI that is ``left`` is too far for an episode."""
     limit = problem.config.max_steps
     legs = proved_legs(problem, problem.slack(limit), limit)
     far = legs.first.min(axis=0) > limit
@@ -186,14 +177,11 @@ def prove(problem: Problem, deadline: float) -> Team:
         legs = proved_legs(problem, slack, horizon)
         try:
             team = Team(problem, legs, slack, horizon, deadline, bound=least)
-        except TooManySetsError:
-            if team is None:
-                raise
-            return team
-        try:
             if team.raise_bound():
                 return team
-        except OutOfTimeError:
+        except (TooManySetsError, OutOfTimeError):
+            if team is None:
+                raise
             return team
         least, horizon = horizon + 1, _beyond(problem, horizon)
     raise UnsolvableError(
@@ -203,7 +191,6 @@ def prove(problem: Problem, deadline: float) -> Team:
 
 
 def _first_horizon(problem: Problem, limit: int) -> int:
-    """Return a horizon beyond the least makespan by closed-form legs."""
     legs = proved_legs(problem, problem.slack(limit), limit)
     least = int(legs.first.min(axis=0).max())
     while least <= limit:
@@ -221,22 +208,18 @@ def _beyond(problem: Problem, steps: int) -> int:
 
 
 def _guides(problem: Problem, team: Team, deadline: float) -> list[Team]:
-    """Return the teams whose routes are tried as plans.
-
-    Where the field is not convex, a guide comes first, for half of the time that is left.
-    """
-    team.deadline = deadline
-    if problem.convex:
-        return [team]
+    """Return the teams to follow; a guide, where the field is not convex, for half of the time."""
+    team.deadline, guides = deadline, [team]
     with suppress(TooManySetsError):
-        return [make_guide(problem, team.horizon, 0.5 * (time.monotonic() + deadline)), team]
-    return [team]
+        if not problem.convex:
+            half = 0.5 * (time.monotonic() + deadline)
+            guides.insert(0, make_guide(problem, team.horizon, half))
+    return guides
 
 
 def _search(
     problem: Problem, player: Player, guide: Team, bound: int, most: int, deadline: float
 ) -> Playback | None:
-    """Return the shortest verified plan found with ``bound`` to ``most`` steps, or ``None``."""
     for steps in range(bound, most + 1):
         if time.monotonic() > deadline:
             break

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine.mdp.disturbances import OF_ROBOTS
-from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
@@ -61,17 +60,14 @@ class Problem:
 
     @property
     def n(self) -> int:
-        """The number of robots."""
         return len(self.starts)
 
     @property
     def m(self) -> int:
-        """The number of ROIs."""
         return len(self.rois)
 
     @cached_property
     def convex(self) -> bool:
-        """Return whether the field is its own convex hull."""
         hull = self.area.convex_hull
         return not self.area.interiors and hull.area - self.area.area <= 1e-9 * hull.area
 
@@ -92,17 +88,8 @@ class Problem:
         return bool(np.all(np.abs(self.wind) <= self.forces) and not self.velocities.any())
 
     def start(self, i: int) -> Start:
-        """Return where and how robot i starts."""
         (x, y), (vx, vy) = self.starts[i].tolist(), self.velocities[i].tolist()
         return x, y, vx, vy
-
-    def with_wind(self, velocities: FloatArray, actions: FloatArray) -> Problem:
-        """Return the same instance in the wind that the first step from rest reveals.
-
-        Its actions and the velocities after it, in units/step, are (n, 2).
-        """
-        wind = (velocities - actions * self.forces).mean(axis=0)
-        return self if np.abs(wind - self.wind).max() < CALM else self.in_wind(wind)
 
     def in_wind(self, wind: Floats, share: float = 1.0) -> Problem:
         """Return it in a wind (2,), units/step per step, with a share of what both can change."""
@@ -112,19 +99,14 @@ class Problem:
         return replace(self, forces=forces, wind=wind, drives=drives)
 
     def moving(self, velocities: ArrayLike) -> Problem:
-        """Return the same instance with these velocities (n, 2) at the starts, units/step.
-
-        Raises:
-            ConfigError: they are no numbers, too few or too many, or above their robot's limit.
-        """
+        """Return the same instance with these velocities (n, 2) at the starts, units/step."""
         try:
             given = np.asarray(velocities, float)
+            if given.shape != (self.n, 2):
+                raise ValueError(f"shape {given.shape}")
         except (TypeError, ValueError) as error:
             wrong = f"velocities: {error}; allowed: numbers ({self.n}, 2)"
             raise ConfigError("plan", [wrong]) from None
-        if given.shape != (self.n, 2):
-            wrong = f"velocities: expected shape ({self.n}, 2), got {given.shape}"
-            raise ConfigError("plan", [wrong])
         problems = [
             f"velocities[{i}]: allowed: -{drive.top:g} to {drive.top:g} along each axis"
             for i, drive in enumerate(self.drives)
@@ -139,7 +121,6 @@ class Problem:
         return self.others[:, np.minimum(np.arange(steps), self.others.shape[1] - 1)]
 
     def only(self, rois: Sequence[int]) -> Problem:
-        """Return the same instance with only these ROIs."""
         return replace(self, rois=self.rois[list(rois)])
 
     def slack(self, steps: int) -> float:
@@ -158,15 +139,11 @@ class Problem:
 def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = False) -> Problem:
     """Return the instance of a field and a configuration; its robots rest.
 
-    Args:
-        field: where.
-        config: the configuration.
-        closed_loop: whether it is for a controller that sees where the robots are. They may then
-            fail and be disturbed, and nobody knows the wind.
+    It is ``closed_loop`` for a controller that sees where the robots are. They may then fail and
+    be disturbed, and nobody knows the wind.
 
     Raises:
-        ConfigError: the field has too few starts, the starts are random, a robot is no point mass,
-            robots may fail, or a plan would be disturbed.
+        ConfigError: listing every setting for which no plan can be made.
     """
     n = config.n_robots or len(field.starts)
     problems = []
@@ -186,7 +163,9 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
     if others:
         known = "allowed: 'point_mass'; for others no plan is made, and no bound is known"
         problems.append(f"dynamics: {', '.join(map(repr, others))}; {known}")
-    problems += [] if closed_loop else _disturbed(config)
+    disturbed = {} if closed_loop else {name: getattr(config, name) for name in OF_ROBOTS}
+    why = "allowed: 0; a plan does not hold for robots that are disturbed"
+    problems += [f"{name}: {value}; {why}" for name, value in disturbed.items() if value]
     limits = {name: config.of_each(name, n) for name in LIMITS}
     for name, values in limits.items():
         if len(values) != n:
@@ -210,15 +189,7 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
     )
 
 
-def _disturbed(config: NavigationConfig) -> list[str]:
-    """Return which disturbances keep a plan from being carried out."""
-    found = {name: getattr(config, name) for name in OF_ROBOTS}
-    why = "allowed: 0; a plan does not hold for robots that are disturbed"
-    return [f"{name}: {value}; {why}" for name, value in found.items() if value]
-
-
 def half_planes(convex: shapely.Polygon) -> tuple[Floats, Floats]:
-    """Return a convex polygon as ``normals @ p <= offsets``."""
     ring = np.array(shapely.geometry.polygon.orient(convex).exterior.coords)
     edges = np.diff(ring, axis=0)
     lengths = np.hypot(edges[:, 0], edges[:, 1])

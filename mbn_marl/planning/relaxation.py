@@ -24,7 +24,6 @@ import shapely
 
 from mbn_marl.planning.linear_program import Cut, LinearProgram
 from mbn_marl.planning.problem import Drive, Floats, Start, half_planes
-from mbn_marl.planning.windows import StepWindows
 
 PER_STOP = 5
 X, VX, TIME = 0, 2, 4
@@ -33,6 +32,51 @@ OFF = 1e-5
 """A cut is added where it is violated by more than this, in units."""
 FIRST_TANGENTS = 8
 MOST_ROUNDS = 60
+
+
+@dataclass(frozen=True)
+class StepWindows:
+    """The steps that stops and legs may take; leg k ends at stop k, leg 0 begins at step 0."""
+
+    first: tuple[int, ...]  # the earliest step of each stop
+    last: tuple[int, ...]
+    least: tuple[int, ...]  # the fewest steps of each leg
+    most: tuple[int, ...]
+
+    @property
+    def fixed(self) -> bool:
+        return self.least == self.most
+
+    def tightened(self) -> StepWindows | None:
+        """Return the windows with all mutual limits applied, ``None`` if they are empty."""
+        first, last = list(self.first), list(self.last)
+        before = 0
+        for k, least in enumerate(self.least):
+            before = first[k] = max(first[k], before + least)
+        for k in range(len(last) - 2, -1, -1):
+            last[k] = min(last[k], last[k + 1] - self.least[k + 1])
+        before = 0
+        for k, most in enumerate(self.most):
+            before = last[k] = min(last[k], before + most)
+        if any(one > other for one, other in zip(first, last, strict=True)):
+            return None
+        ends, starts = [0, *last], [0, *first]
+        fewest = tuple(max(a, f - e) for a, f, e in zip(self.least, first, ends, strict=False))
+        longest = tuple(min(b, e - f) for b, e, f in zip(self.most, last, starts, strict=False))
+        if any(one > other for one, other in zip(fewest, longest, strict=True)):
+            return None
+        return StepWindows(tuple(first), tuple(last), fewest, longest)
+
+    def split(self, leg: int, least: int) -> tuple[StepWindows, StepWindows]:
+        fewer = (*self.most[:leg], least - 1, *self.most[leg + 1 :])
+        more = (*self.least[:leg], least, *self.least[leg + 1 :])
+        return replace(self, most=fewer), replace(self, least=more)
+
+
+def fixed_windows(steps: Sequence[int]) -> StepWindows:
+    chosen = tuple(steps)
+    legs = tuple(b - a for a, b in zip((0, *chosen), chosen, strict=False))
+    return StepWindows(chosen, chosen, legs, legs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +126,10 @@ class Relaxation:
     discs: tuple[Disc, ...]  # the stops, in order
 
     def with_via(self, place: int, part: Region | None) -> Relaxation:
-        """Return it with one more stop, in a part of the region, before the stop ``place``."""
         via = Disc(self.start[:2], None, part)
         return replace(self, discs=(*self.discs[:place], via, *self.discs[place:]))
 
     def tangents(self) -> list[Cut]:
-        """Return a few tangents of every disc, as first cuts."""
         angles = [2.0 * math.pi * turn / FIRST_TANGENTS for turn in range(FIRST_TANGENTS)]
         return [
             self._tangent(k, math.cos(angle), math.sin(angle))
@@ -133,7 +175,6 @@ class Relaxation:
         return far
 
     def _columns(self, windows: StepWindows) -> tuple[Floats, Floats]:
-        """Return the bounds of the columns."""
         region = self.region
         low: list[float] = []
         high: list[float] = []
@@ -181,7 +222,6 @@ class Relaxation:
         return rows
 
     def _tangent(self, k: int, gx: float, gy: float) -> Cut:
-        """Return the tangent of the disc of stop k in the direction (gx, gy)."""
         (cx, cy), radius = self.discs[k].centre, self.discs[k].radius
         assert radius is not None
         base = PER_STOP * k
@@ -204,7 +244,6 @@ class Relaxation:
         return Cut(tuple(columns), tuple(values), limit)
 
     def _violated(self, points: Floats, inflation: float, windows: StepWindows) -> list[Cut]:
-        """Return the cuts that a solution violates."""
         fresh = []
         rows = points.tolist()
         before = [*self.start, 0.0]
@@ -225,7 +264,6 @@ class Relaxation:
     def _violated_pair(
         self, axis: int, sign: float, before: list[float], now: list[float], w: StepWindows, k: int
     ) -> tuple[int, int] | None:
-        """Return the pair whose cut a leg violates the most, or ``None``."""
         rise, fall = self.drive.rates(axis, sign)
         top = self._top(axis, sign, w.last[k])
         v, u = sign * before[VX + axis], sign * now[VX + axis]

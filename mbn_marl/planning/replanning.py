@@ -12,19 +12,18 @@ from functools import partial
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from mbn_marl.engine.snapshot import FloatArray
-from mbn_marl.planning.coordination import coordinate
-from mbn_marl.planning.foresight import GUST_SHARE, Flags, Weather, ways_of_failed
 from mbn_marl.planning.greedy import Greedy
-from mbn_marl.planning.guide import make_guide
 from mbn_marl.planning.legs import proved_legs
+from mbn_marl.planning.motion import coordinate
 from mbn_marl.planning.orders import OutOfTimeError
 from mbn_marl.planning.partition import FEW_ROIS
 from mbn_marl.planning.planner import Plan
 from mbn_marl.planning.problem import CALM, Floats, Problem
-from mbn_marl.planning.team import Team
-from mbn_marl.planning.tracking import corrected
+from mbn_marl.planning.shield import GUST_SHARE, Flags, Weather, ways_of_failed
+from mbn_marl.planning.team import Team, make_guide
 
 TUBE = 3.0
 """A plan is followed while every robot is within this of its place, along each axis, in units."""
@@ -39,6 +38,13 @@ PARTITIONS = 2
 """Partitions of the ROIs that are tried at one makespan."""
 TIME_LIMIT = 3.0
 """Of one plan, in seconds; the slowest of the catalogue's took 1.3."""
+POSITION_GAIN, VELOCITY_GAIN = 0.3, 0.9
+"""Gains of a quick, well-damped loop: change of velocity per lag in position and velocity."""
+EXACT = 1e-3
+"""Deviations below this, in units, are rounding and are not corrected."""
+RESERVE = 0.9
+"""Share of the force left by the wind that a slower reference uses; the loop has the rest."""
+SLOWEST = 0.2
 PATIENCE = 20
 """Steps of the greedy controller where no plan was found, before the next try."""
 
@@ -54,28 +60,25 @@ class Motion:
     works: Flags  # (n,)
     weather: Weather  # for which it was made
 
-    def holds(self, step: int, places: Floats, visited: Flags, works: Flags) -> bool:
-        """Return whether the world is where it was to be after ``step`` steps."""
-        return (
+    def holds(
+        self, step: int, places: Floats, visited: Flags, works: Flags, weather: Weather
+    ) -> bool:
+        """Return whether the world is as it was to be after ``step`` steps."""
+        steady = np.abs(weather.push - self.weather.push).max() < CALM
+        return bool(
             step < len(self.efforts)
             and np.array_equal(works, self.works)
-            and bool(np.abs(self.path[step] - places).max() <= TUBE)
+            and np.abs(self.path[step] - places).max() <= TUBE
             and not np.any((step > self.due) & ~visited)
+            and weather.gusty == self.weather.gusty
+            and (weather.gusty or steady)
         )
-
-    def suits(self, weather: Weather) -> bool:
-        """Return whether it was made for the weather."""
-        if weather.gusty or self.weather.gusty:
-            return weather.gusty and self.weather.gusty
-        return bool(np.abs(weather.push - self.weather.push).max() < CALM)
 
 
 class Replanner:
-    """Controls one team through one episode. A copy goes on from the same state.
+    """Controls one team through one episode, from a plan for the problem without wind.
 
-    Args:
-        problem: the instance, without wind.
-        found: the plan to begin with.
+    A copy continues from the same state.
     """
 
     def __init__(self, problem: Problem, found: Plan) -> None:
@@ -99,7 +102,8 @@ class Replanner:
         works = np.ones(self.problem.n, bool) if failed is None else ~failed
         if self.before is not None:
             self.weather = self.weather.after(self.problem, *self.before, speeds, works)
-        if not self._goes_on(places, visited, works):
+        now = self.step, places, visited, works, self.weather
+        if not (self.motion.holds(*now) if self.motion else self.step < PATIENCE):
             self.motion, self.step = self._plan(places, speeds, visited, works), 0
             self.rest = Greedy(self.problem, self.weather)
         if self.motion is None:
@@ -111,22 +115,13 @@ class Replanner:
         self.before = speeds, actions.astype(float)
         return actions
 
-    def _goes_on(self, places: Floats, visited: Flags, works: Flags) -> bool:
-        """Return whether what the team does still suits the world."""
-        if self.motion is None:
-            return self.step < PATIENCE
-        holds = self.motion.holds(self.step, places, visited, works)
-        return holds and self.motion.suits(self.weather)
-
     def _follow(self, motion: Motion, places: Floats, speeds: Floats) -> NDArray[np.float32]:
-        """Return the next actions of a motion, against the present wind."""
         forces, k = self.problem.forces, self.step
         wanted = motion.efforts[k] - self.weather.push / forces
         lag, slip = motion.path[k] - places, motion.speeds[k] - speeds
         return corrected(self.problem, wanted, lag, slip) * motion.works[:, None]
 
     def _plan(self, places: Floats, speeds: Floats, visited: Flags, works: Flags) -> Motion | None:
-        """Return a motion from here on that visits the remaining ROIs, if one is found."""
         left = np.flatnonzero(~visited)
         if not works.any() or not 0 < len(left) <= FEW_ROIS:
             return None
@@ -150,7 +145,6 @@ class Replanner:
         return None
 
     def _motion(self, path: Floats, speeds: Floats, works: Flags) -> Motion:
-        """Return the motion along a path (T + 1, n, 2) of robots that have these speeds (n, 2)."""
         after = np.diff(path, axis=0) / self.problem.config.tau
         reached = np.concatenate([speeds[None], after])
         efforts = np.diff(reached, axis=0) / self.problem.forces
@@ -206,3 +200,73 @@ def _verified(problem: Problem, paths: Floats, _: NDArray[np.float32]) -> Floats
         and np.all(near <= config.roi_radius)
     )
     return paths if good else None
+
+
+def corrected(problem: Problem, actions: Floats, lag: Floats, slip: Floats) -> NDArray[np.float32]:
+    """Return actions that also make up for a lag in position and a slip in velocity, (n, 2)."""
+    lag, slip = (np.where(np.abs(one) < EXACT, 0.0, one) for one in (lag, slip))
+    change = POSITION_GAIN * lag / problem.config.tau + VELOCITY_GAIN * slip
+    return np.clip(actions + change / problem.forces, -1.0, 1.0).astype(np.float32)
+
+
+class Tracker:
+    """Follows a plan for one team through one episode; a greedy controller visits what is left.
+
+    The first step reveals the wind. In another wind than the problem's, the plan is followed more
+    slowly, as the remaining force requires, still with a step at every planned visit.
+    """
+
+    def __init__(self, problem: Problem, plan: Plan) -> None:
+        self.problem, self.plan = problem, plan
+        self.step = 0
+        self.rest: Greedy | None = None
+        self._follow(np.arange(len(plan.trail), dtype=float))
+        self.actions: Floats = plan.actions.astype(float)
+
+    def act(
+        self,
+        positions: FloatArray,
+        velocities: FloatArray,
+        visited: NDArray[np.bool_],
+        failed: NDArray[np.bool_],
+    ) -> NDArray[np.float32]:
+        """Return actions (n, 2) in [-1, 1]; arguments as for :meth:`Greedy.act`."""
+        problem, k = self.problem, self.step
+        self.step += 1
+        if k == 1:
+            self._notice_wind(velocities)
+        if k + 1 >= len(self.path):
+            self.rest = Greedy(problem) if self.rest is None else copy(self.rest)
+            return self.rest.act(positions, velocities, visited, failed)
+        lag, slip = self.path[k] - positions, self.speeds[k] - velocities
+        return corrected(problem, self.actions[k], lag, slip)
+
+    def _follow(self, times: Floats) -> None:
+        steps = np.arange(len(self.plan.trail), dtype=float)
+        self.path: Floats = CubicSpline(steps, self.plan.trail)(times)
+        moved = np.diff(self.path, axis=0, prepend=self.path[:1])
+        self.speeds: Floats = moved / self.problem.config.tau
+        changes = np.diff(self.speeds, axis=0) - self.problem.wind
+        self.actions = changes / self.problem.forces
+
+    def _notice_wind(self, velocities: FloatArray) -> None:
+        """After the first step, slow the plan down to what the wind allows."""
+        planned = self.problem
+        wind = (velocities - self.plan.actions[0] * planned.forces).mean(axis=0)
+        if np.abs(wind - planned.wind).max() < CALM:
+            return
+        self.problem = planned.in_wind(wind)
+        used = np.abs(np.diff(self.speeds, axis=0)).max(axis=0)
+        left = RESERVE * (planned.forces - np.abs(self.problem.wind))
+        share = float(np.min(left / np.maximum(used, 1e-9)))
+        pace = min(max(share, 0.0) ** 0.5, 1.0)
+        self._follow(self._times(max(pace, SLOWEST)))
+
+    def _times(self, pace: float) -> Floats:
+        """Return the plan's times, slower from step 1 on, with a step at each visit."""
+        marks = np.unique([0, 1, *self.plan.visit_steps, len(self.plan.trail) - 1])
+        times = [np.array([0.0])]
+        for first, last in itertools.pairwise(marks.tolist()):
+            count = int(np.ceil((last - first) / (1.0 if first == 0 else pace)))
+            times.append(np.linspace(first, last, count + 1)[1:])
+        return np.concatenate(times)

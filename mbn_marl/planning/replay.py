@@ -34,16 +34,10 @@ ChooseActions = Callable[[FloatArray, FloatArray, NDArray[np.bool_]], NDArray[np
 
 
 class Player:
-    """Plays episodes of an instance in an engine with one world.
-
-    The observation is always the default one: others would be compiled and never read.
-
-    Args:
-        problem: the instance, with the velocities at the starts.
-        visited: the ROIs that have been visited before.
-    """
+    """Plays episodes of an instance in an engine with one world, some ROIs ``visited`` before."""
 
     def __init__(self, problem: Problem, visited: Sequence[int] = ()) -> None:
+        # Another observation would be compiled and never read.
         plain = {"observation": "relative", "assignment": False, "one_hot": False}
         config = problem.config.model_copy(update=plain)
         settings = {name: getattr(config, name) for name in NavigationConfig.model_fields}
@@ -57,7 +51,6 @@ class Player:
         self._start["now.visited"] |= sum(1 << last - j for j in set(visited))
 
     def replay(self, actions: NDArray[np.float32]) -> Playback:
-        """Play the actions (T, n, 2) until they or the episode end."""
         rows = iter(actions)
         return self.play(lambda *_: next(rows, None))
 
@@ -72,7 +65,6 @@ class Player:
         return None
 
     def play(self, choose: ChooseActions) -> Playback:
-        """Play one episode to its end, or until ``choose`` returns ``None``."""
         engine, actions = self._engine, []
         engine.load_state(self._start)
         seen = engine.snapshot()

@@ -49,7 +49,7 @@ class Roadmap:
         reached = np.hypot(*(targets - point).T) < PASSED
         reached[0] = False  # the place itself
         corner = targets[reached.argmax()] if reached.any() else point
-        for eye in (corner, _moved_into(self.area, point[None])[0]):
+        for eye in (corner, moved_into(self.area, point[None])[0]):
             total = np.where(reached, np.inf, rest + np.hypot(*(targets - eye).T))
             for k in np.argsort(total):
                 if np.isfinite(total[k]) and sees(self.area, eye, targets[k][None])[0]:
@@ -62,7 +62,7 @@ def make_roadmap(area: shapely.Geometry, places: Floats, *, largest: bool = Fals
 
     With ``largest``, a path's pieces are measured by their larger coordinate, not by their length.
     """
-    moved = _moved_into(area, places)
+    moved = moved_into(area, places)
     corners = _corners(area)
     nodes = np.concatenate([moved, corners])
     a, b = np.triu_indices(len(nodes), 1)
@@ -86,8 +86,7 @@ def sees(area: shapely.Geometry, point: Floats, targets: Floats) -> NDArray[np.b
     return seen
 
 
-def _moved_into(area: shapely.Geometry, places: Floats) -> Floats:
-    """Return the places (k, 2), those outside the area moved to its nearest points."""
+def moved_into(area: shapely.Geometry, places: Floats) -> Floats:
     points = shapely.points(places)
     inside = shapely.covers(area, points)
     lines = shapely.shortest_line(points, area)
@@ -95,7 +94,6 @@ def _moved_into(area: shapely.Geometry, places: Floats) -> Floats:
 
 
 def _corners(area: shapely.Geometry) -> Floats:
-    """Return the reflex corners of the outline and the convex ones of holes."""
     found = [np.zeros((0, 2))]
     for polygon in shapely.get_parts(area):
         found.append(_reflex(np.array(polygon.exterior.coords)[:-1], True))

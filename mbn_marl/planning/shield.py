@@ -1,4 +1,4 @@
-"""The braking test, and a shield that puts any actions to it.
+"""Estimates of the wind, the braking test, and a shield that puts any actions to it.
 
 A robot takes an action only if it could then brake to rest inside the field and apart from the
 others, if they brake too. Every step shows what the wind does.
@@ -8,22 +8,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from mbn_marl.engine.snapshot import FloatArray
-from mbn_marl.planning.foresight import (
-    FORESEEN,
-    Flags,
-    Weather,
-    steps_to_rest,
-    ways_of_failed,
-)
-from mbn_marl.planning.problem import Floats, Problem
+from mbn_marl.planning.problem import CALM, Floats, Problem
 
+Flags = NDArray[np.bool_]
+
+FORESEEN = 60
+"""Steps in which a robot that never rests is foreseen."""
+TINY = 1e-200
+"""Below any change of velocity; units/step per step."""
+DISTURBED = 0.1
+"""Pushes on robots that differ by more than this, units/step per step, are not the wind's."""
+GUST_MEMORY = 10
+"""Steps without wind that the mean of pushes in gusts begins with."""
+GUST_SHARE = 0.6
+"""Share of the force to count on in gusts; the rest is for holding out against them."""
 TURNS = (60.0, -60.0, 120.0, -120.0)
 """Directions to try in turn, in degrees from the wanted one."""
 ESCAPES = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
@@ -32,12 +38,87 @@ MARGIN = 1e-3
 """How far the shield keeps robots from walls, in units: more than float32 rounds a position by."""
 
 
+@dataclass(frozen=True, eq=False)
+class Weather:
+    """The pushes on the team so far, estimated from its changes of velocity."""
+
+    push: Floats  # (2,), in the last step, units/step per step
+    gusty: bool = False  # whether it has changed
+    count: int = 0
+    total: Floats = field(default_factory=lambda: np.zeros(2))  # (2,), the sum of all pushes
+
+    def after(
+        self, problem: Problem, before: Floats, actions: Floats, now: Floats, works: Flags
+    ) -> Weather:
+        """Return the weather after a step with ``actions`` from velocities ``before`` to ``now``.
+
+        All are (n, 2); ``works`` (n,) leaves out robots that have failed. Robots at rest or at the
+        speed limit show nothing: a wall may have stopped them.
+        """
+        tops = np.array([[drive.top] for drive in problem.drives])
+        shown = works[:, None] & (np.abs(now) < tops) & now.any(axis=1, keepdims=True)
+        found, push = now - before - actions * problem.forces, self.push.copy()
+        for axis in (0, 1):
+            pushes = found[shown[:, axis], axis]
+            if len(pushes) and np.ptp(pushes) < DISTURBED:
+                push[axis] = np.median(pushes)
+        if np.abs(push - self.push).max() < CALM:
+            push = self.push
+        gusty = self.gusty or (self.count > 0 and push is not self.push)
+        return Weather(push, gusty, self.count + 1, self.total + push)
+
+    def problem(self, problem: Problem, share: float = GUST_SHARE) -> Problem:
+        """Return the instance to plan for: in gusts with their mean, and a share of the force."""
+        if not self.gusty:
+            return problem.in_wind(self.push)
+        mean = self.total / (self.count + GUST_MEMORY)
+        return problem.in_wind(mean, share)
+
+
+def ways_of_failed(
+    problem: Problem, places: Floats, speeds: Floats, works: Flags, push: Floats
+) -> dict[int, Floats]:
+    """Return by robot (k, 2) where those that have failed, but not vanished, will be, units.
+
+    The positions go on until all of them rest; there are FORESEEN of robots that coast. ``push``
+    is the wind's, units/step per step.
+    """
+    kind = problem.config.failures.kind if problem.config.failures else "brake"
+    failed = ~works & (kind != "vanish")
+    steps = FORESEEN
+    if kind == "brake":
+        steps = steps_to_rest(speeds[failed], problem.forces[failed], problem.config.max_steps)
+    numbers = np.flatnonzero(failed).tolist()
+    return {i: _way(problem, i, kind, places[i], speeds[i], push, steps) for i in numbers}
+
+
+def steps_to_rest(velocities: Floats, slower: Floats, most: int) -> int:
+    """Return steps after which all velocities, which fall by ``slower`` a step, are 0."""
+    needed = np.abs(velocities) / np.maximum(slower, TINY)
+    return math.floor(min(float(needed.max(initial=0.0)), most)) + 2
+
+
+def _way(
+    problem: Problem, i: int, kind: str, place: Floats, speed: Floats, push: Floats, steps: int
+) -> Floats:
+    force, top = problem.forces[i], problem.drives[i].top
+    way = np.empty((steps, 2))
+    for k in range(steps):
+        braked = speed - np.clip(speed, -force, force)
+        speed = np.clip(speed + push, -top, top) if kind == "coast" else braked
+        ahead = place + speed * problem.config.tau
+        if shapely.intersects_xy(problem.area, *ahead):
+            place = ahead
+        else:
+            speed = np.zeros(2)
+        way[k] = place
+    return way
+
+
 class Cautious:
     """Base of controllers whose robots can always brake, for one team and episode.
 
-    Args:
-        problem: the instance; its ``starts`` do not matter.
-        weather: what the team knows of the wind; by default the instance's.
+    ``weather`` is what the team knows of the wind; by default the instance's.
     """
 
     def __init__(self, problem: Problem, weather: Weather | None = None) -> None:
@@ -47,7 +128,6 @@ class Cautious:
         shapely.prepare(problem.area)
 
     def _look(self, velocities: Floats, works: Flags) -> None:
-        """Find out from the last step what the wind does."""
         if self.before is not None:
             self.weather = self.weather.after(self.instance, *self.before, velocities, works)
             self.problem = self.weather.problem(self.instance)
@@ -60,12 +140,10 @@ class Cautious:
         return ways
 
     def _within_force(self, i: int, change: Floats) -> Floats:
-        """Return the possible change of velocity that is nearest to ``change``."""
         force, wind = self.problem.forces[i], self.problem.wind
         return np.clip(change, wind - force, wind + force)
 
     def _toward(self, i: int, speed: Floats, wishes: Iterable[Floats]) -> Iterator[Floats]:
-        """Yield the changes of robot i's velocity that bring it nearest to the velocities."""
         return (self._within_force(i, wanted - speed) for wanted in wishes)
 
     def _action(self, i: int, change: Floats) -> Floats:
@@ -74,10 +152,9 @@ class Cautious:
         return np.clip(force, -1.0, 1.0)
 
     def _coast(self, i: int, position: Floats, velocity: Floats) -> Floats:
-        """Return (k, 2): robot i's positions while it brakes.
+        """Return (k, 2): robot i's positions while it brakes, to rest or the episode's end.
 
-        The last one is where it rests, unless the episode has ended by then. A robot that the wind
-        pushes on with more than its force never rests: that has ``FORESEEN`` positions.
+        A robot that the wind pushes on with more than its force has ``FORESEEN`` positions.
         """
         top, config = self.problem.drives[i].top, self.problem.config
         force, wind = self.problem.forces[i], self.problem.wind
@@ -106,9 +183,8 @@ class Cautious:
     ) -> tuple[Floats, Floats]:
         """Return the change of robot i's velocity, and its way if it brakes after that.
 
-        It is the first of the ``changes``, and of some more, after which it can brake clear of
-        walls and of the others' ``plans``; if a failed robot leaves none, the one that keeps the
-        farthest away.
+        It is the first of the ``changes`` after which it can brake clear of walls and of the
+        others' ``plans``; if a failed robot leaves none, the one that keeps the farthest away.
         """
         top = self.problem.drives[i].top
         others = [plan for j, plan in plans.items() if j != i]
@@ -139,13 +215,10 @@ class Cautious:
 
 
 class Shield(Cautious):
-    """Lets robots of one team do, through one episode, what they could brake after.
+    """Replaces actions after which a robot of one team could no longer brake in time.
 
-    The guarantee is the braking test's: robots keep within the field and apart as long as forces
-    can stop them and the wind does not change.
-
-    Args:
-        problem: the instance; its ``starts`` do not matter.
+    Robots keep within the field and apart as long as forces can stop them and the wind does not
+    change. The ``starts`` of the problem do not matter.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -164,11 +237,8 @@ class Shield(Cautious):
         In place of one that does not, a robot goes more slowly, turns, brakes or escapes. Robots
         decide in index order: the others' ways are what they have decided, or to brake.
 
-        Args:
-            actions: (n, 2), finite; values outside [-1, 1] count as clipped.
-            positions: (n, 2), units.
-            velocities: (n, 2), units/step.
-            failed: (n,), which robots have failed; ``None``: none has.
+        ``actions`` are finite; values outside [-1, 1] count as clipped. The rest as for
+        :meth:`Greedy.act`.
         """
         places, speeds = np.asarray(positions, float), np.asarray(velocities, float)
         works = np.ones(self.problem.n, bool) if failed is None else ~failed
@@ -187,10 +257,7 @@ class Shield(Cautious):
 
 def around(wanted: Floats) -> list[Floats]:
     """Return a velocity (2,), units/step, and slower and turned ones to try in its place."""
-    turned = [_turn(wanted, math.radians(angle)) for angle in TURNS]
-    return [wanted, 0.5 * wanted, 0.25 * wanted, *(0.5 * one for one in turned)]
-
-
-def _turn(vector: Floats, angle: float) -> Floats:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
+    x, y = wanted
+    turns = [(math.cos(math.radians(angle)), math.sin(math.radians(angle))) for angle in TURNS]
+    turned = [0.5 * np.array([c * x - s * y, s * x + c * y]) for c, s in turns]
+    return [wanted, 0.5 * wanted, 0.25 * wanted, *turned]

@@ -18,14 +18,17 @@ import highspy
 import numpy as np
 import shapely
 
-from mbn_marl.planning.legs import NEVER, Legs, possible_sets
+from mbn_marl.planning.greedy import clear_roadmap
+from mbn_marl.planning.legs import NEVER, Legs, possible_sets, roadmap_legs
 from mbn_marl.planning.linear_program import make_solver
 from mbn_marl.planning.orders import OutOfTimeError, Search, Visits
 from mbn_marl.planning.partition import cheapest_partition, least_makespan
-from mbn_marl.planning.problem import Problem
-from mbn_marl.planning.relaxation import Disc, make_region
-from mbn_marl.planning.windows import StepWindows
+from mbn_marl.planning.problem import Floats, Problem
+from mbn_marl.planning.relaxation import Disc, StepWindows, make_region
+from mbn_marl.planning.roadmap import Roadmap, make_roadmap
 
+GATE = 6.0
+"""Radius of a gate, a disc that touches a corner from the free side, in units."""
 USED = 100
 """Cost of using a robot's set again in another partition."""
 
@@ -47,8 +50,7 @@ class Route:
 class Team:
     """Searches the least makespan at which every robot's share of the ROIs is possible.
 
-    ``gates`` are discs to pass between two places: starts, then ROIs. They guide the search round
-    corners, and make the bound a guess.
+    ``gates`` are discs to pass between two places (starts, then ROIs): the bound is then a guess.
     """
 
     problem: Problem
@@ -63,7 +65,6 @@ class Team:
     _earliest: dict[tuple[int, tuple[int, ...]], int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Compute the closed-form bounds."""
         self.sets = possible_sets(self.legs, self.horizon)
         self.place = {mask: k for k, mask in enumerate(self.sets.masks.tolist())}
         hull, area = self.problem.area.convex_hull, self.problem.area
@@ -75,8 +76,7 @@ class Team:
     def raise_bound(self) -> bool:
         """Raise the bound until a solution has it; return whether there is one up to the horizon.
 
-        Raises:
-            OutOfTimeError: at the deadline; ``bound`` is still valid.
+        Raises OutOfTimeError at the deadline; ``bound`` is still valid.
         """
         while self.bound <= self.horizon:
             self.bound = max(self.bound, self.least_makespan())
@@ -88,7 +88,6 @@ class Team:
         return False
 
     def least_makespan(self) -> int:
-        """Return the least makespan that the bounds of the sets allow, as far as is known."""
         whole = (1 << self.problem.m) - 1
         return least_makespan(self.sets.masks, self.sets.bounds, whole)
 
@@ -129,7 +128,6 @@ class Team:
         return cheapest_partition(masks, costs, (1 << self.problem.m) - 1)
 
     def least(self, i: int, mask: int) -> int:
-        """Return the bound of robot i's steps through a set."""
         return int(self.sets.bounds[i, self.place[mask]])
 
     def route(self, i: int, mask: int, makespan: int) -> Route | None:
@@ -149,7 +147,6 @@ class Team:
         return found
 
     def _later(self, i: int, route: Route, steps: int) -> Route:
-        """Return the same route after ``steps`` steps of waiting at the start."""
         if not steps or not self.problem.can_wait or not route.order:
             return route
         visits = route.visits
@@ -186,7 +183,6 @@ class Team:
         return None
 
     def _reached(self, i: int, order: tuple[int, ...]) -> int:
-        """Return a lower bound of the step at which robot i visits the last ROI of ``order``."""
         if len(order) == 1:
             least = int(self.legs.first[i, order[0]])
         else:
@@ -224,3 +220,33 @@ class Team:
         count = len(discs)
         windows = StepWindows(tuple(first), (last,) * count, tuple(least), (last,) * count)
         return tuple(discs), windows, rois
+
+
+def make_guide(problem: Problem, horizon: int, deadline: float) -> Team:
+    """Return a team whose legs and gates follow the shortest paths; its bound is a guess."""
+    roadmap = clear_roadmap(problem, problem.starts)
+    measured = make_roadmap(roadmap.area, roadmap.places, largest=True)
+    legs = roadmap_legs(problem, measured, problem.config.roi_radius, horizon)
+    count = len(roadmap.places)
+    gates = {
+        (a, b): tuple(_gates(roadmap, a, b))
+        for a in range(count)
+        for b in range(problem.n, count)
+        if a != b
+    }
+    return Team(problem, legs, 0.0, horizon, deadline, gates)
+
+
+def _gates(roadmap: Roadmap, a: int, b: int) -> list[Disc]:
+    path = roadmap.path(a, b)
+    gates = []
+    for before, corner, after in zip(path[:-2], path[1:-1], path[2:], strict=True):
+        x, y = (corner + GATE * _aside(before - corner, after - corner)).tolist()
+        gates.append(Disc((x, y), GATE))
+    return gates
+
+
+def _aside(back: Floats, ahead: Floats) -> Floats:
+    inner = back / np.hypot(*back) + ahead / np.hypot(*ahead)
+    aside: Floats = -inner if np.hypot(*inner) > 1e-9 else np.array([-back[1], back[0]])
+    return np.asarray(aside / np.hypot(*aside))

@@ -1,8 +1,4 @@
-"""Looks at the environment and never steps it: windows, arrays, GIFs, videos and figures.
-
-Importing this package loads neither pygame nor matplotlib; :mod:`mbn_marl.render.figures` is
-imported by name, as it needs matplotlib.
-"""
+"""Windows, arrays, GIFs and videos; :mod:`mbn_marl.render.figures` alone loads matplotlib."""
 
 from mbn_marl.render.animation import write_gif, write_mp4
 from mbn_marl.render.viewer import RENDER_MODES, Viewer

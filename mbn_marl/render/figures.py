@@ -16,7 +16,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.engine import Snapshot
 from mbn_marl.errors import MbnError
@@ -26,11 +25,13 @@ from mbn_marl.render import maps, style
 
 FORMATS = (".png", ".pdf", ".svg")
 
-_WIDTH, _HEIGHTS = 4.6, (3.0, 5.6)
-"""Of a figure of one field, with its least and greatest height, inches."""
-_PANEL_WIDTH, _PAIR_WIDTH, _FIELD_WIDTH = 3.2, 2.6, 1.9
-"""Of a panel with one episode, with a pair, and with a field alone, inches."""
+_WIDTH, _HEIGHTS = (
+    4.6,
+    (3.0, 5.6),
+)  # of a figure of one field, its least and greatest height, inches
+_PANEL_WIDTH, _PAIR_WIDTH, _FIELD_WIDTH = 3.2, 2.6, 1.9  # of panels with one or two episodes, none
 _TITLES = 0.6  # height of a panel's title and axis label, inches
+_ROBOT: dict[str, Any] = {"marker": "o", "ls": "none", "color": style.FAINT_INK, "ms": 8}
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)
@@ -39,78 +40,41 @@ def field_figure(field: Field) -> Figure:
     figure, axes = _canvas(field, field.name)
     maps.draw_field(axes, field)
     maps.draw_robots(axes, field.starts)
-    _explain(figure, [maps.roi_handle(), maps.robot_handle("start of robot i")])
+    _explain(figure, {"ROI": maps.roi_marker(False), "start of robot i": _ROBOT})
     return figure
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def fields_figure(fields: Sequence[Field]) -> Figure:
-    """Draw fields side by side with ROIs, starts and a scale bar each.
-
-    Raises:
-        MbnError: there is no field.
-    """
+    """Draw fields, at least one, side by side with ROIs, starts and a scale bar each."""
     figure, grid = _panels("fields", len(fields), 5, _FIELD_WIDTH, 2.4)
     for axes, field in zip(grid, fields, strict=True):
-        maps.draw_field(axes, field, roi_radius=maps.ROI_RADIUS, numbered=False)
+        maps.draw_field(axes, field, numbered=False)
         maps.draw_robots(axes, field.starts, size=7.5)
         axes.set_title(field.name, loc="left")
         maps.replace_ticks(axes, field)
-    _explain(figure, [maps.roi_handle(), maps.robot_handle("start of robot i")])
+    _explain(figure, {"ROI": maps.roi_marker(False), "start of robot i": _ROBOT})
     return figure
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)
-def trajectory_figure(
-    field: Field,
-    trails: NDArray[Any],
-    *,
-    visited: NDArray[np.bool_] | None = None,
-    collision: bool = False,
-    wind: ArrayLike = (0.0, 0.0),
-    headings: NDArray[Any] | None = None,
-    failed: NDArray[np.bool_] | None = None,
-    gone: NDArray[np.bool_] | None = None,
-    roi_radius: float = maps.ROI_RADIUS,
-    title: str | None = None,
-) -> Figure:
-    """Draw the paths of one episode in its field.
+def trajectory_figure(last: Snapshot, title: str | None = None) -> Figure:
+    """Draw the paths of one episode up to its ``last`` snapshot, by default titled by its field.
 
     A hollow circle marks a start, a numbered disc the end of a path; the dots between are one
     step apart, so that their distance shows the speed.
-
-    Args:
-        field: where the episode took place.
-        trails: (t + 1, n, 2), units: the positions of each robot, from the reset on.
-        visited: (m,) bool, the ROIs that were visited; ``None`` if that is not known.
-        collision: whether the episode ended in one; the closest pair is marked.
-        wind: ``(v_x, v_y)``, units/step per step, or that of each step in gusts, (k, 2); an arrow
-            points that way, or a line each, unless it is 0.
-        headings: (n,), radians: where the robots face at the end, NaN for a robot without a
-            heading; ``None`` if none has one.
-        failed: (n,) bool, the robots that failed, which get a cross; ``None`` for none.
-        gone: (n,) bool, those that vanished, which collide with nobody; ``None`` for none.
-        roi_radius: rho, units.
-        title: above the figure; ``None`` for the name of the field.
-
-    Raises:
-        MbnError: if ``trails`` or ``visited`` has another shape.
     """
-    trails = np.asarray(trails, np.float64)
-    if trails.ndim != 3 or trails.shape[2] != 2 or 0 in trails.shape:
-        raise MbnError(f"trails: the shape has to be (steps + 1, robots, 2), not {trails.shape}")
-    figure, axes = _canvas(field, field.name if title is None else title)
-    maps.draw_field(axes, field, visited=visited, roi_radius=roi_radius)
-    maps.draw_trails(axes, trails, headings, failed)
-    handles = [maps.roi_handle()] + ([] if visited is None else [maps.roi_handle(visited=True)])
-    handles.append(maps.robot_handle("start", ms=5, mfc=style.WHITE))
-    handles.append(maps.robot_handle("end of robot i"))
-    if collision:
-        handles.append(maps.mark_collision(axes, trails[-1], gone))
-    if failed is not None and failed.any():
-        handles.append(maps.failed_handle())
-    maps.draw_wind(axes, wind)
-    _explain(figure, handles)
+    figure, axes = _canvas(last.field, last.field.name if title is None else title)
+    maps.draw_field(axes, last.field, visited=last.visited, roi_radius=last.roi_radius)
+    maps.draw_paths(axes, last)
+    maps.draw_wind(axes, last)
+    looks = {"ROI": maps.roi_marker(False), "ROI, visited": maps.roi_marker(True)}
+    looks |= {"start": {**_ROBOT, "ms": 5, "mfc": style.WHITE}, "end of robot i": _ROBOT}
+    if last.collision:
+        looks["collision"] = {**maps.SQUARE, "ms": 8, "mew": 1.4}
+    if last.failed.any():
+        looks["failed"] = {**maps.CROSS, "ms": 7, "mew": 1.4}
+    _explain(figure, looks)
     return figure
 
 
@@ -119,21 +83,18 @@ def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = 3) -> Fig
     """Draw the paths of several episodes, a panel each, as in :func:`trajectory_figure`.
 
     Args:
-        lasts: the last snapshot of each episode, by the title of its panel; its outcome is the
-            second line of the title.
-        columns: how many panels are side by side at most.
-
-    Raises:
-        MbnError: there is none.
+        lasts: the last snapshot of each episode, at least one, by the title of its panel.
+        columns: at most so many panels are side by side.
     """
     sides = [np.ptp(last.field.vertices, axis=0) for last in lasts.values()]
     tall = _PANEL_WIDTH * max((height / width for width, height in sides), default=1.0)
     figure, grid = _panels("panels", len(lasts), columns, _PANEL_WIDTH, tall + _TITLES)
     for axes, (title, last) in zip(grid, lasts.items(), strict=True):
-        _draw_place(axes, last, f"{title}\n{_long_outcome(last)}", numbered=True)
-        maps.draw_trails(axes, last.trail, last.headings, last.failed)
-        if last.collision:
-            maps.mark_collision(axes, last.trail[-1], last.gone)
+        visited = f"{int(last.visited.sum())} of {len(last.visited)} ROIs"
+        outcome = "collision" if last.collision else "success" if last.success else visited
+        second = f"{outcome}, {last.step} steps, return {last.team_return:,.0f}"
+        _draw_place(axes, last, f"{title}\n{second}", numbered=True)
+        maps.draw_paths(axes, last)
     return figure
 
 
@@ -144,21 +105,23 @@ def overlay_panels(
     """Draw two episodes from the same starts over each other, a panel for each pair.
 
     Args:
-        episodes: the last snapshots of a pair, by the title of its panel; both outcomes are the
-            second line of the title. The ROIs are those that the second one visited.
-        names: what the first and the second of each pair are; the first is dashed.
-
-    Raises:
-        MbnError: there is none.
+        episodes: the last snapshots of a pair, by the title of its panel, at least one; the ROIs
+            are those that the second one visited.
+        names: of the first, which is dashed, and the second of each pair.
     """
+
+    def outcome(last: Snapshot) -> str:
+        failure = "collision" if last.collision else f"{int(last.visited.sum())} ROIs"
+        return f"{last.step} steps" if last.success else failure
+
     figure, grid = _panels("panels", len(episodes), 5, _PAIR_WIDTH, _PAIR_WIDTH + _TITLES)
     for axes, (title, pair) in zip(grid, episodes.items(), strict=True):
-        words = zip(names, map(_short_outcome, pair), strict=True)
-        outcomes = ", ".join(f"{name}: {outcome}" for name, outcome in words)
-        _draw_place(axes, pair[1], f"{title}\n{outcomes}", numbered=False)
+        words = zip(names, map(outcome, pair), strict=True)
+        second = ", ".join(f"{name}: {ending}" for name, ending in words)
+        _draw_place(axes, pair[1], f"{title}\n{second}", numbered=False)
         maps.fit_square(axes, pair[1].field)
-        for last, dashed in zip(pair, (True, False), strict=True):
-            _draw_paths(axes, last, dashed=dashed)
+        maps.draw_light_paths(axes, pair[0], dashed=True)
+        maps.draw_light_paths(axes, pair[1], dashed=False)
     handles = [
         Line2D([], [], color=style.FAINT_INK, ls=look, lw=1.2, label=name)
         for name, look in zip(names, ("--", "-"), strict=True)
@@ -168,11 +131,7 @@ def overlay_panels(
 
 
 def check_name(path: Path) -> Path:
-    """Check that a figure can have this name; return ``path``.
-
-    Raises:
-        MbnError: for another format, naming the path and the formats.
-    """
+    """Check that a figure can have this name; return ``path``."""
     if path.suffix.lower() not in FORMATS:
         raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
     return path
@@ -182,11 +141,7 @@ def check_name(path: Path) -> Path:
 def save(figure: Figure, path: str | Path) -> Path:
     """Write ``figure`` as PNG, PDF or SVG, as the end of ``path`` says, and return ``path``.
 
-    Missing folders are made; a file is replaced only once the new one is complete.
-
-    Raises:
-        MbnError: for another format, naming the path and the formats.
-        OSError: naming the path, if it cannot be written.
+    A file is replaced only once the new one is complete.
     """
     path = check_name(Path(path))
     with replacing(path) as temporary:
@@ -219,7 +174,9 @@ def _canvas(field: Field, title: str) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _explain(figure: Figure, handles: Sequence[Line2D]) -> None:
+def _explain(figure: Figure, looks: Mapping[str, Mapping[str, Any]]) -> None:
+    """Add a legend of lines' looks by their labels."""
+    handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
     columns = len(handles) if len(handles) <= 4 else 3
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=1.2)
 
@@ -242,36 +199,8 @@ def _panels(
 
 
 def _draw_place(axes: Axes, last: Snapshot, title: str, *, numbered: bool) -> None:
-    """Draw the field, the title of two lines, and the wind beside it, whose speed it may say."""
+    """Draw the field, the title of two lines, and the wind beside it, unless the title names it."""
     radius = last.roi_radius
     maps.draw_field(axes, last.field, visited=last.visited, roi_radius=radius, numbered=numbered)
-    maps.draw_wind(axes, last.winds, height=20.5, named="wind " not in title)
+    maps.draw_wind(axes, last, height=20.5, named="wind " not in title)
     axes.set_title(title, loc="left", fontsize=9.0)
-
-
-def _draw_paths(axes: Axes, last: Snapshot, *, dashed: bool) -> None:
-    """Draw every robot's path; a dashed one is wider and lighter, so that both can be seen."""
-    for robot in range(last.trail.shape[1]):
-        colour = style.robot_colour(robot)
-        x, y = last.trail[:, robot].T
-        if dashed:
-            axes.plot(x, y, "--", color=colour, lw=2.2, alpha=0.45, zorder=3)
-        else:
-            axes.plot(x, y, "-", color=colour, lw=1.0, zorder=3.2)
-            axes.plot(x[:1], y[:1], "o", color=colour, mfc=style.WHITE, ms=4, mew=1.1, zorder=3.5)
-            axes.plot(x[-1:], y[-1:], "o", color=colour, ms=4.5, zorder=3.5)
-            end, heading = (float(x[-1]), float(y[-1])), float(last.headings[robot])
-            maps.draw_nose(axes, end, heading, 4.5, color=colour, zorder=3.4)
-    maps.mark_failed(axes, last.trail[-1], last.failed)
-
-
-def _short_outcome(last: Snapshot) -> str:
-    if last.success:
-        return f"{last.step} steps"
-    return "collision" if last.collision else f"{int(last.visited.sum())} ROIs"
-
-
-def _long_outcome(last: Snapshot) -> str:
-    visited = f"{int(last.visited.sum())} of {len(last.visited)} ROIs"
-    how = "collision" if last.collision else "success" if last.success else visited
-    return f"{how}, {last.step} steps, return {last.team_return:,.0f}"

@@ -13,24 +13,23 @@ from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from matplotlib.text import OffsetFrom
 from matplotlib.transforms import Affine2D, ScaledTranslation
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from shapely.geometry.polygon import orient
 
 from mbn_marl.config import NavigationConfig
-from mbn_marl.errors import MbnError
+from mbn_marl.engine import Snapshot
 from mbn_marl.field import Field
 from mbn_marl.render import style
 
 ROI_RADIUS = NavigationConfig().roi_radius
+CROSS: dict[str, Any] = {"marker": "x", "ls": "none", "color": style.INK}
+SQUARE: dict[str, Any] = {"marker": "s", "ls": "none", "mfc": "none", "mec": style.COLLISION}
 _ARROW = {
     **dict.fromkeys(("shrinkA", "shrinkB"), 0),
     **{"arrowstyle": "-|>", "mutation_scale": 11, "lw": 1.6, "color": style.WIND},
 }
 _NOSE = Path([(1.0, 0.0), (0.3, 0.4), (0.3, -0.4), (1.0, 0.0)], closed=True)
-_CROSS: dict[str, Any] = {"marker": "x", "ls": "none", "color": style.INK}
-_MOST = "\N{LESS-THAN OR EQUAL TO} "
-_BORDER = 0.06
-"""Empty border round a field, as a share of its larger side."""
+_BORDER = 0.06  # empty border round a field, as a share of its larger side
 
 
 def draw_field(
@@ -41,34 +40,20 @@ def draw_field(
     roi_radius: float = ROI_RADIUS,
     numbered: bool = True,
 ) -> None:
-    """Draw a field and its ROIs, and fit the axes to it.
-
-    Args:
-        axes: where to draw.
-        field: what to draw.
-        visited: (m,) bool, the ROIs to show as visited; ``None`` for none.
-        roi_radius: rho, units.
-        numbered: write the name of each ROI beside it.
-
-    Raises:
-        MbnError: if ``visited`` has another shape.
-    """
-    count = len(field.rois)
-    visited = np.zeros(count, bool) if visited is None else np.asarray(visited, bool)
-    if visited.shape != (count,):
-        raise MbnError(f"visited: the shape has to be ({count},), not {visited.shape}")
+    """Draw a field and its ROIs, ``visited`` (m,) or not, and fit the axes to it."""
     axes.set_facecolor(style.OBSTACLE)
     ground = orient(field.polygon)  # holes turn against the outline, so that they stay empty
     rings = [Path(np.array(ring.coords)) for ring in (ground.exterior, *ground.interiors)]
     look = {"fc": style.GROUND, "ec": style.OUTLINE, "lw": 1.3}
     axes.add_patch(PathPatch(Path.make_compound_path(*rings), **look))
-    for number, ((x, y), seen) in enumerate(zip(field.rois, visited, strict=True), start=1):
-        colour = style.ROI_VISITED if seen else style.ROI_OPEN
-        tint = (colour, 0.28 if seen else 0.05)
+    seen = np.zeros(len(field.rois), bool) if visited is None else visited
+    for number, ((x, y), done) in enumerate(zip(field.rois, seen, strict=True), start=1):
+        colour = style.ROI_VISITED if done else style.ROI_OPEN
+        tint = (colour, 0.28 if done else 0.05)
         axes.add_patch(Circle((x, y), roi_radius, fc=tint, ec=colour, lw=0.7, zorder=2))
         # Above a robot's disc and below its number, so that neither hides the other.
         halo = [withStroke(linewidth=2.0, foreground=style.WHITE)]
-        axes.plot([x], [y], **_roi_marker(bool(seen)), zorder=4.2, path_effects=halo)
+        axes.plot([x], [y], **roi_marker(bool(done)), zorder=4.2, path_effects=halo)
         if numbered:
             axes.annotate(
                 f"$w_{{{number}}}$",
@@ -111,24 +96,38 @@ def replace_ticks(axes: Axes, field: Field) -> None:
     axes.annotate(f"{bar:g} units", (left + bar, -0.06), (3, 0), **place)
 
 
-def draw_trails(
-    axes: Axes,
-    trails: NDArray[Any],
-    headings: NDArray[Any] | None = None,
-    failed: NDArray[np.bool_] | None = None,
-) -> None:
-    """Draw the paths of one episode, (t + 1, n, 2) in units.
-
-    At their ends are the last ``headings`` (n,), and crosses where robots have ``failed`` (n,).
-    """
-    for index in range(trails.shape[1]):
+def draw_paths(axes: Axes, last: Snapshot) -> None:
+    """Draw the paths of one episode up to its ``last`` snapshot, and its end."""
+    for index in range(last.trail.shape[1]):
         colour = style.robot_colour(index)
-        x, y = trails[:, index].T
+        x, y = last.trail[:, index].T
         axes.plot(x, y, color=colour, lw=0.8, zorder=3)
         axes.plot(x, y, ".", color=colour, ms=3.6, mew=0, zorder=3)
         axes.plot(x[:1], y[:1], "o", color=colour, mfc=style.WHITE, ms=5, mew=1.3, zorder=3.5)
-    draw_robots(axes, trails[-1], headings=headings)
-    mark_failed(axes, trails[-1], failed)
+    draw_robots(axes, last.trail[-1], headings=last.headings)
+    mark_failed(axes, last)
+    if last.collision:  # a square round the two robots that are closest
+        positions = last.trail[-1][~last.gone]
+        gaps = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+        np.fill_diagonal(gaps, np.inf)
+        first, second = np.unravel_index(int(gaps.argmin()), gaps.shape)
+        x, y = (positions[first] + positions[second]) / 2.0
+        axes.plot([x], [y], ms=25, mew=1.8, zorder=5, **SQUARE)
+
+
+def draw_light_paths(axes: Axes, last: Snapshot, *, dashed: bool) -> None:
+    """Draw paths to lie over others; a dashed one is wider, so that both can be seen."""
+    for robot, heading in enumerate(last.headings.tolist()):
+        colour = style.robot_colour(robot)
+        x, y = last.trail[:, robot].T
+        if dashed:
+            axes.plot(x, y, "--", color=colour, lw=2.2, alpha=0.45, zorder=3)
+        else:
+            axes.plot(x, y, "-", color=colour, lw=1.0, zorder=3.2)
+            axes.plot(x[:1], y[:1], "o", color=colour, mfc=style.WHITE, ms=4, mew=1.1, zorder=3.5)
+            axes.plot(x[-1:], y[-1:], "o", color=colour, ms=4.5, zorder=3.5)
+            _draw_nose(axes, (x[-1], y[-1]), heading, 4.5, color=colour, zorder=3.4)
+    mark_failed(axes, last)
 
 
 def draw_robots(
@@ -137,15 +136,11 @@ def draw_robots(
     size: float = 9.5,
     headings: NDArray[Any] | None = None,
 ) -> None:
-    """Draw robots at ``positions`` (n, 2), units, as numbered discs, ``size`` points wide.
-
-    A point sticks out of a disc the way that the robot faces: ``headings`` (n,) are in radians, and
-    NaN for robots that have none.
-    """
+    """Draw robots at ``positions`` (n, 2), units, as numbered discs, ``size`` points wide."""
     for index, (x, y) in enumerate(positions.tolist()):
         colour = style.robot_colour(index)
         if headings is not None:
-            draw_nose(axes, (x, y), float(headings[index]), size, color=colour, zorder=4)
+            _draw_nose(axes, (x, y), float(headings[index]), size, color=colour, zorder=4)
         axes.plot([x], [y], "o", color=colour, ms=size, mec=style.WHITE, mew=0.8, zorder=4)
         axes.annotate(
             str(index),
@@ -159,7 +154,7 @@ def draw_robots(
         )
 
 
-def draw_nose(
+def _draw_nose(
     axes: Axes, place: tuple[float, float], heading: float, size: float, **look: Any
 ) -> None:
     """Draw the point of a disc, ``size`` points wide, that faces ``heading`` unless it is NaN."""
@@ -168,42 +163,20 @@ def draw_nose(
         axes.plot(*place, ls="none", marker=nose, ms=2 * size, mew=0, **look)
 
 
-def mark_failed(axes: Axes, positions: NDArray[Any], failed: NDArray[np.bool_] | None) -> None:
-    """Draw crosses over those robots at ``positions`` (n, 2), units, that have ``failed`` (n,)."""
-    if failed is not None and failed.any():
-        axes.plot(*positions[failed].T, ms=11, mew=1.8, zorder=4.5, **_CROSS)
+def mark_failed(axes: Axes, last: Snapshot) -> None:
+    """Draw crosses over the robots that have failed."""
+    if last.failed.any():
+        axes.plot(*last.trail[-1][last.failed].T, ms=11, mew=1.8, zorder=4.5, **CROSS)
 
 
-def failed_handle() -> Line2D:
-    """Return the legend entry of a robot that has failed."""
-    return Line2D([], [], ms=7, mew=1.4, label="failed", **_CROSS)
-
-
-def mark_collision(
-    axes: Axes, positions: NDArray[np.floating], gone: NDArray[np.bool_] | None
-) -> Line2D:
-    """Draw a square round the two robots that are closest; return its legend entry.
-
-    ``positions`` are (n, 2), units. Robots that are ``gone``, (n,), do not count.
-    """
-    positions = positions if gone is None else positions[~gone]
-    gaps = np.linalg.norm(positions[:, None] - positions[None], axis=2)
-    np.fill_diagonal(gaps, np.inf)
-    first, second = np.unravel_index(int(gaps.argmin()), gaps.shape)
-    x, y = (positions[first] + positions[second]) / 2.0
-    look: dict[str, Any] = {"marker": "s", "ls": "none", "mfc": "none", "mec": style.COLLISION}
-    axes.plot([x], [y], ms=25, mew=1.8, zorder=5, **look)
-    return Line2D([], [], ms=8, mew=1.4, label="collision", **look)
-
-
-def draw_wind(axes: Axes, winds: ArrayLike, height: float = 9.5, *, named: bool = True) -> None:
-    """Draw the wind, or those of several steps, (2,) or (k, 2), over the top right corner, if any.
+def draw_wind(axes: Axes, last: Snapshot, height: float = 9.5, *, named: bool = True) -> None:
+    """Draw the winds of an episode ``height`` points over the top right corner, if any.
 
     One is an arrow the way that it blows, with its speed if it is ``named``. In gusts there is a
     line for the strongest of each twelfth of a turn, as long as it is strong, with the greatest
-    speed. ``height`` is that above the corner, points.
+    speed.
     """
-    winds = np.unique(np.atleast_2d(winds), axis=0)
+    winds = np.unique(last.winds, axis=0)
     speeds = np.linalg.norm(winds, axis=1)
     if speeds.max() < style.CALM:
         return
@@ -224,27 +197,15 @@ def draw_wind(axes: Axes, winds: ArrayLike, height: float = 9.5, *, named: bool 
         whole: Any = axes.transAxes
         points = Affine2D().scale(1.0 / 72.0) + inches.dpi_scale_trans
         points += ScaledTranslation(1.0, 1.0, whole)
-        how: dict[str, Any] = {"lw": 0.6, "color": style.WIND, "clip_on": False}
-        axes.add_artist(Line2D(*lines.reshape(-1, 2).T, transform=points, **how))
-    if not named:
-        return
-    look: dict[str, Any] = {"ha": "right", "va": "center", "color": style.WIND}
-    most = "" if len(speeds) == 1 else _MOST
-    axes.annotate(f"wind {most}{speeds.max():.3g}", (-25.0, middle[1]), **look, **place)
+        look: dict[str, Any] = {"lw": 0.6, "color": style.WIND, "clip_on": False}
+        axes.add_artist(Line2D(*lines.reshape(-1, 2).T, transform=points, **look))
+    if named:
+        most = "" if len(speeds) == 1 else "\N{LESS-THAN OR EQUAL TO} "
+        look = {"ha": "right", "va": "center", "color": style.WIND}
+        axes.annotate(f"wind {most}{speeds.max():.3g}", (-25.0, middle[1]), **look, **place)
 
 
-def robot_handle(label: str, **look: Any) -> Line2D:
-    """Return a legend entry of a robot."""
-    look = {"ms": 8, **look}
-    return Line2D([], [], marker="o", ls="none", color=style.FAINT_INK, label=label, **look)
-
-
-def roi_handle(visited: bool = False) -> Line2D:
-    """Return a legend entry of an ROI."""
-    return Line2D([], [], label="ROI, visited" if visited else "ROI", **_roi_marker(visited))
-
-
-def _roi_marker(visited: bool) -> dict[str, Any]:
+def roi_marker(visited: bool) -> dict[str, Any]:
     """Return the look of an ROI: hollow until visited, then filled and ticked."""
     if visited:
         return {"marker": "$\\checkmark$", "ms": 7, "color": style.ROI_VISITED, "ls": "none"}

@@ -25,10 +25,7 @@ _FONT, _SMALL_FONT = 18.0, 13.0
 
 
 class Scene:
-    """Draws snapshots of any field at one size, keeping what does not change between frames.
-
-    Robots and ROIs are markers of a size that can be read, with the circles of the safety
-    distance and of the ROI radius round them to scale where there is room.
+    """Draws snapshots at one size; markers can be read, and have circles to scale round them.
 
     Arguments as :class:`~mbn_marl.render.Viewer`.
     """
@@ -62,7 +59,10 @@ class Scene:
         for sprite, centre in zip(self._robots, centres, strict=True):
             _stamp(self._frame, sprite, centre)
         for centre in centres[snapshot.failed]:
-            self._draw_cross(centre)
+            for way in ((1.0, 1.0), (1.0, -1.0)):
+                arm = np.array(way) * _ROBOT * self._ui
+                ends = (centre - arm).tolist(), (centre + arm).tolist()
+                pygame.draw.line(self._frame, style.rgb(style.INK), *ends, round(2 * self._ui))
         self._write_header(snapshot)
         return self._frame
 
@@ -95,7 +95,6 @@ class Scene:
         ]
 
     def _draw_wind(self, wind: tuple[float, float]) -> None:
-        """Draw an arrow the way the wind blows, in a ring at the top right, and its speed."""
         radius, gap = _COMPASS * self._ui, 4 * self._ui
         centre = (self.size[0] - radius - gap, radius + gap)
         _stamp(self._frame, sprites.wind_arrow(wind, radius), centre)
@@ -104,7 +103,7 @@ class Scene:
         self._frame.blit(label, label.get_rect(midright=end))
 
     def _extend_trails(self, snapshot: Snapshot) -> None:
-        """Draw what is new of the trails, or all if this is not the last frame's episode."""
+        """Draw the new part of the trails, or all of another episode's."""
         trail = np.array(snapshot.trail, np.float64)
         known = len(self._drawn)
         if not np.array_equal(trail[:known], self._drawn):
@@ -130,15 +129,7 @@ class Scene:
         pygame.draw.polygon(self._frame, colour, [corner.tolist() for corner in corners])
         pygame.draw.aalines(self._frame, colour, True, [corner.tolist() for corner in corners])
 
-    def _draw_cross(self, centre: NDArray[np.float64]) -> None:
-        """Draw a cross over a robot that has failed."""
-        for way in ((1.0, 1.0), (1.0, -1.0)):
-            arm = np.array(way) * _ROBOT * self._ui
-            ends = (centre - arm).tolist(), (centre + arm).tolist()
-            pygame.draw.line(self._frame, style.rgb(style.INK), *ends, round(2 * self._ui))
-
     def _write_header(self, snapshot: Snapshot) -> None:
-        """Write step, return, visited ROIs, and how the episode ended if it has."""
         left, column = round(_MARGIN * self._ui), round(96 * self._ui)
         rows = (round(9 * self._ui), round(25 * self._ui))
         reward = snapshot.team_return

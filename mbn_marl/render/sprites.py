@@ -23,23 +23,20 @@ _VISITED_TINT, _SAFETY_TINT = 70, 60  # opacity, 0 to 255, of the circles drawn 
 _ROOM = 1.2  # a circle to scale is drawn where it is so many times larger than the marker inside
 _OWN = 1.65  # radius of the ring round the user's robot, as a share of the robot's disc
 
+# Paints a square surface, given its centre coordinate and the size of a shown pixel.
 Painter = Callable[[pygame.Surface, float, float], None]
-"""Paints a square surface, given its centre coordinate and the size of a shown pixel."""
 
 
 @dataclass(frozen=True)
 class Viewport:
-    """The map from field units to pixels from the top left corner, ``origin + scale * (x, -y)``."""
+    """The map from field units to pixels, ``origin + scale * (x, -y)`` from the top left."""
 
     scale: float
     origin: tuple[float, float]
 
     @classmethod
     def fit(cls, points: NDArray[Any], area: tuple[float, float, float, float]) -> Viewport:
-        """Centre the bounding box of ``points`` (k, 2) in ``area``, as large as it goes.
-
-        The area is left, top, width and height, in pixels.
-        """
+        """Fit the box of ``points`` (k, 2) to ``area``: left, top, width, height in pixels."""
         left, top, width, height = area
         low, high = points.min(axis=0), points.max(axis=0)
         extent = np.maximum(high - low, 1e-9)
@@ -48,13 +45,11 @@ class Viewport:
         return cls(scale, (left + width / 2.0 - x, top + height / 2.0 + y))
 
     def to_pixels(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return points (..., 2) in units as pixels (..., 2)."""
         return np.asarray(self.origin) + np.asarray(points, np.float64) * (self.scale, -self.scale)
 
 
 def blank(size: tuple[int, int]) -> pygame.Surface:
-    """Return an opaque surface whose format does not depend on a display."""
-    return pygame.Surface(size, 0, 32)
+    return pygame.Surface(size, 0, 32)  # opaque; its format does not depend on a display
 
 
 def terrain(
@@ -75,10 +70,7 @@ def terrain(
 
 
 def roi(visited: bool, marker: float, reach: float) -> pygame.Surface:
-    """Draw an ROI: a hollow marker until it is visited, then a filled one with a tick.
-
-    ``marker`` is its radius and ``reach`` that of the circle from which it is visited, pixels.
-    """
+    """Draw an ROI: a marker, filled and ticked once visited, in its circle of ``reach`` pixels."""
     colour = style.rgb(style.ROI_VISITED if visited else style.ROI_OPEN)
     white = style.rgb(style.WHITE)
 
@@ -103,10 +95,7 @@ def roi(visited: bool, marker: float, reach: float) -> pygame.Surface:
 
 
 def robot(index: int, radius: float, safety: float, *, own: bool = False) -> pygame.Surface:
-    """Draw a robot: a disc with its number, in the circle of half its safety distance, pixels.
-
-    A thick dark ring marks the user's ``own``.
-    """
+    """Draw a numbered disc in a circle of ``safety`` pixels; a dark ring marks the user's own."""
     colour = style.robot_colour(index)
     mark = _OWN * radius if own else 0.0
 
@@ -149,7 +138,6 @@ def wind_arrow(wind: tuple[float, float], radius: float) -> pygame.Surface:
 
 
 def _sprite(radius: float, paint: Painter) -> pygame.Surface:
-    """Return a smooth, premultiplied square surface that holds a disc of ``radius`` pixels."""
     side = 2 * math.ceil(radius + 1)
     fine = pygame.Surface((side * _FINE, side * _FINE), pygame.SRCALPHA, 32)
     paint(fine, side * _FINE / 2, float(_FINE))

@@ -31,17 +31,17 @@ ROI_VISITED: Final = BLUISH_GREEN
 SUCCESS: Final = BLUISH_GREEN
 COLLISION: Final = VERMILLION
 WIND: Final = BLUE
-CALM: Final = 1e-9
-"""Wind weaker than this, in units/step per step, is none (cos 90 degrees is not quite 0)."""
+CALM: Final = 1e-9  # weaker wind, units/step per step, is none: cos 90 degrees is not quite 0
 
+# Robots 0 to 9; green is left to visited ROIs.
 ROBOTS: Final = (
     *(BLUE, VERMILLION, REDDISH_PURPLE, ORANGE, SKY_BLUE, BLACK),
     *(PLUM, BROWN, LAVENDER, INDIGO),
 )
-"""The colours of robots 0 to 9; green is left to visited ROIs."""
 _DASHES: Final = ("-", "--", "-.", ":")
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*", ">")
 
+# Matplotlib settings of every figure, for ``matplotlib.rc_context``, which types its own keys.
 MATPLOTLIB: Final[dict[Any, Any]] = {
     "font.size": 9.0,
     "axes.labelsize": 9.0,
@@ -68,9 +68,8 @@ MATPLOTLIB: Final[dict[Any, Any]] = {
     "pdf.fonttype": 42,
     "svg.fonttype": "path",
 }
-"""Matplotlib settings of every figure, for ``matplotlib.rc_context``, which types its own keys."""
 
-
+# The colours of a page in a browser, light and dark: hues stay, text is lighter on dark.
 PAGE: Final[dict[str, tuple[str, str]]] = {
     "page": ("#F7F9FB", "#12171C"),
     "ground": (GROUND, "#0B0F13"),
@@ -86,8 +85,8 @@ PAGE: Final[dict[str, tuple[str, str]]] = {
     "wind": (WIND, SKY_BLUE),
     **{f"robot-{k}": (c, WHITE if c == BLACK else c) for k, c in enumerate(ROBOTS)},
 }
-"""The colours of a page in a browser, light and dark: hues stay, text is lighter on dark."""
 
+# Colours of figures that differ on a light and on a dark page.
 THEMED: Final = {
     BLACK: (BLACK, WHITE),
     **{PAGE[name][0]: PAGE[name] for name in ("ground", "obstacle", "outline", "ink")},
@@ -96,22 +95,17 @@ THEMED: Final = {
     PLUM: (PLUM, "#D45AAE"),
     INDIGO: (INDIGO, "#6A4DFF"),
 }
-"""Colours of figures that differ on a light and on a dark page."""
 
 
 class SeriesStyle(NamedTuple):
-    """How one of several curves is drawn: colour, dash pattern and marker all tell it apart."""
-
     colour: str
     dash: str
     marker: str
 
 
 def series(index: int) -> SeriesStyle:
-    """Return the style of curve ``index``; any three in a row differ in all three ways.
-
-    As 4 and 9 have no common divisor, 36 curves differ without their colour too.
-    """
+    """Return the look of a curve; any three in a row differ in colour, dash and marker."""
+    # As 4 and 9 have no common divisor, 36 curves differ without their colour too.
     colour, dash, marker = (kind[index % len(kind)] for kind in (ROBOTS, _DASHES, _MARKERS))
     return SeriesStyle(colour, dash, marker)
 
@@ -128,10 +122,8 @@ def rgb(colour: str) -> tuple[int, int, int]:
 
 
 def ink_on(colour: str) -> str:
-    """Return black or white, whichever contrasts more with ``colour``.
-
-    Both are equal at a relative luminance of 0.179 (WCAG 2.1, "contrast ratio").
-    """
+    """Return black or white, the one that contrasts more with ``colour``."""
+    # Both are equal at a relative luminance of 0.179 (WCAG 2.1, "contrast ratio").
     linear = [
         c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
         for c in (channel / 255.0 for channel in rgb(colour))

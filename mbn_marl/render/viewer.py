@@ -37,9 +37,6 @@ class Viewer:
         closed: whether the window was closed, by its button, by Escape or by :meth:`close`.
         pressed: the names of the keys that were pressed since the frame before, in order.
         held: the names of the keys that are held down.
-
-    Raises:
-        ConfigError: for an argument that is not one of those.
     """
 
     def __init__(
@@ -70,18 +67,20 @@ class Viewer:
         self._window: pygame.Surface | None = None
 
     def draw(self, snapshot: Snapshot) -> NDArray[np.uint8] | None:
-        """Draw ``snapshot``.
+        """Return a new (height, width, 3) uint8 array, or ``None`` and show it in a window.
 
-        Returns:
-            A new (height, width, 3) uint8 array in ``"rgb_array"`` mode; ``None`` in ``"human"``
-            mode, where a window that was closed stays closed.
-
-        Raises:
-            ImportError: if pygame is not installed.
-            DisplayError: in ``"human"`` mode, if there is no display.
+        A window that was closed stays closed; without a display it is a ``DisplayError``.
         """
         if self._scene is None:
-            self._scene = self._load_scene()
+            os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+            try:
+                from mbn_marl.render.scene import Scene
+            except ModuleNotFoundError as error:
+                if error.name != "pygame":
+                    raise
+                hint = f"rendering needs pygame-ce: {install('render')}"
+                raise ImportError(hint, name="pygame") from error
+            self._scene = Scene(self.size, self.own, self.keys)
         if self.render_mode == "rgb_array":
             return self._scene.pixels(snapshot)
         if not self.closed:
@@ -89,7 +88,7 @@ class Viewer:
         return None
 
     def close(self) -> None:
-        """Close the window, if there is one. Doing it twice is fine."""
+        """Close the window, if there is one."""
         self.closed = True
         if self._window is not None:
             import pygame
@@ -97,24 +96,23 @@ class Viewer:
             self._window = None
             pygame.display.quit()
 
-    def _load_scene(self) -> Scene:
-        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-        try:
-            from mbn_marl.render.scene import Scene
-        except ModuleNotFoundError as error:
-            if error.name != "pygame":
-                raise
-            raise ImportError(
-                f"rendering needs pygame-ce: {install('render')}", name="pygame"
-            ) from error
-        return Scene(self.size, self.own, self.keys)
-
     def _show(self, frame: pygame.Surface) -> None:
         """Bring ``frame`` to the window, answer its events and keep to the frame rate."""
         import pygame
 
         if self._window is None:
-            self._window = _open_window(self.size, self.caption)
+            try:
+                pygame.display.init()
+                if pygame.display.get_driver() == UNSEEN and "SDL_VIDEODRIVER" not in os.environ:
+                    pygame.display.quit()
+                    raise pygame.error("there is none")
+                self._window = pygame.display.set_mode(self.size)
+            except pygame.error as error:
+                raise DisplayError(
+                    f"render_mode='human' needs a display ({error}); "
+                    "render_mode='rgb_array' draws without one"
+                ) from error
+            pygame.display.set_caption(self.caption)
             self._clock = pygame.time.Clock()
         self._window.blit(frame, (0, 0))
         pygame.display.flip()
@@ -133,28 +131,9 @@ class Viewer:
 
 
 def size_problems(name: str, size: object) -> list[str]:
-    """Return what is wrong with ``size`` (called ``name``) as a picture's, if anything."""
+    """Return the problems of a picture's ``size``, if any."""
     sides = size if isinstance(size, (tuple, list)) else ()
     if [isinstance(side, int) and side >= SMALLEST_SIDE for side in sides] == [True, True]:
         return []
     allowed = f"width and height in pixels, whole numbers of at least {SMALLEST_SIDE}"
     return [f"{name}: allowed: {allowed}, not {size!r}"]
-
-
-def _open_window(size: tuple[int, int], caption: str) -> pygame.Surface:
-    import pygame
-
-    try:
-        pygame.display.init()
-        driver = pygame.display.get_driver()
-        if driver == UNSEEN and "SDL_VIDEODRIVER" not in os.environ:
-            pygame.display.quit()
-            raise pygame.error("there is none")
-        window = pygame.display.set_mode(size)
-    except pygame.error as error:
-        raise DisplayError(
-            f"render_mode='human' needs a display ({error}); "
-            "render_mode='rgb_array' draws without one"
-        ) from error
-    pygame.display.set_caption(caption)
-    return window

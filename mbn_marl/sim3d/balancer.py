@@ -1,4 +1,4 @@
-"""A balancing robot on two wheels, and the cascade that makes it drive at a commanded velocity."""
+"""A balancing robot on two wheels that drives at a commanded velocity."""
 
 from __future__ import annotations
 
@@ -18,16 +18,14 @@ FULL_TORQUE = 2.0  # of a wheel, N m
 SPEED_LIMIT = 2.0  # units/step, as in the paper
 VELOCITY_GAIN = 1.2  # 1/s: acceleration per error of the forward speed
 STEEPEST = 0.15  # rad: the most that it leans to speed up or to brake
-LEAN_GAIN, LEAN_RATE_GAIN = 14.0, 2.6
-"""N m/rad and N m s/rad: the wheels' torque per error of the lean and per its rate."""
-HEADING_GAIN, FASTEST_TURN = 4.0, 4.0
-"""1/s and rad/s: rate of turn per error of the heading, and its limit."""
+LEAN_GAIN, LEAN_RATE_GAIN = 14.0, 2.6  # wheels' torque per lean error, N m/rad; its rate, N m s/rad
+HEADING_GAIN, FASTEST_TURN = 4.0, 4.0  # rate of turn per heading error, 1/s; its limit, rad/s
 TURN_GAIN = 0.15  # N m s/rad: difference of the wheels' torques per error of the rate of turn
 STILL = 1e-3  # m/s: a command below this has no direction to turn to
 
 
 class Balancer(Vehicle):
-    """Two wheels below a body that would fall, and a cascade for speed v, lean t and heading h.
+    """Two wheels below a body that falls by itself; a cascade for speed v, lean t, heading h.
 
     - heading: ``r = k_h (h_command - h)``, to the command or, if that is nearer, against it;
     - speed: lean to ``t_d = k_v (v_command . h - v) / g``;
@@ -41,7 +39,6 @@ class Balancer(Vehicle):
     speed_limit: ClassVar[float | None] = SPEED_LIMIT
 
     def add_body(self, body: Element, name: str, colour: str) -> None:
-        """Add a box on an axle between two wheels."""
         add_air_shape(body, BODY_CENTRE, 0.1, 0.15)
         place = (0, 0, BODY_CENTRE)
         solid = {"size": BODY_HALF, "mass": BODY_MASS, "rgba": colour}
@@ -54,16 +51,12 @@ class Balancer(Vehicle):
             add(wheel, "geom", class_="wheel", type="cylinder", **disc)
 
     def add_motors(self, actuator: Element, name: str) -> None:
-        """Add a motor a wheel, between wheel and body."""
         for side in ("left", "right"):
             torques = (-FULL_TORQUE, FULL_TORQUE)
             add(actuator, "motor", joint=f"{name}_{side}", gear=1, ctrlrange=torques)
 
     def control(self, senses: Senses, commands: Array, parked: Flags) -> Array:
-        """Return torques of left and right wheels (n, 2), N m, for ``commands`` (n, 2), m/s.
-
-        Those that are ``parked``, (n,), keep their heading.
-        """
+        """Return the torques of left and right wheels (n, 2), N m."""
         heading = np.arctan2(senses.rotations[:, 1, 0], senses.rotations[:, 0, 0])
         ahead = np.column_stack([np.cos(heading), np.sin(heading)])
         up = senses.rotations[:, :, 2]
@@ -72,14 +65,10 @@ class Balancer(Vehicle):
         wanted_speed = (commands * ahead).sum(axis=1)
         wanted_lean = np.clip(VELOCITY_GAIN * (wanted_speed - speed) / GRAVITY, -STEEPEST, STEEPEST)
         both = LEAN_GAIN * (lean - wanted_lean) + LEAN_RATE_GAIN * senses.rates[:, 1]
-        turns = np.where(parked, 0.0, _wanted_turn(commands, heading))
+        error = np.arctan2(commands[:, 1], commands[:, 0]) - heading
+        # It drives backwards as well as forwards, so that the nearer of both directions will do.
+        error = (error + np.pi / 2.0) % np.pi - np.pi / 2.0
+        error[parked | (np.linalg.norm(commands, axis=1) < STILL)] = 0.0
+        turns = np.clip(HEADING_GAIN * error, -FASTEST_TURN, FASTEST_TURN)
         turn = TURN_GAIN * (turns - senses.rates[:, 2])
         return np.column_stack([both - turn, both + turn]) / 2.0
-
-
-def _wanted_turn(commands: Array, heading: Array) -> Array:
-    """Return rates of turn (n,), rad/s, towards the direction of ``commands`` or its opposite."""
-    error = np.arctan2(commands[:, 1], commands[:, 0]) - heading
-    error = (error + np.pi / 2.0) % np.pi - np.pi / 2.0
-    error[np.linalg.norm(commands, axis=1) < STILL] = 0.0
-    return np.clip(HEADING_GAIN * error, -FASTEST_TURN, FASTEST_TURN)

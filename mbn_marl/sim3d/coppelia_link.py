@@ -7,7 +7,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import monotonic
-from types import ModuleType
 from typing import Any
 
 from mbn_marl.errors import ConfigError, SimulatorError, install
@@ -19,17 +18,11 @@ _PROBE = 1.0  # seconds that finding out why nobody answers may take
 class CoppeliaLink:
     """CoppeliaSim's remote API through its official client, which would wait for ever.
 
-    Any call may take ``timeout`` seconds, above 0.
+    Any call may take ``timeout`` seconds, and raises ``SimulatorError`` if it fails.
 
     Attributes:
-        lost: whether a call got no usable answer; the link is then closed.
-        interrupted: whether a call was cut short on this side, by Ctrl-C for one; the link has to
-            :meth:`connect` before it can be used.
-
-    Raises:
-        ConfigError: a number is out of its range.
-        SimulatorError: nothing answers there, or what answers is not CoppeliaSim.
-        ImportError: if the client is not installed.
+        lost: a call got no usable answer; the link is then closed.
+        interrupted: Ctrl-C cut a call short; the link has to :meth:`connect` again.
     """
 
     def __init__(self, host: str, port: int, timeout: float) -> None:
@@ -40,30 +33,25 @@ class CoppeliaLink:
             problems.append(f"timeout: {timeout:g}; allowed: a finite number of seconds above 0")
         if problems:
             raise ConfigError("CoppeliaSim", problems)
-        self._place = (host, port)
+        self._place, self.timeout = (host, port), timeout
         self._address = f"CoppeliaSim at {host}:{port}"
-        self.timeout = timeout
         self.connect()
 
     def call(self, name: str, *arguments: object) -> Any:
-        """Return ``sim.<name>(*arguments)``: ``None``, a value, or a tuple of several.
-
-        Raises:
-            SimulatorError: CoppeliaSim refuses the call, does not answer in time, or answers what
-                its remote API never does.
-        """
+        """Return ``sim.<name>(*arguments)``: ``None``, a value, or a tuple of several."""
         with self._exchange(f"sim.{name}"):
             return self._client.call(f"sim.{name}", arguments)
 
     def constant(self, name: str) -> Any:
-        """Return ``sim.<name>``; raise :class:`SimulatorError` if this CoppeliaSim has none."""
+        """Return ``sim.<name>``."""
         if not hasattr(self._sim, name):
             raise SimulatorError(f"{self._address}: it does not know sim.{name}")
         return getattr(self._sim, name)
 
     def connect(self) -> None:
-        """Connect again, as a client that CoppeliaSim has not seen; errors as of the class."""
-        self._socket, self._client = _client(*self._place)
+        """Connect as a client that CoppeliaSim has not seen."""
+        self._client = self._new_client()
+        self._client.socket = self._socket = _PatientSocket(self._client.socket)
         self.lost = self.interrupted = False
         with self._exchange("sim", opening=True):
             self._sim = self._client.require("sim")
@@ -76,6 +64,23 @@ class CoppeliaLink:
         self.lost = True
         self._socket.close()
         self._client.context.term()
+
+    def _new_client(self) -> Any:
+        try:
+            import zmq
+            from coppeliasim_zmqremoteapi_client import RemoteAPIClient
+        except ModuleNotFoundError as error:
+            hint = f"CoppeliaSim needs its remote API client: {install('sim3d')}"
+            raise ImportError(hint, name=error.name) from error
+        main = vars(sys.modules["__main__"])
+        kept = {name: main[name] for name in main.keys() & {"require"}}
+        try:
+            return RemoteAPIClient(*self._place, verbose=0)
+        except zmq.ZMQError as error:
+            raise SimulatorError(f"{self._address}: {error}") from error
+        finally:  # the client puts a function of this name into the user's script
+            main.pop("require", None)
+            main.update(kept)
 
     @contextmanager
     def _exchange(self, what: str, *, opening: bool = False) -> Iterator[None]:
@@ -115,47 +120,15 @@ class CoppeliaLink:
 
 
 class _PatientSocket:
-    """The client's socket; sending and receiving raise ``TimeoutError`` at a ``deadline``."""
+    """The client's socket, whose ``recv`` raises ``TimeoutError`` at a ``deadline``."""
 
-    def __init__(self, zmq_socket: Any, zmq: ModuleType) -> None:
-        self._socket, self._zmq = zmq_socket, zmq
-        self.deadline = 0.0
-
-    def send(self, message: bytes) -> None:
-        self._wait(self._zmq.POLLOUT)
-        self._socket.send(message, self._zmq.NOBLOCK)
+    def __init__(self, socket: Any) -> None:
+        socket.linger = 0
+        self._socket, self.deadline = socket, 0.0
+        self.send, self.close = socket.send, socket.close
 
     def recv(self) -> Any:
-        self._wait(self._zmq.POLLIN)
-        return self._socket.recv(self._zmq.NOBLOCK)
-
-    def close(self) -> None:
-        self._socket.close(linger=0)
-
-    def _wait(self, event: int) -> None:
         left = self.deadline - monotonic()
-        if left <= 0 or not self._socket.poll(1000 * left, event):
+        if left <= 0 or not self._socket.poll(1000 * left):
             raise TimeoutError
-
-
-def _client(host: str, port: int) -> tuple[_PatientSocket, Any]:
-    """Return the socket and the official client that uses it."""
-    try:
-        import zmq
-        from coppeliasim_zmqremoteapi_client import RemoteAPIClient
-    except ModuleNotFoundError as error:
-        raise ImportError(
-            f"CoppeliaSim needs its remote API client: {install('sim3d')}",
-            name=error.name,
-        ) from error
-    main = vars(sys.modules["__main__"])
-    kept = {name: main[name] for name in main.keys() & {"require"}}
-    try:
-        client = RemoteAPIClient(host, port, verbose=0)
-    except zmq.ZMQError as error:
-        raise SimulatorError(f"CoppeliaSim at {host}:{port}: {error}") from error
-    finally:  # the client puts a function of this name into the user's script
-        main.pop("require", None)
-        main.update(kept)
-    client.socket = _PatientSocket(client.socket, zmq)
-    return client.socket, client
+        return self._socket.recv()

@@ -9,19 +9,17 @@ from typing import Any
 import numpy as np
 
 from mbn_marl.errors import ConfigError
-from mbn_marl.render import style
 from mbn_marl.sim3d.balancer import Balancer
 from mbn_marl.sim3d.film import Film, load_mujoco
 from mbn_marl.sim3d.quadrotor import Quadrotor
-from mbn_marl.sim3d.scene import SPRAYED_AREA, SPRAYED_WEED, Frame, build_scene, rgba
+from mbn_marl.sim3d.scene import SPRAYED, STONE, Frame, build_scene
 from mbn_marl.sim3d.simulator import Floats, Mission, Motion, Scale, Simulator
 from mbn_marl.sim3d.vehicle import Array, Senses, Vehicle
 
 VEHICLES: Mapping[str, type[Vehicle]] = {"quadrotor": Quadrotor, "balancer": Balancer}
 CONTROL_PERIOD = 0.01  # seconds between two runs of the controllers, at most
 SUBSTEPS = 2  # steps of the physics in a control period
-HOLDING_GAIN = 0.5  # 1/s: the velocity of a parked vehicle per distance from where it stands
-BROKEN = rgba(style.FAINT_INK)  # the colour of a vehicle that has failed
+HOLDING_GAIN = 0.5  # 1/s: the velocity of a parked vehicle per distance from its place
 
 
 class MujocoSimulator(Simulator):
@@ -31,18 +29,13 @@ class MujocoSimulator(Simulator):
     by just what the MDP's wind would add to its velocity in a step.
 
     Args:
-        vehicle: a name of :data:`VEHICLES`, or a vehicle.
+        vehicle: ``"quadrotor"``, ``"balancer"``, or a vehicle.
         scale: of the world.
-        film: what the first mission is filmed with; ``None`` for no film.
+        film: films the first mission; ``None`` for no film.
 
     Attributes:
         model: MuJoCo's model of the mission.
         data: MuJoCo's state of it.
-        seconds: simulated since the reset.
-
-    Raises:
-        ConfigError: no vehicle has that name.
-        ImportError: MuJoCo is not installed.
     """
 
     def __init__(
@@ -62,29 +55,22 @@ class MujocoSimulator(Simulator):
         self.speed_limit = vehicle.speed_limit
 
     def reset(self, mission: Mission) -> None:
-        """Build the scene, with every vehicle at rest at its start and working height."""
-        mujoco = self._mujoco
-        duration = mission.tau * self.scale.seconds
+        duration, robots = mission.tau * self.scale.seconds, range(len(mission.starts))
         self._periods = max(1, math.ceil(duration / CONTROL_PERIOD - 1e-9))
-        timestep = duration / self._periods / SUBSTEPS
         self._frame = Frame(mission, self.scale.metres)
-        scene = build_scene(mission, self._frame, self.vehicle, timestep)
-        self.model: Any = mujoco.MjModel.from_xml_string(scene)
-        self.data: Any = mujoco.MjData(self.model)
-        robots = range(len(mission.starts))
+        scene = build_scene(self._frame, self.vehicle, duration / self._periods / SUBSTEPS)
+        self.model: Any = self._mujoco.MjModel.from_xml_string(scene)
+        self.data: Any = self._mujoco.MjData(self.model)
         joints = [self.model.joint(f"robot_{index}") for index in robots]
         self._places = np.array([joint.qposadr[0] + np.arange(7) for joint in joints])
         self._speeds = np.array([joint.dofadr[0] + np.arange(6) for joint in joints])
-        self._commands, self._stands = np.zeros((len(robots), 2)), np.zeros((len(robots), 2))
+        self._commands, self._stops = np.zeros((2, len(robots), 2))
         self._braking, self._parked = np.zeros((2, len(robots)), np.bool_)
         resting = np.tile(self.vehicle.resting, len(robots))
         self.data.ctrl[:] = resting
         self.data.act[:] = resting[: self.model.na]
         self._blow(np.asarray(mission.wind) * self.scale.acceleration(mission.tau))
-        mujoco.mj_forward(self.model, self.data)
-        if self._film is not None and self._film.begun:
-            self._film.close()
-            self._film = None
+        self._mujoco.mj_forward(self.model, self.data)
         if self._film is not None:
             self._film.begin(self.model, self.data, self._places[:, :2])
 
@@ -101,37 +87,29 @@ class MujocoSimulator(Simulator):
         self.model.opt.wind[:] = direction * math.sqrt(size * self.vehicle.mass / drag)
 
     def command(self, velocities: Floats) -> None:
-        """Let the vehicles track these velocities, (n, 2) units/step, from now on."""
         self._commands = velocities.astype(float) * self.scale.speed
         stopped = self._braking & ~self._parked & ~velocities.any(axis=1)
-        self._stands[stopped] = self.senses().positions[stopped, :2]
+        self._stops[stopped] = self.senses().positions[stopped, :2]
         self._parked |= stopped
 
     def fail(self, robot: int, kind: str) -> None:
-        """Paint vehicle ``robot`` grey. One that brakes parks where its command is to stand."""
+        """Paint a vehicle grey. One that brakes parks once its command is to stay."""
         self._braking[robot] = kind == "brake"
         roots = self.model.body_rootid[self.model.geom_bodyid]
         own = roots == self.model.body(f"robot_{robot}").id
-        self.model.geom_rgba[own] = np.array(BROKEN.split(), float)
+        self.model.geom_rgba[own] = np.array(STONE.split(), float)
 
     def step(self) -> None:
-        """Simulate one step of the MDP: the controllers run every control period."""
         for _ in range(self._periods):
             senses, parked = self.senses(), self._parked
-            back = HOLDING_GAIN * (self._stands - senses.positions[:, :2])
+            back = HOLDING_GAIN * (self._stops - senses.positions[:, :2])
             commands = np.where(parked[:, None], back, self._commands)
             self.data.ctrl[:] = self.vehicle.control(senses, commands, parked).ravel()
             self._mujoco.mj_step(self.model, self.data, SUBSTEPS)
             if self._film is not None:
                 self._film.look()
 
-    @property
-    def seconds(self) -> float:
-        """Return the seconds simulated since the reset."""
-        return float(self.data.time)
-
     def senses(self) -> Senses:
-        """Return what the controllers know now."""
         places, speeds = self.data.qpos[self._places], self.data.qvel[self._speeds]
         rotations = np.empty((len(places), 9))
         for matrix, place in zip(rotations, places, strict=True):
@@ -139,7 +117,6 @@ class MujocoSimulator(Simulator):
         return Senses(places[:, :3], speeds[:, :3], rotations.reshape(-1, 3, 3), speeds[:, 3:])
 
     def motion(self) -> Motion:
-        """Return the vehicles now; fresh arrays."""
         senses = self.senses()
         return Motion(
             self._frame.to_units(senses.positions[:, :2]),
@@ -148,11 +125,9 @@ class MujocoSimulator(Simulator):
         )
 
     def spray(self, roi: int) -> None:
-        """Let the weed wither, and show its area as sprayed."""
-        for name, colour in (("weed", SPRAYED_WEED), ("area", SPRAYED_AREA)):
+        for name, colour in SPRAYED.items():
             self.model.geom(f"{name}_{roi}").rgba[:] = np.array(colour.split(), float)
 
     def close(self) -> None:
-        """Complete the film, if there is one."""
         if self._film is not None:
             self._film.close()

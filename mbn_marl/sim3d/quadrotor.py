@@ -1,4 +1,4 @@
-"""A quadrotor of 1 kg, and the cascade that makes it fly at a commanded velocity."""
+"""A quadrotor of 1 kg that flies at a commanded velocity."""
 
 from __future__ import annotations
 
@@ -16,14 +16,13 @@ ARM = 0.15  # of each rotor's offset along x and along y, metres
 REACTION = 0.016  # torque about the rotor's axis per thrust, metres
 FULL_THRUST = 6.0  # of one rotor, N; hovering takes 2.45
 ROTOR_LAG = 0.02  # time constant of a rotor's thrust, seconds
+# Where each rotor is along x and y, in arms, and the sign of its reaction.
 ROTORS = ((1, 1, -1), (1, -1, 1), (-1, -1, -1), (-1, 1, 1))
-"""Where each rotor is along x and y, in arms, and the sign of its reaction."""
 HOVER = MASS * GRAVITY / len(ROTORS)
 
 HEIGHT = 0.35  # metres above the ground, as in the paper
 VELOCITY_GAIN = 4.0  # 1/s: acceleration per error of the horizontal velocity
-HEIGHT_GAIN, CLIMB_GAIN = 9.0, 6.0
-"""1/s^2 and 1/s: vertical acceleration per error of height and per climb; critically damped."""
+HEIGHT_GAIN, CLIMB_GAIN = 9.0, 6.0  # of the vertical acceleration, 1/s^2 and 1/s: no overshoot
 ATTITUDE_RATE, DAMPING = 16.0, 0.9  # rad/s and a ratio: the attitude is a second-order system
 STEEPEST = 3.0  # m/s^2, the most horizontal acceleration: a tilt of 17 degrees
 SINKING = 0.2  # m/s, of one that lands
@@ -56,7 +55,6 @@ class Quadrotor(Vehicle):
         self._unmix = np.linalg.inv(mixing)
 
     def add_body(self, body: Element, name: str, colour: str) -> None:
-        """Add a hub with its battery, two arms, and four rotors, the front two in ``colour``."""
         add(body, "inertial", pos=(0, 0, 0), mass=MASS, diaginertia=INERTIA)
         add_air_shape(body, 0.0, 0.2, 0.06)
         dark = "0.15 0.17 0.2 1"
@@ -74,18 +72,19 @@ class Quadrotor(Vehicle):
             add(body, "site", name=f"{name}_rotor_{number}", pos=place)
 
     def add_motors(self, actuator: Element, name: str) -> None:
-        """Add a motor a rotor, which pushes along the body's z and turns against its reaction."""
         for number, (_, _, turn) in enumerate(ROTORS):
             lag = {"dyntype": "filterexact", "dynprm": ROTOR_LAG, "ctrlrange": (0, FULL_THRUST)}
             gear = (0, 0, 1, 0, 0, turn * REACTION)
             add(actuator, "general", site=f"{name}_rotor_{number}", gear=gear, **lag)
 
     def control(self, senses: Senses, commands: Array, parked: Flags) -> Array:
-        """Return thrusts of the rotors (n, 4), N, for velocities ``commands`` (n, 2), m/s.
-
-        Those that are ``parked``, (n,), sink to the ground, and switch their rotors off there.
-        """
-        push = self._acceleration(senses, commands, parked) + np.array([0.0, 0.0, GRAVITY])
+        """Return the thrusts of the rotors (n, 4), N."""
+        level = VELOCITY_GAIN * (commands - senses.velocities[:, :2])
+        level *= STEEPEST / np.maximum(np.linalg.norm(level, axis=1, keepdims=True), STEEPEST)
+        climb = HEIGHT_GAIN * (HEIGHT - senses.positions[:, 2])
+        climb[parked] = -CLIMB_GAIN * SINKING
+        climb -= CLIMB_GAIN * senses.velocities[:, 2]
+        push = np.column_stack([level, climb + GRAVITY])
         thrust = MASS * np.einsum("ni,ni->n", push, senses.rotations[:, :, 2])
         error, rates = attitude_error(senses.rotations, wanted_attitude(push)), senses.rates
         turning = -(ATTITUDE_RATE**2) * error - 2.0 * DAMPING * ATTITUDE_RATE * rates
@@ -94,16 +93,6 @@ class Quadrotor(Vehicle):
         thrusts = np.column_stack([thrust, torque]) @ self._unmix.T
         thrusts[parked & (senses.positions[:, 2] < LANDED)] = 0.0
         return thrusts
-
-    def _acceleration(self, senses: Senses, commands: Array, parked: Flags) -> Array:
-        """Return the acceleration (n, 3), m/s^2, that the velocity and the height ask for."""
-        level = VELOCITY_GAIN * (commands - senses.velocities[:, :2])
-        size = np.linalg.norm(level, axis=1, keepdims=True)
-        level *= STEEPEST / np.maximum(size, STEEPEST)
-        climb = HEIGHT_GAIN * (HEIGHT - senses.positions[:, 2])
-        climb[parked] = -CLIMB_GAIN * SINKING
-        climb -= CLIMB_GAIN * senses.velocities[:, 2]
-        return np.column_stack([level, climb])
 
 
 def wanted_attitude(push: Array) -> Array:

@@ -1,11 +1,11 @@
-"""The MJCF of a cornfield: any field with its weeds and obstacles, and vehicles at the starts."""
+"""The cornfield that both simulators show, and its MJCF with vehicles at the starts."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -14,51 +14,132 @@ import shapely
 from numpy.typing import NDArray
 
 from mbn_marl.render import style
-from mbn_marl.sim3d.plants import Mesh, corn, corn_rows, weed
 from mbn_marl.sim3d.simulator import Mission
-from mbn_marl.sim3d.vehicle import GRAVITY, Vehicle, add
+from mbn_marl.sim3d.vehicle import GRAVITY, Array, Vehicle, add
+
+
+def rgba(colour: str, alpha: float = 1.0) -> str:
+    """Return ``"#RRGGBB"`` as MJCF has it."""
+    return " ".join(f"{channel / 255.0:.4g}" for channel in style.rgb(colour)) + f" {alpha:g}"
+
 
 SOIL, DARK_SOIL, LEAF_GREEN = "0.42 0.33 0.24", "0.34 0.26 0.19", "0.36 0.6 0.22 1"
-CHALK = "0.95 0.95 0.93 1"
-OBSTACLE_HEIGHT, BOUNDARY_WIDTH = 0.8, 0.06  # and of the line round the field, metres
+CHALK, STONE = "0.95 0.95 0.93 1", rgba(style.FAINT_INK)
+WEED, AREA = "0.62 0.12 0.5 1", rgba(style.ORANGE, 0.35)
+SPRAYED = {"weed": "0.45 0.42 0.36 1", "area": rgba(style.ROI_VISITED, 0.45)}
+
+OBSTACLE_HEIGHT, BOUNDARY_WIDTH, BOUNDARY_HEIGHT = 0.8, 0.06, 0.008  # metres
+ROW_SPACING, PLANT_SPACING = 0.75, 0.25  # metres, as corn is sown; further apart in large fields
+MOST_PLANTS = 1500
+CORN_HEIGHT = 0.22  # metres: the vehicles fly above it
+# A leaf that points along +x: base, bend and tip in metres; z in heights of the plant.
+LEAF = np.array([[0.0, -0.012, 0.0], [0.0, 0.012, 0.0], [0.07, 0.0, 1.0], [0.16, 0.0, 0.7]])
+LEAF_FACES = np.array([[0, 1, 2], [0, 2, 1], [1, 3, 2], [1, 2, 3]])  # both sides of each triangle
+
 AIR_DENSITY = 1.2  # kg/m^3
 FIELD_OF_VIEW = 40.0  # of the cameras, degrees from the bottom to the top
-CAMERAS = ("field", "top", "chase")
-"""Across the whole field, from above, and behind the first robot."""
-LARGEST_PICTURE = (1920, 1080)
+PICTURE = (960, 720)  # pixels
 
-Array = NDArray[np.float64]
+
+class Mesh(NamedTuple):
+    vertices: Array  # (k, 3), metres
+    faces: NDArray[np.intp]  # (f, 3), triangles
+
+
+class Prop(NamedTuple):
+    """A part of the scenery, which never moves and stops nothing: a mesh, a box or a cylinder."""
+
+    name: str
+    colour: str  # as MJCF has it
+    place: tuple[float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+    )  # of the middle or the mesh's origin, metres
+    size: tuple[float, float, float] = (0.0, 0.0, 0.0)  # along x, y, z, metres
+    turn: float = 0.0  # about z, radians
+    kind: str = "cuboid"
+    mesh: Mesh | None = None
 
 
 class Frame:
-    """The map from the field's units to the world's ``metres``; the origin is its middle."""
+    """A mission in metres; the origin is the middle of the field."""
 
     def __init__(self, mission: Mission, metres: float) -> None:
-        low, high = mission.field.vertices.min(axis=0), mission.field.vertices.max(axis=0)
+        field = mission.field
+        low, high = field.vertices.min(axis=0), field.vertices.max(axis=0)
         self.middle: Array = (low + high) / 2.0
-        self.metres = metres
+        self.metres, self.name = metres, field.name
         self.size: Array = (high - low) * metres
-
-    def ground(self, mission: Mission) -> shapely.Polygon:
-        """Return the field with its holes, in metres."""
-        return shapely.transform(mission.field.polygon, self.to_metres)
+        self.ground: shapely.Polygon = shapely.transform(field.polygon, self.to_metres)
+        self.rois, self.starts = self.to_metres(field.rois), self.to_metres(mission.starts)
+        self.roi_radius = max(mission.roi_radius * metres, 1e-3)
 
     def to_metres(self, points: NDArray[np.floating]) -> Array:
-        """Return points (k, 2) in units as metres."""
         return (np.asarray(points, float) - self.middle) * self.metres
 
     def to_units(self, points: Array) -> Array:
-        """Return points (k, 2) in metres as units."""
         return points / self.metres + self.middle
 
 
-# What all scenes share: physics, light, the classes of geoms, soil, sky and sun.
+def scenery(frame: Frame) -> Iterator[Prop]:
+    """Yield the line round the field, the corn, and a weed on the area from which it is sprayed."""
+    for number, (length, (x, y), turn) in enumerate(edges(frame.ground.exterior)):
+        size, place = (length, BOUNDARY_WIDTH, BOUNDARY_HEIGHT), (x, y, BOUNDARY_HEIGHT / 2.0)
+        yield Prop(f"boundary_{number}", CHALK, place, size, turn)
+    crop, leaves, side = corn(frame.ground), weed(), 2.0 * frame.roi_radius
+    if len(crop.faces):
+        yield Prop("corn", LEAF_GREEN, mesh=crop)
+    for roi, (x, y) in enumerate(frame.rois.tolist()):
+        yield Prop(f"weed_{roi}", WEED, (x, y, 0.0), mesh=leaves)
+        yield Prop(f"area_{roi}", AREA, (x, y, 0.006), (side, side, 0.004), kind="cylinder")
+
+
+def edges(ring: shapely.LinearRing) -> Iterator[tuple[float, tuple[float, float], float]]:
+    """Yield each edge of a ring: its length, its middle ``(x, y)``, and its angle in radians."""
+    for (ax, ay), (bx, by) in itertools.pairwise(ring.coords):
+        middle = ((ax + bx) / 2.0, (ay + by) / 2.0)
+        yield math.hypot(bx - ax, by - ay), middle, math.atan2(by - ay, bx - ax)
+
+
+def corn(ground: shapely.Polygon) -> Mesh:
+    """Return corn in rows along y as one mesh; every plant is a little different."""
+    wider = max(1.0, (ground.area / (ROW_SPACING * PLANT_SPACING * MOST_PLANTS)) ** 0.5)
+    left, bottom, right, top = ground.bounds
+    rows = np.arange(left, right, ROW_SPACING * wider) + ROW_SPACING * wider / 2.0
+    along = np.arange(bottom, top, PLANT_SPACING * wider)
+    grid = np.stack(np.meshgrid(rows, along), axis=-1).reshape(-1, 2)
+    places = grid[shapely.contains_xy(ground, grid)]
+    random = np.random.default_rng(0)
+    turns = random.uniform(0.0, np.pi, len(places))
+    heights = CORN_HEIGHT * random.uniform(0.7, 1.0, len(places))
+    return _plants(places, turns, heights, leaves=4, width=1.0)
+
+
+def weed() -> Mesh:
+    """Return a weed at the origin: broad leaves close to the ground."""
+    return _plants(np.zeros((1, 2)), np.zeros(1), np.array([0.1]), leaves=9, width=2.0)
+
+
+def _plants(places: Array, turns: Array, heights: Array, leaves: int, width: float) -> Mesh:
+    angles = turns[:, None] + np.arange(leaves) * 2.0 * np.pi / leaves
+    cos, sin = np.cos(angles)[..., None], np.sin(angles)[..., None]
+    x, y, z = LEAF[:, 0] * width, LEAF[:, 1] * width, LEAF[:, 2]
+    points = np.empty((*angles.shape, len(LEAF), 3))
+    points[..., 0] = places[:, 0, None, None] + cos * x - sin * y
+    points[..., 1] = places[:, 1, None, None] + sin * x + cos * y
+    points[..., 2] = heights[:, None, None] * z
+    faces = LEAF_FACES + len(LEAF) * np.arange(angles.size)[:, None, None]
+    return Mesh(points.reshape(-1, 3), faces.reshape(-1, 3))
+
+
+# All scenes share physics, light, the classes of geoms, soil, sky and sun.
 _COMMON = f"""
 <mujoco>
   <compiler angle="degree" inertiafromgeom="auto"/>
   <option gravity="0 0 {-GRAVITY}" density="{AIR_DENSITY}" integrator="implicitfast"/>
   <visual>
-    <global offwidth="{LARGEST_PICTURE[0]}" offheight="{LARGEST_PICTURE[1]}"
+    <global offwidth="{PICTURE[0]}" offheight="{PICTURE[1]}"
             fovy="{FIELD_OF_VIEW}"/>
     <headlight ambient="0.45 0.45 0.45" diffuse="0.25 0.25 0.25" specular="0 0 0"/>
     <quality offsamples="0"/>
@@ -96,30 +177,34 @@ _COMMON = f"""
 """
 
 
-def build_scene(mission: Mission, frame: Frame, vehicle: Vehicle, timestep: float) -> str:
+def build_scene(frame: Frame, vehicle: Vehicle, timestep: float) -> str:
     """Return the MJCF of a mission with a ``vehicle`` at each start; ``timestep`` in seconds.
 
     Robot i is the body ``robot_i``, ROI j the geoms ``weed_j`` and ``area_j``.
     """
     root = ElementTree.fromstring(_COMMON)
-    root.set("model", mission.field.name)
+    root.set("model", frame.name)
     part = {child.tag: child for child in root}
     part["option"].set("timestep", f"{timestep:.9g}")
     part["statistic"].set("extent", f"{frame.size.max():.9g}")
     assets, world, actuator = part["asset"], part["worldbody"], part["actuator"]
-    ground = frame.ground(mission)
-    for length, place, angle in edges(ground.exterior):
-        size, turn = (length / 2.0, BOUNDARY_WIDTH / 2.0, 0.004), (0, 0, math.degrees(angle))
-        add_scenery(world, "box", pos=(*place, 0.004), size=size, euler=turn, rgba=CHALK)
-    _add_obstacles(assets, world, ground)
-    places = corn_rows(ground)
-    if len(places):
-        _add_mesh(assets, "corn", corn(places))
-        add_scenery(world, "mesh", mesh="corn", rgba=LEAF_GREEN)
-    rois = frame.to_metres(mission.field.rois)
-    _add_weeds(assets, world, rois, mission.roi_radius * frame.metres)
+    _add_obstacles(assets, world, frame.ground)
+    meshes = set()
+    for prop in scenery(frame):
+        shape: dict[str, Any] = {"type": "box", "size": np.array(prop.size) / 2.0}
+        if prop.mesh is not None:
+            name = prop.name.partition("_")[0]
+            shape = {"type": "mesh", "mesh": name}
+            if name not in meshes:  # leaves have no volume: their inertia is that of a shell
+                vertices, faces = prop.mesh
+                add(assets, "mesh", name=name, vertex=vertices, face=faces, inertia="shell")
+                meshes.add(name)
+        elif prop.kind == "cylinder":
+            shape = {"type": "cylinder", "size": shape["size"][1:]}
+        shape |= {"pos": prop.place, "euler": (0, 0, math.degrees(prop.turn))}
+        add(world, "geom", class_="scenery", name=prop.name, rgba=prop.colour, **shape)
     _add_cameras(world, frame)
-    for index, (x, y) in enumerate(frame.to_metres(mission.starts)):
+    for index, (x, y) in enumerate(frame.starts):
         name = f"robot_{index}"
         body = add(world, "body", name=name, pos=(x, y, vehicle.height))
         add(body, "freejoint", name=name)
@@ -131,50 +216,15 @@ def build_scene(mission: Mission, frame: Frame, vehicle: Vehicle, timestep: floa
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def rgba(colour: str, alpha: float = 1.0) -> str:
-    """Return ``"#RRGGBB"`` as MJCF has it."""
-    return " ".join(f"{channel / 255.0:.4g}" for channel in style.rgb(colour)) + f" {alpha:g}"
-
-
-def edges(ring: shapely.LinearRing) -> Iterator[tuple[float, tuple[float, float], float]]:
-    """Yield each edge of a ring: its length, its middle ``(x, y)``, and its angle in radians."""
-    for (ax, ay), (bx, by) in itertools.pairwise(ring.coords):
-        middle = ((ax + bx) / 2.0, (ay + by) / 2.0)
-        yield math.hypot(bx - ax, by - ay), middle, math.atan2(by - ay, bx - ax)
-
-
-def add_scenery(world: Element, kind: str, **attributes: Any) -> None:
-    """Add a geom that nothing runs into."""
-    add(world, "geom", class_="scenery", type=kind, **attributes)
-
-
 def _add_obstacles(assets: Element, world: Element, ground: shapely.Polygon) -> None:
     """Add the holes as solid blocks: a prism for each triangle that they are made of."""
     holes = shapely.MultiPolygon([shapely.Polygon(ring) for ring in ground.interiors])
-    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(holes))
-    look = {"type": "mesh", "rgba": rgba(style.FAINT_INK), "conaffinity": 1}
-    for number, triangle in enumerate(triangles):
+    for number, triangle in enumerate(shapely.constrained_delaunay_triangles(holes).geoms):
         base = np.array(triangle.exterior.coords[:3])
         prism = np.vstack([np.column_stack([base, np.full(3, z)]) for z in (0.0, OBSTACLE_HEIGHT)])
         name = f"obstacle_{number}"
         add(assets, "mesh", name=name, vertex=prism)
-        add(world, "geom", name=name, mesh=name, **look)
-
-
-def _add_weeds(assets: Element, world: Element, places: Array, radius: float) -> None:
-    """Add a weed at each ROI, on the area of a ``radius`` in metres from which it is sprayed."""
-    _add_mesh(assets, "weed", weed())
-    size = (max(radius, 1e-3), 0.002)
-    for index, (x, y) in enumerate(places):
-        names = {kind: {"name": f"{kind}_{index}"} for kind in ("weed", "area")}
-        add_scenery(world, "mesh", mesh="weed", pos=(x, y, 0), rgba=WEED, **names["weed"])
-        place = (x, y, 0.006)
-        add_scenery(world, "cylinder", pos=place, size=size, rgba=AREA, **names["area"])
-
-
-def _add_mesh(assets: Element, name: str, mesh: Mesh) -> None:
-    """Add leaves, which have no volume: MuJoCo takes their inertia as that of a shell."""
-    add(assets, "mesh", name=name, vertex=mesh.vertices, face=mesh.faces, inertia="shell")
+        add(world, "geom", name=name, mesh=name, type="mesh", rgba=STONE, conaffinity=1)
 
 
 def _add_cameras(world: Element, frame: Frame) -> None:
@@ -188,8 +238,3 @@ def _add_cameras(world: Element, frame: Frame) -> None:
     far = y * cos + max(y * sin / tall, x / wide)  # so that the near corners are just in sight
     place = (0, -far * cos, far * sin)
     add(world, "camera", name="field", pos=place, xyaxes=(1, 0, 0, 0, sin, cos))
-
-
-WEED, AREA = "0.62 0.12 0.5 1", rgba(style.ORANGE, 0.35)
-SPRAYED_WEED, SPRAYED_AREA = "0.45 0.42 0.36 1", rgba(style.ROI_VISITED, 0.45)
-"""The colours of a weed and its area, before and after it was sprayed."""

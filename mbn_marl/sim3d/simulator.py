@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mbn_marl.engine.mdp.failures import KINDS
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
@@ -18,26 +19,16 @@ Floats = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Scale:
-    """How large and how slow the MDP is in the world of a simulator.
+    """The size and the pace of the MDP in a simulator's world; a ``ConfigError`` if not above 0."""
 
-    Attributes:
-        metres: of one unit, above 0.
-        seconds: of one unit of the MDP's time, above 0: a step lasts ``tau`` times as long.
-
-    Raises:
-        ConfigError: a number is not above 0.
-    """
-
-    metres: float = 0.1
-    seconds: float = 1.0
+    metres: float = 0.1  #: of one unit
+    seconds: float = 1.0  #: of one unit of the MDP's time; a step lasts ``tau`` times as long
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
-        allowed = "allowed: a finite number above 0"
         wrong = {name: value for name, value in vars(self).items() if not 0.0 < value < np.inf}
         if wrong:
-            problems = [f"{name}: {value!r}; {allowed}" for name, value in wrong.items()]
-            raise ConfigError("scale", problems)
+            allowed = "allowed: a finite number above 0"
+            raise ConfigError("scale", [f"{name}: {wrong[name]!r}; {allowed}" for name in wrong])
 
     @property
     def speed(self) -> float:
@@ -51,78 +42,46 @@ class Scale:
 
 @dataclass(frozen=True, eq=False)
 class Mission:
-    """Where a simulator is reset to.
+    """The field and the starts, at rest, that a simulator is reset to."""
 
-    Attributes:
-        field: with m ROIs.
-        starts: (n, 2), units: where the robots start, at rest.
-        wind: ``(x, y)``, the velocity that the wind adds to a free body at rest in a step,
-            units/step.
-        tau: the MDP's time of one step.
-        roi_radius: rho, units.
-
-    Source:
-        The symbols are those of Choton, Woods, Hsu, section 3.
-    """
-
-    field: Field
-    starts: Floats
-    wind: tuple[float, float] = (0.0, 0.0)
-    tau: float = 1.0
-    roi_radius: float = 10.0
+    field: Field  #: with m ROIs
+    starts: Floats  #: (n, 2), units
+    wind: tuple[float, float] = (0.0, 0.0)  #: it adds to a free body at rest in a step, units/step
+    tau: float = 1.0  #: the MDP's time of one step
+    roi_radius: float = 10.0  #: rho, units
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The vehicles at one moment.
+    """The vehicles at one moment."""
 
-    Attributes:
-        positions: (n, 2), units.
-        velocities: (n, 2), units/step.
-        heights: (n,), metres above the ground, >= 0.
-    """
-
-    positions: Floats
-    velocities: Floats
-    heights: Floats
+    positions: Floats  #: (n, 2), units
+    velocities: Floats  #: (n, 2), units/step
+    heights: Floats  #: (n,), metres above the ground, >= 0
 
 
 class Simulator(AbstractContextManager["Simulator"]):
     """Vehicles in a field, in a ``with`` block or closed by hand.
 
-    A mission is a :meth:`reset`, and in each step :meth:`fail` for each vehicle that fails in it,
-    :meth:`command`, :meth:`step`, :meth:`motion`.
-
-    Attributes:
-        has_wind: whether the wind acts on its bodies. If not, the wind is part of the commands.
-        external: whether it is another program, whose processor time is not known here.
-        failures: the kinds of failure that its vehicles can have.
-        speed_limit: the vehicles' own limit per axis, units/step; ``None`` for none but the MDP's.
+    After a :meth:`reset`, each step is :meth:`fail` for each vehicle that fails in it,
+    :meth:`command`, :meth:`step` and :meth:`motion`. All raise ``MbnError`` on trouble.
     """
 
-    has_wind: ClassVar[bool] = True
-    external: ClassVar[bool] = False
-    failures: ClassVar[tuple[str, ...]] = ("brake", "coast")
-    speed_limit: float | None = None
+    has_wind: ClassVar[bool] = True  #: the wind acts on its bodies; else it is in the commands
+    external: ClassVar[bool] = False  #: another program, whose processor time is not known here
+    failures: ClassVar[tuple[str, ...]] = ("brake", "coast")  #: that its vehicles can have
+    speed_limit: float | None = None  #: the vehicles' own, per axis, units/step
 
     @abstractmethod
     def reset(self, mission: Mission) -> None:
-        """Build the scene of ``mission``, with the vehicles at rest at their starts.
-
-        Raises:
-            MbnError: the simulator cannot be used; nothing is left running.
-        """
+        """Build the scene of ``mission``; after an error nothing is left running."""
 
     @abstractmethod
     def command(self, velocities: Floats) -> None:
         """Let the vehicles track ``velocities``, (n, 2) in units/step, from now on."""
 
     def fail(self, robot: int, kind: str) -> None:
-        """Let vehicle ``robot``, 0 to n - 1, fail in a ``kind`` of ``failures``, for good.
-
-        Its commands are those of mdp.md, "Failures", from the next one on. One that brakes may do
-        more once its command is to stand: land, and switch off.
-        """
+        """Let a vehicle fail for good; its later commands are those of mdp.md, "Failures"."""
 
     @abstractmethod
     def step(self) -> None:
@@ -134,7 +93,7 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     @abstractmethod
     def spray(self, roi: int) -> None:
-        """Show that the weed at ROI ``roi``, 0 to m - 1, has been sprayed."""
+        """Show that the weed at an ROI, 0 to m - 1, has been sprayed."""
 
     @abstractmethod
     def close(self) -> None:
@@ -142,3 +101,31 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+class PlaneSimulator(Simulator):
+    """Point masses (mdp.md, steps 1 and 2): a deployment is the environment's episode."""
+
+    has_wind: ClassVar[bool] = False
+    failures: ClassVar[tuple[str, ...]] = tuple(KINDS)
+
+    def reset(self, mission: Mission) -> None:
+        self._tau = mission.starts.dtype.type(mission.tau)
+        self._positions = mission.starts.copy()
+        self._velocities = np.zeros_like(self._positions)
+
+    def command(self, velocities: Floats) -> None:
+        self._velocities = velocities.astype(self._positions.dtype)
+
+    def step(self) -> None:
+        self._positions = self._positions + self._velocities * self._tau
+
+    def motion(self) -> Motion:
+        heights = np.zeros(len(self._positions))
+        return Motion(self._positions.copy(), self._velocities.copy(), heights)
+
+    def spray(self, roi: int) -> None:
+        pass
+
+    def close(self) -> None:
+        pass

@@ -25,19 +25,12 @@ class Senses(NamedTuple):
 
 
 class Vehicle(ABC):
-    """One kind of vehicle; n of them have one controller.
+    """One kind of vehicle; n of them have one controller."""
 
-    Attributes:
-        height: of its origin above the ground when it works, metres.
-        mass: of all its parts, kg.
-        resting: of each motor, the controls with which it stays at rest.
-        speed_limit: per axis, units/step; ``None`` for none but the MDP's.
-    """
-
-    height: ClassVar[float]
-    mass: ClassVar[float]
-    resting: ClassVar[tuple[float, ...]]
-    speed_limit: ClassVar[float | None] = None
+    height: ClassVar[float]  #: of its origin above the ground when it works, metres
+    mass: ClassVar[float]  #: of all its parts, kg
+    resting: ClassVar[tuple[float, ...]]  #: of each motor, the control that keeps it at rest
+    speed_limit: ClassVar[float | None] = None  #: per axis, units/step
 
     @abstractmethod
     def add_body(self, body: Element, name: str, colour: str) -> None:
@@ -57,20 +50,19 @@ class Vehicle(ABC):
 
 def add(parent: Element, tag: str, **attributes: Any) -> Element:
     """Add an MJCF element: numbers and sequences of them become text, ``class_`` is ``class``."""
-    texts = {name.rstrip("_"): _text(value) for name, value in attributes.items()}
-    return SubElement(parent, tag, texts)
+
+    def text(value: Any) -> str:
+        numbers = np.atleast_1d(value).ravel().tolist()
+        return " ".join(f"{number:.9g}" for number in numbers)
+
+    values = {
+        name.rstrip("_"): value if isinstance(value, str) else text(value)
+        for name, value in attributes.items()
+    }
+    return SubElement(parent, tag, values)
 
 
 def add_air_shape(body: Element, centre: float, radius: float, half_height: float) -> None:
-    """Give a vehicle's body its shape for the air, an invisible upright ellipsoid, in metres.
-
-    It is round from above, so that the drag points along the wind; it makes no lift. Its
-    ``centre`` is above the body's origin.
-    """
+    """Give a body its shape for the air: an invisible upright ellipsoid, ``centre`` above it, m."""
+    # It is round from above, so that the drag points along the wind; it makes no lift.
     add(body, "geom", class_="air", pos=(0, 0, centre), size=(radius, radius, half_height))
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    return " ".join(f"{number:.9g}" for number in np.atleast_1d(value).ravel().tolist())

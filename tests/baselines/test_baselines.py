@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ import torch
 from baselines.algorithms import ALGORITHMS
 from baselines.evaluation import intervals as statistics
 from baselines.evaluation.evaluate import evaluate
-from baselines.evaluation.policy import RandomPolicy
+from baselines.policies.policy import Policy, RandomPolicy
 from baselines.sb3 import config as centralized_config
 from baselines.sb3.policy import Normalization
 from baselines.torchrl.networks import GaussianPolicy, TeamShape
@@ -31,19 +31,16 @@ SQUARE = Field(
 )
 
 
-class ConstantPolicy:
+class ConstantPolicy(Policy):
     """Every robot takes the same action at every step."""
 
-    observes: Literal["observations", "state"] = "state"
+    observes = "state"
 
     def __init__(self, x: float, y: float) -> None:
         self._action = np.array([x, y], np.float32)
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         return np.broadcast_to(self._action, (len(seen), (seen.shape[1] - 1) // 4, 2))
-
-
-# Statistics
 
 
 def test_mean_intervals_by_hand() -> None:
@@ -61,9 +58,6 @@ def test_mean_intervals_by_hand() -> None:
         statistics.mean_interval([])
 
 
-# Hyperparameters
-
-
 def test_every_algorithm_has_hyperparameters_and_refuses_unknown_ones() -> None:
     for algorithm in ALGORITHMS.values():
         assert algorithm.resolve({}).reward_scale > 0
@@ -72,67 +66,51 @@ def test_every_algorithm_has_hyperparameters_and_refuses_unknown_ones() -> None:
 
 
 def test_centralized_model_arguments_are_those_of_the_library() -> None:
-    changed = centralized_config.load("ppo", "N", {"model": {"gamma": 0.5}})
-    assert changed.model == {**centralized_config.load("ppo", "N", {}).model, "gamma": 0.5}
+    schedule = {"model": {"gamma": 0.5, "learning_rate": {"from": 3.0, "to": 1.0}}}
+    changed = centralized_config.load("ppo", "N", schedule)
+    assert changed.model == {
+        **centralized_config.load("ppo", "N", {}).model,
+        **{"gamma": 0.5, "learning_rate": changed.model["learning_rate"]},
+    }
+    rate = centralized_config.model_arguments(changed)["learning_rate"]
+    past_the_budget = -0.5
+    assert [rate(rest) for rest in (1.0, 0.5, 0.0, past_the_budget)] == [3.0, 2.0, 1.0, 1.0]
     with pytest.raises(ConfigError, match=r"model\.tau: "):
         centralized_config.load("ppo", "N", {"model": {"tau": 0.1}})
 
 
-def test_centralized_schedules_fall_linearly() -> None:
-    config = centralized_config.load(
-        "ppo", "N", {"model": {"learning_rate": {"from": 3.0, "to": 1.0}}}
-    )
-    rate = centralized_config.model_arguments(config)["learning_rate"]
-    past_the_budget = -0.5
-    assert [rate(rest) for rest in (1.0, 0.5, 0.0, past_the_budget)] == [3.0, 2.0, 1.0, 1.0]
-
-
-# Policies
-
-
 def test_normalization_is_that_of_vec_normalize() -> None:
     norm = Normalization(np.array([1.0, 0.0]), np.array([4.0, 1.0]), 5.0, epsilon=0.0, clip=10.0)
-    assert norm(np.array([[5.0, -20.0]])).tolist() == [[2.0, -10.0]]
     copy = Normalization.from_json(json.loads(json.dumps(norm.to_json())))
-    assert copy(np.array([[5.0, -20.0]])).tolist() == [[2.0, -10.0]]
-
-
-# Evaluation
+    for one in (norm, copy):
+        assert one(np.array([[5.0, -20.0]])).tolist() == [[2.0, -10.0]]
 
 
 def test_evaluation_reports_true_returns() -> None:
     # Full thrust to the right: v = 0.5, 1.0, ..., so x = 100, 100.5, 101.5, 103, ...; after step t
     # robot 0 has moved t (t + 1) / 4 and robot 1 as much. ROI 0 is in reach (20 units) at t = 9.
-    field = Field(vertices=SQUARE.vertices, rois=[(130, 100)], starts=[(100, 100), (20, 100)])
+    field = Field(vertices=SQUARE.vertices, rois=[(130, 100)], starts=SQUARE.starts)
     result = evaluate(ConstantPolicy(1.0, 0.0), field, {}, episodes=3)
-    assert result.steps == [9, 9, 9]
-    assert result.successes == [True] * 3
+    assert (result.steps, result.successes) == ([9] * 3, [True] * 3)
     assert result.returns == [110_000.0 - 2 * 10 * 9] * 3
     summary = result.summary()
     assert (summary["return_mean"], summary["makespan"]) == (109_820.0, 9.0)
-
-
-def test_evaluation_of_a_policy_that_never_gets_there() -> None:
+    # Each robot that rests gets 10 for the first step, 100 for each of the three that follow.
     result = evaluate(ConstantPolicy(0.0, 0.0), SQUARE, {"max_steps": 4}, episodes=2)
-    # Each robot stands still: 10 for the first step, 100 for each of the three that follow.
     assert result.returns == [-620.0, -620.0]
-    assert result.summary()["makespan"] is None
-    assert result.summary()["success_rate"] == 0.0
+    assert (result.summary()["makespan"], result.summary()["success_rate"]) == (None, 0.0)
 
 
 def test_the_seed_of_an_evaluation_decides_its_worlds() -> None:
-    settings = {"random_starts": True, "max_steps": 4}
-    first = [
-        evaluate(ConstantPolicy(0.0, 0.0), SQUARE, settings, episodes=2, seed=seed, record=(0,))
-        .recorded[0]
-        .snapshot(0)
-        .positions
-        for seed in (1, 2)
-    ]
-    engines = [BatchEngine(SQUARE, 2, seed=seed, **settings) for seed in (1, 2)]
-    for engine, positions in zip(engines, first, strict=True):
+    settings: dict[str, Any] = {"random_starts": True, "max_steps": 4}
+    first = []
+    for seed in (1, 2):
+        how: dict[str, Any] = {"episodes": 2, "seed": seed, "record": (0,)}
+        found = evaluate(ConstantPolicy(0.0, 0.0), SQUARE, settings, **how)
+        first.append(found.recorded[0].snapshot(0).positions)
+        engine = BatchEngine(SQUARE, 2, seed=seed, **settings)
         engine.reset()
-        np.testing.assert_array_equal(positions, engine.snapshot().positions)
+        np.testing.assert_array_equal(first[-1], engine.snapshot().positions)
     assert not np.array_equal(*first)
 
 
@@ -167,16 +145,11 @@ def test_episode_window_forgets_what_it_has_told() -> None:
     assert window.pop()["episodes"] == 0
 
 
-# The optimum
-
-
 def test_optimal_return_is_the_proved_one_of_this_mdp_alone() -> None:
     field = load_field("field_03")
     assert optimal_return(field) == 159_490.0
     assert optimal_return(field, NavigationConfig(reward_sharing="team")) == 159_490
     assert optimal_return(SQUARE) is None
-    others: list[dict[str, Any]] = [
-        *({"wind": (0.1, 30.0)}, {"reward": "formal"}, {"n_robots": 2}, {"f_max": 1.0})
-    ]
-    for changed in others:
+    others: tuple[dict[str, Any], ...] = ({"wind": (0.1, 30.0)}, {"reward": "formal"})
+    for changed in (*others, {"n_robots": 2}, {"f_max": 1.0}):
         assert optimal_return(field, NavigationConfig(**changed)) is None

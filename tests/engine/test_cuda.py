@@ -25,7 +25,7 @@ from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.engine.state import make_episode, make_memory, make_output
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler, load_field
-from mbn_marl.field.layout import FAMILIES
+from mbn_marl.field.generator.layout import FAMILIES
 
 torch = pytest.importorskip("torch")
 ROOT = Path(__file__).parents[2]

@@ -124,7 +124,7 @@ def test_given_starts_are_checked_for_the_lowest_drawn_distance() -> None:
 
 
 def test_conditions_have_the_numbers_of_the_page() -> None:
-    page = (ROOT / "docs" / "mdp.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "conditions.md").read_text(encoding="utf-8")
     for name, settings in CONDITIONS.items():
         row = next(line for line in page.splitlines() if line.startswith(f"| `{name}` |"))
         own = row.split("; and all of")[0]

@@ -1,4 +1,4 @@
-"""The same bits on every machine: digests of what two batches compute (mdp.md, "The same bits").
+"""The same bits on every machine: digests of what two batches compute (specification.md).
 
 ``python -m tests.engine.test_machines`` prints those of this machine.
 """

@@ -85,7 +85,7 @@ def test_rays_from_a_wall(dtype: Any) -> None:
 
 @PRECISIONS
 def test_time_to_the_wall_and_brake_by_hand(dtype: Any) -> None:
-    # Velocities 0.5, 1, ... 4: 18 units, and 14 more until it stands, 3.5 + 3 + ... + 0.5.
+    # Velocities 0.5, 1, ... 4: 18 units, and 14 more until it rests, 3.5 + 3 + ... + 0.5.
     drive = [(1.0, 0.0)] * 8
     for room, inside in ((32.0, 1.0), (31.9, 0.0)):
         found = seen(field_of((100.0 - room, 50.0)), *drive, dtype=dtype)

@@ -11,7 +11,7 @@ from shapely import Point
 from mbn_marl import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, FieldSampler, load_field
-from mbn_marl.field.layout import FAMILIES
+from mbn_marl.field.generator.layout import FAMILIES
 from tests.support.configurations import SAMPLER as ALL
 from tests.support.configurations import STORM
 

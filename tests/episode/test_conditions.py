@@ -14,7 +14,7 @@ from mbn_marl import BatchEngine, Failures, Uniform, load_field
 from mbn_marl.config import make_config
 from mbn_marl.episode import EpisodeRecorder, check_episode, load_episode, play, save_episode
 from mbn_marl.errors import EpisodeError
-from tests.support.configurations import EVERYTHING, STORM
+from tests.support.configurations import EVERYTHING
 
 ALL: dict[str, Any] = {
     **{**EVERYTHING, "dynamics": "mixed", "gust": 0.1, "action_delay": 2, "position_noise": 2.0},
@@ -79,20 +79,7 @@ def test_what_befalls_robots_is_recorded_kept_and_replayed(tmp_path: Path) -> No
         assert places == [name] * problems
 
 
-@pytest.mark.slow
-def test_storms_replay() -> None:
-    engine = BatchEngine("field_03", 2, seed=3, **STORM)
-    with EpisodeRecorder(engine, world=1) as recorder:
-        engine.reset()
-        while not any(episode.failed.any() for episode in recorder.episodes):
-            engine.step(np.zeros((2, 3, 2)))
-    assert np.count_nonzero(recorder.episodes[-1].failed) == 1
-    assert recorder.episodes[-1].winds is not None
-    for episode in recorder.episodes:
-        check_episode(episode)
-
-
-def test_a_failure_needs_a_configuration_with_failures() -> None:
+def test_failure_needs_a_configuration_with_failures() -> None:
     episode = play(load_field("field_03"), make_config({}), np.full((3, 3, 2), 0.5))
     assert not episode.failed.any()
     with pytest.raises(EpisodeError, match="failed"):

@@ -6,7 +6,7 @@ import hashlib
 import math
 import pickle
 from itertools import combinations, pairwise
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +16,10 @@ from shapely.affinity import translate
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.geometry import make_geometry
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import Field, FieldSampler, generate, load_field, save_field
-from mbn_marl.field.drawing import root
-from mbn_marl.field.families import make_fields
-from mbn_marl.field.layout import FAMILIES, Tables, make_tables
-from mbn_marl.field.sampler import Family, field_of, least_size
+from mbn_marl.field import Field, FieldSampler, generate
+from mbn_marl.field.generator.families import make_fields, root
+from mbn_marl.field.generator.layout import FAMILIES, Tables, make_tables, scratch_rows
+from mbn_marl.field.generator.sampler import field_of, least_size
 from tests.support.field_cases import circle
 
 ROUNDING = 1e-6
@@ -34,10 +33,11 @@ def sampler_of(*families: str, **changes: Any) -> FieldSampler:
 
 def made(sampler: FieldSampler, count: int, numbers: Any = None, dtype: Any = float) -> Tables:
     """The tables of the fields of the first ``count`` worlds, in the first episode."""
-    tables = make_tables(sampler.most_edges, sampler.most_rois, sampler.most_robots, count)
-    reals = {name: getattr(tables, name).astype(dtype) for name in ("edges", "rois", "starts")}
-    tables = tables._replace(**reals, boxes=tables.boxes.astype(dtype))
-    scratch = np.full((sampler.scratch_rows, count), -7, np.int64)
+    robots, rois = sampler.robots[1], sampler.rois[1]
+    tables = make_tables(sampler.most_edges, rois, robots, count)
+    reals = ("edges", "rois", "starts", "boxes")
+    tables = tables._replace(**{name: getattr(tables, name).astype(dtype) for name in reals})
+    scratch = np.full((scratch_rows(robots, rois), count), -7, np.int64)
     numbers = sampler.numbers() if numbers is None else numbers
     make_fields(numbers, sampler.seed, 0, 0, scratch, tables, np.zeros(count, np.int64))
     return tables
@@ -61,72 +61,58 @@ PINNED = {
 """Hashes of the fields of seed 7, as whole milli-units."""
 
 
-class TestSameEverywhere:
-    def test_pinned(self) -> None:
-        found = {family: millis(generate(family, 7)) for family in FAMILIES}
-        assert found == PINNED
-
-    def test_seed_world_and_episode_decide(self) -> None:
-        sampler = sampler_of(*FAMILIES, seed=3)
-        field = sampler.field(4, 5)
-        assert field == sampler_of(*FAMILIES, seed=3).field(4, 5)
-        others = [sampler.field(), sampler.field(5, 4), sampler_of(*FAMILIES, seed=4).field(4, 5)]
-        assert len({millis(each) for each in (field, *others)}) == 4
-
-    def test_the_name_is_that_of_the_family_seed_world_and_episode(self) -> None:
-        sampler = sampler_of("concave", "farm", seed=7)
-        field = sampler.field(12, 3)
-        family = field.name.split("-")[0]
-        assert field.name == f"{family}-7-12-3"
-        assert field == sampler_of(family, seed=7).field(12, 3)
-        assert generate("convex", 7).name == "convex-7"
-        longest = FieldSampler(("obstacles",), seed=2**63 - 1).field(2**63 - 1, 2**32 - 1)
-        assert longest.name.startswith("obstacles-9223372036854775807-")
-
-    def test_a_file_holds_it_exactly(self, tmp_path: Any) -> None:
-        field = generate("farm", 7)
-        save_field(field, tmp_path / "field.yaml")
-        assert load_field(tmp_path / "field.yaml") == field
+def test_fields_are_the_same_everywhere() -> None:
+    assert {family: millis(generate(family, 7)) for family in FAMILIES} == PINNED
+    sampler = sampler_of(*FAMILIES, seed=3)
+    field = sampler.field(4, 5)
+    assert field == sampler_of(*FAMILIES, seed=3).field(4, 5)
+    others = [sampler.field(), sampler.field(5, 4), sampler_of(*FAMILIES, seed=4).field(4, 5)]
+    assert len({millis(each) for each in (field, *others)}) == 4
+    sampler = sampler_of("concave", "farm", seed=7)
+    field = sampler.field(12, 3)
+    family = field.name.split("-")[0]
+    assert field.name == f"{family}-7-12-3"
+    assert field == sampler_of(family, seed=7).field(12, 3)
+    assert generate("convex", 7).name == "convex-7"
+    longest = FieldSampler(("obstacles",), seed=2**63 - 1).field(2**63 - 1, 2**32 - 1)
+    assert longest.name.startswith("obstacles-9223372036854775807-")
 
 
-class TestTables:
-    @pytest.mark.parametrize("dtype", ["float32", "float64"])
-    def test_are_those_of_make_geometry(self, dtype: Any) -> None:
-        sampler = sampler_of(*FAMILIES, rois=(1, 10), seed=1)
-        tables = made(sampler, 60, dtype=dtype)
-        filler = Field(circle(sampler.most_edges), *filling(sampler))
-        for world in range(60):
-            field = sampler.field(world)
-            n = len(field.starts)
-            other = make_geometry((field, filler), NavigationConfig(dtype=dtype), n, 2)
-            for name in ("edges", "rois", "roi_bits", "codes", "boxes"):
-                own, expected = getattr(tables, name)[..., world], getattr(other, name)[..., 0]
-                assert own.dtype == expected.dtype
-                np.testing.assert_array_equal(own, expected, name)
-            starts = tables.starts[..., world]
-            np.testing.assert_array_equal(starts[:, :n], other.starts[..., 0])
-            assert (starts[:, n:] == starts[:, :1]).all()
-            assert tables.robots_in[world] == n
-
-    def test_numbers_can_change_between_calls(self) -> None:
-        sampler, easy = sampler_of(*FAMILIES, rois=(1, 10)), sampler_of("farm", robots=2, rois=3)
-        for one, other in zip(made(sampler, 5, easy.numbers()), made(easy, 5), strict=True):
-            rows = tuple(slice(length) for length in other.shape)
-            np.testing.assert_array_equal(one[rows], other)
-
-    def test_without_room_it_is_a_square(self) -> None:
-        sampler = FieldSampler(("corridors",), robots=9, rois=16, size=200)
-        numbers = sampler.numbers()
-        numbers[2:4] = 61_000
-        field = field_of(made(sampler, 1, numbers), sampler.arena, "square")
-        assert field.vertices.tolist() == [[0, 0], [61, 0], [61, 61], [0, 61]]
-        assert (len(field.rois), len(field.starts)) == (16, 9)
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_tables_are_those_of_make_geometry(dtype: Any) -> None:
+    sampler = sampler_of(*FAMILIES, rois=(1, 10), seed=1)
+    tables = made(sampler, 60, dtype=dtype)
+    rois = [(45.0 + k, 60.0) for k in range(sampler.rois[1])]
+    starts = [(20.0 + 10 * k, 40.0) for k in range(sampler.robots[1])]
+    filler = Field(circle(sampler.most_edges), rois, starts)
+    for world in range(60):
+        field = sampler.field(world)
+        n = len(field.starts)
+        other = make_geometry((field, filler), NavigationConfig(dtype=dtype), n, 2)
+        for name in ("edges", "rois", "roi_bits", "codes", "boxes"):
+            own, expected = getattr(tables, name)[..., world], getattr(other, name)[..., 0]
+            assert own.dtype == expected.dtype
+            np.testing.assert_array_equal(own, expected, name)
+        ours = tables.starts[..., world]
+        np.testing.assert_array_equal(ours[:, :n], other.starts[..., 0])
+        assert (ours[:, n:] == ours[:, :1]).all()
+        assert tables.robots_in[world] == n
 
 
-def filling(sampler: FieldSampler) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
-    """As many ROIs and starts as a field of the sampler can have, inside the circle."""
-    rois = [(45.0 + k, 60.0) for k in range(sampler.most_rois)]
-    return rois, [(20.0 + 10 * k, 40.0) for k in range(sampler.most_robots)]
+def test_numbers_can_change_between_calls() -> None:
+    sampler, easy = sampler_of(*FAMILIES, rois=(1, 10)), sampler_of("farm", robots=2, rois=3)
+    for one, other in zip(made(sampler, 5, easy.numbers()), made(easy, 5), strict=True):
+        rows = tuple(slice(length) for length in other.shape)
+        np.testing.assert_array_equal(one[rows], other)
+
+
+def test_without_room_it_is_a_square() -> None:
+    sampler = FieldSampler(("corridors",), robots=9, rois=16, size=200)
+    numbers = sampler.numbers()
+    numbers[2:4] = 61_000
+    field = field_of(made(sampler, 1, numbers), sampler.arena, "square")
+    assert field.vertices.tolist() == [[0, 0], [61, 0], [61, 61], [0, 61]]
+    assert (len(field.rois), len(field.starts)) == (16, 9)
 
 
 def sharpest(ring: Any) -> float:
@@ -136,8 +122,8 @@ def sharpest(ring: Any) -> float:
     return float(np.degrees(np.arccos((back * ahead).sum(axis=1) / sizes)).min())
 
 
-def problems_of_soundness(field: Field, sampler: FieldSampler) -> list[str]:
-    """Return the promises that a field breaks, found by shapely."""
+def broken_promises(field: Field, sampler: FieldSampler) -> list[str]:
+    """The promises that a field breaks, by shapely."""
     polygon, (low, high) = field.polygon, sampler.size
     x, y, right, top = polygon.bounds
     longest = max(right - x, top - y)
@@ -173,82 +159,23 @@ def problems_of_soundness(field: Field, sampler: FieldSampler) -> list[str]:
 )
 def test_sound(family: str, changes: Any) -> None:
     sampler = sampler_of(family, **{"rois": (1, 10), **changes})
-    fields = [sampler.field(world, 1) for world in range(150)]
-    found = {field.name: problems_of_soundness(field, sampler) for field in fields}
-    assert {name: problems for name, problems in found.items() if problems} == {}
+    found = {field.name: broken_promises(field, sampler) for field in fields_of(sampler, 150)}
+    assert {name: broken for name, broken in found.items() if broken} == {}
 
 
-class TestFamilies:
-    def fields(self, family: str, count: int = 60) -> list[Field]:
-        sampler = sampler_of(family)
-        return [sampler.field(world) for world in range(count)]
-
-    def test_convex(self) -> None:
-        for field in self.fields("convex"):
-            assert is_convex(field.polygon)
-            x, y, right, top = field.polygon.bounds
-            assert field.polygon.area > 0.29 * max(right - x, top - y) ** 2
-        assert len({len(field.vertices) for field in self.fields("convex")}) >= 4
-
-    def test_concave(self) -> None:
-        polygons = [field.polygon for field in self.fields("concave")]
-        assert not any(map(is_convex, polygons))
-        hidden = sum(not has_kernel(polygon) for polygon in polygons)
-        assert 20 < hidden < 60, "most have no point that sees all of the field"
-
-    def test_corridors(self) -> None:
-        fields = self.fields("corridors")
-        assert {len(field.vertices) for field in fields if not field.holes} == {6, 8, 12, 16, 20}
-        rings = [field for field in fields if field.holes]
-        assert 5 < len(rings) < 30
-        assert all(len(field.holes) == 1 for field in rings)
-        filled = [field.polygon.area / field.polygon.convex_hull.area for field in fields]
-        assert max(filled) < 0.9 and np.mean(filled) < 0.6
-
-    def test_obstacles(self) -> None:
-        fields = self.fields("obstacles")
-        assert {len(field.holes) for field in fields} == {1, 2, 3, 4}
-        for field in fields:
-            rings = [shapely.Polygon(ring) for ring in (field.vertices, *field.holes)]
-            assert all(map(is_convex, rings))
-            between = [a.exterior.distance(b.exterior) for a, b in combinations(rings, 2)]
-            assert min(between) >= 12 - ROUNDING
-
-    def test_farm(self) -> None:
-        polygons = [field.polygon for field in self.fields("farm")]
-        boxes = [shapely.Polygon(each.exterior).minimum_rotated_rectangle for each in polygons]
-        sides = [shapely.length(box) / 2 for box in boxes]
-        long = [s * s / box.area for s, box in zip(sides, boxes, strict=True)]
-        assert sum(each > 6 for each in long) > 5, "strips, at least four times as long as wide"
-        assert any(each.interiors for each in polygons), "ponds"
-        assert any(is_convex(each) for each in polygons)
-        assert any(not is_convex(shapely.Polygon(each.exterior)) for each in polygons), "notches"
-
-    def test_names_are_those_of_the_type(self) -> None:
-        assert get_args(Family) == FAMILIES
-
-    def test_weights(self) -> None:
-        def shares(weights: Any) -> list[float]:
-            sampler = FieldSampler(FAMILIES[:3], weights=weights)
-            names = [sampler.field(world).name.split("-")[0] for world in range(300)]
-            return [names.count(family) / 300 for family in FAMILIES]
-
-        assert shares((0, 1, 0)) == [0, 1, 0, 0, 0]
-        assert shares((2, 0, 6)) == pytest.approx([0.25, 0, 0.75, 0, 0], abs=0.08)
-        assert shares(None) == pytest.approx([1 / 3, 1 / 3, 1 / 3, 0, 0], abs=0.08)
+def fields_of(sampler: FieldSampler, count: int = 60) -> list[Field]:
+    return [sampler.field(world) for world in range(count)]
 
 
 def is_convex(polygon: shapely.Polygon) -> bool:
-    """Return whether the hull adds nothing but rounding to milli-units."""
-    added = polygon.convex_hull.area - polygon.area
-    return bool(added < 1e-4 * polygon.area)
+    """Whether the hull adds nothing but rounding to milli-units."""
+    return bool(polygon.convex_hull.area - polygon.area < 1e-4 * polygon.area)
 
 
 def has_kernel(polygon: shapely.Polygon) -> bool:
-    """Return whether a counter-clockwise polygon is star-shaped: some point sees all of it."""
+    """Whether a counter-clockwise polygon is star-shaped: some point sees all of it."""
     kernel = polygon.convex_hull
-    corners = np.array(polygon.exterior.coords)
-    for a, b in pairwise(corners):
+    for a, b in pairwise(np.array(polygon.exterior.coords)):
         along = (b - a) / np.hypot(*(b - a)) * 1e4
         left = np.array([-along[1], along[0]])
         half = shapely.Polygon([-along, along, along + left, left - along])
@@ -256,88 +183,123 @@ def has_kernel(polygon: shapely.Polygon) -> bool:
     return bool(kernel.area > 0)
 
 
-class TestSampler:
-    def test_is_a_value(self) -> None:
-        sampler = FieldSampler(["farm", "convex"], robots=(2, 4), weights=[1, 2], seed=5)
-        assert sampler == FieldSampler(("farm", "convex"), (2, 4), weights=(1.0, 2.0), seed=5)
-        assert hash(sampler) == hash(pickle.loads(pickle.dumps(sampler)))
-        assert sampler == pickle.loads(pickle.dumps(sampler)) != FieldSampler()
-        assert FieldSampler(robots=3, size=200) == FieldSampler(robots=(3, 3), size=(200.0, 200))
-        with pytest.raises(ValueError, match="seed"):
-            sampler.seed = 6
+def test_convex_fields() -> None:
+    fields = fields_of(sampler_of("convex"))
+    for field in fields:
+        assert is_convex(field.polygon)
+        x, y, right, top = field.polygon.bounds
+        assert field.polygon.area > 0.29 * max(right - x, top - y) ** 2
+    assert len({len(field.vertices) for field in fields}) >= 4
 
-    def test_sizes_of_tables(self) -> None:
-        sampler = FieldSampler(("convex", "obstacles"), robots=(2, 4), rois=(1, 7))
-        assert (sampler.fewest_robots, sampler.most_robots, sampler.most_rois) == (2, 4, 7)
-        assert sampler.most_edges == 32
-        assert FieldSampler().most_edges == 12
 
-    def test_all_problems_at_once(self) -> None:
-        with pytest.raises(ConfigError) as caught:
-            FieldSampler(
-                ("convex", "round"),
-                robots=(1, 65),
-                rois="six",
-                size=(50, 200),
-                arena=(0, 100),
-                weights=(1, -1),
-                seed=-1,
-                colour="red",
-            )
-        places = ["families.1", "robots", "rois", "arena.0", "size", "weights.1", "seed", "colour"]
-        assert [problem.split(":")[0] for problem in caught.value.problems] == places
+def test_concave_fields_mostly_have_no_point_that_sees_all() -> None:
+    polygons = [field.polygon for field in fields_of(sampler_of("concave"))]
+    assert not any(map(is_convex, polygons))
+    assert 20 < sum(not has_kernel(polygon) for polygon in polygons) < 60
 
-    def test_problems(self) -> None:
-        for place, values in {
-            "families": [(), ("farm", "farm")],
-            "robots": [2.5, True],
-            "rois": [(4, 2)],
-            "size": [float("nan"), (99, 300)],
-            "weights": [(1, 2), (0,)],
-        }.items():
-            for value in values:
-                with pytest.raises(ConfigError) as caught:
-                    FieldSampler(**{place: value})
-                (problem,) = caught.value.problems
-                assert problem.startswith(f"{place}: "), value
-        for changes, least in (({"robots": 5}, "120"), ({"robots": 64, "rois": 24}, "410")):
-            for name, value in (("size", (110, 420)), ("arena", (100, 500))):
-                with pytest.raises(ConfigError, match=f"{name}: .*{least}"):
-                    FieldSampler(**{**changes, name: value})
-        with pytest.raises(ConfigError, match="size: "):
-            FieldSampler(size=500, arena=(900, 400))
 
-    def test_numbers_of_worlds_and_episodes(self) -> None:
-        with pytest.raises(ConfigError) as caught:
-            FieldSampler().field(-1, 2**32)
-        assert [problem.split(":")[0] for problem in caught.value.problems] == ["world", "episode"]
+def test_corridors() -> None:
+    fields = fields_of(sampler_of("corridors"))
+    assert {len(field.vertices) for field in fields if not field.holes} == {6, 8, 12, 16, 20}
+    rings = [field for field in fields if field.holes]
+    assert 5 < len(rings) < 30
+    assert all(len(field.holes) == 1 for field in rings)
+    filled = [field.polygon.area / field.polygon.convex_hull.area for field in fields]
+    assert max(filled) < 0.9 and np.mean(filled) < 0.6
 
-    def test_lengths_in_milli_units(self) -> None:
-        sampler = FieldSampler(size=(110.1, 120.0006), arena=(120.0006, 500.3))
-        assert sampler.numbers()[:4].tolist() == [120_000, 500_300, 110_100, 120_000]
-        assert sampler.numbers()[8:].tolist() == [2**30] * 5
 
-    @pytest.mark.parametrize(
-        ("given", "size"),
-        [
-            ({}, (110, 420)),
-            ({"robots": (2, 5)}, (120, 420)),
-            ({"robots": 64, "rois": 24}, (410, 1000)),
-            ({"robots": 64, "arena": (2000, 3000)}, (390, 1365)),
-            ({"arena": (300, 200)}, (110, 200)),
-            ({"arena": (100, 500)}, (100, 100)),
-        ],
-    )
-    def test_default_size_fits_team_and_arena(
-        self, given: dict[str, Any], size: tuple[float, float]
-    ) -> None:
-        sampler = FieldSampler(FAMILIES, **given)
-        assert sampler.size == size
-        assert len(sampler.field().starts) <= sampler.most_robots
+def test_obstacles() -> None:
+    fields = fields_of(sampler_of("obstacles"))
+    assert {len(field.holes) for field in fields} == {1, 2, 3, 4}
+    for field in fields:
+        rings = [shapely.Polygon(ring) for ring in (field.vertices, *field.holes)]
+        assert all(map(is_convex, rings))
+        between = [a.exterior.distance(b.exterior) for a, b in combinations(rings, 2)]
+        assert min(between) >= 12 - ROUNDING
 
-    def test_the_least_size_is_enough(self) -> None:
-        assert least_size(1, 1) == least_size(3, 6) == 100
-        assert least_size(64, 24) == 410
+
+def test_farms_have_strips_ponds_and_notches() -> None:
+    polygons = [field.polygon for field in fields_of(sampler_of("farm"))]
+    boxes = [shapely.Polygon(each.exterior).minimum_rotated_rectangle for each in polygons]
+    long = [(shapely.length(box) / 2) ** 2 / box.area for box in boxes]
+    assert sum(each > 6 for each in long) > 5, "strips, at least four times as long as wide"
+    assert any(each.interiors for each in polygons)
+    assert {is_convex(shapely.Polygon(each.exterior)) for each in polygons} == {True, False}
+
+
+def test_weights() -> None:
+    def shares(weights: Any) -> list[float]:
+        sampler = FieldSampler(FAMILIES[:3], weights=weights)
+        names = [field.name.split("-")[0] for field in fields_of(sampler, 300)]
+        return [names.count(family) / 300 for family in FAMILIES]
+
+    assert shares((0, 1, 0)) == [0, 1, 0, 0, 0]
+    assert shares((2, 0, 6)) == pytest.approx([0.25, 0, 0.75, 0, 0], abs=0.08)
+    assert shares(None) == pytest.approx([1 / 3, 1 / 3, 1 / 3, 0, 0], abs=0.08)
+
+
+def test_a_sampler_is_a_value() -> None:
+    sampler = FieldSampler(["farm", "convex"], robots=(2, 4), weights=[1, 2], seed=5)
+    assert sampler == FieldSampler(("farm", "convex"), (2, 4), weights=(1.0, 2.0), seed=5)
+    assert hash(sampler) == hash(pickle.loads(pickle.dumps(sampler)))
+    assert sampler == pickle.loads(pickle.dumps(sampler)) != FieldSampler()
+    assert FieldSampler(robots=3, size=200) == FieldSampler(robots=(3, 3), size=(200.0, 200))
+    with pytest.raises(ValueError, match="seed"):
+        sampler.seed = 6
+
+
+@pytest.mark.parametrize(
+    ("given", "places"),
+    [
+        (
+            {
+                **{"families": ("convex", "round"), "robots": (1, 65), "rois": "six"},
+                **{"size": (50, 200), "arena": (0, 100), "weights": (1, -1)},
+                **{"seed": -1, "colour": "red"},
+            },
+            "families.1 robots rois arena.0 size weights.1 seed colour",
+        ),
+        *(({"families": families}, "families") for families in ((), ("farm", "farm"))),
+        *(({"robots": robots}, "robots") for robots in (2.5, True)),
+        ({"rois": (4, 2)}, "rois"),
+        *(({"size": size}, "size") for size in (float("nan"), (99, 300))),
+        *(({"weights": weights}, "weights") for weights in ((1, 2), (0,))),
+        *(({"robots": 5, name: (110, 420)}, name) for name in ("size", "arena")),
+        *(({"robots": 64, "rois": 24, name: (400, 420)}, name) for name in ("size", "arena")),
+        ({"size": 500, "arena": (900, 400)}, "size"),
+    ],
+)
+def test_all_problems_at_once(given: dict[str, Any], places: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        FieldSampler(**given)
+    assert [problem.split(":")[0] for problem in caught.value.problems] == places.split()
+
+
+def test_numbers_of_samplers_worlds_and_episodes() -> None:
+    with pytest.raises(ConfigError) as caught:
+        FieldSampler().field(-1, 2**32)
+    assert [problem.split(":")[0] for problem in caught.value.problems] == ["world", "episode"]
+    sampler = FieldSampler(size=(110.1, 120.0006), arena=(120.0006, 500.3))
+    assert sampler.numbers()[:4].tolist() == [120_000, 500_300, 110_100, 120_000]
+    assert sampler.numbers()[8:].tolist() == [2**30] * 5
+
+
+@pytest.mark.parametrize(
+    ("given", "size"),
+    [
+        ({}, (110, 420)),
+        ({"robots": (2, 5)}, (120, 420)),
+        ({"robots": 64, "rois": 24}, (410, 1000)),
+        ({"robots": 64, "arena": (2000, 3000)}, (390, 1365)),
+        ({"arena": (300, 200)}, (110, 200)),
+        ({"arena": (100, 500)}, (100, 100)),
+    ],
+)
+def test_default_size_fits_team_and_arena(given: dict[str, Any], size: Any) -> None:
+    sampler = FieldSampler(FAMILIES, **given)
+    assert sampler.size == size
+    assert len(sampler.field().starts) <= sampler.robots[1]
+    assert size[0] >= least_size(sampler.robots[1], sampler.rois[1])
 
 
 def test_roots_are_one_more_than_their_whole_part() -> None:

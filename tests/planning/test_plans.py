@@ -18,9 +18,9 @@ from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, FieldSampler, catalogue_names, load_field
 from mbn_marl.optimum import optimal_return
 from mbn_marl.planning import Plan, UnsolvableError, plan, planner, replay
+from mbn_marl.planning.motion import surroundings
 from mbn_marl.planning.problem import make_problem
 from mbn_marl.planning.replay import Player
-from mbn_marl.planning.surroundings import surroundings
 from tests.field.test_field_files import OPTIMAL_MAKESPANS
 from tests.support.planning_cases import (
     SQUARE,
@@ -70,11 +70,8 @@ def test_ties_are_polished_to_exact_motions() -> None:
         found = plan(Field(lane, [(110.0 + reach, 200)], [(100, 200)]))
         assert found.optimal, reach
         assert abs(found.trail[-1, 0, 0] - found.field.rois[0, 0]) <= 10.0, reach
-
-
-def test_an_roi_at_the_start_takes_one_step() -> None:
-    found = plan(Field(SQUARE, [(150, 150)], [(150, 150)]))
-    assert (found.makespan, found.optimal, found.return_) == (1, True, 109_990.0)
+    at_once = plan(Field(SQUARE, [(150, 150)], [(150, 150)]))
+    assert (at_once.makespan, at_once.optimal, at_once.return_) == (1, True, 109_990.0)
 
 
 def test_wind_is_part_of_the_plan() -> None:
@@ -86,7 +83,7 @@ def test_wind_is_part_of_the_plan() -> None:
 
 
 def test_robots_pass_each_other() -> None:
-    # Two robots whose straight ways cross, and a lane that only one fits through at a time.
+    # Two robots whose straight ways cross.
     field = Field(SQUARE, [(290, 290), (110, 290)], [(110, 110), (290, 110)])
     found = plan(field, n_robots=2)
     assert found.makespan is not None
@@ -119,15 +116,11 @@ def test_surroundings_are_convex_parts_of_the_field() -> None:
 
 
 def test_many_rois_have_a_plan_and_a_bound() -> None:
-    rng = np.random.default_rng(0)
-    rois = [(x, y) for x, y in rng.uniform(110.0, 290.0, (16, 2))]
+    rois = np.random.default_rng(0).uniform(110.0, 290.0, (16, 2))
     found = plan(Field(SQUARE, rois, [(120, 120), (280, 280)]), time_limit=10.0)
     assert found.makespan is not None
     assert 20 < found.makespan_lower_bound <= found.makespan
     assert sorted(itertools.chain(*found.assignment)) == list(range(16))
-
-
-def test_a_crowd_has_a_proved_plan() -> None:
     sampler = FieldSampler(families=["convex"], robots=12, rois=20, size=[300, 400], seed=1)
     found = plan(sampler.field(0))
     assert found.optimal

@@ -12,11 +12,11 @@ import shapely
 from mbn_marl import BatchEngine, Uniform
 from mbn_marl.config import Failures, NavigationConfig, make_config
 from mbn_marl.field import Field, load_field
-from mbn_marl.planning.foresight import Weather, ways_of_failed
 from mbn_marl.planning.greedy import Greedy
 from mbn_marl.planning.problem import make_problem
 from mbn_marl.planning.replanning import search
 from mbn_marl.planning.roadmap import make_roadmap
+from mbn_marl.planning.shield import Weather, ways_of_failed
 from tests.support.planning_cases import SQUARE
 
 ALL = np.ones(3, bool)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.field import Field
 from mbn_marl.render import Viewer, style
@@ -29,7 +28,7 @@ def test_viewport_fits_the_box_and_turns_y_up() -> None:
 
 
 @pytest.mark.parametrize("position", [(200.0, 290.0), (200.0, 110.0), (285.0, 240.0)])
-def test_a_robot_is_drawn_where_it_is_with_y_up(position: tuple[float, float]) -> None:
+def test_robot_is_drawn_where_it_is_with_y_up(position: tuple[float, float]) -> None:
     frame = draw(snapshot([position], roi_radius=0.0))
     ground_rows, ground_columns = where(frame, style.GROUND)
     rows, columns = where(frame, style.robot_colour(0))
@@ -41,35 +40,23 @@ def test_a_robot_is_drawn_where_it_is_with_y_up(position: tuple[float, float]) -
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.5 * np.pi, 2.5])
-def test_a_point_shows_where_a_robot_faces_with_y_up(heading: float) -> None:
-    plain = snapshot([(200.0, 200.0)], roi_radius=0.0, safety_distance=0.0)
-    colour = style.robot_colour(0)
-    faced = snapshot(
-        [(200.0, 200.0)], roi_radius=0.0, safety_distance=0.0, headings=np.array([heading])
+def test_point_shows_where_a_robot_faces_and_a_cross_a_failure(heading: float) -> None:
+    alone = {"trail": [(200.0, 200.0)], "roi_radius": 0.0, "safety_distance": 0.0}
+    plain, faced, failed = (
+        draw(snapshot(**alone, **changes))
+        for changes in ({}, {"headings": np.array([heading])}, {"failed": np.array([True])})
     )
-    disc, both = (set(zip(*where(draw(one), colour), strict=True)) for one in (plain, faced))
+    colour = style.robot_colour(0)
+    disc, both = (set(zip(*where(one, colour), strict=True)) for one in (plain, faced))
     row, column = np.mean(list(both - disc), axis=0) - np.mean(list(disc), axis=0)
     assert np.arctan2(-row, column) == pytest.approx(heading, abs=0.15)
+    crossed = np.nonzero((plain != failed).any(axis=2))
+    for rows, changed in zip(where(plain, colour), crossed, strict=True):
+        assert np.median(changed) == pytest.approx(np.median(rows), abs=1.5)
+    assert (failed[crossed] == style.rgb(style.INK)).all(axis=1).sum() > 20
 
 
-def test_a_cross_marks_a_robot_that_has_failed() -> None:
-    alone = {"roi_radius": 0.0, "safety_distance": 0.0}
-    works, failed = (
-        draw(snapshot([(200.0, 200.0)], failed=np.array([flag]), **alone)) for flag in (False, True)
-    )
-    disc, changed = where(works, style.robot_colour(0)), np.nonzero((works != failed).any(axis=2))
-    for inside, cross in zip(disc, changed, strict=True):
-        assert cross.mean() == pytest.approx(inside.mean(), abs=1.0)
-        assert np.ptp(cross) == pytest.approx(np.ptp(inside), abs=4.0)
-
-
-def test_the_field_fills_the_picture_below_the_header() -> None:
-    rows, columns = where(draw(snapshot()), style.GROUND)
-    assert 40 < rows.min() < 60 and 370 < rows.max() < 400
-    assert rows.max() - rows.min() == pytest.approx(columns.max() - columns.min(), abs=2)
-
-
-def test_a_hole_is_drawn_as_an_obstacle() -> None:
+def test_hole_is_drawn_as_an_obstacle() -> None:
     field = Field(SQUARE, rois=FIELD.rois, starts=FIELD.starts, holes=[HOLE])
     solid, pierced = draw(snapshot()), draw(snapshot(field=field))
     rows, columns = where(solid, style.GROUND)
@@ -78,7 +65,7 @@ def test_a_hole_is_drawn_as_an_obstacle() -> None:
     assert tuple(pierced[middle]) == style.rgb(style.OBSTACLE)
 
 
-def test_a_visited_roi_is_filled_and_an_open_one_hollow() -> None:
+def test_visited_roi_is_filled_and_an_open_one_hollow() -> None:
     none, first = (draw(snapshot(visited=np.array(seen))) for seen in ([0, 0], [1, 0]))
     assert not where(none, style.ROI_VISITED)[0].size
     rows, columns = where(first, style.ROI_VISITED)
@@ -87,12 +74,6 @@ def test_a_visited_roi_is_filled_and_an_open_one_hollow() -> None:
     # It differs without its colour, too: an open marker is bright inside.
     box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     assert none[box].mean() - first[box].mean() > 40.0
-
-
-def test_circles_to_scale_appear_where_there_is_room() -> None:
-    assert not np.array_equal(draw(snapshot(roi_radius=10.0)), draw(snapshot(roi_radius=20.0)))
-    near, far = snapshot(safety_distance=20.0), snapshot(safety_distance=40.0)
-    assert not np.array_equal(draw(near), draw(far))
 
 
 @pytest.mark.parametrize(
@@ -104,7 +85,7 @@ def test_circles_to_scale_appear_where_there_is_room() -> None:
         ((0.0, -0.3), (1, 0)),
     ],
 )
-def test_the_wind_arrow_points_the_way_the_wind_blows(
+def test_wind_arrow_points_the_way_the_wind_blows(
     wind: tuple[float, float], towards: tuple[int, int]
 ) -> None:
     corner = draw(snapshot(winds=np.array([wind])))[:44, -42:]
@@ -127,17 +108,24 @@ def test_without_wind_there_is_no_arrow() -> None:
 @pytest.mark.parametrize(
     ("ending", "colour"), [("success", style.SUCCESS), ("collision", style.COLLISION)]
 )
-def test_the_end_of_an_episode_is_announced(ending: str, colour: str) -> None:
+def test_end_of_an_episode_is_announced(ending: str, colour: str) -> None:
     running, over = draw(snapshot()), draw(snapshot(**{ending: True}))
     assert not where(running[:44], colour)[0].size
     assert where(over[:44], colour)[0].size > 100
 
 
-def test_the_header_tells_step_and_return() -> None:
-    one, two = snapshot(step=1), snapshot(step=2)
-    assert not np.array_equal(draw(one)[:44, :90], draw(two)[:44, :90])
-    poor, rich = snapshot(team_return=-0.5), snapshot(team_return=158_800.0)
-    assert not np.array_equal(draw(poor)[:24, 90:], draw(rich)[:24, 90:])
+@pytest.mark.parametrize(
+    ("name", "values", "part"),
+    [
+        ("step", (1, 2), np.s_[:44, :90]),
+        ("team_return", (-0.5, 158_800.0), np.s_[:24, 90:]),
+        ("roi_radius", (10.0, 20.0), np.s_[44:]),
+        ("safety_distance", (20.0, 40.0), np.s_[44:]),
+    ],
+)
+def test_numbers_of_a_snapshot_are_shown(name: str, values: Any, part: Any) -> None:
+    one, two = (draw(snapshot(**{name: value}))[part] for value in values)
+    assert not np.array_equal(one, two)
 
 
 def test_robots_that_share_a_colour_differ_in_their_number() -> None:
@@ -152,7 +140,7 @@ def test_robots_that_share_a_colour_differ_in_their_number() -> None:
     assert shapes[0] != shapes[1]
 
 
-def test_the_users_robot_is_ringed_and_the_keys_are_shown() -> None:
+def test_users_robot_is_ringed_and_the_keys_are_shown() -> None:
     moment = snapshot([[(130.0, 200.0), (270.0, 200.0)]], safety_distance=0.0, roi_radius=0.0)
     plain, ours = (draw(moment, Viewer("rgb_array", SIZE, own=own)) for own in (None, 1))
     rows, columns = np.nonzero((plain != ours).any(axis=2))
@@ -167,7 +155,7 @@ def test_the_users_robot_is_ringed_and_the_keys_are_shown() -> None:
 # ---------------------------------------------------------------- from frame to frame
 
 
-def test_a_trail_drawn_bit_by_bit_is_the_trail_drawn_at_once() -> None:
+def test_trail_drawn_bit_by_bit_is_the_trail_drawn_at_once() -> None:
     trail, viewer = wander(40, 3), Viewer("rgb_array", SIZE)
     frames = [draw(snapshot(trail[: step + 1]), viewer) for step in range(41)]
     assert np.array_equal(frames[-1], draw(snapshot(trail)))
@@ -207,13 +195,3 @@ def test_what_stays_the_same_is_not_drawn_again() -> None:
 
     draw(snapshot(trail[:250]), viewer)
     assert 4.0 * fastest(viewer.draw) < fastest(draw)
-
-
-def test_the_snapshot_of_an_engine_can_be_drawn() -> None:
-    engine = BatchEngine("field_03", num_worlds=2, autoreset=False, threads=1)
-    engine.reset()
-    viewer = Viewer("rgb_array", SIZE)
-    before = draw(engine.snapshot(1), viewer)
-    engine.step(np.ones((2, engine.n_robots, 2)))
-    assert engine.snapshot(1).trail.shape == (2, engine.n_robots, 2)
-    assert not np.array_equal(before, draw(engine.snapshot(1), viewer))

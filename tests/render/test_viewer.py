@@ -21,24 +21,10 @@ from tests.support.pictures import SIZE, draw, snapshot, where
 pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
 
 
-def run_python(code: str, **environment: str) -> None:
-    """Run ``code`` in a fresh interpreter that knows of no display."""
-    hidden = ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY")
-    variables = {key: value for key, value in os.environ.items() if key not in hidden}
-    result = subprocess.run(
-        [sys.executable, "-c", code],
-        env=variables | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert result.returncode == 0, result.stderr
-
-
 # ---------------------------------------------------------------- arrays
 
 
-def test_a_frame_is_a_new_array_of_height_width_and_three_channels() -> None:
+def test_frame_is_a_new_array_of_height_width_and_three_channels() -> None:
     viewer = Viewer("rgb_array", size=(300, 220))
     first = draw(snapshot(), viewer)
     kept = first.copy()
@@ -51,8 +37,8 @@ def test_a_frame_is_a_new_array_of_height_width_and_three_channels() -> None:
 
 
 @pytest.mark.slow
-def test_an_array_needs_no_display_and_opens_none() -> None:
-    run_python(
+def test_array_needs_no_display_and_opens_none() -> None:
+    code = (
         "import pygame\n"
         "from mbn_marl.engine import BatchEngine\n"
         "from mbn_marl.render import Viewer\n"
@@ -62,6 +48,9 @@ def test_an_array_needs_no_display_and_opens_none() -> None:
         "assert frame.std() > 0\n"
         "assert not pygame.display.get_init()\n"
     )
+    hidden = ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY")
+    variables = {key: value for key, value in os.environ.items() if key not in hidden}
+    subprocess.run([sys.executable, "-c", code], env=variables, check=True)
 
 
 def test_without_pygame_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,16 +61,24 @@ def test_without_pygame_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatc
         Viewer("rgb_array").draw(snapshot())
 
 
+def places(caught: Any) -> list[str]:
+    return [problem.split(":")[0] for problem in caught.value.problems]
+
+
 def test_every_wrong_argument_is_listed() -> None:
     with pytest.raises(ConfigError) as caught:
         Viewer("ansi", size=(400, 40), frame_rate=0.0)
-    places = [problem.split(":")[0] for problem in caught.value.problems]
-    assert places == ["render_mode", "size", "frame_rate"]
+    assert places(caught) == ["render_mode", "size", "frame_rate"]
+    for size in ((400, 40), (400.0, 400), (400,), 400, "big"):
+        for make in (parallel_env, aec_env, centralized_env, CentralizedVectorEnv):
+            with pytest.raises(ConfigError) as caught:
+                make(field="field_03", render_mode="ansi", render_size=size)
+            assert places(caught) == ["render_size", "render_mode"]
 
 
 @pytest.mark.parametrize("render_mode", ["human", "rgb_array"])
 @pytest.mark.parametrize("make", [parallel_env, centralized_env])
-def test_the_size_of_an_environments_pictures_is_an_argument(
+def test_size_of_an_environments_pictures_is_an_argument(
     make: Any, render_mode: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
@@ -98,16 +95,7 @@ def test_the_size_of_an_environments_pictures_is_an_argument(
     assert size(render_size=(500, 300)) == (500, 300)
 
 
-def test_a_size_that_cannot_be_is_refused_with_the_mode() -> None:
-    for size in ((400, 40), (400.0, 400), (400,), 400, "big"):
-        for make in (parallel_env, aec_env, centralized_env, CentralizedVectorEnv):
-            with pytest.raises(ConfigError) as caught:
-                make(field="field_03", render_mode="ansi", render_size=size)
-            places = [problem.split(":")[0] for problem in caught.value.problems]
-            assert places == ["render_size", "render_mode"]
-
-
-def test_a_field_keeps_its_shape_in_a_picture_of_another() -> None:
+def test_field_keeps_its_shape_in_a_picture_of_another() -> None:
     rows, columns = where(draw(snapshot(), Viewer("rgb_array", (700, 300))), style.GROUND)
     assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=2)
 
@@ -124,7 +112,7 @@ def no_screen(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.usefixtures("no_screen")
-def test_the_window_shows_the_frame() -> None:
+def test_window_shows_the_frame() -> None:
     viewer = Viewer("human", SIZE, frame_rate=1000.0)
     assert viewer.draw(snapshot()) is None
     shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
@@ -140,7 +128,7 @@ def test_the_window_shows_the_frame() -> None:
     [pygame.event.Event(pygame.QUIT), pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE)],
     ids=["close button", "escape"],
 )
-def test_a_person_can_close_the_window(event: Any) -> None:
+def test_person_can_close_the_window(event: Any) -> None:
     viewer = Viewer("human", SIZE, frame_rate=1000.0)
     viewer.draw(snapshot())
     assert not viewer.closed
@@ -152,7 +140,7 @@ def test_a_person_can_close_the_window(event: Any) -> None:
 
 
 @pytest.mark.usefixtures("no_screen")
-def test_the_window_keeps_to_the_frame_rate() -> None:
+def test_window_keeps_to_the_frame_rate() -> None:
     viewer = Viewer("human", frame_rate=50.0)
     viewer.draw(snapshot())
     start = time.perf_counter()
@@ -161,7 +149,7 @@ def test_the_window_keeps_to_the_frame_rate() -> None:
     assert time.perf_counter() - start > 0.08
 
 
-def test_a_window_without_a_display_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_window_without_a_display_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "no_such_driver")
     with pytest.raises(RuntimeError, match="display"):
         Viewer("human").draw(snapshot())

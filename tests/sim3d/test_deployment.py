@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.classical.controller import make_classical
-from baselines.evaluation.policy import load_trained
 from baselines.evaluation.rollout import record_episode
-from baselines.zoo.entries import open_run
+from baselines.policies.classical import make_classical
+from baselines.policies.load import load_trained, open_run
 from mbn_marl.config import RewardProfile, Uniform
 from mbn_marl.engine import BatchEngine, TrackedWorld
+from mbn_marl.episode import Episode
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
-from mbn_marl.field import load_field
+from mbn_marl.field import Field, load_field
 from mbn_marl.sim3d import Mission, PlaneSimulator, Scale, deploy
 from tests.support.configurations import EVERYTHING
 from tests.support.missions import SMALL, Wander
@@ -23,6 +23,15 @@ from tests.support.worlds import DISTURBANCES
 
 pytestmark = pytest.mark.slow
 TWO = EVERYTHING | {"dynamics": ("point_mass", "holonomic")}
+
+
+def assert_same_episode(policy: Any, field: Field, settings: Mapping[str, Any]) -> Episode:
+    ours = deploy(policy(), field, settings, PlaneSimulator(), seed=3).episode
+    theirs = record_episode(policy(), field, settings, seed=3)
+    for name in ("actions", "positions", "headings", "visits", "failed", "terms", "team_rewards"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
+    assert ours.outcome == theirs.outcome
+    return ours
 
 
 @pytest.mark.parametrize(
@@ -35,25 +44,18 @@ TWO = EVERYTHING | {"dynamics": ("point_mass", "holonomic")}
         ("zoo", "field_03", {"wind": (0.1, 30.0)}),
     ],
 )
-def test_the_plane_gives_the_environments_own_episode(
+def test_plane_gives_the_environments_episode(
     policy: str, field: str, settings: Mapping[str, Any]
 ) -> None:
-    place, acting = load_field(field), policy
-    if acting == "zoo":
-        run = open_run(f"zoo:{field}")
+    place, run = load_field(field), open_run("zoo:field_03")
+    if policy == "zoo":
         settings = {**run.config["environment"], **settings}
     makers = {
         "greedy": lambda: make_classical("greedy", place, {}),
         "wander": Wander,
         "zoo": lambda: load_trained(run),
     }
-    ours = deploy(makers[acting](), place, settings, PlaneSimulator(), seed=3).episode
-    theirs = record_episode(makers[acting](), place, settings, seed=3)
-    for name in ("actions", "positions", "visits", "terms", "team_rewards"):
-        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
-    assert (ours.outcome, ours.config) == (theirs.outcome, theirs.config)
-    if policy == "wander":
-        assert (ours.terms[..., 2] < 0).any() == (theirs.terms[..., 2] < 0).any()
+    assert_same_episode(makers[policy], place, settings)
 
 
 @pytest.mark.parametrize("kind", ["brake", "coast", "vanish"])
@@ -61,18 +63,15 @@ def test_disturbed_robots_that_turn_and_fail_are_on_the_plane_as_in_the_engine(k
     settings = EVERYTHING | DISTURBANCES | {"dynamics": ("unicycle", "bicycle")}
     settings |= {"f_max": 2.0, "max_steps": 60, "mass": Uniform(1.0, 1.2)}
     settings["failures"] = {"at": {1: 35}, "kind": kind}
-    ours = deploy(Wander(), SMALL, settings, PlaneSimulator(), seed=3).episode
-    theirs = record_episode(Wander(), SMALL, settings, seed=3)
-    for name in ("positions", "headings", "terms", "failed"):
-        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
+    ours = assert_same_episode(Wander, SMALL, settings)
     assert np.ptp(ours.headings) > 1.0 and (ours.terms[..., 2] < 0).any()
     assert ours.failed.tolist() == [0, 35]
 
 
-class Notes(PlaneSimulator):
-    """Notes who fails, after how many steps; its vehicles cannot vanish."""
+class Windy(PlaneSimulator):
+    """Notes who fails; has a wind, which nothing feels; its vehicles cannot vanish."""
 
-    failures = ("brake", "coast")
+    has_wind, failures = True, ("brake", "coast")
 
     def reset(self, mission: Mission) -> None:
         super().reset(mission)
@@ -86,24 +85,18 @@ class Notes(PlaneSimulator):
         self.steps += 1
 
 
-def test_a_simulator_learns_once_who_fails() -> None:
+def test_simulator_learns_once_who_fails() -> None:
     failing = TWO | {"failures": {"at": {1: 3, 0: 5}, "kind": "coast"}, "max_steps": 7}
-    simulator = Notes()
+    simulator = Windy()
     done = deploy(Wander(), SMALL, failing, simulator)
     assert simulator.notes == [(2, 1, "coast"), (4, 0, "coast")]
     assert done.episode.failed.tolist() == [5, 3]
     failing["failures"] = {"kind": "vanish"}
     with pytest.raises(ConfigError, match=r"failures\.kind: "):
-        deploy(Wander(), SMALL, failing, Notes())
+        deploy(Wander(), SMALL, failing, simulator)
 
 
-class Windy(PlaneSimulator):
-    """Its wind is a body's own, which nothing here feels."""
-
-    has_wind = True
-
-
-def test_the_wind_of_a_simulator_is_in_the_episode() -> None:
+def test_wind_of_a_simulator_is_in_the_episode() -> None:
     settings: dict[str, Any] = TWO | {"wind": (0.25, 90.0), "gust": 0.1, "max_steps": 5}
     own, plane = (
         deploy(Wander(), SMALL, settings, kind()).episode for kind in (Windy, PlaneSimulator)
@@ -114,17 +107,9 @@ def test_the_wind_of_a_simulator_is_in_the_episode() -> None:
     assert not np.array_equal(own.positions, plane.positions)
 
 
-def measured(**settings: Any) -> tuple[BatchEngine, TrackedWorld]:
-    engine = BatchEngine(SMALL, 1, autoreset=False, threads=1, **settings)
-    return engine, TrackedWorld(engine)
-
-
-def test_a_deployed_episode_has_the_numbers_that_the_engine_draws() -> None:
-    settings: dict[str, Any] = TWO | {
-        "condition": "windy",
-        "mass": Uniform(1.0, 2.0),
-        "max_steps": 5,
-    }
+def test_deployed_episode_has_the_numbers_that_the_engine_draws() -> None:
+    settings: dict[str, Any] = TWO | {"condition": "windy", "mass": Uniform(1.0, 2.0)}
+    settings["max_steps"] = 5
     engine = BatchEngine(SMALL, 1, seed=3, **settings)
     engine.reset()
     shown = deploy(Wander(), SMALL, settings, Windy(), seed=3).episode
@@ -132,61 +117,59 @@ def test_a_deployed_episode_has_the_numbers_that_the_engine_draws() -> None:
     assert not shown.config.drawn and not shown.drawn
 
 
-def test_positions_are_judged_where_they_were_measured() -> None:
-    engine, world = measured()
+# ---------------------------------------------------------------- the tracked world
+
+
+@pytest.fixture
+def tracked() -> tuple[BatchEngine, TrackedWorld]:
+    """Two robots at (120, 120) and (380, 120), commanded to stay."""
+    engine = BatchEngine(SMALL, 1, autoreset=False, threads=1)
+    world = TrackedWorld(engine)
     engine.reset()
-    command = world.command(np.ones((2, 2)))
-    np.testing.assert_array_equal(command.velocities, np.full((2, 2), 0.5))
-    world.measure([(141.0, 150.0), (380.0, 120.0)], [(9.0, -9.0), (0.0, 0.0)])
+    world.command(np.zeros((2, 2)))
+    return engine, world
+
+
+def test_positions_are_judged_where_they_were_measured(
+    tracked: tuple[BatchEngine, TrackedWorld],
+) -> None:
+    engine, world = tracked
+    world.measure([(141.0, 150.0), (120.0, 99.0)], [(9.0, -9.0), (0.0, 0.0)])
     now = engine.snapshot()
     assert now.visited.tolist() == [True, False, False]
     np.testing.assert_array_equal(now.velocities[0], (5.0, -5.0))  # as far as the MDP knows speeds
-    assert engine.team_rewards[0] == 10_000.0 - 2 * 10.0
+    np.testing.assert_array_equal(now.positions[1], (120.0, 99.0))  # it is outside, and pays
+    assert engine.team_rewards[0] == 10_000.0 - 10_000.0 - 2 * 10.0
+    assert engine.metrics()["wall_hits"][0].tolist() == [0, 1]
 
 
-def test_a_robot_outside_pays_and_is_where_it_is() -> None:
-    engine, world = measured()
-    engine.reset()
-    world.command(np.zeros((2, 2)))
-    world.measure([(120.0, 99.0), (380.0, 120.0)], np.zeros((2, 2)))
-    assert engine.team_rewards[0] == -10_000.0 - 2 * 10.0
-    np.testing.assert_array_equal(engine.snapshot().positions[0], (120.0, 99.0))
-    assert engine.metrics()["wall_hits"][0].tolist() == [1, 0]
-
-
-def test_a_command_out_of_the_field_is_to_stay() -> None:
-    engine, world = measured()
-    engine.reset()
-    world.command(np.zeros((2, 2)))
+def test_command_out_of_the_field_is_to_stay(tracked: tuple[BatchEngine, TrackedWorld]) -> None:
+    _, world = tracked
     world.measure([(120.0, 102.0), (380.0, 120.0)], [(0.0, -4.0), (0.0, 0.0)])
-    command = world.command(np.zeros((2, 2)))
+    command = world.command(np.ones((2, 2)) * (0.0, 1.0))
     assert command.allowed.tolist() == [False, True]
-    np.testing.assert_array_equal(command.velocities, np.zeros((2, 2)))
+    np.testing.assert_array_equal(command.velocities, [(0.0, 0.0), (0.0, 0.5)])
 
 
-def test_a_vehicles_own_limit_bounds_its_commands() -> None:
-    engine = BatchEngine(SMALL, 1, autoreset=False, threads=1)
-    world = TrackedWorld(engine, speed_limit=2.0)
-    engine.reset()
-    world.command(np.zeros((2, 2)))
+def test_vehicles_own_limit_bounds_its_commands(tracked: tuple[BatchEngine, TrackedWorld]) -> None:
+    engine, world = tracked[0], TrackedWorld(tracked[0], speed_limit=2.0)
     world.measure(SMALL.starts + 5.0, [(1.9, 0.0), (0.0, 4.0)])
     np.testing.assert_array_equal(world.command(np.ones((2, 2))).velocities, [(2, 0.5), (0.5, 2)])
     assert engine.config.v_clip == 5.0  # the observation's scale is the policy's
 
 
-def test_a_measured_collision_ends_the_episode() -> None:
-    engine, world = measured()
-    engine.reset()
-    world.command(np.zeros((2, 2)))
+def test_measured_collision_ends_the_episode(tracked: tuple[BatchEngine, TrackedWorld]) -> None:
+    engine, world = tracked
     world.measure([(150.0, 120.0), (159.9, 120.0)], np.zeros((2, 2)))
     assert engine.snapshot().collision
     with pytest.raises(StepError, match="has ended"):
         world.command(np.zeros((2, 2)))
 
 
-def test_what_cannot_be_measured_is_an_error() -> None:
-    engine, world = measured()
-    engine.reset()
+def test_wrong_measurements_and_numbers_are_errors(
+    tracked: tuple[BatchEngine, TrackedWorld],
+) -> None:
+    engine, world = tracked
     with pytest.raises(ActionError, match=r"\(2, 2\)"):
         world.measure([(1.0, 2.0)], [(0.0, 0.0)])
     with pytest.raises(ActionError, match="finite"):
@@ -198,20 +181,12 @@ def test_what_cannot_be_measured_is_an_error() -> None:
             TrackedWorld(engine, limit)
     with pytest.raises(MbnError, match=r"speed_limit: "):
         TrackedWorld(BatchEngine(SMALL, 2, autoreset=False), 0.0)
-
-
-def test_a_scale_is_above_zero() -> None:
     with pytest.raises(ConfigError, match=r"metres: 0\.0"):
         Scale(metres=0.0)
-    assert Scale(0.2, 0.5).speed == 0.4
-    assert Scale(0.2, 0.5).acceleration(tau=2.0) == 0.4
+    assert (Scale(0.2, 0.5).speed, Scale(0.2, 0.5).acceleration(tau=2.0)) == (0.4, 0.4)
 
 
-def test_the_separation_is_that_of_robots_that_have_not_vanished() -> None:
-    """Robot 1 fails in the first step, 260 units away; robot 0 comes 0.5, then 1.5 units nearer."""
-    for kind, least in (("vanish", 260.0), ("brake", 258.5)):
-        failing = TWO | {"failures": {"at": {1: 1}, "kind": kind}, "max_steps": 2}
-        assert deploy(Push(1.0), SMALL, failing, PlaneSimulator()).separation == least
+# ---------------------------------------------------------------- the numbers of a deployment
 
 
 class Push:
@@ -219,16 +194,23 @@ class Push:
 
     observes = "observations"
 
-    def __init__(self, force: float = -1.0) -> None:
+    def __init__(self, force: float) -> None:
         self.force = force
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         return np.tile(np.float32((self.force, 0.0)), (*seen.shape[:2], 1))
 
 
+def test_separation_is_that_of_robots_that_have_not_vanished() -> None:
+    """Robot 1 fails in the first step, 260 units away; robot 0 comes 0.5, then 1.5 units nearer."""
+    for kind, least in (("vanish", 260.0), ("brake", 258.5)):
+        failing = TWO | {"failures": {"at": {1: 1}, "kind": kind}, "max_steps": 2}
+        assert deploy(Push(1.0), SMALL, failing, PlaneSimulator()).separation == least
+
+
 def test_wall_hits_are_counted_where_they_cost_nothing() -> None:
     """From x = 120 robot 0 gets to 102 in 8 steps, to 97.5 in the 9th; then 101.5, 100.5, 99."""
     free = RewardProfile(name="free", large=0.0)
-    done = deploy(Push(), SMALL, {"max_steps": 12, "reward": free}, PlaneSimulator())
+    done = deploy(Push(-1.0), SMALL, {"max_steps": 12, "reward": free}, PlaneSimulator())
     assert done.wall_hits == 2
     assert not done.episode.terms[..., 2].any()

@@ -15,32 +15,43 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from baselines.classical.controller import make_classical
 from baselines.cli import main
+from baselines.policies.classical import make_classical
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, save_field
-from mbn_marl.sim3d import Deployment, PlaneSimulator, Scale, deploy
-from mbn_marl.sim3d.deployment import Policy
+from mbn_marl.sim3d import Mission, PlaneSimulator, Scale, deploy
 from mbn_marl.sim3d.film import Film, load_mujoco
-from mbn_marl.sim3d.vehicle import Vehicle
-from tests.support.missions import BEND, SMALL, Wander, drive, start
+from tests.support.missions import BEND, SMALL, Wander
 
 if find_spec("mujoco") is None:
     pytest.skip("MuJoCo is not installed", allow_module_level=True)
 
 from mbn_marl.sim3d import quadrotor
-from mbn_marl.sim3d.mujoco_simulator import BROKEN, MujocoSimulator
+from mbn_marl.sim3d.balancer import Balancer
+from mbn_marl.sim3d.mujoco_simulator import MujocoSimulator
 from mbn_marl.sim3d.quadrotor import attitude_error, wanted_attitude
-from mbn_marl.sim3d.scene import SPRAYED_WEED
+from mbn_marl.sim3d.scene import SPRAYED, STONE
 
 pytestmark = pytest.mark.slow
 
-# -- the quadrotor ---------------------------------------------------------------------------------
+
+def begun(vehicle: Any = "quadrotor", field: Field = SMALL, **changes: Any) -> MujocoSimulator:
+    simulator = MujocoSimulator(vehicle, scale=changes.pop("scale", None))
+    simulator.reset(Mission(field, field.starts, **changes))
+    return simulator
+
+
+def drive(simulator: MujocoSimulator, velocity: tuple[float, float], steps: int) -> None:
+    simulator.command(np.tile(velocity, (2, 1)))
+    for _ in range(steps):
+        simulator.step()
+
+
+# ---------------------------------------------------------------- the quadrotor
 
 
 def test_hovering_holds_its_height_in_wind() -> None:
-    simulator = MujocoSimulator()
-    start(simulator, wind=(0.4, 0.3))
+    simulator = begun(wind=(0.4, 0.3))
     simulator.data.qpos[2] = 0.45  # the first one begins 10 cm too high
     for step in range(12):
         simulator.step()
@@ -48,9 +59,8 @@ def test_hovering_holds_its_height_in_wind() -> None:
             assert np.abs(simulator.motion().heights - 0.35).max() < 0.02
 
 
-def test_a_velocity_settles_within_a_step() -> None:
-    simulator = MujocoSimulator()
-    start(simulator)
+def test_velocity_settles_within_a_step() -> None:
+    simulator = begun()
     for direction in ((1.0, 0.0), (0.0, -1.0)):
         drive(simulator, direction, 1)
         for _ in range(3):
@@ -62,9 +72,8 @@ def test_a_velocity_settles_within_a_step() -> None:
 
 def test_wind_moves_a_free_body_as_it_moves_a_point_mass(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(quadrotor, "VELOCITY_GAIN", 0.0)  # it holds its height and drifts
-    simulator = MujocoSimulator(scale=Scale(0.2, 0.5))
     wind = 0.2 * np.array([math.cos(math.radians(30)), math.sin(math.radians(30))])
-    start(simulator, wind=tuple(wind))
+    simulator = begun(wind=tuple(wind), scale=Scale(0.2, 0.5))
     simulator.step()
     gained = simulator.motion().velocities
     np.testing.assert_allclose(gained, [wind, wind], rtol=0.1)
@@ -72,9 +81,8 @@ def test_wind_moves_a_free_body_as_it_moves_a_point_mass(monkeypatch: pytest.Mon
     np.testing.assert_allclose(angles, 30.0, atol=1.0)
 
 
-def test_a_steered_body_resists_the_wind() -> None:
-    simulator = MujocoSimulator()
-    start(simulator, wind=(0.4, 0.0))
+def test_steered_body_resists_the_wind() -> None:
+    simulator = begun(wind=(0.4, 0.0))
     drive(simulator, (0.0, 0.0), 5)
     assert 0.02 < simulator.motion().velocities[0, 0] < 0.2
 
@@ -90,17 +98,16 @@ def test_attitudes_agree_with_the_cross_product() -> None:
     np.testing.assert_allclose(attitude_error(turned, np.eye(3)[None]), [[small, 0, 0]], atol=1e-9)
 
 
-def test_an_obstacle_stops_a_quadrotor() -> None:
+def test_obstacle_stops_a_quadrotor() -> None:
     field = Field(SMALL.vertices, SMALL.rois, [(190, 200), (380, 120)], [BEND])
-    simulator = MujocoSimulator()
-    start(simulator, field)
+    simulator = begun(field=field)
     drive(simulator, (1.0, 0.0), 25)
     free = simulator.motion().positions
     assert free[1, 0] > 400.0  # nothing in its way
     assert free[0, 0] < 202.0  # the block begins at 200
 
 
-# -- the balancing robot ---------------------------------------------------------------------------
+# ---------------------------------------------------------------- the balancing robot
 
 
 def lean(simulator: MujocoSimulator) -> float:
@@ -108,10 +115,9 @@ def lean(simulator: MujocoSimulator) -> float:
     return float(np.degrees(np.arccos(simulator.senses().rotations[:, 2, 2].min())))
 
 
-def test_the_balancer_stays_up_and_drives_where_it_is_told() -> None:
-    simulator = MujocoSimulator("balancer")
+def test_balancer_stays_up_and_drives_where_it_is_told() -> None:
+    simulator = begun("balancer")
     assert simulator.speed_limit == 2.0
-    start(simulator)
     for velocity in ((2.0, 0.0), (0.0, 1.5), (-1.0, -1.0), (0.0, 0.0)):
         for _ in range(6):
             drive(simulator, velocity, 1)
@@ -121,26 +127,24 @@ def test_the_balancer_stays_up_and_drives_where_it_is_told() -> None:
 
 
 def test_without_control_the_balancer_falls() -> None:
-    class Idle(type(MujocoSimulator("balancer").vehicle)):  # type: ignore[misc]
+    class Idle(Balancer):
         def control(self, senses: Any, commands: Any, parked: Any) -> Any:
             return np.zeros((len(commands), 2))
 
-    simulator = MujocoSimulator(Idle())
-    start(simulator)
+    simulator = begun(Idle())
     simulator.data.qvel[4] = 0.1
     for _ in range(4):
         simulator.step()
     assert lean(simulator) > 45.0
 
 
-# -- vehicles that fail ----------------------------------------------------------------------------
+# ---------------------------------------------------------------- vehicles that fail
 
 
 @pytest.mark.parametrize(("vehicle", "height"), [("quadrotor", 0.055), ("balancer", 0.1)])
-def test_a_vehicle_that_brakes_stands_where_it_stopped(vehicle: str, height: float) -> None:
+def test_vehicle_that_brakes_stands_where_it_stopped(vehicle: str, height: float) -> None:
     """A quadrotor lands there. Wind does not move it, and the other one goes on."""
-    simulator = MujocoSimulator(vehicle)
-    start(simulator, wind=(0.3, 0.2))
+    simulator = begun(vehicle, wind=(0.3, 0.2))
     drive(simulator, (1.5, 0.0), 4)
     colours = simulator.model.geom_rgba.copy()
     simulator.fail(0, "brake")
@@ -169,30 +173,24 @@ def test_a_vehicle_that_brakes_stands_where_it_stopped(vehicle: str, height: flo
     roots = [model.body(model.body_rootid[body]).name for body in model.geom_bodyid]
     changed = np.flatnonzero((model.geom_rgba != colours).any(axis=1))
     assert {roots[part] for part in changed} == {"robot_0"}
-    np.testing.assert_allclose(model.geom_rgba[changed[0]], np.array(BROKEN.split(), float))
+    np.testing.assert_allclose(model.geom_rgba[changed[0]], np.array(STONE.split(), float))
 
 
-def test_a_vehicle_that_coasts_flies_on() -> None:
-    simulator = MujocoSimulator()
-    start(simulator)
+def test_vehicle_that_coasts_flies_on() -> None:
+    simulator = begun()
     simulator.fail(0, "coast")
     drive(simulator, (1.0, 0.0), 3)
     drive(simulator, (0.0, 0.0), 3)
     assert np.abs(simulator.motion().heights - 0.35).max() < 0.02
 
 
-# -- deployments -----------------------------------------------------------------------------------
+# ---------------------------------------------------------------- deployments
 
 
-def flown(policy: Policy, vehicle: str | Vehicle = "quadrotor", **settings: Any) -> Deployment:
-    with MujocoSimulator(vehicle) as simulator:
-        return deploy(policy, SMALL, settings, simulator)
-
-
-def test_a_policy_of_the_plane_flies() -> None:
-    policy = make_classical("greedy", SMALL, {})
-    ideal = deploy(policy, SMALL, {}, PlaneSimulator())
-    real = flown(make_classical("greedy", SMALL, {}))
+def test_policy_of_the_plane_flies() -> None:
+    ideal = deploy(make_classical("greedy", SMALL, {}), SMALL, {}, PlaneSimulator())
+    with MujocoSimulator() as simulator:
+        real = deploy(make_classical("greedy", SMALL, {}), SMALL, {}, simulator)
     assert ideal.success and real.success
     assert ideal.makespan is not None and real.makespan is not None
     assert 0.9 * ideal.makespan <= real.makespan <= 1.3 * ideal.makespan
@@ -201,23 +199,22 @@ def test_a_policy_of_the_plane_flies() -> None:
     assert ideal.tracking_error < 1e-4
 
 
-def test_a_deployment_measures_what_happened() -> None:
-    real = flown(Wander(), max_steps=30)
+def test_deployment_measures_what_happened() -> None:
+    with MujocoSimulator() as simulator:
+        real = deploy(Wander(), SMALL, {"max_steps": 30}, simulator)
     episode = real.episode
-    assert (episode.outcome, episode.steps) == ("truncated", 30)
-    assert real.makespan is None
+    assert (episode.outcome, episode.steps, real.makespan) == ("truncated", 30, None)
     gaps = [math.dist(*moment) for moment in episode.positions.tolist()]
     assert real.separation == pytest.approx(min(gaps))
     missed = np.diff(episode.positions.astype(float), axis=0) - real.commands
     assert real.tracking_error == pytest.approx(np.sqrt((missed**2).sum(axis=2).mean()))
 
 
-# -- the scene -------------------------------------------------------------------------------------
+# ---------------------------------------------------------------- the scene
 
 
-def test_the_scene_has_what_the_field_has() -> None:
-    simulator = MujocoSimulator()
-    start(simulator)
+def test_scene_has_what_the_field_has() -> None:
+    simulator = begun()
     names = [simulator.model.geom(k).name for k in range(simulator.model.ngeom)]
     assert [name for name in names if name.startswith("weed")] == ["weed_0", "weed_1", "weed_2"]
     assert sum(name.startswith("obstacle") for name in names) == len(BEND) - 2
@@ -226,46 +223,30 @@ def test_the_scene_has_what_the_field_has() -> None:
     before = simulator.model.geom("weed_1").rgba.copy()
     simulator.spray(1)
     after = simulator.model.geom("weed_1").rgba
-    np.testing.assert_allclose(after, [float(part) for part in SPRAYED_WEED.split()])
+    np.testing.assert_allclose(after, [float(part) for part in SPRAYED["weed"].split()])
     assert not np.allclose(before, after)
     np.testing.assert_array_equal(simulator.model.geom("weed_0").rgba, before)
 
 
-def test_an_unknown_vehicle_names_the_known_ones() -> None:
+def test_unknown_names_and_a_missing_mujoco_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigError, match="quadrotor, balancer"):
         MujocoSimulator("helicopter")
-
-
-def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigError, match="camera: "):
+        Film("film.mp4", "side")
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ImportError, match=r"\.\[sim3d\]"):
         MujocoSimulator()
 
 
-# -- the film --------------------------------------------------------------------------------------
-
-
-def can_draw() -> bool:
-    """Whether MuJoCo finds an OpenGL that draws without a display."""
-    mujoco = load_mujoco()
-    try:
-        model = mujoco.MjModel.from_xml_string("<mujoco/>")
-        mujoco.Renderer(model, 16, 16).close()
-    except Exception:  # whatever the platform's OpenGL raises
-        return False
-    return True
-
-
-def test_a_size_that_no_film_has_is_refused() -> None:
-    sizes: list[Any] = [(960,), 960, (960, "tall"), (960.5, 720), (8, 720)]
-    for size in sizes:
-        with pytest.raises(ConfigError, match="size: "):
-            Film("film.mp4", size=size)
+# ---------------------------------------------------------------- the film
 
 
 @pytest.fixture
 def opengl() -> None:
-    if not can_draw():
+    mujoco = load_mujoco()
+    try:
+        mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()
+    except Exception:  # each platform's OpenGL raises its own
         pytest.skip("no OpenGL without a display (Debian: libegl1 libgl1)")
 
 
@@ -284,7 +265,7 @@ load_mujoco().Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).clos
 
 @pytest.mark.all
 @pytest.mark.usefixtures("opengl")
-def test_a_film_shows_the_mission(tmp_path: Path) -> None:
+def test_film_shows_the_mission(tmp_path: Path) -> None:
     field = Field([(0, 0), (60, 0), (60, 45), (0, 45)], [(30, 22)], [(15, 20)], name="yard")
     save_field(field, tmp_path / "yard.yaml")
     video, numbers = tmp_path / "mission.mp4", tmp_path / "numbers.json"

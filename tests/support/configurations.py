@@ -23,7 +23,7 @@ from numba.core.dispatcher import Dispatcher
 from mbn_marl import Failures, Uniform
 from mbn_marl.config import CONDITIONS, WITHOUT_RADIUS
 from mbn_marl.field import FieldSampler
-from mbn_marl.field.layout import FAMILIES
+from mbn_marl.field.generator.layout import FAMILIES
 
 PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
 """Those of the default configuration, for tests of both."""

@@ -1,4 +1,4 @@
-"""What disturbs the oracle's robots, and its random numbers: ``docs/mdp.md``, "Disturbances"."""
+"""The oracle's random numbers and disturbances: ``docs/specification.md``, ``conditions.md``."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Disturbances:
         ]
 
     def seen(self, i: int, thing: int, numbers: Any, bounds: Any) -> tuple[list[Any], bool]:
-        """What robot i sees of a thing's position and velocity, and whether it sees it at all.
+        """Return a thing's position and velocity as robot i sees them, and if it sees the thing.
 
         Robot j is thing j, ROI j is thing 64 + j; ``bounds`` are the least and the greatest values.
         """

@@ -1,4 +1,4 @@
-"""The numbers that an episode of the oracle draws: ``docs/mdp.md``, "Drawn numbers"."""
+"""The numbers that an episode of the oracle draws: ``docs/conditions.md``, "Drawn numbers"."""
 
 from __future__ import annotations
 

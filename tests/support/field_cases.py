@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from mbn_marl.errors import FieldError
-from mbn_marl.field import FORMAT, Field, load_field
+from mbn_marl.field import FORMAT, Field
 
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
@@ -40,12 +41,14 @@ def circle(corners: int) -> list[tuple[float, float]]:
 
 
 def write(folder: Path, text: str, name: str = "user.yaml") -> Path:
+    """A file ``name`` in ``folder`` that holds ``text``."""
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def problems_of_file(folder: Path, text: str) -> list[str]:
+def places_of(make: Callable[[], object]) -> list[str]:
+    """The places of the problems in the FieldError that ``make`` raises, in order."""
     with pytest.raises(FieldError) as caught:
-        load_field(write(folder, text))
-    return caught.value.problems
+        make()
+    return [problem.split(": ")[0] for problem in caught.value.problems]

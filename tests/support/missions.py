@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from baselines.policies.policy import Policy
 from mbn_marl.field import Field
-from mbn_marl.sim3d import Mission, Simulator
 
 BEND = [(200, 150), (300, 150), (300, 170), (220, 170), (220, 250), (200, 250)]
 """A hole that is not convex."""
@@ -20,20 +18,8 @@ SMALL = Field(
 )
 
 
-class Wander:
+class Wander(Policy):
     """Actions that look at nothing but the observation, and push into walls."""
-
-    observes = "observations"
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         return (np.floor(seen[:, :, :2] * 185.0) % 3 - 1).astype(np.float32)
-
-
-def start(simulator: Simulator, field: Field = SMALL, **mission: Any) -> None:
-    simulator.reset(Mission(field, field.starts, **mission))
-
-
-def drive(simulator: Simulator, velocity: tuple[float, float], steps: int) -> None:
-    simulator.command(np.tile(velocity, (2, 1)))
-    for _ in range(steps):
-        simulator.step()

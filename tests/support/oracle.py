@@ -235,7 +235,7 @@ class Oracle:
         return found
 
     def _flag(self, robot: Robot) -> NDArray[Any]:
-        """Whether a robot has failed, as the entries of an observation: none without failures."""
+        """The entries of an observation that flag a failed robot: none without failures."""
         return np.array([robot.failed] if self.failures else [], float)
 
     def _gone(self, robot: Robot) -> bool:

@@ -14,7 +14,7 @@ import torch
 from filelock import FileLock
 
 from baselines.algorithms import Setting
-from baselines.evaluation.policy import load_trained
+from baselines.policies.load import load_trained
 from baselines.runs.folder import RunFolder
 from baselines.training.config import TrainConfig
 from baselines.training.run_logger import Report

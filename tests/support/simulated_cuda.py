@@ -23,7 +23,7 @@ from mbn_marl import BatchEngine, Failures, Uniform
 from mbn_marl.engine import cuda, cuda_kernels
 from mbn_marl.errors import ActionError, ConfigError, StepError
 from mbn_marl.field import FieldSampler
-from mbn_marl.field.layout import FAMILIES
+from mbn_marl.field.generator.layout import FAMILIES
 from tests.engine.test_golden import golden_field
 from tests.golden import Episode, load_episodes
 from tests.support.worlds import ASSIGNED

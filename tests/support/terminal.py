@@ -1,4 +1,4 @@
-"""Runs a command in a pseudo-terminal, as a user sees it."""
+"""The command ``mbn``, and a pseudo-terminal to run it in, as a user sees it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import pty
 import re
 import struct
 import subprocess
+import sys
 import termios
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+MBN = (sys.executable, "-c", "import sys; from baselines.cli import main; sys.exit(main())")
 CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b\][^\x07]*\x07")
 
 

@@ -1,4 +1,4 @@
-"""The oracle's observation ``entities``: ``docs/mdp.md``, "What a robot sees"."""
+"""The oracle's observation ``entities``: ``docs/observations.md``."""
 
 from __future__ import annotations
 

@@ -11,16 +11,15 @@ import pytest
 from PIL import Image
 
 from baselines.cli import main
+from baselines.policies.load import ENTRIES
 from tests.support.chromium import Chromium, fact
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two finished runs of one algorithm, with the zoo's policy and made-up evaluations."""
-    from baselines.zoo.entries import FOLDER
-
     folder = tmp_path_factory.mktemp("runs")
-    entry = FOLDER / "field_03"
+    entry = ENTRIES / "field_03"
     card = json.loads((entry / "card.json").read_text())
     for seed in (0, 1):
         run = folder / f"run{seed}"

@@ -20,6 +20,7 @@ from baselines.cli.main import main, read_command
 from mbn_marl.jit.compile import ANNOUNCEMENT
 from tests.baselines.conftest import Refusal
 from tests.support.records import make_run
+from tests.support.terminal import MBN
 
 CATALOGUE = Path(__file__).parents[3] / "envs_catalog"
 TINY = ("--steps", "1", "--evaluate-every", "4096", "--episodes", "2")
@@ -102,7 +103,7 @@ def test_a_stopped_comparison_leaves_no_process_behind(tmp_path: Path) -> None:
     chosen = ("compare", "--algos", "ppo", "--processes", "2", "--out", str(out))
     endless = ("--steps", "100000000", "--evaluate-every", "100000000")
     process = subprocess.Popen(
-        [sys.executable, "-m", "mbn_marl", *chosen, *endless],
+        [*MBN, *chosen, *endless],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         start_new_session=True,

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
@@ -13,15 +10,7 @@ from baselines.cli import fields
 from baselines.cli.main import COMMANDS, main
 from mbn_marl import __version__
 from tests.baselines.conftest import Refusal
-
-ROOT = Path(__file__).parents[3]
-HIDDEN = """
-import runpy, sys
-# An editable installation finds the modules of a package that is hidden.
-sys.meta_path[:] = [finder for finder in sys.meta_path if "Editable" not in str(finder)]
-runpy.run_module("mbn_marl", run_name="__main__")
-"""
-MBN = [sys.executable, "-m", "mbn_marl"]
+from tests.support.terminal import MBN
 
 
 def missing(name: str) -> ModuleNotFoundError:
@@ -80,15 +69,3 @@ def test_reader_may_leave(words: list[str]) -> None:
         process.stdout.close()
         assert process.stderr.read() == ""
     assert process.returncode == 1
-
-
-@pytest.mark.slow
-def test_another_package_called_baselines_is_named(tmp_path: Path) -> None:
-    other = tmp_path / "baselines" / "__init__.py"
-    other.parent.mkdir()
-    other.touch()
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
-    command = [sys.executable, "-c", HIDDEN]
-    run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert run.returncode == 1
-    assert str(other) in run.stderr and "Traceback" not in run.stderr

@@ -14,7 +14,6 @@ import pytest
 
 from baselines import load_policy
 from baselines.cli.main import main
-from baselines.compare import benchmark
 from baselines.compare.benchmark import (
     METRICS,
     SettingsError,
@@ -28,7 +27,11 @@ from baselines.compare.benchmark import (
     statistics,
 )
 from baselines.evaluation.evaluate import Evaluation, evaluate
+from baselines.policies import load
+from baselines.policies.load import Source, load_trained
+from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import RunError, alone
+from baselines.runs.folder import RunFolder
 from mbn_marl import Field
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Instance, load_field, splits
@@ -159,15 +162,15 @@ def test_an_interrupted_run_goes_on_and_gives_the_same(
 ) -> None:
     tiers = ["1-convex", "2-sizes"]
     whole = run("greedy", tiers, tmp_path / "whole")
-    calls = []
+    calls, true = [], Source.make
 
-    def stopping(source: str, field: Field, **how: Any) -> Any:
+    def stopping(source: Source, field: Field, **how: Any) -> Any:
         calls.append(field.name)
         if len(calls) == COUNT + 2:
             raise KeyboardInterrupt
-        return load_policy(source, field, **how)
+        return true(source, field, **how)
 
-    monkeypatch.setattr(benchmark, "find_policy", stopping)
+    monkeypatch.setattr(Source, "make", stopping)
     with pytest.raises(KeyboardInterrupt):
         run("greedy", tiers, tmp_path / "cut")
     kept = json.loads((tmp_path / "cut" / "result.json").read_text())
@@ -219,14 +222,27 @@ def test_what_is_not_to_be_resumed_is_named(
 def test_settings_of_a_trained_policy_are_checked_before_the_first_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    true = benchmark.find_policy
+    true = Source.make
 
-    def changed(source: str, *place: Field, **how: Any) -> Any:
+    def changed(source: Source, *place: Field, **how: Any) -> Any:
         return true(source, *place, **how, max_steps=40)
 
-    monkeypatch.setattr(benchmark, "find_policy", changed)
+    monkeypatch.setattr(Source, "make", changed)
     with pytest.raises(SettingsError, match="max_steps: "):  # that does not even fit
         run("zoo:field_03", ["2-sizes"], tmp_path)
+
+
+def test_weights_are_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loads = []
+
+    def counted(folder: RunFolder) -> TrainedPolicy:
+        loads.append(folder.path.name)
+        return load_trained(folder)
+
+    monkeypatch.setattr(load, "load_trained", counted)
+    found = run("zoo:generalist", ["1-convex", "2-sizes"], tmp_path)
+    assert sum(len(tier["instances"]) for tier in found["tiers"].values()) == 2 * COUNT
+    assert loads == ["generalist"]
 
 
 def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:

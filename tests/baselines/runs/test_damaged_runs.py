@@ -18,8 +18,8 @@ import pytest
 import torch
 
 from baselines.cli import main
-from baselines.evaluation.policy import load_trained
-from baselines.runs.files import RunError, read_arrays, write_arrays
+from baselines.policies.load import load_trained
+from baselines.runs.files import RunError, read_arrays, read_json, write_arrays
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import read_tensors, write_tensors
 from baselines.torchrl import policy as team_policy
@@ -120,46 +120,6 @@ def test_a_link_in_a_run_folder_is_refused(tmp_path: Path) -> None:
     RunFolder.open(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "entry", "value"),
-    [
-        *(("mappo", entry, bad) for entry in MAPPO for bad in (None, "evil", -3, 10**12)),
-        *(("mappo", "tokens", bad) for bad in ("evil", [1], {"own": 3})),
-        *(("ppo-shared", entry, bad) for entry in SHARED for bad in (None, "evil")),
-        *(("ppo-shared", "normalization", bad) for bad in ("evil", {}, {"mean": [float("nan")]})),
-    ],
-)
-def test_a_shape_that_no_network_has_is_named(
-    name: str, entry: str, value: Any, tmp_path: Path, tiny_runs: TinyRuns
-) -> None:
-    run = RunFolder(shutil.copytree(tiny_runs.finished(name).path, tmp_path / "run"))
-    place = run.policy / "policy.json"
-    place.write_text(json.dumps(json.loads(place.read_text()) | {entry: value}))
-    with pytest.raises(RunError, match=str(run.policy)):
-        load_trained(run)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda weight: weight * torch.nan,
-        lambda weight: torch.full_like(weight, torch.inf),
-        lambda weight: weight.double(),
-        lambda weight: weight.long(),
-        lambda weight: weight[None],
-    ],
-)
-@pytest.mark.parametrize("name", ["mappo", "ppo-shared"])
-def test_weights_of_another_kind_are_refused(
-    name: str, change: Callable[[Any], Any], tmp_path: Path, tiny_runs: TinyRuns
-) -> None:
-    run = RunFolder(shutil.copytree(tiny_runs.finished(name).path, tmp_path / "run"))
-    place = run.policy / "policy.safetensors"
-    write_tensors(place, {key: change(one) for key, one in read_tensors(place).items()})
-    with pytest.raises(RunError, match=r"policy\.safetensors"):
-        load_trained(run)
-
-
 def test_the_next_checkpoint_is_read_when_one_is_gone(
     tmp_path: Path, tiny_runs: TinyRuns, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,31 +144,60 @@ def past_the_key(counters: Any) -> Any:
     return counters
 
 
-@pytest.mark.parametrize(
-    ("name", "file", "change"),
-    [
-        ("mappo", "worlds.npz", lambda a: a | {"now.steps": a["now.steps"] + np.int32(10**8)}),
-        ("ppo", "worlds.npz", lambda a: a | {"0/now.x": a["0/now.x"] * np.float32(np.nan)}),
-        ("ppo", "worlds.npz", lambda a: a | {"_last_obs": a["_last_obs"][:, 1:]}),
-        ("tqc", "replay.npz", lambda a: a | {"pos": np.array(10**9)}),
-        ("tqc", "counters.json", lambda a: a | {"num_timesteps": "x"}),
-        ("mappo", "counters.json", lambda a: a | {"curriculum": {"first": "x"}}),
-        ("mappo", "counters.json", lambda a: [a]),
-        ("mappo", "counters.json", lambda a: a | {"env_steps": -1}),
-        ("mappo", "recorder.json", lambda a: a | {"progress_bytes": -5}),
-        ("ppo", "recorder.json", lambda a: [a]),
-        ("mappo", "counters.json", past_the_key),
-        ("ppo", "counters.json", past_the_key),
-    ],
+def with_entry(entry: str, value: Any) -> Callable[[Any], Any]:
+    return lambda content: content | {entry: value}
+
+
+WEIGHTS = (
+    lambda weight: weight * torch.nan,
+    lambda weight: torch.full_like(weight, torch.inf),
+    lambda weight: weight.double(),
+    lambda weight: weight.long(),
+    lambda weight: weight[None],
 )
-def test_an_edited_checkpoint_is_refused(
+EDITS: list[tuple[str, str, Callable[[Any], Any]]] = [
+    *(("mappo", "policy.json", with_entry(k, v)) for k in MAPPO for v in (None, "x", -3, 10**12)),
+    *(("mappo", "policy.json", with_entry("tokens", v)) for v in ("x", [1], {"own": 3})),
+    *(("ppo-shared", "policy.json", with_entry(k, v)) for k in SHARED for v in (None, "x")),
+    *(
+        ("ppo-shared", "policy.json", with_entry("normalization", v))
+        for v in ("x", {}, {"mean": [float("nan")]})
+    ),
+    *(
+        (name, "policy.safetensors", lambda a, change=change: {k: change(a[k]) for k in a})
+        for name in ("mappo", "ppo-shared")
+        for change in WEIGHTS
+    ),
+    ("mappo", "worlds.npz", lambda a: a | {"now.steps": a["now.steps"] + np.int32(10**8)}),
+    ("ppo", "worlds.npz", lambda a: a | {"now.x": a["now.x"] * np.float32(np.nan)}),
+    ("ppo", "worlds.npz", lambda a: a | {"_last_obs": a["_last_obs"][:, 1:]}),
+    ("tqc", "replay.npz", with_entry("pos", np.array(10**9))),
+    ("tqc", "counters.json", with_entry("num_timesteps", "x")),
+    ("mappo", "counters.json", with_entry("curriculum", {"first": "x"})),
+    ("mappo", "counters.json", lambda a: [a]),
+    ("mappo", "counters.json", with_entry("env_steps", -1)),
+    ("mappo", "recorder.json", with_entry("progress_bytes", -5)),
+    ("ppo", "recorder.json", lambda a: [a]),
+    ("mappo", "counters.json", past_the_key),
+    ("ppo", "counters.json", past_the_key),
+]
+READERS: dict[str, Any] = {".json": read_json, ".npz": read_arrays, ".safetensors": read_tensors}
+
+
+@pytest.mark.parametrize(("name", "file", "change"), EDITS)
+def test_an_edited_file_is_refused(
     name: str, file: str, change: Callable[[Any], Any], tmp_path: Path, tiny_runs: TinyRuns
 ) -> None:
-    run: Any = tiny_runs.stopped(name, tmp_path / "run")
-    place = run.checkpoint / file
-    if place.suffix == ".npz":
-        write_arrays(place, change(read_arrays(place)))
+    of_policy = file.startswith("policy.")
+    if of_policy:
+        run = RunFolder(shutil.copytree(tiny_runs.finished(name).path, tmp_path / "run"))
     else:
-        place.write_text(json.dumps(change(json.loads(place.read_text()))))
+        run = tiny_runs.stopped(name, tmp_path / "run")
+    place = run.policy / file if of_policy else run.policy.parent / file
+    content = change(READERS[place.suffix](place))
+    if place.suffix == ".json":
+        place.write_text(json.dumps(content))
+    else:
+        (write_arrays if place.suffix == ".npz" else write_tensors)(place, content)
     with pytest.raises(RunError, match=str(run.path)):
-        train(small_config(name), run.path, resume=True)
+        load_trained(run) if of_policy else train(small_config(name), run.path, resume=True)

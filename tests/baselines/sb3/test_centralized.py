@@ -13,7 +13,7 @@ import torch
 
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main
-from baselines.evaluation.policy import load_trained
+from baselines.policies.load import load_trained
 from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import moments_of

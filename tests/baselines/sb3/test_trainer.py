@@ -12,7 +12,7 @@ import torch
 
 from baselines.algorithms import find_algorithm
 from baselines.evaluation.evaluate import evaluate
-from baselines.evaluation.policy import load_trained
+from baselines.policies.load import load_trained
 from baselines.sb3.config import load
 from baselines.sb3.envs import TrainingWorlds, make_env
 from baselines.sb3.policy import SB3Policy, load_policy

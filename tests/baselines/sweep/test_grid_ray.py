@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -23,6 +22,7 @@ from baselines.sweep.run import train_runs
 from baselines.sweep.spec import read_spec, runs_of
 from baselines.tuning.tune import load_study
 from tests.support.runs import recorded, same_policies
+from tests.support.terminal import MBN
 
 pytestmark = [pytest.mark.slow, pytest.mark.all]
 cluster_utils = pytest.importorskip("ray.cluster_utils", reason="needs the extra [ray]")
@@ -86,9 +86,7 @@ def test_a_grid_survives_the_loss_of_a_node(cluster: Any, tmp_path: Path) -> Non
     train_runs(runs_of(local), local.store, LocalEngine(1))
     store, words = there.parent / "runs", ["grid", str(there), "--engine", "ray"]
     words += ["--address", cluster.address]
-    driver = subprocess.Popen(
-        [sys.executable, "-m", "mbn_marl", *words], stdout=subprocess.PIPE, text=True
-    )
+    driver = subprocess.Popen([*MBN, *words], stdout=subprocess.PIPE, text=True)
     try:
         deadline = time.monotonic() + 300.0
         while (found := busy_node(cluster, store)) is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import platform
 import resource
 import shutil
 import subprocess
@@ -21,7 +20,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main
-from baselines.evaluation.policy import load_trained
+from baselines.policies.load import load_trained
 from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
 from baselines.training import run_logger as recorder
@@ -147,25 +146,6 @@ def test_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(
     with pytest.raises(KeyboardInterrupt, match=rf"{tmp_path}.*--resume"):
         train(SMALL, tmp_path / "run", listener=stop)
     assert threads == [3, 1, 3]
-
-
-MEMORY = """
-import numpy as np
-from pathlib import Path
-from baselines.training.train import keep_freed_memory
-keep_freed_memory()
-held = lambda: int(Path("/proc/self/statm").read_text().split()[1]) * 4096
-before, block = held(), np.ones(2**24)
-del block
-print(held() - before)
-"""
-
-
-@pytest.mark.all
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="malloc is another one")
-def test_freed_memory_is_kept_for_the_next_update() -> None:
-    ran = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True)
-    assert int(ran.stdout) > 2**26  # half of the block
 
 
 def test_a_finished_run_is_left_as_it_is(tmp_path: Path, tiny_runs: TinyRuns) -> None:

@@ -13,18 +13,19 @@ import pytest
 from baselines import load_policy
 from baselines.cli import main
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
-from baselines.runs.files import write_json
+from baselines.policies import load
+from baselines.policies.load import ENTRIES, entry_names, read_card
+from baselines.runs.files import RunError, write_json
 from baselines.runs.folder import RunFolder
-from baselines.zoo import entries
-from baselines.zoo.entries import FOLDER, entry_names, read_card
-from baselines.zoo.make import LARGEST, make_entry, plain_command, readme
+from baselines.zoo.make import LARGEST, make_entry
 from mbn_marl.field import FieldSampler, catalogue_names, load_field, save_field
 from tests.baselines.conftest import Refusal
 from tests.support.runs import TinyRuns
 
 ROOT = Path(__file__).parents[3]
-
-
+ANYWHERE = ("generalist", "generalist-hint")
+"""The policies that were trained on random fields."""
+IN_THE_GATE = ("field_03", "field_07")
 pytestmark = pytest.mark.slow
 
 
@@ -32,7 +33,7 @@ pytestmark = pytest.mark.slow
 def run(tiny_runs: TinyRuns, tmp_path: Path) -> RunFolder:
     """A finished run, whose command has what an entry leaves out."""
     shutil.copytree(tiny_runs.finished("mappo").path, tmp_path / "source")
-    command = "mbn train mappo field_03 --seed 4 --out '/home/me/my runs' --force"
+    command = "mbn train mappo field_03 --seed 4 --out '/home/me/my runs' --force --out=x --resume"
     (tmp_path / "source" / "command.txt").write_text(command)
     return RunFolder.open(tmp_path / "source")
 
@@ -42,18 +43,14 @@ def zoo(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     """A zoo with the run as its only entry, ``zoo:tiny``."""
     folder = tmp_path / "baselines" / "zoo"
     make_entry(run, folder / "tiny")
-    monkeypatch.setattr(entries, "FOLDER", folder)
+    monkeypatch.setattr(load, "ENTRIES", folder)
     return folder
 
 
-ANYWHERE = ("generalist", "generalist-hint")
-"""The policies that were trained on random fields."""
-
-
 def evaluation_of(name: str, out: Path) -> dict[str, Any]:
-    """What ``mbn evaluate`` writes about ``zoo:<name>``, but for the single episodes."""
+    """Return what ``mbn evaluate`` writes about ``zoo:<name>``, but for the single episodes."""
     if name in ANYWHERE:
-        loaded, fields = load_policy(f"zoo:{name}"), RunFolder.open(FOLDER / name).fields
+        loaded, fields = load_policy(f"zoo:{name}"), RunFolder.open(ENTRIES / name).fields
         where = unseen(fields, EVALUATION_SEED), loaded.settings
         both = evaluate_both(loaded.policy, *where, episodes=100)
         return {kind: evaluation.summary() for kind, evaluation in both.items()}
@@ -65,53 +62,44 @@ def evaluation_of(name: str, out: Path) -> dict[str, Any]:
     }
 
 
-def test_evaluate_says_what_the_card_says(zoo: Path, tmp_path: Path) -> None:
-    card = json.loads((zoo / "tiny" / "card.json").read_text())
+def test_an_entry_is_a_small_run_that_acts_as_its_card_says(
+    zoo: Path, run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry, files = RunFolder.open(zoo / "tiny"), {*zoo.rglob("*.*")}
+    weights = ("policy/policy.json", "policy/policy.safetensors")
+    names = ("card.json", "config.json", "field.yaml", *weights)
+    assert files == {entry.path / name for name in names}
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    patterns = settings["package-data"]["baselines"]
+    assert files <= {path for pattern in patterns for path in zoo.parent.glob(pattern)}
+    assert (entry.config, entry.field) == (run.config, run.field)
+    card = json.loads((entry.path / "card.json").read_text())
     assert evaluation_of("tiny", tmp_path / "out.json").items() <= card.items()
     assert (card["name"], card["algorithm"], card["seed"]) == ("tiny", "mappo", 0)
     assert card["env_steps"] >= 400 and card["stochastic"]["episodes"] == 100
     assert card["command"] == "mbn train mappo field_03 --seed 4"
-
-
-def test_an_entry_holds_what_its_run_was_and_no_pickle(zoo: Path, run: RunFolder) -> None:
-    files = {str(path.relative_to(zoo)) for path in zoo.rglob("*") if path.is_file()}
-    names = ("README.md", "card.json", "config.json", "field.yaml")
-    weights = ("policy/policy.json", "policy/policy.safetensors")
-    assert files == {f"tiny/{name}" for name in (*names, *weights)}
-    entry = RunFolder.open(zoo / "tiny")
-    assert (entry.config, entry.field) == (run.config, run.field)
-    text = (zoo / "tiny" / "README.md").read_text()
-    stochastic = json.loads((zoo / "tiny" / "card.json").read_text())["stochastic"]
-    assert "mappo on field_03, trained with seed 0 for" in text
-    assert f"| sampled | {stochastic['return_mean']:,.0f} |" in text
-
-
-def test_an_entry_is_made_anew_and_nothing_else_is_replaced(
-    zoo: Path, run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    entry, mine = zoo / "tiny", tmp_path / "mine"
-    (entry / "README.md").unlink()
-    assert main(["zoo", "--add", str(run.path), "--out", str(entry)]) == 0
-    assert (entry / "README.md").is_file()
-    mine.mkdir()
-    (mine / "dear").touch()
-    assert main(["zoo", "--add", str(run.path), "--out", str(mine)]) == 2
-    assert str(mine) in capsys.readouterr().err
-    assert [path.name for path in mine.iterdir()] == ["dear"]
-
-
-def test_a_zoo_is_listed_and_not_written_to(
-    zoo: Path, capsys: pytest.CaptureFixture[str], refusal: Refusal
-) -> None:
+    capsys.readouterr()
     assert main(["zoo"]) == 0
     printed = capsys.readouterr().out
     assert "zoo:tiny" in printed and "mappo" in printed
+
+
+def test_an_entry_is_made_again_and_nothing_else_is_replaced(
+    zoo: Path, run: RunFolder, tmp_path: Path, refusal: Refusal
+) -> None:
+    entry, mine = zoo / "tiny", tmp_path / "mine"
+    (entry / "field.yaml").unlink()
+    assert main(["zoo", "--add", str(run.path), "--out", str(entry)]) == 0
+    assert (entry / "field.yaml").is_file()
+    mine.mkdir()
+    (mine / "dear").touch()
+    with pytest.raises(RunError, match="mine"):
+        make_entry(run, mine)
+    assert [path.name for path in mine.iterdir()] == ["dear"]
     shutil.copytree(zoo / "tiny", zoo / "other")
     for command in (["evaluate"], ["render", "-o", "a.gif"], ["watch"]):
         error = refusal([*command, "zoo:../tiny"])
         assert "zoo:../tiny: " in error and "other, tiny" in error
-    wind = ["evaluate", "zoo:tiny", "--wind-speeds", "0", "--json", "x.json"]
-    assert "figure: needed" in refusal(wind)
 
 
 def test_what_makes_no_entry(run: RunFolder, tmp_path: Path, refusal: Refusal) -> None:
@@ -131,16 +119,8 @@ def test_what_makes_no_entry(run: RunFolder, tmp_path: Path, refusal: Refusal) -
     refused("1,000,000")
 
 
-def test_a_command_loses_where_its_files_went() -> None:
-    command = "mbn train ppo field_01 -o 'my run' --seed 3 --out=x --resume"
-    assert plain_command(command) == "mbn train ppo field_01 --seed 3"
-
-
 def test_there_is_an_entry_for_every_field() -> None:
     assert {*entry_names()} == {*catalogue_names(), *ANYWHERE}
-
-
-IN_THE_GATE = ("field_03", "field_07")
 
 
 @pytest.mark.parametrize(
@@ -150,17 +130,16 @@ IN_THE_GATE = ("field_03", "field_07")
         for name in entry_names()
     ],
 )
-def test_a_shipped_entry_is_small_and_does_what_its_card_says(name: str, tmp_path: Path) -> None:
-    card, run = read_card(name), RunFolder.open(FOLDER / name)
+def test_a_shipped_entry_does_what_its_card_says(name: str, tmp_path: Path) -> None:
+    card, run = read_card(name), RunFolder.open(ENTRIES / name)
     files = [path for path in run.path.rglob("*") if path.is_file()]
     assert sum(path.stat().st_size for path in files) <= LARGEST
-    assert {path.suffix for path in files} == {".json", ".md", ".safetensors", ".yaml"}
+    assert {path.suffix for path in files} == {".json", ".safetensors", ".yaml"}
     assert card["name"] == name
     if name in ANYWHERE:
         assert isinstance(run.fields, FieldSampler) and card["optimum"] is None
     else:
         assert run.field == load_field(name) and card["field"] == name
-    assert (run.path / "README.md").read_text() == readme(card)
     for kind, found in evaluation_of(name, tmp_path / "out.json").items():
         said = card[kind]
         # Another processor may round otherwise, and an episode may go another way.
@@ -168,11 +147,3 @@ def test_a_shipped_entry_is_small_and_does_what_its_card_says(name: str, tmp_pat
         assert found["makespan"] == pytest.approx(said["makespan"], rel=0.02)
         if name not in ANYWHERE:  # where one team that is stuck outweighs all others
             assert found["return_mean"] == pytest.approx(said["return_mean"], rel=0.02)
-
-
-def test_every_file_of_the_zoo_is_package_data(zoo: Path) -> None:
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
-    patterns = settings["package-data"]["baselines"]
-    installed = {path for pattern in patterns for path in zoo.parent.glob(pattern)}
-    files = {path for path in zoo.rglob("*") if path.is_file()}
-    assert len(files) == 8 and files <= installed

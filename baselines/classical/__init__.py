@@ -1,1 +1,0 @@
-"""Policies without learning: greedy, planner, replan."""

@@ -1,1 +1,0 @@
-"""A policy on a screen, or on simulated vehicles."""

@@ -1,0 +1,99 @@
+"""Policies without learning: greedy, the planner in closed loop, and one that plans again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import copy
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.policies.policy import Policy
+from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.engine.mdp.disturbances import OF_ACTIONS, OF_SIGHT
+from mbn_marl.errors import MbnError
+from mbn_marl.field import Field
+
+if TYPE_CHECKING:  # the planner's packages are an extra
+    from mbn_marl.planning.greedy import Greedy
+    from mbn_marl.planning.problem import Problem
+    from mbn_marl.planning.replanning import Replanner, Tracker
+
+    Controller = Greedy | Tracker | Replanner
+
+CLASSICAL = ("greedy", "planner", "replan")
+"""The names of these policies."""
+UNSEEN = ("wind", "gust", "gust_time", "failures", *OF_ACTIONS, *OF_SIGHT)
+"""Settings that ``replan`` does not plan with: it finds out."""
+
+
+class NoPlanError(MbnError):
+    """The planner found no plan in time."""
+
+
+class ControllerPolicy(Policy):
+    """A controller for each world; worlds share one as long as they have been the same.
+
+    ``begin`` makes the controller of an episode. Episodes begin where all robots rest and no ROI
+    is visited.
+    """
+
+    observes = "state"
+
+    def __init__(self, problem: Problem, begin: Callable[[], Controller]) -> None:
+        self.problem, self.begin = problem, begin
+        self._of_world: list[Controller | None] = []
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        """Return actions (worlds, n, 2) for states (worlds, 4n+1), or (worlds, 5n+1) with flags."""
+        n, m = self.problem.n, self.problem.m
+        positions = seen[:, : 2 * n].reshape(-1, n, 2)
+        velocities = seen[:, 2 * n : 4 * n].reshape(-1, n, 2)
+        codes = seen[:, -1].astype(np.int64)
+        visited = (codes[:, None] >> np.arange(m - 1, -1, -1) & 1).astype(bool)
+        failed = np.zeros((len(seen), n), bool)
+        if seen.shape[1] > 4 * n + 1:
+            failed = seen[:, 4 * n : -1] > 0
+        fresh = ~velocities.any(axis=(1, 2)) & (codes == 0)
+        before = self._of_world + [None] * (len(seen) - len(self._of_world))
+        actions = np.empty((len(seen), n, 2), np.float32)
+        chosen: dict[tuple[int, bytes], tuple[Controller, NDArray[np.float32]]] = {}
+        for world, row in enumerate(seen):
+            last = None if fresh[world] else before[world]
+            key = id(last), row.tobytes()
+            if key not in chosen:
+                state = positions[world], velocities[world], visited[world], failed[world]
+                controller = self.begin() if last is None else copy(last)
+                chosen[key] = controller, controller.act(*state)
+            before[world], actions[world] = chosen[key]
+        self._of_world = before
+        return actions
+
+    def draws(self, *, deterministic: bool) -> bool:
+        return False
+
+
+def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Policy:
+    """Return one of :data:`CLASSICAL` for a field.
+
+    Raises:
+        NoPlanError: the planner found no plan.
+    """
+    from mbn_marl.planning import plan
+    from mbn_marl.planning.greedy import Greedy
+    from mbn_marl.planning.problem import make_problem
+    from mbn_marl.planning.replanning import Replanner, Tracker
+
+    problem = make_problem(field, make_config(settings), closed_loop=name != "planner")
+    if name == "greedy":
+        return ControllerPolicy(problem, lambda: Greedy(problem))
+    if name == "planner":
+        found = plan(field, **settings)
+        if found.makespan is None:
+            raise NoPlanError(f"{field.name}: no plan was found within the time limit")
+        return ControllerPolicy(problem, lambda: Tracker(problem, found))
+    config = problem.config
+    seen = {name: getattr(config, name) for name in NavigationConfig.model_fields}
+    first = plan(field, **{k: v for k, v in seen.items() if k not in UNSEEN})
+    return ControllerPolicy(problem, lambda: Replanner(problem, first))

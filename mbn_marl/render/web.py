@@ -1,0 +1,82 @@
+"""Self-contained HTML pages, put together from the files in ``static``: no server, no network."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+
+from mbn_marl.episode import Episode
+from mbn_marl.episode.files import to_file
+from mbn_marl.errors import MbnError
+from mbn_marl.render import style
+from mbn_marl.version import __version__
+
+_STYLES = ("page.css", "replay.css")
+_SCRIPTS = ("dom.js", "episode.js", "stage.js", "chart.js", "replay.js")
+
+
+def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
+    """Return a page that plays ``episodes``, at least one, on one clock.
+
+    Without a ``title`` it names the fields.
+    """
+    if not episodes:
+        raise MbnError("replay: at least one episode is needed")
+    fields = ", ".join(dict.fromkeys(episode.field.name for episode in episodes))
+    note = f"Recorded and replayed exactly by mbn_marl {__version__}."
+    values = {"note": note, "episodes": episodes_data(episodes)}
+    return whole("replay.html", f"Replay: {fields}" if title is None else title, values)
+
+
+def whole(
+    body: str, title: str, values: Mapping[str, str], extra_styles: Sequence[str] = ()
+) -> str:
+    """Return a page with the player, that may load nothing from elsewhere.
+
+    Args:
+        body: the name of the body's template.
+        title: as plain text.
+        values: of the template's names, as HTML.
+        extra_styles: names of style sheets besides the player's.
+    """
+    light, dark = ("".join(_variables(theme)) for theme in (0, 1))
+    colours = (
+        f":root {{\n{light}}}\n@media (prefers-color-scheme: dark) {{ :root {{\n{dark}}} }}\n"
+        f"@media print {{ :root {{\n{light}}} }}\n"
+    )
+    return _fill(
+        _static("page.html"),
+        {
+            "title": html.escape(title),
+            "colours": str(len(style.ROBOTS)),
+            "styles": colours + "\n".join(map(_static, (*_STYLES, *extra_styles))),
+            "body": _fill(_static(body), values),
+            "scripts": "\n".join(map(_static, _SCRIPTS)),
+        },
+    )
+
+
+def episodes_data(episodes: Sequence[Episode]) -> str:
+    """Return what the player needs of the episodes, as JSON for a script element."""
+    found = [to_file(one).model_dump(mode="json", exclude={"actions"}) for one in episodes]
+    return json.dumps(found, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _static(name: str) -> str:
+    return (files("mbn_marl.render") / "static" / name).read_text(encoding="utf-8")
+
+
+def _fill(template: str, values: Mapping[str, str]) -> str:
+    """Return ``template`` with every ``{{name}}`` replaced, once."""
+    return re.sub(r"{{(\w+)}}", lambda match: values[match[1]], template)
+
+
+def _variables(theme: int) -> list[str]:
+    """Return the colours of the light or the dark page, 0 or 1, as CSS variables."""
+    named = {name: themes[theme] for name, themes in style.PAGE.items()}
+    robots = [name for name in named if name.startswith("robot-")]
+    named |= {f"ink-on-{name}": style.ink_on(named[name]) for name in robots}
+    return [f"  --{name}: {colour};\n" for name, colour in named.items()]

@@ -1,0 +1,122 @@
+"""Watching and driving in a window that nobody sees."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.cli import main
+from baselines.evaluation.window import push, watch
+from baselines.policies.load import find_policy, of_zoo
+from baselines.policies.loaded import LoadedPolicy
+from baselines.policies.policy import RandomPolicy
+from mbn_marl import load_field
+from mbn_marl.episode import load_episode
+from mbn_marl.render import Viewer
+from tests.baselines.conftest import Refusal
+
+pytestmark = [pytest.mark.slow, pytest.mark.all]
+pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
+
+FAST: dict[str, Any] = {"speed": 5000.0, "episodes": 1, "rest": 0.0}
+
+
+@pytest.fixture(autouse=True)
+def no_screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """SDL's driver that shows nothing; the display is closed afterwards."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.display.quit()
+
+
+def at_frames(monkeypatch: pytest.MonkeyPatch, events: dict[int, tuple[int, int]]) -> None:
+    """Post key events (kind, key) before the frames of these numbers are drawn."""
+    draw: Callable[..., Any] = Viewer.draw
+    frames = iter(range(100_000))
+
+    def drawing(viewer: Viewer, snapshot: Any) -> Any:
+        if (frame := next(frames)) in events:
+            kind, key = events[frame]
+            pygame.event.post(pygame.event.Event(kind, key=key))
+        return draw(viewer, snapshot)
+
+    monkeypatch.setattr(Viewer, "draw", drawing)
+
+
+def still(max_steps: int = 6) -> LoadedPolicy:
+    """Robots that a policy does not move."""
+
+    class Still(RandomPolicy):
+        def act(self, seen: Any, *, deterministic: bool) -> Any:
+            return np.zeros((*seen.shape[:2], 2), np.float32)
+
+    return LoadedPolicy("still", Still(), {"max_steps": max_steps}, load_field("field_03"))
+
+
+def test_watching_shows_whole_episodes() -> None:
+    (episode,) = watch(find_policy("zoo:field_03"), **FAST)
+    assert (episode.outcome, episode.steps) == ("success", 17)
+    assert not pygame.display.get_init(), "the window is closed"
+
+
+def test_keys_push_and_opposite_ones_cancel() -> None:
+    assert push(set()) == (0.0, 0.0)
+    assert push({"right", "w"}) == (1.0, 1.0)
+    assert push({"left", "right", "down"}) == (0.0, -1.0)
+    assert push({"a", "left", "x"}) == (-1.0, 0.0)
+
+
+def test_a_person_drives_one_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Right is held from the second frame to the fourth: the steps after those frames."""
+    right = pygame.K_RIGHT
+    at_frames(monkeypatch, {1: (pygame.KEYDOWN, right), 3: (pygame.KEYUP, right)})
+    (episode,) = watch(still(), **FAST, driven=1)
+    assert episode.actions[:, 1, 0].tolist() == [0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    assert not episode.actions[:, [0, 2]].any() and not episode.actions[:, 1, 1].any()
+    assert episode.source == "a person as robot 1, with still"
+
+
+def test_space_pauses_r_begins_anew_and_escape_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    down = pygame.KEYDOWN
+    keys = {2: pygame.K_SPACE, 8: pygame.K_SPACE, 10: pygame.K_r, 14: pygame.K_ESCAPE}
+    at_frames(monkeypatch, {frame: (down, key) for frame, key in keys.items()})
+    first, second = watch(still(100), speed=5000.0, rest=0.0)
+    assert first.steps == 4, "two before the pause and two after it"
+    assert second.steps == 3 and second.outcome == "unfinished"
+
+
+def test_the_commands_save_what_was_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "watched.json"
+    quick = ("--episodes", "1", "--speed", "5000")
+    wind = ("--wind", "0.1", "30")
+    assert main(["watch", "field_03", *quick, *wind, "-o", str(out)]) == 0
+    episode = load_episode(out)
+    assert episode.source == "zoo:field_03 in field_03" and episode.config.wind == (0.1, 30.0)
+    assert main(["play", "field_03", "--robot", "2", *quick, "-o", str(out)]) == 2
+    assert "watched.json" in capsys.readouterr().err
+    assert of_zoo("nowhere") == "random"
+
+
+def test_a_show_that_cannot_be_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refusal: Refusal
+) -> None:
+    (tmp_path / "recording.json").write_text('{"format": "mbn-episode/1"')
+    for words, place in (
+        ("watch recording.json", "mbn replay"),
+        ("play field_03 --robot 3", "robot: "),
+        ("watch field_03 --speed 0", "0"),
+        ("watch field_03 --speed inf", "inf"),
+        ("watch field_00", "field_00"),
+        ("watch greddy", "did you mean greedy?"),
+        ("watch field_03 -o a.txt", ".json"),
+    ):
+        assert place in refusal(words.split()), words
+    for name in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert "display" in refusal(["watch", "field_03"])

@@ -1,0 +1,230 @@
+"""``from baselines import load_policy``: how a policy comes into a user's program."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines import load_policy
+from baselines.evaluation.evaluate import evaluate
+from baselines.evaluation.rollout import record_episode
+from baselines.policies.classical import make_classical
+from baselines.policies.load import ENTRIES, load_trained, open_run
+from baselines.policies.policy import Policy
+from baselines.runs.files import RunError
+from mbn_marl import BatchEngine, Field, load_field, parallel_env
+from mbn_marl.errors import ConfigError, MbnError
+
+LIDAR = {"observation": "lidar"}
+Write = Callable[[str], str]
+pytestmark = pytest.mark.slow
+
+WITHOUT = """
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in %r:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Absent())
+from baselines.cli.main import main
+sys.exit(main(%r))
+"""
+LEARNERS = ("torch", "filelock", "pandas", "safetensors", "optuna", "supersuit")
+PLANNER = (*LEARNERS, "scipy", "highspy", "clarabel")
+PICTURES = (*PLANNER, "matplotlib", "pygame", "PIL")
+
+
+@pytest.mark.parametrize(
+    ("command", "absent", "missing"),
+    [
+        ("zoo", PICTURES, ""),
+        ("fields", PICTURES, ""),
+        ("evaluate random --field field_03 --episodes 2", PICTURES, ""),
+        ("plan field_03 --out plan", (*LEARNERS, "pygame"), ""),
+        ("render field_03 -o actions.gif", PLANNER, ""),
+        ("watch nobody", PLANNER, "nobody: "),
+        ("evaluate zoo:field_03", ("torch",), "'torch'"),
+    ],
+)
+def test_commands_need_no_other_extras(
+    command: str, absent: tuple[str, ...], missing: str, tmp_path: Path
+) -> None:
+    program = WITHOUT % (absent, command.split())
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert run.returncode == (2 if missing else 0), run.stderr
+    assert missing in run.stderr
+    assert ("No module" in run.stderr) == (".[baselines]" in run.stderr) == (absent == ("torch",))
+
+
+def test_a_policy_of_the_zoo_acts_as_in_an_evaluation() -> None:
+    run = open_run("zoo:field_07")
+    evaluated = record_episode(load_trained(run), run.field, run.config["environment"])
+    policy = load_policy("zoo", "field_07")
+    assert policy.observes == "observations" and policy.field == run.field
+    env = parallel_env(policy.field, **policy.settings)
+    seen, _ = env.reset(seed=0)
+    for expected in evaluated.actions:
+        assert env.agents
+        actions = policy.act(dict(reversed(seen.items())))
+        taken = np.stack([actions[agent] for agent in env.agents])
+        assert taken.dtype == np.float32
+        np.testing.assert_array_equal(taken, expected)
+        rows = np.stack(list(seen.values()))
+        np.testing.assert_array_equal(policy.act(rows), taken)
+        np.testing.assert_array_equal(policy.act(np.stack([rows, rows])), np.stack([taken] * 2))
+        last = policy.act({"robot_2": seen["robot_2"]})
+        np.testing.assert_array_equal(last["robot_2"], taken[2])
+        seen, *_ = env.step(actions)
+    assert not env.agents and policy.act({}) == {}
+
+
+def test_a_run_is_loaded_from_its_folder(tmp_path: Path) -> None:
+    shutil.copytree(ENTRIES / "field_07", tmp_path / "run")
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, 55))
+    actions = load_policy("zoo:field_07").act(seen)
+    for source in (tmp_path / "run", str(tmp_path / "run")):
+        np.testing.assert_array_equal(load_policy(source).act(seen), actions)
+
+
+@pytest.mark.parametrize("name", ["greedy", "planner"])
+def test_policies_on_the_state_take_it_and_begin_again(name: str) -> None:
+    field = load_field("field_03")
+    evaluated = record_episode(make_classical(name, field, LIDAR), field, LIDAR)
+    policy = load_policy(name, "field_03", **LIDAR)
+    assert policy.observes == "state"
+    env = parallel_env(field, **policy.settings)
+    for limit in (5, None):  # a first episode is left in the middle
+        seen, _ = env.reset()
+        for expected in evaluated.actions[:limit]:
+            np.testing.assert_array_equal(policy.act(env.state()), expected)
+            actions = policy.act_in(env, seen)
+            np.testing.assert_array_equal(list(actions.values()), expected)
+            seen, *_ = env.step(actions)
+    assert not env.agents
+
+
+def test_settings_replace_those_of_the_policy_which_sees_what_it_was_trained_with() -> None:
+    policy = load_policy("zoo:field_03", condition="failing", max_steps=7)
+    engine = BatchEngine(policy.place, 2, **policy.settings)
+    assert engine.config.failures is not None and engine.config.max_steps == 7
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, engine.obs_size))
+    known = [entry.offset for entry in engine.observation_table if "failed" not in entry.name]
+    expected = load_policy("zoo:field_03").act(seen[..., known])
+    assert len(known) < engine.obs_size
+    np.testing.assert_array_equal(policy.act(seen), expected)
+
+
+def test_wrong_observations_and_sources_are_refused_by_place(tmp_path: Path) -> None:
+    policy = load_policy("zoo:field_07")
+    with pytest.raises(ConfigError, match=r"zoo:field_07.*\n.*\(2, 3, 30\)"):
+        policy.act(np.zeros((2, 3, 30)))
+    with pytest.raises(ConfigError, match="robot_1: ") as caught:
+        policy.act({"robot_3": np.zeros(55), "robot_0": np.zeros(55), "robot_1": np.zeros(30)})
+    assert len(caught.value.problems) == 2
+    greedy = load_policy("greedy", "field_07")
+    for wrong in (np.zeros((2, 14)), {"robot_0": np.zeros(55)}):
+        with pytest.raises(ConfigError, match=r"state\(\)"):
+            greedy.act(wrong)
+    lonely = Field([(0, 0), (90, 0), (90, 90), (0, 90)], [(70, 70)], [(20, 20)], name="lonely")
+    sources: list[tuple[tuple[Any, ...], type[MbnError], str]] = [
+        (("zoo:nothing",), MbnError, "zoo:nothing"),
+        ((tmp_path,), RunError, str(tmp_path)),
+        (("gredy",), RunError, "gredy"),
+        (("greedy",), ConfigError, "field: greedy"),
+        (("zoo:field_03", lonely), ConfigError, r"lonely(.|\n)*robots: .*\n.*ROIs"),
+    ]
+    for source, error, place in sources:
+        with pytest.raises(error, match=place):
+            load_policy(*source)
+
+
+@pytest.fixture
+def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
+    """Write a module of a user into the working directory; return its name, new each time."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(text: str) -> str:
+        name = f"own_{abs(hash((tmp_path, text)))}"
+        (tmp_path / f"{name}.py").write_text(f"import math\n{text}", encoding="utf-8")
+        return name
+
+    return write
+
+
+OWN = """
+class Counting:
+    settings = {"observation": "lidar", "max_steps": 2}
+    def __init__(self, field):
+        self.field, self.began = field, []
+    def act(self, observations, deterministic=True):
+        return observations[..., :2] * (1.0 if deterministic else 0.5)
+    def reset(self, worlds=None):
+        self.began.append(None if worlds is None else worlds.tolist())
+
+def function(field):
+    return lambda observations: 0.5 * observations[..., :2]
+"""
+
+
+def test_a_policy_of_ones_own(write: Write) -> None:
+    module = write(OWN)
+    policy = load_policy(f"{module}:Counting", "field_03", max_steps=3)
+    assert policy.settings == {"observation": "lidar", "max_steps": 3}
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, 55)).astype(np.float32)
+    np.testing.assert_array_equal(policy.act(seen), seen[..., :2])
+    np.testing.assert_array_equal(policy.act(seen, deterministic=False), seen[..., :2] / 2)
+    half: Policy = load_policy(f"{module}:function")  # of any field
+    actions = half.act(seen[:, :2, :9], deterministic=True)
+    np.testing.assert_array_equal(actions, seen[:, :2, :2] / 2)
+    summary = evaluate(policy, "field_03", policy.settings, episodes=2, deterministic=True)
+    assert summary.steps == [3, 3]
+    own: Any = policy.policy
+    assert own._made.began == [None, [True, True]] and own._made.field == policy.field
+
+
+BAD = """
+class Bad:
+    settings, observes, act = {"obsevation": "lidar", "max_steps": 0}, "everything", None
+    def __init__(self, field): pass
+
+class Deaf(Bad):
+    settings, observes = {}, "state"
+    def act(self): pass
+
+def none(): pass
+def number(field): return 3
+def flat(field): return lambda observations: observations[..., 0]
+"""
+
+
+def test_mistakes_in_ones_own_are_listed(write: Write) -> None:
+    module = write(BAD)
+    for name, places in (
+        ("Bad", ["act", "observes", "max_steps", "obsevation"]),
+        ("Deaf", ["act()"]),
+        ("none", ["none()"]),
+        ("number", ["int"]),
+        ("math.pi", ["math.pi is float"]),
+        ("nothing", ["'nothing'"]),
+    ):
+        with pytest.raises(ConfigError, match=f"{module}:{name}") as caught:
+            load_policy(f"{module}:{name}", "field_03")
+        for problem, place in zip(caught.value.problems, places, strict=True):
+            assert place in problem
+    with pytest.raises(ConfigError, match="own_missing"):
+        load_policy("own_missing:make")
+    with pytest.raises(ModuleNotFoundError, match="not_installed"):
+        load_policy(f"{write('import not_installed')}:make")
+    with pytest.raises(ConfigError, match=rf"{module}:flat(.|\n)*\(2, 3\)"):
+        load_policy(f"{module}:flat").act(np.zeros((2, 3, 4)))
