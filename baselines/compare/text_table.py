@@ -60,7 +60,7 @@ class TextTable:
         columns = "l" * self.words + "r" * (len(self.headings) - self.words)
         how = {"column_format": columns, "caption": self.caption, "label": label}
         table = DataFrame(self.lines, columns=list(self.headings))
-        text = table.to_latex(index=False, escape=True, **how)
+        text: str = table.to_latex(index=False, escape=True, **how)
         return text.replace("& -", "& $-$")  # a real minus
 
     def html(self, title: str) -> str:
