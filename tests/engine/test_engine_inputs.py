@@ -23,8 +23,8 @@ from mbn_marl import (
 )
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.config import WITHOUT_RADIUS, NavigationConfig, RewardProfile, Settings, make_config
+from mbn_marl.engine.batch import METRICS
 from mbn_marl.engine.mdp.revisits import ODD_LINES
-from mbn_marl.engine.readings import METRICS
 from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
 from tests.support.configurations import PRECISIONS
 from tests.support.configurations import SAMPLER as ALL
