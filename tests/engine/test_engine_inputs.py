@@ -22,7 +22,7 @@ from mbn_marl import (
     raw_env,
 )
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
-from mbn_marl.config import WITHOUT_RADIUS, NavigationConfig, RewardProfile, make_config
+from mbn_marl.config import WITHOUT_RADIUS, NavigationConfig, RewardProfile, Settings, make_config
 from mbn_marl.engine.batch import METRICS
 from mbn_marl.engine.mdp.revisits import ODD_LINES
 from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
@@ -306,6 +306,7 @@ def test_models_list_all_their_problems() -> None:
             make()
         assert {problem.partition(":")[0] for problem in caught.value.problems} == places
     assert make_config({"reward": {"name": "mine"}}).reward == RewardProfile(name="mine")
+    assert Settings.__annotations__.keys() == {"condition", *NavigationConfig.model_fields}
 
 
 @pytest.mark.parametrize("make", [parallel_env, raw_env, centralized_env, CentralizedVecEnv])
