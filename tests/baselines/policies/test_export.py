@@ -66,7 +66,7 @@ def test_every_kind_of_network_acts_as_its_file(
 ) -> None:
     policy = load_policy(name if name in ZOO else tiny_runs.finished(name).path, "field_03")
     metadata, _ = export_policy(policy, tmp_path / "policy.onnx")
-    random, shape = np.random.default_rng(1), (7, *metadata["shape"][1:])
+    random, shape = np.random.default_rng(1), (50, *metadata["shape"][1:])
     seen = random.uniform(-1.0, 1.0, shape).astype(np.float32)
     seen[random.random(shape) < 0.3] = 0.0
     seen = 60.0 * seen + 60.0 if policy.observes == "state" else seen
