@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -19,13 +18,6 @@ if TYPE_CHECKING:
 
 DASH = "–"  # noqa: RUF001  (a dash, not a minus)
 
-_LATEX = str.maketrans(
-    {
-        **{sign: f"\\{sign}" for sign in "_%&#${}"},
-        **{"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"},
-        **{"<": r"\textless{}", ">": r"\textgreater{}", "\n": " ", DASH: "--"},
-    }
-)
 _MARKDOWN = str.maketrans({"|": r"\|", "<": "&lt;", "\n": " ", "\r": " "})
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
@@ -63,20 +55,13 @@ class TextTable:
 
     def latex(self, label: str) -> str:
         r"""Return a ``table`` that needs the package ``booktabs``; ``\ref`` calls it ``label``."""
-        rows = [_latex_row(self.lines[0])]
-        for above, line in itertools.pairwise(self.lines):
-            rows += [r"\addlinespace"] if line[0] and not above[0] else []
-            rows.append(_latex_row(line))
+        from pandas import DataFrame
+
         columns = "l" * self.words + "r" * (len(self.headings) - self.words)
-        return "\n".join(
-            [
-                *(r"\begin{table}", r"\centering"),
-                *(rf"\caption{{{_latex(self.caption)}}}", rf"\label{{{label}}}"),
-                *(rf"\begin{{tabular}}{{{columns}}}", r"\toprule"),
-                *(_latex_row(self.headings), r"\midrule", *rows, r"\bottomrule"),
-                *(r"\end{tabular}", r"\end{table}", ""),
-            ]
-        )
+        how = {"column_format": columns, "caption": self.caption, "label": label}
+        table = DataFrame(self.lines, columns=list(self.headings))
+        text: str = table.to_latex(index=False, escape=True, **how)
+        return text.replace("& -", "& $-$")  # a real minus
 
     def html(self, title: str) -> str:
         """Return HTML with the title above and the caption below; its style is report.css."""
@@ -117,14 +102,3 @@ def csv_text(table: DataFrame, form: str | None = None) -> str:
         return f"'{cell}" if isinstance(cell, str) and cell.startswith(_FORMULA) else cell
 
     return str(table.map(safe).to_csv(index=False, float_format=form, lineterminator="\n"))
-
-
-def _latex_row(words: Iterable[str]) -> str:
-    return " & ".join(map(_latex, words)) + r" \\"
-
-
-def _latex(text: str) -> str:
-    # A number below zero gets a real minus.
-    if text.startswith("-"):
-        return f"$-${text[1:].translate(_LATEX)}"
-    return text.translate(_LATEX)
