@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 import mbn_marl
-from mbn_marl import config
 from tests.support.pages import ROOT
 from tests.support.wheel import build_wheel
 
@@ -19,7 +18,6 @@ def test_public_names():
     expected |= {"BatchEngine", "Failures", "Uniform"}
     assert set(mbn_marl.__all__) == expected
     assert {*dir(mbn_marl)} == {*expected, "__version__"}
-    assert "Field" not in config.__all__  # pydantic's
     assert all(callable(getattr(mbn_marl, name)) for name in mbn_marl.__all__)
     assert mbn_marl.parallel_env is mbn_marl.navigation_v0.parallel_env
 
