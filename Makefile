@@ -4,6 +4,7 @@
 # make docs   build the documentation site into build/docs, warnings as errors
 # make readme do what the README shows, with the wheel, in an empty folder
 # make unpinned install the planner's extra without constraints, and prove an optimum
+# make cuda   compile the CUDA kernels to machine code, without a GPU; print registers and spills
 # make all    all of this, and what takes long: tests marked all, the judges of the engine without
 #             its compiler and on the newest Numba, the oldest versions allowed, every page's commands
 # make clean  remove what the others made, but not runs/
@@ -16,7 +17,7 @@ JUDGES := tests/engine/test_golden.py tests/engine/test_oracle.py tests/adapters
 PLAN := from mbn_marl.planning import plan; print(plan('field_03').makespan)
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 
-.PHONY: demo quick test ruff mypy pytest docs readme unpinned all clean
+.PHONY: demo quick test ruff mypy pytest docs readme unpinned cuda all clean
 .DELETE_ON_ERROR:
 
 .venv/installed: pyproject.toml constraints.txt
@@ -57,7 +58,13 @@ unpinned:
 	build/unpinned/bin/pip install --quiet '.[plan]'
 	test "$$(build/unpinned/bin/python -c "$(PLAN)")" = 17
 
-all: test docs readme unpinned
+cuda: .venv/installed
+	$(PYTHON) -m venv --clear build/cuda
+	build/cuda/bin/pip install --quiet -c constraints.txt '.[cuda]' nvidia-cuda-nvcc
+	ls -d $(CURDIR)/.venv/lib/*/site-packages > $$(ls -d build/cuda/lib/*/site-packages)/borrowed.pth
+	build/cuda/bin/python -m pytest -n 0 -s -m all -k machine_code tests/engine/test_cuda.py
+
+all: test docs readme unpinned cuda
 	$(BIN)/$(PYTEST) -m all
 	MBN_PLAIN_JIT=1 NUMBA_CACHE_DIR=build/plain_cache $(BIN)/$(PYTEST) $(JUDGES)
 	$(PYTHON) -m venv --clear build/newest

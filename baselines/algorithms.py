@@ -41,8 +41,6 @@ ONE_BY_ONE = ("crossq", "tqc", "ars")
 
 @dataclass(frozen=True)
 class Algorithm:
-    """An algorithm, by its name on the command line."""
-
     name: str
     # "centralized": the single MDP. "decentralized": each robot acts on its own observation.
     form: Form
@@ -71,7 +69,6 @@ class Algorithm:
         self._module("trainer").check(task, hyperparameters)
 
     def budget(self, task: Any, hyperparameters: Any) -> Any:
-        """Return the :class:`~baselines.training.config.Budget` of a run."""
         return self._module("trainer").budget(task, hyperparameters)
 
     def train(self, task: Any, hyperparameters: Any, recorder: Any) -> None:

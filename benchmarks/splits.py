@@ -36,7 +36,7 @@ COUNT = 100
 class Splits:
     """Make the frozen fields of the tiers, with proved bounds and plans, or verify them.
 
-    A run that was interrupted goes on where it was.
+    An interrupted run continues.
     """
 
     tier: tuple[str, ...] = NAMES
@@ -54,11 +54,8 @@ class Splits:
 
     def run(self, command: str) -> bool:
         """Make or verify the files; return whether nothing is wrong with them."""
-        wrong = [
-            f"tier: {tier!r}: {unknown('tier', tier, NAMES)}"
-            for tier in self.tier
-            if tier not in NAMES
-        ]
+        others = [tier for tier in self.tier if tier not in NAMES]
+        wrong = [f"tier: {tier!r}: {unknown('tier', tier, NAMES)}" for tier in others]
         wrong += [f"count: at least 1, not {self.count}"] * (self.count < 1)
         wrong += [f"seconds: more than 0, not {self.seconds:g}"] * (not self.seconds > 0.0)
         if wrong:
@@ -82,9 +79,8 @@ class Splits:
             "CPU s: processor time of all, compiling included"
         )
         TextTable(caption, headings, tuple(lines), words=2).print("splits")
-        print(
-            "\n".join(problems or [f"{'verified in' if self.verify else 'written to'} {self.out}"])
-        )
+        done = f"{'verified in' if self.verify else 'written to'} {self.out}"
+        print("\n".join(problems or [done]))
         return not problems
 
     def _make(self, path: Path, split: Split, tier: str, command: str) -> None:
@@ -142,7 +138,7 @@ class Splits:
         return instance, found.actions
 
     def _problems(self, path: Path, split: Split, tier: str) -> Iterator[str]:
-        """Yield what is wrong with a file; of its instances, ``count`` are recomputed."""
+        """Yield what is wrong with a file; ``count`` of its instances are recomputed."""
         record = read_json(path)
         if tier == WEATHER:
             if record != weather(self.out, split, len(record["instances"])):

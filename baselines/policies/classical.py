@@ -93,7 +93,6 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
         if found.makespan is None:
             raise NoPlanError(f"{field.name}: no plan was found within the time limit")
         return ControllerPolicy(problem, lambda: Tracker(problem, found))
-    config = problem.config
-    seen = {name: getattr(config, name) for name in NavigationConfig.model_fields}
-    first = plan(field, **{k: v for k, v in seen.items() if k not in UNSEEN})
+    known = [name for name in NavigationConfig.model_fields if name not in UNSEEN]
+    first = plan(field, **{name: getattr(problem.config, name) for name in known})
     return ControllerPolicy(problem, lambda: Replanner(problem, first))

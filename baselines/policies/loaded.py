@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from baselines.policies.policy import Policy, Wrapped
 from mbn_marl.config import MAX_ROBOTS, make_config
 from mbn_marl.engine import BatchEngine
-from mbn_marl.errors import ConfigError, unknown
+from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
 
 
@@ -125,17 +125,16 @@ class LoadedPolicy(Wrapped):
             return {}
         most, size = self.fitted[1] or (MAX_ROBOTS, next(iter(rows.values())).size)
         index = {f"robot_{robot}": robot for robot in range(most)}
-        problems = [f"{agent}: {unknown('agent', agent, index)}" for agent in rows.keys() - index]
-        problems += [
-            f"{agent}: {self._wanted()}, a robot's ({size},), not {row.shape}"
+        wanted = f"{self._wanted()}, robot_0 to robot_{most - 1} ({size},) each"
+        problems = [
+            f"{agent}: {wanted}, not {row.shape}"
             for agent, row in rows.items()
-            if row.shape != (size,)
+            if agent not in index or row.shape != (size,)
         ]
         if problems:
             raise ConfigError(self.name, problems)
-        if self.field is None:
-            most = max(index[agent] for agent in rows) + 1
-        seen = np.zeros((most, size), np.float32)
+        count = most if self.field else max(index[agent] for agent in rows) + 1
+        seen = np.zeros((count, size), np.float32)
         for agent, row in rows.items():
             seen[index[agent]] = row
         actions = self.act(seen, deterministic)

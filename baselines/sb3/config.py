@@ -11,23 +11,14 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
-from pydantic import (
-    AfterValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    create_model,
-)
+import pydantic
 
 from baselines.training.aids import Count, TrainingAids
 from baselines.training.config import read_block, validate
 from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, unknown
-
-if TYPE_CHECKING:
-    from stable_baselines3.common.base_class import BaseAlgorithm
 
 FOLDER = Path(__file__).with_name("hyperparams")
 CLASSES = {
@@ -88,7 +79,7 @@ class SB3Config(TrainingAids):
     # The library's name of the policy.
     policy: str = "MlpPolicy"
     # Arguments of the library's class; {from: a, to: b} for a number falls linearly over training.
-    model: dict[str, Any] = Field(default_factory=dict)
+    model: dict[str, Any] = pydantic.Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -104,9 +95,8 @@ class LinearSchedule:
         return self.end + (self.start - self.end) * max(progress_remaining, 0.0)
 
 
-def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
-    found: type[BaseAlgorithm] = resolve_name(CLASSES[algorithm])
-    return found
+def algorithm_class(algorithm: str) -> Any:
+    return resolve_name(CLASSES[algorithm])
 
 
 def load(
@@ -117,7 +107,6 @@ def load(
     num_envs: int | None = None,
     file: Path | None = None,
 ) -> SB3Config:
-    """The hyperparameters of an algorithm, as :meth:`baselines.algorithms.Algorithm.resolve`."""
     # Setting C fine-tunes with the values of A. An override of ``model`` changes the arguments it
     # names and leaves the others.
     name = "A" if setting == "C" and file is None else setting
@@ -144,14 +133,14 @@ def load(
         if not offered[name]
     ]
     kinds: Any = {
-        name: (Annotated[kind, AfterValidator(partial(_in_range, name))], None)
+        name: (Annotated[kind, pydantic.AfterValidator(partial(_in_range, name))], None)
         for name, kind in accepted.items()
     }
-    strict = ConfigDict(strict=True, extra="forbid", arbitrary_types_allowed=True)
-    arguments = create_model("model", __config__=strict, **kinds)
+    strict = pydantic.ConfigDict(strict=True, extra="forbid", arbitrary_types_allowed=True)
+    arguments = pydantic.create_model("model", __config__=strict, **kinds)
     try:
         arguments.model_validate({name: _scheduled(value) for name, value in model.items()})
-    except ValidationError as error:
+    except pydantic.ValidationError as error:
         problems += [f"model.{problem}" for problem in describe(error, arguments)]
     if problems:
         raise ConfigError(place, problems)

@@ -128,7 +128,6 @@ class SB3Policy(TrainedPolicy):
         return means.reshape(seen.shape[0], -1, 2)
 
     def save(self, folder: Path) -> None:
-        """Write weights (safetensors), shape and normalisation (JSON) into ``folder``."""
         normalization = None if self.normalization is None else self.normalization.to_json()
         write_json(folder / SHAPE, {**self.shape, "normalization": normalization})
         write_tensors(folder / WEIGHTS, self.network.state_dict())

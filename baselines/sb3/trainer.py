@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from numbers import Real
@@ -19,31 +20,98 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from baselines.algorithms import find_algorithm
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import RunFolder, saved_at
 from baselines.runs.tensors import restore_generators, save_generators
 from baselines.sb3.config import SB3Config, algorithm_class, model_arguments
-from baselines.sb3.envs import make_env
 from baselines.sb3.policy import SHAPE, Normalization, SB3Policy, put_into
 from baselines.training.aids import RoiCurriculum
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import ROW_STEPS, EpisodeWindow, Recorder
+from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 
-# The errors of the library and torch for arguments that make no learner.
-REFUSALS = (
-    *(ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError),
-    *(RuntimeError, TypeError, ValueError),
-)
 WORLDS, REPLAY, COUNTERS = "worlds.npz", "replay.npz", "counters.json"
 # The entries of the worlds' last step that a learner keeps.
 SEEN = ("_last_obs", "_last_original_obs", "_last_episode_starts")
 COUNTED = ("num_timesteps", "_episode_num")
 LOGGED = ("ep_info_buffer", "ep_success_buffer")
+
+
+class TrainingWorlds(VecEnvWrapper):
+    """Worlds as the learner gets them: rewards scaled, episodes noted, ROIs of a changing size."""
+
+    venv: NavigationVecEnv
+
+    def __init__(
+        self,
+        make: Callable[[RoiCurriculum], NavigationVecEnv],
+        curriculum: RoiCurriculum,
+        episodes: EpisodeWindow,
+        scale: float = 1.0,
+    ) -> None:
+        self._make, self.curriculum, self._episodes, self._scale = make, curriculum, episodes, scale
+        super().__init__(make(curriculum))
+        # The size of ROIs may change after so many steps: the rollout of an on-policy learner.
+        self.every, self._steps = 1, 0
+        # A world has so many rows, of which the first one reports its episodes. The curriculum
+        # counts those of every row.
+        self.stride = self.num_envs // curriculum.window
+        curriculum.window = self.num_envs
+
+    def reset(self) -> VecEnvObs:
+        return self.venv.reset()
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations: Any
+        observations, rewards, dones, infos = self.venv.step_wait()
+        ended = np.flatnonzero(dones)
+        self.curriculum.add([infos[row]["is_success"] for row in ended])
+        worlds = [infos[row] for row in ended if row % self.stride == 0]
+        self._episodes.add(
+            [info["episode_return"] for info in worlds], [info["is_success"] for info in worlds]
+        )
+        self._steps += 1
+        if self._steps % self.every == 0 and self.curriculum.move():
+            # Episodes that still run are cut off here: the learner bootstraps from the value of
+            # their own last observation, not from that of the new worlds' first.
+            for row in np.flatnonzero(~dones):
+                cut = {"TimeLimit.truncated": True, "terminal_observation": observations[row]}
+                infos[row].update(cut)
+            observations, dones = self.begin(self.curriculum), np.ones_like(dones)
+        return observations, rewards * self._scale, dones, infos
+
+    def begin(self, curriculum: RoiCurriculum) -> VecEnvObs:
+        """Begin new episodes with ROIs of the size that ``curriculum`` says."""
+        self.curriculum, self.venv = curriculum, self._make(curriculum)
+        return self.venv.reset()
+
+
+def make_env(
+    task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow
+) -> tuple[TrainingWorlds, VecEnv]:
+    """The worlds of training: a row for each, or row ``w * n + i`` for robot i of world w."""
+    # The second is what the learner sees, which may be normalised.
+    count, config = hyperparameters.num_envs, task.config
+
+    def make(curriculum: RoiCurriculum) -> NavigationVecEnv:
+        how: dict[str, Any] = {"seed": curriculum.seed(config.seed), "threads": 1}
+        how |= hyperparameters.in_training(task, curriculum, count)
+        if config.algorithm == "ppo-shared":
+            return SharedPolicyVecEnv(num_worlds=count, **how)
+        joint = hyperparameters.joint_observation
+        return CentralizedVecEnv(num_envs=count, joint_observation=joint, **how)
+
+    curriculum = RoiCurriculum(hyperparameters.roi_radius, window=count)
+    worlds = TrainingWorlds(make, curriculum, episodes, hyperparameters.reward_scale)
+    normalized = hyperparameters.normalize_observation
+    return worlds, VecNormalize(worlds, norm_reward=False) if normalized else worlds
 
 
 class ResumableARS(ARS):
@@ -78,9 +146,7 @@ class Learner:
 
     @property
     def engine(self) -> BatchEngine:
-        worlds: Any = self._worlds.venv
-        engine: BatchEngine = worlds.engine
-        return engine
+        return self._worlds.venv.engine
 
     @property
     def env_steps(self) -> int:
@@ -111,14 +177,12 @@ class Learner:
         return SB3Policy.of(self.model, self._algorithm, observes)
 
     def begin_with(self, policy: Path) -> None:
-        """Begin with a saved policy's networks, optimisers and normalisation."""
         put_into(self.model, policy)
         normalization = Normalization.from_json(read_json(policy / SHAPE)["normalization"])
         if normalization is not None:
             normalization.put_into(self.model.get_vec_normalize_env())
 
     def save(self, folder: Path) -> None:
-        """Write, beside the policy, all else that :meth:`restore` needs into ``folder``."""
         model, worlds = self.model, self.engine.save_state()
         seen = {name: array for name in SEEN if (array := getattr(model, name)) is not None}
         write_arrays(folder / WORLDS, {**worlds, **seen}, compress=True)
@@ -127,12 +191,10 @@ class Learner:
             arrays = {name: array[:filled] for name, array in _transitions(buffer).items()}
             place = {"pos": np.array(buffer.pos), "full": np.array(buffer.full)}
             write_arrays(folder / REPLAY, {**arrays, **place})
+        episodes = [{k: float(v) for k, v in one.items()} for one in model.ep_info_buffer]
         counters = {
             **{name: getattr(model, name) for name in COUNTED},
-            "ep_info_buffer": [
-                {name: float(value) for name, value in episode.items()}
-                for episode in model.ep_info_buffer
-            ],
+            "ep_info_buffer": episodes,
             "ep_success_buffer": list(map(float, model.ep_success_buffer)),
             "actions": model.action_space.np_random.bit_generator.state,
             "generators": save_generators(),
@@ -226,7 +288,6 @@ class Reporter(BaseCallback, KVWriter):
 
 
 def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
-    """Train on ``task`` for its budget, rounded up to whole rollouts, and evaluate the result."""
     learner = Learner(task, hyperparameters, recorder.episodes)
     model, stride = learner.model, learner.stride
     if recorder.checkpoint is not None:
@@ -255,7 +316,7 @@ def check(task: Task, hyperparameters: SB3Config) -> None:
         Learner(task, hyperparameters, EpisodeWindow())
     except MbnError:
         raise
-    except REFUSALS as error:
+    except Exception as error:  # whatever the library and torch have against them
         place = task.config.hyperparams or f"hyperparameters of {task.config.algorithm}"
         what = " ".join(str(error).split()) or type(error).__name__
         raise ConfigError(str(place), [f"no learner can be made with them: {what}"]) from error

@@ -1,10 +1,9 @@
-"""Networks over sets: one policy for any field, number of ROIs and size of the team.
+"""Networks over sets: one policy for any field, number of ROIs and size of the team."""
 
-A robot's observation ``entities`` is read as tokens: its own, one for each other robot, one for
-each ROI. The tokens of a kind share weights and are pooled, so no size is fixed. Observations are
-turned and mirrored so that the next ROI lies in the same eighth of the plane, and actions back:
-forces and limits are per axis, so all eight symmetries of the square are exact without wind.
-"""
+# A robot's observation ``entities`` is read as tokens: its own, one for each other robot, one for
+# each ROI. The tokens of a kind share weights and are pooled, so no size is fixed. Observations are
+# turned and mirrored so that the next ROI lies in the same eighth of the plane, and actions back:
+# forces and limits are per axis, so all eight symmetries of the square are exact without wind.
 
 from __future__ import annotations
 
@@ -20,8 +19,8 @@ from mbn_marl.engine.mdp.entities import SCALES
 from mbn_marl.engine.mdp.observations import Entry
 
 NEAR, FAR = SCALES.tolist()
+# Added to the square of a length, units, so that none is 0.
 SHORT = 1e-6
-"""Added to the square of a length, units, so that none is 0."""
 RAYS = tuple(f"ray_{k}" for k in range(8))
 
 
@@ -99,8 +98,8 @@ class Turned(nn.Module):
         self.register_buffer("_rays", _turned_rays(), False)
         self._first_ray = tokens.own.index(RAYS[0])
 
+    # The signs (B, 2), and the swaps (B, 1), that bring the next ROI into the one eighth.
     def signs(self, rois: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the signs (B, 2), and the swaps (B, 1), that bring the next ROI there."""
         if self._fixed:
             toward = rois.new_ones(rois.shape[0], 2)
         else:
@@ -129,7 +128,6 @@ class Turned(nn.Module):
 
     @staticmethod
     def back(actions: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor) -> torch.Tensor:
-        """Return actions (B, 2) as they are in the field."""
         return torch.where(swap, actions.flip(-1), actions) * signs
 
 
@@ -176,10 +174,6 @@ class Rivals(nn.Module):
         self.seen = _layers(4, self.WIDTH)
 
     def forward(self, own: torch.Tensor, robots: torch.Tensor, rois: torch.Tensor) -> torch.Tensor:
-        """Return the greatest features of the other robots, (K, WIDTH), for each of K ROIs.
-
-        Tokens of the robot that sees the ROI, (K, .), of the others, (K, n - 1, .), and the ROI's.
-        """
         to_roi = in_units(rois[:, None, self._at["roi"]])
         ways = to_roi - in_units(robots[..., self._at["robot"]])
         far, mine = _length(ways), _length(to_roi)
@@ -222,7 +216,6 @@ class SetEncoder(nn.Module):
     def forward(
         self, rows: torch.Tensor, n: int
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return vectors (B, last) for rows (B, size), and what :meth:`Turned.back` wants."""
         own, robots, rois = self._tokens.split(rows, n)
         signs, swap = self.turned.signs(rois)
         # Only tokens of what is there are computed: a third of them.
@@ -247,8 +240,8 @@ class SetEncoder(nn.Module):
         return flow, signs, swap
 
 
+# The tokens (K, .) of (B, k, .) that are not absent, and the row (K,) of each.
 def _present(tokens: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the tokens (K, .) of (B, k, .) that are not absent, and the row (K,) of each."""
     if torch.compiler.is_exporting():
         # No size in an exported graph depends on the input: it keeps all, and _or_zero drops some.
         rows, count = tokens.shape[:2]
@@ -257,13 +250,15 @@ def _present(tokens: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return tokens[row, place], row
 
 
+# The values of tokens (K, .); in an exported graph, 0 for absent ones.
 def _or_zero(values: torch.Tensor, tokens: torch.Tensor) -> torch.Tensor:
-    """Return the values of tokens (K, .); in an exported graph, 0 for absent ones."""
     if not torch.compiler.is_exporting():
         return values
     return values * (tokens[:, 0] if values.ndim == 1 else tokens[:, :1]).ne(0.0)
 
 
+# The greatest of the features (K, width) of each row, and their mean by attention. The greatest
+# score of a row is taken off its scores, so that no exponential overflows.
 def _pooled(
     blank: torch.Tensor,
     row: torch.Tensor,
@@ -271,7 +266,6 @@ def _pooled(
     query: torch.Tensor,
     tokens: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the greatest of the features (K, width) of each row, and their mean by attention."""
     score = (features * query[row]).sum(-1) / math.sqrt(features.shape[-1])
     most = score.new_full((query.shape[0],), -torch.inf)
     most = most.scatter_reduce(0, row, score.detach(), "amax")
@@ -281,13 +275,13 @@ def _pooled(
     return _most(blank, row, features), blank.index_add(0, row, weight * features)
 
 
+# The greatest of the features (K, width) >= 0 of each row, 0 without any.
 def _most(blank: torch.Tensor, row: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
-    """Return the greatest of the features (K, width) >= 0 of each row, 0 without any."""
     return blank.scatter_reduce(0, row.unsqueeze(-1).expand_as(features), features, "amax")
 
 
+# The rows (B, size) of (..., n, size) that are not all 0, and their numbers (B,).
 def _of_present(rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the rows (B, size) of (..., n, size) that are not all 0, and their numbers (B,)."""
     flat = rows.reshape(-1, rows.shape[-1])
     if torch.compiler.is_exporting():  # see _present
         return flat, torch.arange(flat.shape[0])
@@ -295,22 +289,20 @@ def _of_present(rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return (flat if len(present) == len(flat) else flat[present]), present
 
 
+# (..., n, k): values (B, k) of those that are there, 0 of the others.
 def _to_all(values: torch.Tensor, present: torch.Tensor, shape: torch.Size) -> torch.Tensor:
-    """Return (..., n, k): ``values`` (B, k) of those that are there, 0 of the others."""
     whole = values.new_zeros(math.prod(shape), values.shape[-1])
     return whole.index_copy(0, present, values).reshape(*shape, -1)
 
 
+# Mean actions of a team of any size; those of absent robots, whose rows are 0, are 0.
 class SetActor(nn.Module):
-    """Mean actions of a team of any size; those of absent robots, whose rows are 0, are 0."""
-
     def __init__(self, tokens: Tokens, widths: tuple[int, ...]) -> None:
         super().__init__()
         self.encoder = SetEncoder(tokens, widths)
         self.head = _linear(widths[-1], 2, 0.01)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        """Mean actions (..., n, 2) for rows (..., n, size)."""
         some, present = _of_present(rows)
         flow, signs, swap = self.encoder(some, rows.shape[-2])
         actions = self.encoder.turned.back(self.head(flow), signs, swap)
@@ -332,7 +324,6 @@ class SetCritic(nn.Module):
         self.head = _linear(last, 1, 1.0)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        """Values (..., n, 1) for rows (..., n, size)."""
         some, present = _of_present(rows)
         flow, _, _ = self.encoder(some, rows.shape[-2])
         if self._central:

@@ -40,8 +40,6 @@ HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 @dataclass(frozen=True)
 class TeamShape:
-    """The sizes of a team's networks."""
-
     obs_size: int
     n_robots: int
     # These are as in MultiAgentPPOConfig.
@@ -107,11 +105,9 @@ class Normalize(TensorDictModuleBase):
     def normalize(self, observations: torch.Tensor) -> torch.Tensor:
         if self._tokens:
             return observations
-        normalized: torch.Tensor = (observations - self.statistics.mean) / self.scale()
+        scale = torch.where(self.statistics.count > 0, self.statistics.scale(), 1.0)
+        normalized: torch.Tensor = (observations - self.statistics.mean) / scale
         return normalized.clamp_(-CLIP, CLIP)
-
-    def scale(self) -> torch.Tensor:
-        return torch.where(self.statistics.count > 0, self.statistics.scale(), 1.0)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         return tensordict.set(Key.NORMALIZED, self.normalize(tensordict.get(Key.OBSERVATION)))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
+from numpy.typing import NDArray
 from pydantic import TypeAdapter
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictSequential
@@ -19,21 +21,14 @@ from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
 from baselines.policies.load import load_trained, open_run
+from baselines.policies.policy import TrainedPolicy
+from baselines.runs import tensors
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import saved_at
-from baselines.runs.tensors import (
-    moments_of,
-    read_tensors,
-    restore_generators,
-    save_generators,
-    with_moments,
-    write_tensors,
-)
 from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
 from baselines.torchrl.policy import TeamPolicy
-from baselines.torchrl.teacher import Teacher, check_teacher
 from baselines.training.aids import RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
@@ -94,6 +89,63 @@ def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
     env_steps = hyperparameters.rounded_up(task.config.steps, hyperparameters.decisions)
     steps, worlds = hyperparameters.rollout_steps, hyperparameters.num_worlds
     return Budget(env_steps, f"rollouts of {steps} decisions in {worlds} worlds")
+
+
+# The settings that say what a robot sees, and nothing else.
+SEEN = ("observation", "assignment", "one_hot", "sensing_radius")
+
+
+def find_teacher(source: str, learner: Mapping[str, Any]) -> tuple[TrainedPolicy, dict[str, Any]]:
+    """Return the policy of ``zoo:NAME`` or a run's folder, and the settings of what it sees."""
+    # If it sees an assignment, that is the learner's. A learner that sees none could not know what
+    # was assigned at first: then it is made for where robots are.
+    policy = load_trained(open_run(source))
+    assert policy.origin is not None
+    seen = {name: getattr(policy.origin.config, name) for name in SEEN}
+    shown = make_config(learner).assignment or "fresh"
+    return policy, {**seen, "assignment": shown if seen["assignment"] else False}
+
+
+def check_teacher(source: str, task: Task) -> None:
+    """Raise an MbnError if there is no such teacher, or it cannot act where the learner does."""
+    policy, seen = find_teacher(source, task.settings)
+    if policy.observes != "observations":
+        problem = f"teacher: {source} acts on the state; allowed: on robots' own observations"
+        raise ConfigError("training", [problem])
+    policy.fit(BatchEngine(task.field, 1, threads=1, **{**task.settings, **seen}))
+
+
+# A teacher says what it would do where the learner is: Schmitt et al., "Kickstarting Deep
+# Reinforcement Learning", 2018.
+class Teacher:
+    """Follow the learner's rollouts in the same worlds, which show what the teacher sees."""
+
+    # ``learner``: the settings of its environment, in place of which make_env takes some.
+
+    def __init__(
+        self, source: str, learner: Mapping[str, Any], make_env: Callable[..., NavigationEnv]
+    ) -> None:
+        policy, seen = find_teacher(source, learner)
+        self._env = make_env(**seen)
+        self._policy = policy.fit(self._env.engine)
+        self._now = self._env.reset()
+
+    def actions(self, rollout: TensorDictBase, repeat: int) -> torch.Tensor:
+        """Return the mean actions (W, T, n, 2) for a rollout (W, T) that follows the last one."""
+        self._env.action_repeat = repeat
+        answers = []
+        for taken in rollout[Key.ACTION].unbind(1):
+            seen = self._now[Key.OBSERVATION].numpy(force=True)
+            answers.append(torch.from_numpy(self._policy.act(seen, deterministic=True)))
+            _, self._now = self._env.step_and_maybe_reset(self._now.set(Key.ACTION, taken))
+        return torch.stack(answers, 1).clamp_(-1.0, 1.0).to(rollout.device)
+
+    def save_state(self) -> dict[str, NDArray[Any]]:
+        return self._env.save_state()
+
+    def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
+        self._env.load_state(saved)
+        self._now = self._env.reset()
 
 
 class Trainer:
@@ -180,7 +232,6 @@ class Trainer:
         )
 
     def run(self) -> None:
-        """Train to the end of the budget, or until an evaluation passes."""
         config, policy = self.config, TeamPolicy(self.network)
         env_steps = 0
         if self.recorder.checkpoint is not None:
@@ -209,7 +260,12 @@ class Trainer:
                 "std": self.network.log_std.exp().mean().item(),
                 "roi_radius": self.curriculum.radius,
             }
-            self._count_episodes(rollout)
+            ended, metrics = rollout["next", "done"], rollout["next", "metrics"]
+            successes = metrics["success"][ended].tolist()
+            self.recorder.episodes.add(metrics["episode_return"][ended].tolist(), successes)
+            self.curriculum.add(successes)
+            if self.curriculum.move():
+                self._collect_from(self._make_env())
             env_steps += config.decisions * repeat
             self.recorder.update(env_steps, policy, diagnostics | losses)
             if self.recorder.checkpoint_due:
@@ -218,14 +274,6 @@ class Trainer:
         if not self.recorder.passed:  # a policy that passed stays as it is
             self.network.amplify(config.final_gain)
         self.recorder.finish(env_steps, policy)
-
-    def _count_episodes(self, rollout: TensorDictBase) -> None:
-        ended, metrics = rollout["next", "done"], rollout["next", "metrics"]
-        successes = metrics["success"][ended].tolist()
-        self.recorder.episodes.add(metrics["episode_return"][ended].tolist(), successes)
-        self.curriculum.add(successes)
-        if self.curriculum.move():
-            self._collect_from(self._make_env())
 
     @torch.no_grad()
     def _estimate(self, rollout: TensorDictBase, repeat: int) -> None:
@@ -299,24 +347,21 @@ class Trainer:
         return {name.removeprefix("loss_"): value.item() for name, value in means.items()}
 
     def _save(self, env_steps: int, folder: Path) -> None:
-        write_tensors(folder / NETWORKS, self.loss.state_dict())
-        write_tensors(folder / OPTIMIZER, moments_of(self.optimizer.state_dict()))
+        tensors.write_tensors(folder / NETWORKS, self.loss.state_dict())
+        moments = tensors.moments_of(self.optimizer.state_dict())
+        tensors.write_tensors(folder / OPTIMIZER, moments)
         write_arrays(folder / WORLDS, self.env.save_state(), compress=True)
         if self.teacher is not None:
             write_arrays(folder / TEACHER_WORLDS, self.teacher.save_state(), compress=True)
-        counters = {
-            "env_steps": env_steps,
-            "curriculum": asdict(self.curriculum),
-            "generators": save_generators(),
-        }
-        write_json(folder / COUNTERS, counters)
+        counters = {"env_steps": env_steps, "curriculum": asdict(self.curriculum)}
+        write_json(folder / COUNTERS, {**counters, "generators": tensors.save_generators()})
 
     def _restore(self, folder: Path) -> int:
         with reading(folder):
-            networks = read_tensors(folder / NETWORKS, self.loss.state_dict())
-            self.loss.load_state_dict(networks)
-            moments = read_tensors(folder / OPTIMIZER)
-            self.optimizer.load_state_dict(with_moments(self.optimizer.state_dict(), moments))
+            networks, state = self.loss.state_dict(), self.optimizer.state_dict()
+            self.loss.load_state_dict(tensors.read_tensors(folder / NETWORKS, networks))
+            moments = tensors.read_tensors(folder / OPTIMIZER)
+            self.optimizer.load_state_dict(tensors.with_moments(state, moments))
             counters = read_json(folder / COUNTERS)
             self.curriculum = TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"])
             env = self._make_env()
@@ -324,6 +369,6 @@ class Trainer:
             self._collect_from(env)
             if self.teacher is not None:
                 self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS))
-            restore_generators(counters["generators"])  # last: a new collector tries the policy
-            env_steps = saved_at(folder, counters["env_steps"])
-        return env_steps
+            # Last, since a new collector tries the policy.
+            tensors.restore_generators(counters["generators"])
+            return saved_at(folder, counters["env_steps"])

@@ -32,8 +32,6 @@ DRAWS = 1000
 
 
 class TrainingAids(Hyperparameters):
-    """Hyperparameters with training aids; by default there are none."""
-
     # The learner sees the reward times this.
     reward_scale: Positive = 1.0
     # Env-steps that a decision lasts, from and to, falling linearly (rounded). Evaluations always
@@ -123,7 +121,6 @@ class RoiCurriculum:
         return float(self.first ** (1.0 - self.stage / STAGES))
 
     def add(self, successes: Sequence[float]) -> None:
-        """Count episodes that ended: 1 for a success, 0 for a failure."""
         self.ended += len(successes)
         self.succeeded += round(sum(successes))
 

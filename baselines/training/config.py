@@ -10,7 +10,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, cast
 
 import pydantic
 from pydantic_core import to_jsonable_python
@@ -42,59 +42,52 @@ class DivergenceError(MbnError):
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """A training run: what is asked of it, and the options of `mbn train`.
+    """A training run: what is asked of it, and the options of `mbn train`."""
 
-    Attributes:
-        algorithm: a2c, ppo, trpo, ars, crossq, tqc, ppo-joint (centralised); mappo, ippo,
-            ppo-shared (decentralised).
-        field: a name of `mbn fields`, or the path of a field file; setting G, or network=entities,
-            takes random_convex, random_shapes and sampler files too.
-        setting: A: the paper's library defaults, raw observation and reward. B: its Optuna values.
-            C: as A, from a policy trained on another field. N: normalised observation, scaled
-            reward. J (ppo, trpo): as N, with the observations and training aids of ppo-joint.
-            G (mappo, ippo): one policy for every field, a network over sets.
-        seed: of networks, exploration and worlds, 0 to 2^32 - 1; by default 33 under A, B and C, 0
-            under the others.
-        steps: the budget in env-steps (an env-step moves every robot of one world once), rounded up
-            to whole updates; by default 5,000,000 under A, B and C, 655,360 under the others.
-        evaluate_every: env-steps between two fresh evaluations; after each one a checkpoint is
-            written.
-        episodes: stochastic episodes of an evaluation.
-        stop_at: stop before the end of the budget, at the first fresh evaluation with this mean
-            return (reward) and 99 % success, if all episodes with mean actions succeed too.
-        num_envs: worlds stepped side by side; by default the setting's number.
-        hyperparams: a YAML file whose block named as the setting replaces the recorded one.
-        transferred_from: the folder of the run whose policy it begins with. Under C networks and
-            optimisers, `mbn transfer` does it all; mappo, ippo and ppo-joint take the actor's
-            network, also of the zoo (zoo:NAME), whose field may be another one.
-        device: where the networks run, and under mappo, ippo and ppo-joint the worlds too; of the
-            others, worth it for crossq and tqc.
-        label: the name in tables and figures, and of the folder; by default the algorithm.
-        environment: settings of the environment that differ from the algorithm's own.
-        hyperparameters: hyperparameters that differ from the algorithm's own.
-
-    Raises:
-        ConfigError: naming every number out of range, and an algorithm, setting or field that is
-            not there.
-    """
-
+    # One of a2c, ppo, trpo, ars, crossq, tqc, ppo-joint (centralised); mappo, ippo, ppo-shared
+    # (decentralised).
     algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
+    # A name of `mbn fields`, or the path of a field file; setting G, or network=entities, takes
+    # random_convex, random_shapes and sampler files too.
     field: Positional[Annotated[str, arg(metavar="FIELD")]]
+    # A: the paper's library defaults, raw observation and reward. B: its Optuna values. C: as A,
+    # from a policy trained on another field. N: normalised observation, scaled reward. J (ppo,
+    # trpo): as N, with the observations and training aids of ppo-joint. G (mappo, ippo): one policy
+    # for every field, a network over sets.
     setting: Setting = "N"
-    seed: int = None  # type: ignore[assignment]  # replaced by the setting's own
-    steps: int = None  # type: ignore[assignment]
+    # Of networks, exploration and worlds, 0 to 2^32 - 1; by default 33 under A, B and C, 0 under
+    # the others.
+    seed: int = cast("int", None)
+    # The budget in env-steps (an env-step moves every robot of one world once), rounded up to whole
+    # updates; by default 5,000,000 under A, B and C, 655,360 under the others.
+    steps: int = cast("int", None)
+    # Env-steps between two fresh evaluations; after each one a checkpoint is written.
     evaluate_every: int = 32_768
+    # Stochastic episodes of an evaluation.
     episodes: int = 100
+    # Stop before the end of the budget, at the first fresh evaluation with this mean return
+    # (reward) and 99 % success, if all episodes with mean actions succeed too.
     stop_at: float | None = None
+    # Worlds stepped side by side; by default the setting's number.
     num_envs: int | None = None
+    # A YAML file whose block named as the setting replaces the recorded one.
     hyperparams: Path | None = None
+    # The folder of the run whose policy it begins with. Under C networks and optimisers, `mbn
+    # transfer` does it all; mappo, ippo and ppo-joint take the actor's network, also of the zoo
+    # (zoo:NAME), whose field may be another one.
     transferred_from: Annotated[Path | None, arg(name="from", metavar="RUN")] = None
+    # Where the networks run, and under mappo, ippo and ppo-joint the worlds too; of the others,
+    # worth it for crossq and tqc.
     device: Literal["cpu", "cuda"] = "cpu"
+    # The name in tables and figures, and of the folder; by default the algorithm.
     label: str | None = None
+    # Settings of the environment that differ from the algorithm's own.
     environment: Suppress[Mapping[str, Any]] = dataclasses.field(default_factory=dict)
+    # Hyperparameters that differ from the algorithm's own.
     hyperparameters: Suppress[Mapping[str, Any]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        # The setting's own seed and budget, where none is given.
         protocol = SETTINGS.get(self.setting, SETTINGS["N"])
         for name in ("seed", "steps"):
             if getattr(self, name) is None:
@@ -114,12 +107,10 @@ class TrainConfig:
 
     @property
     def shown_as(self) -> str:
-        """The name in tables and figures."""
         return self.label or default_label(self.algorithm, self.setting)
 
     @property
     def command(self) -> str:
-        """The command line that repeats this run."""
         words: list[str] = []
         for field in dataclasses.fields(self)[2:-2]:
             name = "from" if field.name == "transferred_from" else field.name.replace("_", "-")
@@ -170,8 +161,6 @@ def default_label(algorithm: str, setting: str) -> str:
 
 
 class Hyperparameters(pydantic.BaseModel):
-    """The entries that all hyperparameters have."""
-
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     # Where the numbers come from.
@@ -244,7 +233,6 @@ def parse(words: Sequence[str]) -> dict[str, Any]:
 
 
 def words_of(values: Mapping[str, Any]) -> list[str]:
-    """Return the words that :func:`parse` reads ``values`` from."""
     words = []
     for name, value in to_jsonable_python(dict(values)).items():
         if isinstance(value, Mapping) and value:
@@ -273,8 +261,6 @@ class Budget(NamedTuple):
 
 @dataclass(frozen=True)
 class Task:
-    """A request as a trainer gets it."""
-
     config: TrainConfig
     field: Field | FieldSampler
     # Keyword arguments of the environment: the algorithm's own and the request's.

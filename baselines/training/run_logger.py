@@ -32,14 +32,10 @@ from mbn_marl.field import FieldSampler
 ROW_STEPS = 2048
 # A checkpoint is due after every fresh evaluation, and after so many seconds of slow training.
 CHECKPOINT_SECONDS = 600.0
-# The numbers that the history has of evaluations with mean actions, as ``deterministic_...``.
-MEAN_ACTION_NAMES = ("return_mean", "success_rate")
 
 
 @dataclass(frozen=True)
 class Report:
-    """The progress of the run of this name."""
-
     run: str
     env_steps: int = 0
     finished: bool = False
@@ -91,9 +87,8 @@ def find_wandb() -> ModuleType:
     try:
         return import_module("wandb")
     except ImportError:
-        raise ConfigError(
-            "training", ["wandb: the package is not installed; pip install wandb, or leave it out"]
-        ) from None
+        problem = "wandb: the package is not installed; pip install wandb, or leave it out"
+        raise ConfigError("training", [problem]) from None
 
 
 class EpisodeWindow:
@@ -106,7 +101,6 @@ class EpisodeWindow:
         self._successes: list[float] = []
 
     def add(self, returns: Iterable[float], successes: Iterable[float]) -> None:
-        """Add ended episodes: true team returns, and 1 for success or 0."""
         self._returns += map(float, returns)
         self._successes += map(float, successes)
 
@@ -234,7 +228,6 @@ class Recorder:
         self._report(env_steps, finished=True)
 
     def _write_row(self, env_steps: int) -> None:
-        """Stop the clock, and write the row of the window since the last one."""
         self._stop()
         row = {"seconds": self._seconds, **self.episodes.pop(), **self._diagnostics}
         self._folder.append_progress({"env_steps": float(env_steps), **row})
@@ -252,7 +245,6 @@ class Recorder:
     def _evaluate(
         self, env_steps: int, policy: TrainedPolicy, number: int, mean_episodes: int
     ) -> tuple[Evaluation, Evaluation]:
-        """Evaluate with sampled and with mean actions, and append both to the history."""
         # The seed is that of the evaluation's ``number``, in every run the same.
         seed, settings = EVALUATION_SEED + number, self._task.settings
         fields = unseen(self._task.field, seed)
@@ -260,11 +252,9 @@ class Recorder:
             evaluate(policy, fields, settings, episodes=n, seed=seed, deterministic=deterministic)
             for n, deterministic in ((self._task.config.episodes, False), (mean_episodes, True))
         )
-        entry = {
-            **self._times(env_steps),
-            **sampled.summary(),
-            **{f"deterministic_{name}": mean.summary()[name] for name in MEAN_ACTION_NAMES},
-        }
+        entry = {**self._times(env_steps), **sampled.summary()}
+        for name in ("return_mean", "success_rate"):
+            entry[f"deterministic_{name}"] = mean.summary()[name]
         self._evaluations.append(entry)
         names = ("return_mean", "success_rate", "collision_rate", "rois_visited")
         self.scalars(env_steps, {f"evaluation/{name}": entry[name] for name in names})

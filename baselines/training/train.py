@@ -130,8 +130,8 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
 
 @contextmanager
 def _running(run: RunFolder) -> Iterator[None]:
-    """Give torch one thread, and name the run in errors that its user or its disk causes."""
-    # The networks are small, and comparisons take a process for each core.
+    # Give torch one thread, and name the run in errors that its user or its disk causes. The
+    # networks are small, and comparisons take a process for each core.
     import torch
 
     threads, hook = torch.get_num_threads(), threading.excepthook
@@ -172,7 +172,6 @@ def sizes(theirs: Field, ours: Field) -> dict[str, tuple[Any, Any]]:
 
 
 def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameters) -> None:
-    """Raise an error if the run that a task begins with is not finished, or does not fit."""
     if not (source.finished or (source.path / CARD).is_file()):
         raise RunError(f"{source.path} is not finished; resume it first (--resume)")
     config, environment = source.config, make_config(task.settings)

@@ -3,86 +3,113 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from typing import Any, Unpack
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
+from typing import Any, Protocol, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.config import Settings, make_config
+from mbn_marl.config import NavigationConfig, Settings, make_config
 from mbn_marl.engine import validation
 from mbn_marl.engine.backend import Backend, BackendSpec
 from mbn_marl.engine.constants import make_record
-from mbn_marl.engine.devices import make_backend
-from mbn_marl.engine.geometry import FieldSource, make_geometry, sampler_numbers, sizes_of
-from mbn_marl.engine.listener import Listener
+from mbn_marl.engine.kernels import INFO_COLUMNS, MEASURES
+from mbn_marl.engine.mdp.disturbances import has_gusts
+from mbn_marl.engine.mdp.drawn_numbers import WIND_X, WIND_Y, draws_numbers, rows_of_drawn
+from mbn_marl.engine.mdp.dynamics import count_headings
+from mbn_marl.engine.mdp.failures import ABSENT, FAILED, may_rest
 from mbn_marl.engine.mdp.observations import observation_table
-from mbn_marl.engine.readings import Flags, Floats, Readings
-from mbn_marl.engine.state import Array
+from mbn_marl.engine.mdp.rewards import COLLISION, RESTED, REWARD_TERMS, SUCCESS
+from mbn_marl.engine.snapshot import Snapshot
+from mbn_marl.engine.state import Array, Episode
 from mbn_marl.engine.state_io import restore_worlds, save_worlds
+from mbn_marl.engine.tables import column_of, make_geometry, read_field, sampler_numbers, sizes_of
 from mbn_marl.engine.validation import Autoreset, Device
-from mbn_marl.errors import ActionError, ConfigError, MbnError
+from mbn_marl.errors import ActionError, ConfigError, MbnError, install, unknown
 from mbn_marl.field import Field, FieldSampler, load_field
+from mbn_marl.field.generator.layout import Tables
 
 FieldLike = Field | str | os.PathLike[str]
 Fields = FieldLike | Sequence[FieldLike] | FieldSampler
 """A field for all worlds, those of the worlds in turn, or what draws one for each episode."""
+Floats = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+
+METRICS = (
+    *("success", "collision", "rois_visited", "steps", "episode_return"),
+    *("wall_hits", "path_length", "impulse", "failed", "return_"),
+)
+"""The names of the measures of an episode, in the order of ``BatchEngine.metrics``."""
 
 
-class BatchEngine(Readings):
+class Listener(Protocol):
+    """Receives every reset and step of an engine's worlds, after it has happened."""
+
+    def was_reset(self, mask: Any) -> None:
+        """The worlds of a mask (W,) bool, or all if it is ``None``, have another state."""
+
+    def stepped(self, actions: Any, ended: Any) -> None:
+        """The worlds moved by ``actions`` (W, n, 2), as given; in ``ended`` (W,) an episode ended.
+
+        Worlds that waited for a reset did not move.
+        """
+
+
+class BatchEngine:
     """Many independent worlds of the multi-robot navigation MDP, stepped together.
 
     Every array that :meth:`reset` and :meth:`step` return is one of the engine's own buffers,
     overwritten by the next call: copy what you keep. W is the number of worlds, n the number of
-    robots, m the number of ROIs; ``real`` is the engine's dtype. What can be read of the worlds is
-    in the base class, ``Readings``.
+    robots, m the number of ROIs; ``real`` is the engine's dtype. Arguments that are not allowed
+    raise a :class:`~mbn_marl.errors.ConfigError` with all problems, an unknown world an IndexError.
 
     Args:
-        field: a catalogue name, a file, a :class:`Field`, or a sequence of them: world w then has
-            field ``w % len(field)``. All need the same arena. Or a
-            :class:`~mbn_marl.field.FieldSampler`: every episode of every world then has a field of
-            its own, made inside its reset, which depends on the sampler's seed, the world's number
-            and the episode's alone. The numbers of ROIs may differ (a missing ROI is one that is
-            visited from the start), and without ``n_robots`` those of robots: n is then the
-            largest, see :attr:`present`.
+        field: a catalogue name, a file, a :class:`Field`, or a sequence of them with one arena:
+            world w then has field ``w % len(field)``. Or a
+            :class:`~mbn_marl.field.FieldSampler`, which draws a field for each episode. Numbers of
+            ROIs may differ: a missing one is visited from the start. Without ``n_robots``, those of
+            robots may too: n is then the largest, see :attr:`present`.
         num_worlds: W, at least 1.
         seed: key of all random numbers, 0 to 2^63 - 1.
         autoreset: what happens when an episode ends. ``True`` or ``"same_step"``: the world
             restarts within that step, and its last observation is in :attr:`final_observations`;
             ``"next_step"``: the next step restarts it, whatever its action, with reward 0;
             ``False`` or ``"disabled"``: it waits for :meth:`reset_worlds`.
-        device: ``"cpu"``, or ``"cuda"``, torch's current CUDA device: a thread per world, on
-            torch's current stream. What this class says to be an array is then a torch tensor
-            there, actions and masks are too, and :meth:`step` never waits for the device, so that
-            it can be captured in a CUDA graph (after a first step outside). See *Faults*.
+        device: ``"cpu"``, or ``"cuda"``, torch's current CUDA device and stream: all arrays are
+            then torch tensors there, actions and masks too. A CUDA graph can capture :meth:`step`,
+            which never waits for the device, after a first step outside. See *Faults*.
         threads: how many threads share the worlds on the CPU; ``None`` takes one per core, but one
             for small batches. The result does not depend on it.
         starts: where the robots start in every world, (n, 2) units, instead of the field's own
-            starts: in the field, and no two closer than the safety distance, or the least one
-            that episodes draw.
+            starts: in the field, no two closer than the least safety distance.
         first_world: number of the world with index 0, from 0 on. A world's random numbers depend
-            on its number, the seed and the number of its episode alone, not on the batch.
+            on its number, the seed and its episode's number alone.
         **settings: see :class:`mbn_marl.config.NavigationConfig`.
 
     Attributes:
-        listeners: what to tell of every reset and step, such as a recorder of episodes; empty at
-            first. To stop telling one, remove it.
+        config: the configuration, with n.
+        fields: those of the worlds in turn; none with a sampler.
+        sampler: what draws a field for each episode, or ``None``.
+        n_robots: n, the most robots in a world.
+        n_rois: m, the most ROIs in a world.
+        teams_vary: whether a world may have fewer than n robots.
+        arena: width and height, units.
+        observation_table: the entries of a robot's observation.
+        obs_size: how many there are.
+        autoreset: the mode's name.
+        dtype: the precision of rewards and states.
+        listeners: objects that every reset and step is reported to, such as a recorder of episodes.
 
     Faults:
         On the CPU, an action that is not finite and a step of a world that has ended are errors
-        before any world moves. On CUDA they are found on the device: the world concerned rests in
-        that step (reward 0, no flag set), the others move, and the next :meth:`reset`,
-        :meth:`reset_worlds` or :meth:`snapshot` outside a graph's capture raises the error, once,
-        for the first such world. Shapes and types are checked at once on both.
+        before any world moves. On CUDA that world rests in the step (reward 0, no flag set), the
+        others move, and the next :meth:`reset`, :meth:`reset_worlds` or :meth:`snapshot` outside a
+        graph's capture raises the error, once, for the first such world.
 
     Raises:
         FieldError: a field is invalid or unknown.
-        ConfigError: a setting is invalid; all problems are listed. Or CUDA is not to be had: what
-            is missing is said.
-
-    Source:
-        Choton, Woods, Hsu, sections 3 and 4, and the authors' released code: the rules are those
-        of ``docs/mdp.md``.
+        ConfigError: a setting is invalid, or CUDA cannot be used; all problems are listed.
     """
 
     def __init__(
@@ -107,51 +134,47 @@ class BatchEngine(Readings):
         validation.check_setup(
             source, config, n, num_worlds, threads, seed, device, given, first_world
         )
-        self.config = config.model_copy(update={"n_robots": n})
+        self.config = config = config.model_copy(update={"n_robots": n})
         self.fields = () if isinstance(source, FieldSampler) else source
         self.sampler = source if isinstance(source, FieldSampler) else None
-        own_teams = self.sampler is not None or (config.n_robots is None and given is None)
-        self.teams_vary = own_teams and sizes.fewest_robots < n
+        own_teams = self.sampler is not None or (settings.get("n_robots") is None and given is None)
+        self.teams_vary = vary = own_teams and sizes.fewest_robots < n
         self.num_worlds, self.n_robots, self.device = num_worlds, n, device
         self.first_world, self.n_rois, self.arena = first_world, sizes.rois, sizes.arena
         self.dtype = np.dtype(config.dtype)
-        table = observation_table(self.config, n, self.n_rois, self.arena, self.teams_vary)
+        table = observation_table(config, n, self.n_rois, self.arena, vary)
         self.observation_table, self.obs_size = table, len(table)
         self.observation_low = np.array([entry.low for entry in table], np.float32)
         self.observation_high = np.array([entry.high for entry in table], np.float32)
         self.listeners: list[Listener] = []
         self._set_fields: dict[int, tuple[int, Field]] = {}
+        numbers = config, n, self.arena, self.autoreset, first_world, vary
         try:
-            self._backend = self._make_worlds(source, threads, seed, given)
+            spec = BackendSpec(
+                config=config,
+                num_worlds=num_worlds,
+                obs_size=self.obs_size,
+                autoreset=self.autoreset,
+                threads=threads,
+                seed=seed,
+                geometry=make_geometry(source, config, n, num_worlds, vary, given),
+                constants=make_record(*numbers),
+                arena=self.arena,
+                teams_vary=vary,
+            )
+            self._backend = _class_of(device)(spec)
         except MemoryError as error:
             problem = f"num_worlds: {num_worlds} with {config.max_steps} steps need more memory"
             fewer = "allowed: fewer worlds, or a smaller max_steps"
             raise ConfigError("configuration", [f"{problem} ({error}); {fewer}"]) from None
 
-    def _make_worlds(
-        self,
-        source: FieldSource,
-        threads: int | None,
-        seed: int,
-        starts: NDArray[Any] | None,
-    ) -> Backend:
-        """Make the worlds' arrays on the device."""
-        config, n, worlds = self.config, self.n_robots, self.num_worlds
-        numbers = config, n, self.arena, self.autoreset, self.first_world, self.teams_vary
-        return make_backend(
-            self.device,
-            BackendSpec(
-                config=config,
-                num_worlds=worlds,
-                obs_size=self.obs_size,
-                autoreset=self.autoreset,
-                threads=threads,
-                seed=seed,
-                geometry=make_geometry(source, config, n, worlds, self.teams_vary, starts),
-                constants=make_record(*numbers),
-                arena=self.arena,
-                teams_vary=self.teams_vary,
-            ),
+    def __repr__(self) -> str:
+        names = [*dict.fromkeys(field.name for field in self.fields)] or ["random fields"]
+        where = ", ".join(names) if len(names) <= 3 else f"{len(names)} fields"
+        most = "up to " if self.teams_vary else ""
+        return (
+            f"<{type(self).__name__} {where}: {most}{self.n_robots} robots, {self.n_rois} ROIs, "
+            f"observation {self.config.observation!r} ({self.obs_size}), worlds {self.num_worlds}>"
         )
 
     # -- the cycle: reset, step --------------------------------------------------------------------
@@ -166,9 +189,6 @@ class BatchEngine(Readings):
 
         Returns:
             Observations, (W, n, obs_size) float32; :attr:`observation_table` has their units.
-
-        Raises:
-            ConfigError: seed or episode are not allowed.
         """
         if problems := validation.reset_problems(seed, episode):
             raise ConfigError("reset", problems)
@@ -179,7 +199,8 @@ class BatchEngine(Readings):
                     world: (episode if number == now[world] + 1 else -1, field)
                     for world, (number, field) in self._set_fields.items()
                 }
-            self._backend.reseed(seed, episode)
+            memory = self._backend.memory
+            memory.seed[:], memory.draw[:], memory.episode[:] = seed, 0, episode - 1
         self._backend.reset(None)
         self._tell_reset(None)
         return self._backend.output.observations
@@ -189,9 +210,6 @@ class BatchEngine(Readings):
 
         Returns:
             The observations of all worlds, (W, n, obs_size) float32.
-
-        Raises:
-            ActionError: the mask has another shape or type.
         """
         self._backend.reset(mask)
         self._tell_reset(mask)
@@ -212,10 +230,8 @@ class BatchEngine(Readings):
             (W, n) real, and two (W,) bool. A time limit is a truncation, never a termination.
 
         Raises:
-            ActionError: wrong shape, not numeric, or not finite, or ``active`` with another
-                autoreset. No world has moved.
-            StepError: before the first reset, or, with autoreset disabled, after the end of a
-                world.
+            ActionError: an argument is not allowed. No world has moved.
+            StepError: before the first reset, or after the end of a world that waits for one.
         """
         if active is not None and self.autoreset != "disabled":
             allowed = "allowed: None, or worlds that wait with autoreset disabled"
@@ -226,7 +242,49 @@ class BatchEngine(Readings):
             listener.stepped(actions, out.terminated | out.truncated)
         return out.observations, out.rewards, out.terminated, out.truncated
 
-    # -- other fields ------------------------------------------------------------------------------
+    def sample_actions(self) -> Floats:
+        """Uniform random actions, (W, n, 2) float32 in [-1, 1): the seed's next ones."""
+        backend = self._backend
+        rows: Floats = backend.empty((self.num_worlds, self.n_robots, 2), backend.xp.float32)
+        backend.write_draw(rows)
+        drawn = backend.memory.draw
+        drawn += 1
+        return rows
+
+    # -- fields ------------------------------------------------------------------------------------
+
+    @property
+    def field(self) -> Field:
+        """The field of world 0."""
+        return self.field_of(0)
+
+    def field_of(self, world: int) -> Field:
+        """Return the field of a world's present episode.
+
+        One that a sampler has drawn is read from the engine's tables, to a thousandth of a unit;
+        its name has the world's number and the episode's. Before the first reset, it is that of the
+        first episode.
+        """
+        self._check_world(world)
+        number, given = self._set_fields.get(world, (-1, None))
+        if self.sampler is None:
+            return given or self.fields[world % len(self.fields)]
+        episode = int(self._backend.memory.episode[world])
+        if given and number == max(episode, 0):
+            return given
+        if episode < 0:
+            return self.sampler.field(self.first_world + world)
+        f, backend = self._column(world), self._backend
+        tables = Tables(*(backend.host(table[..., f : f + 1]) for table in backend.geometry.field))
+        return read_field(tables, self.arena, f"world-{self.first_world + world}-{episode}")
+
+    def _check_world(self, world: int) -> None:
+        if not 0 <= world < self.num_worlds:
+            raise IndexError(f"world {world}; allowed: 0 to {self.num_worlds - 1}")
+
+    def _column(self, world: int) -> int:
+        """The column of a world in the tables of its field."""
+        return world if self._backend.geometry.field.codes.shape[0] > 1 else 0
 
     def set_field(self, field: Field, world: int = 0, starts: ArrayLike | None = None) -> None:
         """Give a world another field, right before its reset.
@@ -238,11 +296,6 @@ class BatchEngine(Readings):
             field: of the same arena, with at most ``n_rois`` ROIs and a start for each robot.
             world: its index.
             starts: where the robots start, (n, 2) units, instead of the field's own starts.
-
-        Raises:
-            ConfigError: the field does not fit; all problems are listed. Or several worlds share
-                their only field.
-            IndexError: no such world.
         """
         self._check_world(world)
         given = validation.as_starts(starts)
@@ -253,7 +306,15 @@ class BatchEngine(Readings):
             problems.append("field: one for all worlds; allowed: with a field for each, or 1 world")
         if problems:
             raise ConfigError("set_field", problems)
-        self._backend.set_field(world, field, given)
+        f, backend = self._column(world), self._backend
+        tables, paths = column_of(field, backend.geometry, self.config, self.teams_vary, given)
+        backend.make_room(tables.edges.shape[1], paths.waypoints.shape[1])
+        here = *backend.geometry.field, *backend.geometry.paths
+        for table, part in zip(here, (*tables, *paths), strict=True):
+            place = tuple(map(slice, part.shape[:-1]))
+            table[..., f][place] = backend.xp.asarray(part[..., 0])
+        if self.sampler is not None:
+            backend.geometry.sampler.kept[f] = True
         self._set_fields[world] = int(self.episode_numbers[world]) + 1, field
 
     def set_sampler(self, sampler: FieldSampler) -> None:
@@ -261,23 +322,277 @@ class BatchEngine(Readings):
 
         Args:
             sampler: its fields are at most as large as those of the first one.
-
-        Raises:
-            ConfigError: they are not, or the engine has fixed fields; all problems are listed.
         """
         problems = validation.set_sampler_problems(sampler, self._sizes, self.teams_vary)
         if self.sampler is None:
             problems = ["sampler: allowed in place of another one"]
         if problems:
             raise ConfigError("set_sampler", problems)
-        self.sampler = sampler
-        self._backend.set_sampler(sampler)
+        self.sampler, backend = sampler, self._backend
+        backend.geometry.sampler.numbers[:] = backend.xp.asarray(sampler_numbers(sampler))
 
-    # -- what changes ------------------------------------------------------------------------------
+    # -- what the last step gave -------------------------------------------------------------------
 
-    def sample_actions(self) -> Floats:
-        """Uniform random actions, (W, n, 2) float32 in [-1, 1): the seed's next ones."""
-        return self._backend.draw_actions()
+    @property
+    def team_rewards(self) -> Array:
+        """The centralised reward of the last step, (W,) real: computed as the team's value."""
+        return self._backend.output.team_rewards
+
+    @property
+    def final_observations(self) -> Floats:
+        """Last observations of the episodes that ended (autoreset same-step), (W, n, obs_size).
+
+        Rows of worlds whose episode continues hold nothing of use.
+        """
+        return self._backend.output.final_observations
+
+    def _infos(self) -> NDArray[np.float64]:
+        rows: NDArray[np.float64] = self._backend.empty(
+            (self.num_worlds, self.n_robots + 1, len(INFO_COLUMNS)), self._backend.xp.float64
+        )
+        self._backend.write_infos(rows)
+        return rows
+
+    def infos(self) -> NDArray[np.float64]:
+        """Measures of each agent as of the last step, before any automatic reset.
+
+        Returns:
+            A fresh array (W, n, columns), whose last axis is ordered as ``INFO_COLUMNS``. These
+            are ``success``, ``rois_visited`` and ``collision`` of the team; the agent's own
+            ``wall_hits``, ``path_length`` (units) and ``impulse`` (``|sum over steps of u tau|``,
+            mass x units/step) of this episode, and whether it has ``failed``; and the terms of its
+            reward in the last step.
+        """
+        return self._infos()[:, :-1]
+
+    def team_infos(self) -> NDArray[np.float64]:
+        """As :meth:`infos` of the team, (W, columns): sums over it, the terms of its reward."""
+        return self._infos()[:, -1]
+
+    def reward_terms(self) -> Array:
+        """The named terms of each agent's reward in the last step, (W, n, terms) real.
+
+        The last axis is ordered as ``REWARD_TERMS`` and sums to the reward, up to rounding.
+        """
+        terms = self.infos()[..., -len(REWARD_TERMS) :]
+        rows: Array = self._backend.xp.asarray(terms, dtype=self._backend.real)
+        return rows
+
+    def metrics(self, names: Collection[str] = METRICS) -> dict[str, Array]:
+        """Measures of each episode as of the last step, before any automatic reset.
+
+        Args:
+            names: those to return, of ``METRICS``; all but ``path_length`` and ``impulse`` cost
+                next to nothing.
+
+        Returns:
+            ``success``, ``collision`` (W,) bool; ``steps`` (W,) int32; ``episode_return`` (W,)
+            float64: the team's; ``rois_visited`` (W,) int32; ``wall_hits`` (W, n) int32;
+            ``path_length`` (W, n) float64, units; ``impulse`` (W, n) float64: ``|sum over steps of
+            u tau|``, mass x units/step; ``failed`` (W, n) bool; ``return_`` (W, n) float64: what
+            each agent was given.
+        """
+        wrong = [name for name in names if name not in METRICS]
+        problems = [f"{name!r}: {unknown('measure', str(name), METRICS)}" for name in wrong]
+        if isinstance(names, str):
+            problems = [f"names: {names!r}; allowed: several of {', '.join(METRICS)}"]
+        if problems:
+            raise ConfigError("metrics", problems)
+        backend = self._backend
+        now, final, output, xp = backend.now, backend.final, backend.output, backend.xp
+        outcomes = output.outcomes
+        collision = (outcomes & COLLISION) > 0
+        ended = (output.terminated | output.truncated) & (self.autoreset == "same_step")
+
+        def last(name: str) -> Array:
+            """Return the part ``name`` of the episodes that the last step was of, ([n,] W)."""
+            part: Array = xp.where(ended, getattr(final, name), getattr(now, name))
+            return part
+
+        def count_visited() -> Array:
+            codes = last("visited") & last("codes")
+            count: Array = sum((codes >> k & 1 for k in range(self.n_rois)), xp.zeros_like(codes))
+            return count
+
+        measures: dict[str, Callable[[], Array]] = {
+            "success": lambda: ((outcomes & SUCCESS) > 0) & ~collision,
+            "collision": lambda: collision,
+            "steps": lambda: last("steps"),
+            "episode_return": lambda: last("team_return"),
+            "rois_visited": count_visited,
+            "wall_hits": lambda: last("wall_hits").T,
+            "failed": lambda: last("status").T == FAILED if may_rest(now) else self.failed,
+            "return_": lambda: last("returns").T,
+        }
+        if not set(names) <= set(measures):
+            infos = self.infos()
+            for name in ("path_length", "impulse"):
+                measures[name] = partial(infos.__getitem__, (..., MEASURES.index(name)))
+        return {name: measures[name]() for name in names}
+
+    # -- the state ---------------------------------------------------------------------------------
+
+    def state(self) -> Array:
+        """The paper's state of every world now, (W, 4n + 1) real, raw units, a fresh array.
+
+        All positions ``x1, y1, x2, y2, ...``, then all velocities, then the visit code, whose most
+        significant bit is the first ROI. If a robot of the team has a heading, all headings come
+        before the visit code, in radians, 0 for robots without one: (W, 5n + 1). If robots may
+        fail, or teams vary, n flags of those that do not work come right before the visit code.
+        """
+        return self._states(final=False)
+
+    def final_state(self) -> Array:
+        """:meth:`state` at the end of the last finished episodes, (W, size) real, raw units.
+
+        With autoreset same-step only.
+        """
+        return self._states(final=True)
+
+    def _states(self, *, final: bool) -> Array:
+        now = self._backend.now
+        size = 4 * self.n_robots + now.heading.shape[0] + now.status.shape[0] + 1
+        rows: Array = self._backend.empty((self.num_worlds, size), self._backend.real)
+        self._backend.write_states(final, rows)
+        return rows
+
+    @property
+    def state_low(self) -> Array:
+        """Lower bounds of :meth:`state`, (size,) real, raw units."""
+        return -self._state_bound(0.0, 0.0)
+
+    @property
+    def state_high(self) -> Array:
+        """Upper bounds of :meth:`state`, (size,) real, raw units."""
+        return self._state_bound(1.0, float(2**self.n_rois - 1))
+
+    def _state_bound(self, arena: float, code: float) -> Array:
+        n = self.n_robots
+        positions = np.tile(self.arena, n) * arena
+        speeds = np.full(2 * n, self.config.top_speed)
+        headings = np.full(count_headings(self.config.of_each("dynamics", n)), np.pi)
+        flags = np.full(self._backend.now.status.shape[0], arena)
+        return np.concatenate([positions, speeds, headings, flags, [code]]).astype(self.dtype)
+
+    def drawn(self) -> dict[str, Array]:
+        """Return the drawn numbers of the present episodes by name, (W,) in the settings' units."""
+        return self._drawn_in(self._backend.now)
+
+    def final_drawn(self) -> dict[str, Array]:
+        """Return :meth:`drawn` of the last finished episodes, (W,); autoreset same-step only."""
+        return self._drawn_in(self._backend.final)
+
+    def _drawn_in(self, episode: Episode) -> dict[str, Array]:
+        rows, copied = rows_of_drawn(self.config, self.n_robots), self._backend.xp.concatenate
+        return {name: copied([episode.drawn[row]]) for name, row in rows.items()}
+
+    def config_in(self, world: int = 0) -> NavigationConfig:
+        """Return the configuration with the drawn numbers of the present episode of ``world``."""
+        own = {name: float(numbers[world]) for name, numbers in self.drawn().items()}
+        return self.config.with_drawn(own)
+
+    @property
+    def seed(self) -> int:
+        """The key of the random numbers."""
+        return int(self._backend.memory.seed[0])
+
+    @property
+    def episode_numbers(self) -> NDArray[np.int64]:
+        """The number of each world's episode since the seed was set, (W,), >= 0, a fresh array.
+
+        It is -1 before the first reset.
+        """
+        return self._backend.host(self._backend.memory.episode)
+
+    @property
+    def running(self) -> Flags:
+        """Which worlds are in an episode, (W,) bool, a fresh NumPy array.
+
+        A world is not before its first reset, nor after its end until it is reset, by itself or
+        by :meth:`reset_worlds`.
+        """
+        return ~self._backend.host(self._backend.memory.pending)
+
+    @property
+    def may_rest(self) -> bool:
+        """True if some robots may not work: those that fail, or are not in the team."""
+        return may_rest(self._backend.now)
+
+    @property
+    def failed(self) -> Flags:
+        """Which robots have failed in the present episode of each world, (W, n) bool."""
+        return self._have_status(FAILED)
+
+    @property
+    def working(self) -> Flags:
+        """Which robots are in the team and have not failed, (W, n) bool."""
+        return ~(self._have_status(FAILED) | self._have_status(ABSENT))
+
+    @property
+    def present(self) -> Flags:
+        """Which robots are in the present team of each world, (W, n) bool.
+
+        The first ones always are. Those that are not observe zeros, earn nothing, touch nothing
+        and visit nothing; their actions have no effect.
+        """
+        return ~self._have_status(ABSENT)
+
+    def _have_status(self, status: int) -> Flags:
+        found: Flags = self._backend.empty((self.num_worlds, self.n_robots), self._backend.xp.bool)
+        found[...] = status == self._backend.now.status.T if self.may_rest else False
+        return found
+
+    def snapshot(self, world: int = 0) -> Snapshot:
+        """A copy of everything that a picture of the world with index ``world`` needs."""
+        field, backend, f = self.field_of(world), self._backend, self._column(world)
+        backend.raise_fault()
+        now, config, host = backend.now, self.config_in(world), backend.host
+        n, steps, visited = self.n_robots, int(now.steps[world]), int(now.visited[world])
+        outcome = int(backend.output.outcomes[world]) if steps else 0
+        left_out = outcome & RESTED and bool(backend.memory.pending[world])
+        bits = host(backend.geometry.field.roi_bits[: len(field.rois), f])
+        team = int(backend.geometry.field.robots_in[f])
+        failed = np.zeros(n, np.bool_)
+        if self.may_rest:
+            failed = host(now.status[:, world]) == FAILED
+        headings = np.full(n, np.nan, self.dtype)
+        if now.heading.shape[0]:
+            heading, cos, sin = (host(p[:, world]) for p in (now.heading, now.cos, now.sin))
+            headings = np.where((cos != 0) | (sin != 0), heading, headings)
+        trail = host(backend.memory.trail[world, : (steps + 1) * n]).reshape(-1, n, 2)
+        vanish = config.failures is not None and config.failures.kind == "vanish"
+        made = Snapshot(
+            field=field,
+            positions=np.stack([host(now.x[:team, world]), host(now.y[:team, world])], axis=-1),
+            velocities=np.stack([host(now.vx[:team, world]), host(now.vy[:team, world])], axis=-1),
+            visited=(visited & bits) != 0,
+            headings=headings[:team],
+            failed=failed[:team],
+            gone=failed[:team] & vanish,
+            trail=trail[:, :team],
+            step=steps,
+            team_return=float(now.team_return[world]),
+            winds=np.array([self._wind(world)]),
+            roi_radius=config.roi_radius,
+            safety_distance=config.safety_distance,
+            success=outcome & (SUCCESS | COLLISION) == SUCCESS,
+            collision=bool(outcome & COLLISION),
+        )
+        return made.judged() if left_out else made
+
+    def _wind(self, world: int) -> tuple[float, float]:
+        """The velocity that wind and gust add in the next step of a world, units/step."""
+        now, host = self._backend.now, self._backend.host
+        if draws_numbers(now):
+            x, y = host(now.drawn[WIND_X : WIND_Y + 1, world]).tolist()
+        else:
+            x, y = self.config.wind_increment()
+        if has_gusts(now):
+            gust_x, gust_y = host(now.gust[:, world]).tolist()
+            return x + gust_x, y + gust_y
+        return x, y
+
+    # -- saved states ------------------------------------------------------------------------------
 
     def save_state(self) -> dict[str, NDArray[Any]]:
         """Copies of everything that changes, by name: NumPy arrays, to be kept in a file.
@@ -290,7 +605,7 @@ class BatchEngine(Readings):
         return save_worlds(self._backend)
 
     def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
-        """Go on exactly where the engine that ``saved`` came from would.
+        """Restore a saved state: the worlds then continue as those of the saved engine.
 
         Settings and fields have to be the same; only sizes, types and samplers are compared.
 
@@ -304,7 +619,7 @@ class BatchEngine(Readings):
         if not isinstance(saved, Mapping):
             found = type(saved).__name__
             raise MbnError(f"worlds: {found}; allowed: arrays by name, as of save_state()")
-        theirs = saved.get("geometry.sampler")
+        theirs = saved.get("geometry.numbers")
         own = None if self.sampler is None else sampler_numbers(self.sampler)
         if not (own is None or theirs is None or np.array_equal(own, theirs)):
             raise MbnError("worlds: of another sampler; allowed: those of this one")
@@ -316,6 +631,18 @@ class BatchEngine(Readings):
     def _tell_reset(self, mask: ArrayLike | None) -> None:
         for listener in self.listeners:
             listener.was_reset(mask)
+
+
+def _class_of(device: Device) -> type[Backend]:
+    """Return what makes the worlds on a device: only CUDA needs torch, and so loads it."""
+    if device == "cpu":
+        return Backend
+    try:
+        from mbn_marl.engine.cuda import CudaBackend
+    except ImportError as error:
+        needs = f"device: 'cuda' needs torch and numba-cuda: {install('cuda')}"
+        raise ConfigError("configuration", [f"{needs}; {error}"]) from None
+    return CudaBackend
 
 
 def _load_all(field: FieldLike | Sequence[FieldLike]) -> tuple[Field, ...]:

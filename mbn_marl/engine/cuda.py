@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import warnings
+from functools import partial
 from typing import Any
 
 import torch
@@ -12,10 +13,15 @@ from numba.core.errors import NumbaPerformanceWarning
 from numpy.typing import NDArray
 
 from mbn_marl.engine import cuda_kernels as kernels
-from mbn_marl.engine.backend import CUDA_NEEDS, Backend, BackendSpec
+from mbn_marl.engine.backend import Backend, BackendSpec
 from mbn_marl.engine.constants import constants_of
-from mbn_marl.engine.state import Episode, Geometry
-from mbn_marl.errors import ActionError, ConfigError
+from mbn_marl.engine.state import share_bits
+from mbn_marl.errors import ActionError, ConfigError, install
+
+NEEDS = (
+    "device: 'cuda' needs an NVIDIA GPU, a torch that can use it (see pytorch.org), "
+    f"and numba-cuda: {install('cuda')}"
+)
 
 
 class Device:
@@ -23,20 +29,17 @@ class Device:
 
     def __init__(self) -> None:
         if problem := _missing():
-            raise ConfigError("configuration", [f"{CUDA_NEEDS}; {problem}"])
+            raise ConfigError("configuration", [f"{NEEDS}; {problem}"])
         self.torch = torch.device("cuda", torch.cuda.current_device())
         self._launchers: dict[tuple[Any, int, int, int], Any] = {}
 
     def array(self, tensor: torch.Tensor) -> Any:
-        """The tensor's memory as a Numba array."""
         return cuda.as_cuda_array(tensor.detach(), sync=False)
 
     def is_capturing(self) -> bool:
-        """Return whether what is launched now becomes part of a CUDA graph."""
         return torch.cuda.is_current_stream_capturing()
 
     def launch(self, kernel: Any, blocks: int, threads: int, *arguments: Any) -> None:
-        """Launch a kernel on torch's current stream."""
         stream = torch.cuda.current_stream(self.torch).cuda_stream
         key = kernel, blocks, threads, stream
         if key not in self._launchers:
@@ -47,7 +50,6 @@ class Device:
 
 
 def _missing() -> str | None:
-    """Return why this machine cannot run the kernels, if so."""
     if kernels.SIMULATED:
         return "NUMBA_ENABLE_CUDASIM is set, which leaves no GPU"
     if not torch.cuda.is_available():
@@ -58,13 +60,18 @@ def _missing() -> str | None:
     return None if found else "numba-cuda finds no GPU"
 
 
+def _mapped(function: Any, arrays: Any) -> Any:
+    """Return the named tuple of arrays, or of such tuples, with the function's results."""
+    if not isinstance(arrays, tuple):
+        return function(arrays)
+    return type(arrays)(*(_mapped(function, array) for array in arrays))
+
+
 class CudaBackend(Backend):
-    """The worlds of an engine in torch tensors.
+    """The worlds of an engine in torch tensors."""
 
-    Nothing here waits for the device but :meth:`raise_fault` and :meth:`host`. What a captured
-    graph has to find changed later (seed, number of the draw, first fault) is in tensors.
-    """
-
+    # Nothing here waits for the device but ``raise_fault`` and ``host``. What a captured graph has
+    # to find changed later (seed, number of the draw, first fault) is in tensors.
     xp = torch
     derived = ("_arrays", "_final", "_output", "_faults", "_device")
 
@@ -73,9 +80,8 @@ class CudaBackend(Backend):
         with Device().torch as place:
             self._make_worlds(spec)
             self._fault = torch.tensor([int(kernels.NO_FAULT)])
-            tables: Any = (torch.as_tensor(table, device=place) for table in spec.geometry)
-            self.geometry = Geometry(*tables)
-        self._connect()
+            self.geometry = _mapped(partial(torch.as_tensor, device=place), spec.geometry)
+        self.connect()
 
     def reset(self, mask: Any) -> None:
         """Begin a new episode in the masked worlds, or in all, unless there is a fault to raise."""
@@ -90,7 +96,6 @@ class CudaBackend(Backend):
         )
 
     def step(self, actions: Any, active: Any) -> None:
-        """Step the worlds; those with a fault rest."""
         n, size = self.spec.actions_shape[1], self.spec.obs_size
         moving = self._checked_mask("active", active)
         self._run(
@@ -103,12 +108,7 @@ class CudaBackend(Backend):
         )
 
     def raise_fault(self) -> None:
-        """Raise the first fault of the steps so far, and forget all; waits for the device.
-
-        Raises:
-            ActionError: an action was not finite.
-            StepError: a world was stepped that waited for a reset, or left out although it did not.
-        """
+        """Raise the first fault of the steps so far, and forget all; waits for the device."""
         if self._device.is_capturing():
             return
         fault = int(self._fault)
@@ -125,15 +125,13 @@ class CudaBackend(Backend):
         raise error(world, "an earlier step: ")
 
     def recount(self) -> None:
-        """Forget the faults of worlds that were replaced."""
         self._fault.fill_(int(kernels.NO_FAULT))
 
     def host(self, array: Any) -> NDArray[Any]:
-        """A NumPy copy; waits for the device."""
         copy: NDArray[Any] = array.cpu().numpy().copy()
         return copy
 
-    def _given(self, name: str, value: Any, allowed: str) -> torch.Tensor:
+    def given(self, name: str, value: Any, allowed: str) -> torch.Tensor:
         place = self._device.torch
         if isinstance(value, torch.Tensor) and value.device == place:
             return value.detach().contiguous()
@@ -144,7 +142,6 @@ class CudaBackend(Backend):
         return given.dtype != torch.bool and not given.is_complex()
 
     def _in_precision(self, given: torch.Tensor) -> torch.Tensor:
-        """The kernel finds what is not finite."""
         if given.dtype == self._actions.dtype:
             return given
         if given.dtype.itemsize > self._actions.dtype.itemsize and given.is_floating_point():
@@ -153,20 +150,20 @@ class CudaBackend(Backend):
 
     # -- the kernels -------------------------------------------------------------------------------
 
-    def _empty(self, shape: tuple[int, ...], dtype: torch.dtype) -> torch.Tensor:
+    def empty(self, shape: tuple[int, ...], dtype: torch.dtype) -> torch.Tensor:
         return torch.empty(shape, dtype=dtype, device=self._device.torch)
 
-    def _write_infos(self, rows: torch.Tensor) -> None:
+    def write_infos(self, rows: torch.Tensor) -> None:
         arguments = (self._constants, *self._arrays, self._final, self._output, self._rows(rows))
-        self._run(kernels.plain_kernel(kernels.infos), *arguments)
+        self._run(kernels.infos, *arguments)
 
-    def _write_states(self, episode: Episode, rows: torch.Tensor) -> None:
-        arrays = self._final if episode is self.final else self._arrays[2]
-        self._run(kernels.plain_kernel(kernels.states), arrays, self._rows(rows))
+    def write_states(self, final: bool, rows: torch.Tensor) -> None:
+        arrays = self._final if final else self._arrays[2]
+        self._run(kernels.states, arrays, self._rows(rows))
 
-    def _write_draw(self, rows: torch.Tensor) -> None:
+    def write_draw(self, rows: torch.Tensor) -> None:
         arguments = self._constants, self._arrays[1], self._rows(rows)
-        self._run(kernels.plain_kernel(kernels.draw), *arguments)
+        self._run(kernels.draw, *arguments)
 
     def _rows(self, rows: torch.Tensor) -> tuple[Any]:
         return (self._device.array(rows),)
@@ -180,14 +177,11 @@ class CudaBackend(Backend):
         blocks = -(-self.spec.num_worlds // threads)
         self._device.launch(kernel, blocks, threads, *arguments)
 
-    def _connect(self) -> None:
+    def connect(self) -> None:
         """Make the kernels' views of the tensors, once: that takes longer than a launch."""
-        super()._connect()
+        self.memory = share_bits(self.memory, self.now, torch)
         self._device = Device()
-
-        def arrays(tensors: Any) -> Any:
-            return type(tensors)(*map(self._device.array, tensors))
-
+        arrays = partial(_mapped, self._device.array)
         self._arrays = arrays(self.geometry), arrays(self.memory), arrays(self.now)
         self._final, self._output = arrays(self.final), arrays(self.output)
         self._faults = self._device.array(self._fault)

@@ -1,24 +1,31 @@
-"""The compiled entry points that ``BatchEngine`` calls; each takes whole arrays."""
+"""The compiled entry points that ``BatchEngine`` calls, and how threads share the worlds."""
 
 from __future__ import annotations
 
+import os
+from threading import Event
+from typing import Any
+
 import numpy as np
 from numba import prange
+from numpy.typing import NDArray
 
+from mbn_marl.engine import step
+from mbn_marl.engine.arguments import Arguments, with_scratch, worlds_of
 from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
-from mbn_marl.engine.mdp.failures import has_failed, is_absent
+from mbn_marl.engine.mdp.events import visit_code
+from mbn_marl.engine.mdp.failures import ABSENT, FAILED, status_of
 from mbn_marl.engine.mdp.observations import observe, put_state
-from mbn_marl.engine.mdp.visits import visit_code
 from mbn_marl.engine.reset import clear_output, reset_world
-from mbn_marl.engine.step import SAME_STEP
-from mbn_marl.engine.store import parts_of, with_scratch
-from mbn_marl.jit.compile import compiled, entry_point, parallel_entry_point
+from mbn_marl.jit.compile import address_of, compiled, entry_point, parallel_entry_point
 from mbn_marl.jit.functions import count_bits, is_set
 from mbn_marl.jit.intrinsics import call_step
 from mbn_marl.jit.random_numbers import FOR_ACTIONS, stream_key, uniform, world_number
 
 FIRST, NEXT = np.uint64(0), np.uint64(1)
+WORLDS_PER_THREAD = 256
+"""With fewer worlds than this for each thread, one does it all."""
 
 MEASURES = (
     *("success", "rois_visited", "collision"),
@@ -40,23 +47,24 @@ def all_finite(actions):
 
 
 @parallel_entry_point
-def step_ranges(address, store, actions, cuts):
-    """Step worlds ``cuts[k]`` to ``cuts[k + 1] - 1`` for every k; return how many ended.
-
-    ``address`` is that of ``step_worlds``, which would otherwise be compiled three times more.
-    """
+def step_ranges(address, arguments, actions, cuts):
+    """Step worlds ``cuts[k]`` to ``cuts[k + 1] - 1`` for every k; return how many ended."""
+    # ``address`` is that of ``step_worlds``, which would otherwise be compiled three times more.
     ended = 0
     for k in prange(cuts.size - 1):
-        ended += call_step(address, with_scratch(store, k), actions, cuts[k], cuts[k + 1])
+        ended += call_step(address, with_scratch(arguments, k), actions, cuts[k], cuts[k + 1])
     return ended
 
 
-@compiled
-def reset_masked(store, mask, lo, hi, asked):
-    """See :func:`reset_worlds`."""
-    p, g, mem, now, _, out, to = parts_of(store)
-    for w in range(lo, hi):
-        if mask[w - lo]:
+@entry_point
+def reset_worlds(arguments, mask, lo, hi, asked):
+    """Begin a new episode in the worlds from ``lo`` to ``hi - 1`` that ``mask`` marks.
+
+    Unless this was ``asked`` for, the outputs of the last step stay.
+    """
+    p, g, mem, now, _, out, to = worlds_of(arguments)
+    for w in range(np.uint64(lo), np.uint64(hi)):
+        if mask[w - np.uint64(lo)]:
             reset_world(p, g, mem, now, w)
             if asked:
                 mem.pending[w] = False
@@ -65,18 +73,9 @@ def reset_masked(store, mask, lo, hi, asked):
 
 
 @entry_point
-def reset_worlds(store, mask, lo, hi, asked):
-    """Begin a new episode in the worlds from ``lo`` to ``hi - 1`` that ``mask`` marks.
-
-    Unless this was ``asked`` for, the outputs of the last step stay.
-    """
-    reset_masked(store, mask, np.uint64(lo), np.uint64(hi), asked)
-
-
-@compiled
-def rest_masked(store, mask):
-    """See :func:`rest_worlds`."""
-    p, g, mem, now, _, out, to = parts_of(store)
+def rest_worlds(arguments, mask):
+    """Make the outputs of the masked worlds those of a step in which nothing happened."""
+    p, g, mem, now, _, out, to = worlds_of(arguments)
     for w in range(FIRST, np.uint64(mask.size)):
         if mask[w]:
             mem.pending[w] = True
@@ -88,19 +87,11 @@ def rest_masked(store, mask):
             observe(p, g, mem, now, w, w + NEXT, to.tile, out.observations)
 
 
-@entry_point
-def rest_worlds(store, mask):
-    """Make the outputs of the masked worlds those of a step in which nothing happened."""
-    rest_masked(store, mask)
-
-
 @compiled
 def put_infos(p, ep, out, w, rows):
-    """Write the measures of each robot of world w, in the order of ``INFO_COLUMNS``.
-
-    The row after the robots' has the team's: sums of the robots' own, and the terms of ``R``.
-    """
-    outcome, status, n = out.outcomes[w], ep.status, ep.x.shape[0]
+    """Write the measures of each robot of world w, in the order of ``INFO_COLUMNS``."""
+    # The row after the robots' has the team's: sums of the robots' own, and the terms of ``R``.
+    outcome, n = out.outcomes[w], ep.x.shape[0]
     rois_visited = count_bits(visit_code(ep.visited[w], ep.codes[w]))
     lost = is_set(outcome, rewards.COLLISION)
     success = is_set(outcome, rewards.SUCCESS) and not lost
@@ -114,20 +105,19 @@ def put_infos(p, ep, out, w, rows):
         rows[w, i, 3] = ep.wall_hits[i, w]
         rows[w, i, 4] = ep.path_length[i, w]
         rows[w, i, 5] = objective(ep.impulse_x[i, w], ep.impulse_y[i, w])
-        rows[w, i, 6] = has_failed(status, i, w)
+        rows[w, i, 6] = status_of(ep, i, w) == FAILED
         for k in range(TEAM_MEASURES, TERMS):
             rows[w, n, k] += rows[w, i, k]
     if not is_set(outcome, rewards.RESTED):
-        put_terms(p, status, out, w, n, rows)
+        put_terms(p, ep, out, w, rows)
 
 
 @compiled
-def put_terms(p, status, out, w, n, rows):
-    """Write the terms of each robot's reward in world w, and those of the team's."""
-    outcome = out.outcomes[w]
+def put_terms(p, ep, out, w, rows):
+    outcome, n = out.outcomes[w], ep.x.shape[0]
     for i in range(n):
-        own = rewards.earned(p, status, out.events[i, w], outcome, i, w)
-        terms = rewards.with_share(p, status, own, outcome, i, w)
+        own = rewards.earned(p, ep, out.events[i, w], outcome, i, w)
+        terms = rewards.with_share(p, ep, own, outcome, i, w)
         for k in range(len(terms)):
             rows[w, i, TERMS + k] = terms[k]
         for k in range(len(own)):
@@ -138,41 +128,28 @@ def put_terms(p, status, out, w, n, rows):
     if p.team_sharing:
         for i in range(n):
             for k in range(TERMS, rows.shape[2]):
-                rows[w, i, k] = 0.0 if is_absent(status, i, w) else rows[w, n, k]
+                rows[w, i, k] = 0.0 if status_of(ep, i, w) == ABSENT else rows[w, n, k]
 
 
 @compiled
 def is_final(p, out, w):
-    """Return whether the last step of world w is that of an episode which has been replaced."""
-    return (out.terminated[w] | out.truncated[w]) & (p.autoreset == SAME_STEP)
+    return (out.terminated[w] | out.truncated[w]) & (p.autoreset == step.SAME_STEP)
 
 
-@compiled
-def put_all_infos(store, rows):
-    """See :func:`write_infos`."""
-    p, _, _, now, final, out, _ = parts_of(store)
+@entry_point
+def write_infos(arguments, rows):
+    """Fill ``rows`` (W, n, columns) as of the last step, before any automatic reset."""
+    p, _, _, now, final, out, _ = worlds_of(arguments)
     for w in range(FIRST, np.uint64(rows.shape[0])):
         episode = final if is_final(p, out, w) else now
         put_infos(p, episode, out, w, rows)
 
 
 @entry_point
-def write_infos(store, rows):
-    """Fill ``rows`` (W, n, columns) as of the last step, before any automatic reset."""
-    put_all_infos(store, rows)
-
-
-@compiled
-def put_all_states(store, final, rows):
-    """See :func:`write_states`."""
-    _, _, _, now, ended, _, _ = parts_of(store)
-    put_state(ended if final else now, FIRST, np.uint64(rows.shape[0]), rows.T)
-
-
-@entry_point
-def write_states(store, final, rows):
+def write_states(arguments, final, rows):
     """Write the paper's vector of every world, (W, size)."""
-    put_all_states(store, final, rows)
+    _, _, _, now, ended, _, _ = worlds_of(arguments)
+    put_state(ended if final else now, FIRST, np.uint64(rows.shape[0]), rows.T)
 
 
 @compiled
@@ -185,15 +162,47 @@ def draw_world(p, mem, w, actions):
         actions[w, k // axes, k % axes] = two * uniform(key, k) - one
 
 
-@compiled
-def draw_worlds(store, actions):
-    """See :func:`draw_actions`."""
-    p, _, mem, _, _, _, _ = parts_of(store)
+@entry_point
+def draw_actions(arguments, actions):
+    """Fill ``actions`` (W, n, 2) with the next draw of each world's stream of actions."""
+    p, _, mem, _, _, _, _ = worlds_of(arguments)
     for w in range(actions.shape[0]):
         draw_world(p, mem, w, actions)
 
 
-@entry_point
-def draw_actions(store, actions):
-    """Fill ``actions`` (W, n, 2) with the next draw of each world's stream of actions."""
-    draw_worlds(store, actions)
+# -- threads ---------------------------------------------------------------------------------------
+
+# OpenMP does not survive a fork: a child of a process that has used it steps on one thread.
+_threaded, _forked = Event(), Event()
+
+
+def _after_fork() -> None:
+    if _threaded.is_set():
+        _forked.set()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+def cuts_of(worlds: int, threads: int | None) -> NDArray[np.int64]:
+    """The first world of each thread's range, and the number of worlds, (threads + 1,)."""
+    # ``None`` takes a thread per core where the batch is worth it.
+    if threads is None:
+        has_affinity = hasattr(os, "sched_getaffinity")
+        cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+        threads = max(1, min(cores, worlds // WORLDS_PER_THREAD))
+    return np.array([worlds * k // threads for k in range(threads + 1)])
+
+
+def step_all(arguments: Arguments, actions: NDArray[Any], cuts: NDArray[np.int64]) -> int:
+    """Step all worlds with ``actions`` (W, n, 2); return how many episodes ended."""
+    # No two worlds share memory that is written, so neither the number of threads nor the cuts
+    # change any result. The threads are those of Numba's threading layer: OpenMP where there is
+    # one, since it starts work in microseconds.
+    if cuts.size == 2 or _forked.is_set():
+        return int(step.step_worlds(arguments, actions, 0, cuts[-1]))
+    _threaded.set()
+    if not arguments.step_address:  # it does for actions that cannot be written, too
+        arguments.step_address = address_of(step.step_worlds, arguments, actions, 0, 0)
+    return int(step_ranges(arguments.step_address, arguments, actions, cuts))

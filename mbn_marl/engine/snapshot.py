@@ -57,7 +57,6 @@ class Snapshot:
     collision: bool
 
     def judged(self) -> Self:
-        """Return it with success and collision by the positions and the ROIs."""
         at = self.positions[~self.gone]
         first, second = np.triu_indices(len(at), 1)
         squared = ((at[first] - at[second]) ** 2).sum(axis=1)
@@ -67,6 +66,5 @@ class Snapshot:
 
     @property
     def wind(self) -> tuple[float, float]:
-        """Return the last of ``winds``, ``(v_x, v_y)``."""
         x, y = self.winds[-1].tolist()
         return x, y

@@ -1,9 +1,11 @@
-"""The engine's data: named tuples of arrays, which kernels take whole.
+"""The engine's data: named tuples of arrays, which kernels take whole."""
 
-W is the number of worlds, n robots, m ROIs, E edges, T = max_steps; F is 1 if all worlds have the
-same field, otherwise W. Robot quantities are structure-of-arrays, ``[robot, world]``, so that a
-loop over worlds reads and writes contiguously. ``real`` is the engine's dtype, float32 or float64.
-"""
+# W is the number of worlds, n robots, m ROIs, E edges, T = max_steps; F is 1 if all worlds have the
+# same field, otherwise W. ``real`` is the engine's dtype, float32 or float64.
+#
+# Robot quantities are structure-of-arrays, ``[robot, world]``, so that a loop over worlds reads and
+# writes contiguously. The array of a feature that is off has no entries and another number of
+# dimensions, which is part of its type: see ``Feature``.
 
 from __future__ import annotations
 
@@ -16,36 +18,47 @@ from numpy.typing import NDArray
 from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.mdp.assignment import plan_size
 from mbn_marl.engine.mdp.disturbances import DISTURBANCES, OF_ACTIONS, OF_SIGHT, any_on
-from mbn_marl.engine.mdp.drawn import is_drawn, rows_drawn
+from mbn_marl.engine.mdp.drawn_numbers import is_drawn, rows_drawn
 from mbn_marl.engine.mdp.dynamics import count_headings
+from mbn_marl.engine.mdp.paths import Paths
 from mbn_marl.engine.mdp.revisits import ODD_LINES, filter_size
-from mbn_marl.engine.mdp.sight import rows_seen
+from mbn_marl.engine.mdp.sight import count_sensed
+from mbn_marl.field.generator.layout import Tables
+from mbn_marl.jit.features import Feature
 
 Array = NDArray[Any]
 
 
-class Geometry(NamedTuple):
-    """The field of all worlds, or each world's own, padded to common sizes; the robots."""
-
-    edges: Array  # (4, E, F) real: ax, ay, bx, by, the field on the left; padding: a single vertex
-    rois: Array  # (2, m, F) real
-    starts: Array  # (2, n, F) real
-    roi_bits: Array  # (m, F) int32: the bit of each ROI in the visit code, first ROI highest
-    codes: Array  # (F,) int32: the visit code with all ROIs visited; bits above it are padding
-    boxes: Array  # (4, F) real: lowest x, lowest y, width and height of each field
-    robots_in: Array  # (F,) int32: how many robots are there, the first ones
-    waypoints: Array  # (2, C, F) real: see ways.Ways; C is 0 if nothing is assigned
-    legs: Array  # (m + C, m + C, F) real: likewise; (0, 0, F) without waypoints
-    ways_in: Array  # (2, F) int32: likewise; (0, F) if nothing is assigned
-    robots: Array  # (3, n) real: see config.LIMITS
-    kinds: Array  # (n,) int32: dynamics; (0, 0) if all are point masses, the others left out
+class Team(NamedTuple):
+    limits: Array  # (3, n) real: the rows are config.LIMITS
+    kinds: Array  # (n,) int32: dynamics; (0, 0) if all are point masses
     fail_at: Array  # (n,) int32: the step in which each robot fails, 0 for none; (0,) without
-    ranges: Array  # (3, numbers) float64: what episodes draw, see drawn.make_ranges; (0,) if none
-    rays: Array  # (2, 8) real: lidar's rays, units; (0,) without it, whose code is then left out
-    scales: Array  # (2,) real: see entities.SCALES; (0, 0) without it, whose code is then left out
-    sampler: Array  # (numbers + 1,) int64: FieldSampler.numbers and its seed; (0, 0) if fixed
+    ranges: Array  # (3, numbers) float64: see drawn_numbers.make_ranges; (0,) if none is drawn
+    rays: Array  # (2, 8) real: lidar's rays, units; (0,) without it
+    scales: Array  # (2,) real: see entities.SCALES; (0, 0) without it
+
+
+class Sampler(NamedTuple):
+    """The numbers that fields are drawn by, episode by episode; empty if fields are fixed."""
+
+    numbers: Array  # (numbers + 1,) int64: FieldSampler.numbers and its seed; (0, 0) if fixed
     scratch: Array  # (rows, F) int64: room to make a field in; (0, 0) if fixed
     kept: Array  # (F,) bool: whether the next episode keeps the field; (0,) if fixed
+
+
+class Geometry(NamedTuple):
+    """Where and with whom the worlds play, padded to common sizes."""
+
+    field: Tables
+    paths: Paths
+    team: Team
+    sampler: Sampler
+
+    def by_name(self) -> dict[str, Array]:
+        return {name: array for part in self for name, array in part._asdict().items()}
+
+
+draws_fields = Feature(lambda g: g.sampler.numbers.ndim == 1)
 
 
 class Episode(NamedTuple):
@@ -62,7 +75,7 @@ class Episode(NamedTuple):
     returns: Array  # (n, W) float64: each agent's rewards, summed
     team_return: Array  # (W,) float64
     visited: Array  # (W,) int32: the visit code, and padding ROIs set from the start
-    codes: Array  # (W,) int32: Geometry.codes of the episode's field
+    codes: Array  # (W,) int32: Tables.codes of the episode's field
     steps: Array  # (W,) int32
     heading: Array  # (n, W) real, radians; (0, W) if no robot of the team has one
     cos: Array  # (n, W) real: of the heading, 0 for a robot without one; (0, W) likewise
@@ -71,12 +84,6 @@ class Episode(NamedTuple):
     queue: Array  # (2 n (delay + 1), W) real: the last actions sent; (0, 0, W) if undisturbed
     drawn: Array  # (rows_drawn, W) real: drawn numbers; (0, 0, W) if nothing is drawn
     status: Array  # (n, W) int8, see failures.WORKS ...; (0, 0, W) if all always work
-
-
-HEADING = ("heading", "cos", "sin")
-"""The parts of an episode that only teams with headings have."""
-OPTIONAL = ("gust", "queue", "drawn", "status")
-"""Those of what can be off: of two dimensions where it is on, of three where it is not."""
 
 
 class Memory(NamedTuple):
@@ -97,13 +104,11 @@ class Memory(NamedTuple):
     key: Array  # (W,) uint64: that of what disturbs each episode; (0,) if nothing can
     draw: Array  # (1,) int64: number of the next draw of random actions
     acted: Array  # (W, n, 2) real: the actions that arrived; (0, n, 2) if undisturbed
-    seen: Array  # (rows_seen, W) real: what a robot sees; (0, 0, W) if it sees all as it is
+    sensed: Array  # (count_sensed, W) real: see sight; (0, 0, W) if robots see all as it is
     plan: Array  # (W, plan_size) real: who is to visit what; (W, 0, 0) if nothing is assigned
 
 
 class Output(NamedTuple):
-    """The results of a step; overwritten by the next one."""
-
     observations: Array  # (W, n, size) float32
     rewards: Array  # (W, n) real
     team_rewards: Array  # (W,) real
@@ -121,7 +126,7 @@ def make_episode(
     robots, real = (n, worlds), getattr(xp, config.dtype)
     headings = (count_headings(config.of_each("dynamics", n)), worlds)
     reals = {name: xp.zeros(robots, dtype=real) for name in Episode._fields[:7]}
-    reals |= {name: xp.zeros(headings, dtype=real) for name in HEADING}
+    reals |= {name: xp.zeros(headings, dtype=real) for name in ("heading", "cos", "sin")}
     off = (0, 0, worlds)
     sent, rows = 2 * n * (config.action_delay + 1), rows_drawn(config, n)
     return Episode(
@@ -142,15 +147,16 @@ def make_episode(
 def make_memory(
     worlds: int, n: int, m: int, config: NavigationConfig, now: Episode, xp: ModuleType = np
 ) -> Memory:
-    """Zeroed memory, for m ROIs; NumPy's trails only cost memory as far as episodes get."""
+    """Zeroed memory, for m ROIs."""
     real = getattr(xp, config.dtype)
     length = config.max_steps + 1
     formal = config.reward.rules == "formal"
     motion = 3 if now.heading.shape[0] else 2
-    seen = (rows_seen(n, m), worlds) if any_on(config, OF_SIGHT) else (0, 0, worlds)
+    sensed = (count_sensed(n, m), worlds) if any_on(config, OF_SIGHT) else (0, 0, worlds)
     plan = (worlds, plan_size(n, m)) if config.assignment else (worlds, 0, 0)
     keyed = any_on(config, DISTURBANCES) or config.failures is not None or is_drawn(config)
     words = filter_size(length * (1 if formal else n)) + ODD_LINES
+    # As long as an episode can get; of zeros, so that NumPy takes memory only for what is written.
     trail = xp.zeros((worlds, length * n, 2), dtype=real)
     memory = Memory(
         x_bits=now.x,
@@ -168,7 +174,7 @@ def make_memory(
         key=xp.zeros(worlds if keyed else 0, dtype=xp.uint64),
         draw=xp.zeros(1, dtype=xp.int64),
         acted=xp.zeros((worlds if now.queue.ndim == 2 else 0, n, 2), dtype=real),
-        seen=xp.zeros(seen, dtype=real),
+        sensed=xp.zeros(sensed, dtype=real),
         plan=xp.full(plan, -1, dtype=real),  # nothing is assigned
     )
     return share_bits(memory, now, xp)
@@ -188,7 +194,6 @@ def share_bits(memory: Memory, now: Episode, xp: ModuleType = np) -> Memory:
 def make_output(
     worlds: int, n: int, size: int, config: NavigationConfig, xp: ModuleType = np
 ) -> Output:
-    """Zeroed output arrays."""
     rows, own = (worlds, n, size), getattr(xp, config.dtype)
     return Output(
         observations=xp.zeros(rows, dtype=xp.float32),

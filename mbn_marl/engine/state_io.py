@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 
 from mbn_marl.engine.backend import Backend
 from mbn_marl.engine.mdp.assignment import endless_orders, plan_limits
-from mbn_marl.engine.mdp.drawn import drawn_limits
+from mbn_marl.engine.mdp.drawn_numbers import drawn_limits, draws_numbers
+from mbn_marl.engine.mdp.events import all_visited
 from mbn_marl.engine.mdp.failures import ABSENT
 from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES
 from mbn_marl.engine.mdp.rewards import RESTED, ROIS_SHIFT
-from mbn_marl.engine.mdp.visits import all_visited
+from mbn_marl.engine.state import Team, draws_fields
 from mbn_marl.errors import ProblemsError
 
 VIEWS = ("x_bits", "y_bits", "trail_bits", "trail_key")
 """Arrays of ``Memory`` that are another array's memory."""
-PASSING = ("acted", "seen")
+PASSING = ("acted", "sensed")
 """Arrays of ``Memory`` that nothing is read from after a step."""
-FIXED = ("robots", "kinds", "fail_at", "ranges", "rays", "scales", "scratch")
+FIXED = (*Team._fields, "scratch")
 """Arrays of ``Geometry`` that do not depend on the field, or that nothing is read from."""
 EDGES, WAYS_IN = "geometry.edges", "geometry.ways_in"
 WAYS = ("geometry.waypoints", "geometry.legs")
@@ -32,13 +33,15 @@ COUNTERS = ("seed", "draw")
 
 def changing_arrays(backend: Backend) -> dict[str, Any]:
     """Every array that steps and resets write, by name, but those without entries."""
-    groups = {name: getattr(backend, name) for name in ("now", "final", "memory", "output")}
-    if backend.geometry.sampler.ndim == 1:
-        groups["geometry"] = backend.geometry
+    groups = {
+        name: getattr(backend, name)._asdict() for name in ("now", "final", "memory", "output")
+    }
+    if draws_fields(backend.geometry):
+        groups["geometry"] = backend.geometry.by_name()
     return {
         name if name in COUNTERS else f"{group}.{name}": array
         for group, members in groups.items()
-        for name, array in members._asdict().items()
+        for name, array in members.items()
         if name not in (*VIEWS, *PASSING, *FIXED) and 0 not in array.shape
     }
 
@@ -55,7 +58,7 @@ def limits(backend: Backend, edges: int, waypoints: int) -> dict[str, tuple[Any,
     """
     spec, g, real = backend.spec, backend.geometry, np.dtype(backend.spec.config.dtype).type
     _, n, _ = spec.actions_shape
-    m, steps = g.rois.shape[1], spec.config.max_steps
+    m, steps = g.field.rois.shape[1], spec.config.max_steps
     everything, arena = all_visited(m), np.array(spec.arena, real)
     corners, pi = np.array([*arena, *arena], real)[:, None], real(np.pi)
     episode = {
@@ -72,8 +75,8 @@ def limits(backend: Backend, edges: int, waypoints: int) -> dict[str, tuple[Any,
         "queue": (-1, 1),
         "status": (0, ABSENT),
     }
-    if backend.now.drawn.ndim == 2:
-        episode["drawn"] = drawn_limits(backend.host(g.ranges), real)
+    if draws_numbers(backend.now):
+        episode["drawn"] = drawn_limits(backend.host(g.team.ranges), real)
     most = np.iinfo(np.int64).max
     return {
         "seed": (0, most),
@@ -152,7 +155,7 @@ def relation_problems(given: Mapping[str, NDArray[Any]], n: int, m: int, steps: 
 
 def problems_of(backend: Backend, given: Mapping[str, Any]) -> list[str]:
     """Return why ``given`` cannot take the place of these worlds; either may have more room."""
-    arrays, (_, m, fields) = changing_arrays(backend), backend.geometry.rois.shape
+    arrays, (_, m, fields) = changing_arrays(backend), backend.geometry.field.rois.shape
     optional = set(WAYS) if WAYS_IN in arrays and len(given.keys() & set(WAYS)) != 1 else set()
     problems = [
         f"{name}: {'unknown' if name in given else 'missing'}; allowed: what save_state() gives"
@@ -164,7 +167,7 @@ def problems_of(backend: Backend, given: Mapping[str, Any]) -> list[str]:
     room = dict(zip((EDGES, *WAYS), tables, strict=True))
     ranges = limits(backend, edges, waypoints)
     for name in given.keys() & (arrays.keys() | optional):
-        array, own = given[name], arrays.get(name, backend.geometry.rois)
+        array, own = given[name], arrays.get(name, backend.geometry.field.rois)
         allowed = room.get(name, tuple(own.shape)), backend.host(own[:0]).dtype
         found = getattr(array, "shape", None), getattr(array, "dtype", type(array).__name__)
         if not isinstance(array, np.ndarray) or found != allowed:
@@ -196,7 +199,7 @@ def restore_worlds(backend: Backend, saved: Mapping[str, NDArray[Any]]) -> None:
     if EDGES in given:
         edges, waypoints = _room(given)
         backend.make_room(edges, waypoints)
-        padding = backend.geometry.edges[:, edges:]
+        padding = backend.geometry.field.edges[:, edges:]
         padding[:2] = padding[2:] = backend.xp.asarray(given[EDGES][:2, :1])
     for name, array in changing_arrays(backend).items():
         if name in given:

@@ -1,10 +1,9 @@
-"""A world whose robots move elsewhere, such as in a simulator, and are judged by the same rules.
+"""A world whose robots move elsewhere, such as in a simulator, and are judged by the same rules."""
 
-A step of the engine has two halves here, made of its own passes. The first turns actions into the
-velocities that the MDP would have next; something else then moves the robots. The second takes
-their measured positions and does the rest of the step: ROIs, memory, collisions, rewards,
-observations.
-"""
+# A step of the engine has two halves here, made of its own passes. The first turns actions into the
+# velocities that the MDP would have next; something else then moves the robots. The second takes
+# their measured positions and does the rest of the step: ROIs, memory, collisions, rewards,
+# observations.
 
 from __future__ import annotations
 
@@ -14,17 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.engine import step
+from mbn_marl.engine.arguments import worlds_of
 from mbn_marl.engine.batch import BatchEngine
-from mbn_marl.engine.cpu import CpuBackend
-from mbn_marl.engine.mdp.disturbances import arrived_actions
-from mbn_marl.engine.mdp.drawn import limits_in
-from mbn_marl.engine.mdp.dynamics import V_CLIP, keep_heading, limits_of
-from mbn_marl.engine.mdp.failures import has_failed, is_absent, move_or_fail
+from mbn_marl.engine.mdp.disturbances import disturbs_actions, send_all
+from mbn_marl.engine.mdp.drawn_numbers import V_CLIP, limits_in, limits_of
+from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
+from mbn_marl.engine.mdp.failures import WORKS, fail, may_rest, move_failed, status_of
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
-from mbn_marl.engine.store import parts_of
 from mbn_marl.errors import ActionError, ConfigError, StepError
-from mbn_marl.jit.compile import compiled, entry_point
+from mbn_marl.jit.compile import entry_point
 from mbn_marl.jit.functions import clip, select
 
 LO, HI = np.uint64(0), np.uint64(1)
@@ -39,9 +37,6 @@ class Command(NamedTuple):
         allowed: (n,) bool, whether the robot would stay in the field. If not it pays r_l, unless it
             has failed.
         failed: (n,) bool, whether the robot has failed, in this step or before.
-
-    Source:
-        ``docs/mdp.md``, "One step, in this order", 1 and 2.
     """
 
     velocities: NDArray[Any]
@@ -73,15 +68,15 @@ class TrackedWorld:
         single = engine.num_worlds == 1 and engine.autoreset == "disabled"
         limit = np.inf if speed_limit is None else speed_limit
         problems = [] if limit > 0.0 else [f"speed_limit: {limit}; allowed: None, or above 0"]
-        if not (single and isinstance(backend, CpuBackend)):
+        if not (single and engine.device == "cpu"):
             allowed = "allowed: one world on the CPU, autoreset disabled"
             wrong = f"engine: {engine.num_worlds} worlds on {engine.device}; {allowed}"
             raise ConfigError("tracked world", [*problems, wrong])
         if problems:
             raise ConfigError("tracked world", problems)
         self.engine, self._backend = engine, backend
-        self._robots = backend.geometry.robots.copy()
-        self._robots[V_CLIP] = np.minimum(self._robots[V_CLIP], limit)
+        self._limits = backend.geometry.team.limits.copy()
+        self._limits[V_CLIP] = np.minimum(self._limits[V_CLIP], limit)
         self._allowed = np.ones(engine.n_robots, np.bool_)
 
     def command(self, actions: ArrayLike) -> Command:
@@ -89,34 +84,26 @@ class TrackedWorld:
 
         Args:
             actions: (n, 2), finite; values outside [-1, 1] are clipped.
-
-        Raises:
-            ActionError: wrong shape, not numeric, or not finite.
-            StepError: before the first reset, or after the end of the episode.
         """
         if not self.engine.running[0]:
             raise StepError("the episode has not begun, or has ended; allowed: reset() first")
         allowed = f"{(self.engine.n_robots, 2)} (robots, axes)"
-        given = self._backend._given("actions", actions, allowed)
+        given = self._backend.given("actions", actions, allowed)
         forces = self._backend.checked_actions(given[None])
         velocities = np.empty((1, self.engine.n_robots, 2), self.engine.dtype)
-        chooser = self._backend.store_with(self._robots)
+        chooser = self._backend.arguments_with(self._limits)
         choose_velocities(chooser, forces, velocities, self._allowed)
-        return Command(velocities[0], self._allowed.copy(), self._backend.failed(0))
+        return Command(velocities[0], self._allowed.copy(), self.engine.failed[0])
 
     def measure(self, positions: ArrayLike, velocities: ArrayLike) -> None:
         """The second half: the robots came to ``positions``; the outcome is in the engine.
 
         A robot that works and was measured outside the field pays r_l, as one does that would leave
-        it.
-        Positions are clipped to the arena, velocities to v_clip.
+        it. Positions are clipped to the arena, velocities to v_clip.
 
         Args:
             positions: (n, 2), units, finite.
             velocities: (n, 2), units/step, finite.
-
-        Raises:
-            ActionError: wrong shape, or not finite.
         """
         shape, measured = (1, self.engine.n_robots, 2), []
         for name, given in (("positions", positions), ("velocities", velocities)):
@@ -128,61 +115,54 @@ class TrackedWorld:
             if array.shape != shape or not np.isfinite(array).all():
                 raise ActionError(f"{name}: shape {array.shape[1:]}, or not finite; {allowed}")
             measured.append(np.ascontiguousarray(array))
-        take_positions(self._backend.store, *measured, self._allowed)
+        take_positions(self._backend.arguments, *measured, self._allowed)
         self._backend.recount()
 
 
-@compiled
-def put_velocities(store, actions, velocities, allowed):
-    """See :func:`choose_velocities`."""
-    p, g, mem, now, _, _, to = parts_of(store)
-    keys, drawn = mem.key, now.drawn
-    taken = arrived_actions(p, drawn, keys, now.queue, mem.acted, now.steps, actions, LO, HI)
+@entry_point
+def choose_velocities(arguments, actions, velocities, allowed):
+    """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
+    p, g, mem, now, _, _, to = worlds_of(arguments)
+    taken = actions
+    if disturbs_actions(now):
+        send_all(p, mem, now, actions, LO, HI)
+        taken = mem.acted
     for i in range(now.x.shape[0]):
-        move_or_fail(p, g, mem, now.status, now, to, taken, i, LO, HI)
+        if may_rest(now):
+            fail(p, g, mem, now, to, i, LO, HI)
+        propose_move(p, g, now, to, taken, i, LO, HI)
+        if may_rest(now):
+            move_failed(p, g, now, to, i, LO, HI)
         step.test_containment(g, to, LO, HI)
-        keep_heading(g.kinds, now, to, i, LO, HI)
-        inside = to.seen[0] != 0
+        keep_heading(g, now, to, i, LO, HI)
+        inside = to.crossings[0] != 0
         allowed[i] = inside
         velocities[0, i, 0] = select(inside, to.vx[0], p.zero)
         velocities[0, i, 1] = select(inside, to.vy[0], p.zero)
 
 
 @entry_point
-def choose_velocities(store, actions, velocities, allowed):
-    """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
-    put_velocities(store, actions, velocities, allowed)
-
-
-@compiled
-def put_positions(store, positions, velocities, allowed):
-    """See :func:`take_positions`."""
-    p, g, mem, now, _, out, to = parts_of(store)
+def take_positions(arguments, positions, velocities, allowed):
+    """Steps 3 to 8 for robots that came to ``positions`` with ``velocities``, (1, n, 2)."""
+    p, g, mem, now, _, out, to = worlds_of(arguments)
     n = now.x.shape[0]
     for i in range(n):
         to.x[0], to.y[0] = positions[0, i, 0], positions[0, i, 1]
-        _, _, v_clip = limits_in(limits_of(g, i), now.drawn, i, LO)
+        _, _, v_clip = limits_in(limits_of(g, i), now, i, LO)
         to.vx[0] = clip(velocities[0, i, 0], -v_clip, v_clip)
         to.vy[0] = clip(velocities[0, i, 1], -v_clip, v_clip)
         step.test_containment(g, to, LO, HI)
-        resting = has_failed(now.status, i, LO) | is_absent(now.status, i, LO)
-        stayed = allowed[i] & (to.seen[0] != 0) | resting
-        to.seen[0] = INSIDE
+        stayed = allowed[i] & (to.crossings[0] != 0) | (status_of(now, i, LO) != WORKS)
+        to.crossings[0] = INSIDE
         step.stop_at_walls(p, now, out, to, i, LO, HI)
         now.wall_hits[i, 0] += 0 if stayed else 1
         out.events[i, 0] |= 0 if stayed else WALL
-        step.mark_visits(p, g, now.status, now, out, i, LO, HI)
+        step.mark_visits(p, g, now, out, i, LO, HI)
     if p.rules == RELEASED:
-        step.record_positions(mem, now.status, now, LO, HI)
+        step.record_positions(mem, now, LO, HI)
         for i in range(n):
-            step.hash_positions(mem, now.status, now, out, to, i, LO, HI)
-    step.pass_time(p, now.drawn, mem.key, now.gust, now.steps, LO, HI)
+            step.hash_positions(mem, now, out, to, i, LO, HI)
+    step.pass_time(p, mem, now, LO, HI)
     observe(p, g, mem, now, LO, HI, to.tile, out.observations)
-    step.score_step(p, g, mem, now.status, now, out, to, LO, HI)
-    return step.autoreset(store, LO, HI)
-
-
-@entry_point
-def take_positions(store, positions, velocities, allowed):
-    """Steps 3 to 8 for robots that came to ``positions`` with ``velocities``, (1, n, 2)."""
-    return put_positions(store, positions, velocities, allowed)
+    step.score_step(p, g, mem, now, out, to, LO, HI)
+    return step.autoreset(arguments, LO, HI)

@@ -12,7 +12,7 @@ from shapely import Point
 
 from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine.constants import AUTORESET_MODES
-from mbn_marl.engine.geometry import FieldSource, Sizes, sizes_of
+from mbn_marl.engine.tables import FieldSource, Sizes, sizes_of
 from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.generator.layout import MILLI, STARTS_APART

@@ -94,17 +94,10 @@ def play(
     world: int = 0,
     number: int = 0,
 ) -> Episode:
-    """Play ``actions`` in a world of the engine.
+    """Play ``actions``, (T, n, 2), clipped to [-1, 1], in a world of the engine.
 
-    Args:
-        field: of the episode.
-        config: the configuration; ``random_starts`` is ignored.
-        actions: (T, n, 2), clipped to [-1, 1].
-        starts: the robots' starts, (n, 2), units; ``None`` for the field's own.
-        source: the name of the policy that chose the actions.
-        seed: of the world; ``None`` for none, where nothing is random.
-        world: the number of the world.
-        number: of the episode, since the seed was set.
+    ``starts`` are (n, 2), units, or the field's. The key of all random numbers is ``seed``,
+    ``world`` and ``number``, that of the episode since the seed was set.
 
     Raises:
         ConfigError: field, configuration and starts do not fit together.
@@ -113,15 +106,13 @@ def play(
     settings = {**config.model_dump(), "random_starts": False}
     alone: dict[str, Any] = {"autoreset": False, "threads": 1, "first_world": world}
     engine = BatchEngine(field, 1, starts=starts, **alone, **settings)
-    robots = engine.n_robots
-    allowed = f"allowed: numbers (steps, {robots}, 2)"
     try:
         moves = np.asarray(actions)
+        if moves.shape[1:] != (engine.n_robots, 2) or moves.dtype.kind not in "fiu":
+            raise ValueError(f"shape {moves.shape} of {moves.dtype}")
     except ValueError as error:
-        raise EpisodeError("episode", [f"actions: {error}; {allowed}"]) from None
-    if moves.ndim != 3 or moves.shape[1:] != (robots, 2) or moves.dtype.kind not in "fiu":
-        shape = f"shape {moves.shape} of {moves.dtype}"
-        raise EpisodeError("episode", [f"actions: {shape}; {allowed}"])
+        problem = f"actions: {error}; allowed: numbers (steps, {engine.n_robots}, 2)"
+        raise EpisodeError("episode", [problem]) from None
     engine.reset(seed or 0, number)
     log = EpisodeLog(engine)
     for step, move in enumerate(moves):
@@ -137,11 +128,7 @@ def play(
 
 
 def check_episode(episode: Episode, name: str = "episode") -> None:
-    """Check that the engine reproduces an episode, called ``name`` in errors, bit for bit.
-
-    Raises:
-        EpisodeError: naming the first step that differs, or the parts that do not fit together.
-    """
+    """Check that the engine reproduces an episode, called ``name`` in errors, bit for bit."""
     try:
         again = play(
             *(episode.field, episode.config, episode.actions),

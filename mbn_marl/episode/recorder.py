@@ -31,21 +31,9 @@ class _Tape:
 class EpisodeRecorder:
     """Records one world of an environment from reset to reset, in a ``with`` block.
 
-    For example::
-
-        with EpisodeRecorder(env, source="my policy") as recorder:
-            env.reset(seed=0)
-            ...
-        save_episode(recorder.episodes[-1], "episode.json")
-
-    An :class:`Episode` is made by playing starts and actions again in an engine of one world, and
-    checked by its rewards.
-
-    Args:
-        environment: a PettingZoo, Gymnasium, Stable-Baselines3 or TorchRL environment of this
-            package, in any wrappers, or a :class:`~mbn_marl.BatchEngine`.
-        world: the index of the world.
-        source: the name of the policy.
+    The environment is a PettingZoo, Gymnasium, Stable-Baselines3 or TorchRL one of this package,
+    in any wrappers, or a :class:`~mbn_marl.BatchEngine`. An :class:`Episode` is made by playing
+    starts and actions again in an engine of one world, and checked by its rewards.
     """
 
     def __init__(self, environment: Any, world: int = 0, *, source: str = "") -> None:
@@ -117,7 +105,6 @@ class EpisodeRecorder:
 
 
 def find_engine(environment: Any) -> BatchEngine:
-    """Return the engine of ``environment``, which may be wrapped or be an engine."""
     waiting, seen = [environment], set()
     while waiting:
         inner = waiting.pop()

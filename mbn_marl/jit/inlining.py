@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import Any
 
-from numba.core import ir, types
+from numba.core import ir
 from numba.core.analysis import compute_cfg_from_blocks, compute_use_defs, must_use_alloca
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase
-from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
+from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.datamodel.packer import ArgPacker
-from numba.core.ir_utils import build_definitions, get_definition, guard
 from numba.core.lowering import Lower
 from numba.core.registry import cpu_target
 from numba.core.typed_passes import (
@@ -93,36 +92,6 @@ class _PartLowering(Lower):
         } - must_use_alloca(blocks)  # type: ignore[no-untyped-call]
 
 
-@register_pass(mutates_CFG=False, analysis_only=False)  # type: ignore[no-untyped-call]
-class _Settle(FunctionPass):
-    """Writes settled constants into the code: fields of a named tuple whose types are literals.
-
-    Numba then leaves out the branches that they exclude.
-    """
-
-    _name = "settle"
-
-    def __init__(self) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
-
-    def run_pass(self, state: Any) -> bool:
-        code = state.func_ir
-        for block in code.blocks.values():
-            for assignment in block.find_insts(ir.Assign):
-                read = assignment.value
-                if not (isinstance(read, ir.Expr) and read.op == "getattr"):
-                    continue
-                source: Any = guard(get_definition, code, read.value)  # type: ignore[no-untyped-call]
-                kind = state.args[source.index] if isinstance(source, ir.Arg) else None
-                if isinstance(kind, types.NamedTuple) and read.attr in kind.fields:
-                    field = kind.types[kind.fields.index(read.attr)]
-                    if isinstance(field, types.Literal):
-                        value: Any = field.literal_value
-                        assignment.value = ir.Const(value, read.loc)  # type: ignore[no-untyped-call]
-        code._definitions = build_definitions(code.blocks)  # type: ignore[no-untyped-call]
-        return True
-
-
 @register_pass(mutates_CFG=True, analysis_only=False)  # type: ignore[no-untyped-call]
 class _LowerPart(BaseNativeLowering):
     """Takes the place of ``NativeLowering`` for a rule."""
@@ -159,7 +128,7 @@ class _Part(JITCodeLibrary):
 
 PASSES = (
     *(TranslateByteCode, FixupArgs, IRProcessing),
-    *(_Settle, RewriteSemanticConstants, DeadBranchPrune, GenericRewrites, ReconstructSSA),
+    *(RewriteSemanticConstants, GenericRewrites, DeadBranchPrune, ReconstructSSA),
     *(NopythonTypeInference, PreLowerStripPhis),
     *(IRLegalization, _LowerPart, NoPythonBackend),
 )

@@ -6,6 +6,7 @@ an action only if it could then brake (:class:`~mbn_marl.planning.shield.Cautiou
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.planning.problem import Floats, Problem
 from mbn_marl.planning.roadmap import Roadmap, make_roadmap
-from mbn_marl.planning.shield import Cautious, Weather, around
+from mbn_marl.planning.shield import Cautious, Flags, Weather, around
 
 CLEARANCES = (4.0, 2.0, 1.0, 0.3, 0.0)
 """Clearances to try between paths and walls, in units; the first that closes no path is used."""
@@ -39,8 +40,8 @@ class Greedy(Cautious):
         self,
         positions: FloatArray,
         velocities: FloatArray,
-        visited: NDArray[np.bool_],
-        failed: NDArray[np.bool_] | None = None,
+        visited: Flags,
+        failed: Flags | None = None,
     ) -> NDArray[np.float32]:
         """Return actions (n, 2) in [-1, 1]; those of failed robots are 0.
 
@@ -50,10 +51,7 @@ class Greedy(Cautious):
             visited: (m,), which ROIs have been visited.
             failed: (n,), which robots have failed; ``None``: none has.
         """
-        places, speeds = np.asarray(positions, float), np.asarray(velocities, float)
-        works = np.ones(self.problem.n, bool) if failed is None else ~failed
-        self._look(speeds, works)
-        plans = self._plans(places, speeds, works)
+        places, speeds, works, plans = self._look(positions, velocities, failed)
         self._settle(places, visited, works, plans)
         actions = np.zeros((self.problem.n, 2), np.float32)
         for i in np.flatnonzero(works).tolist():
@@ -64,11 +62,7 @@ class Greedy(Cautious):
         return actions
 
     def _settle(
-        self,
-        positions: Floats,
-        visited: NDArray[np.bool_],
-        works: NDArray[np.bool_],
-        plans: dict[int, Floats],
+        self, positions: Floats, visited: Flags, works: Flags, plans: dict[int, Floats]
     ) -> None:
         """Assign the ROIs to the robots that work; repeat it when one fails or comes to rest."""
         ways = [plan for i, plan in plans.items() if not works[i]]
@@ -80,7 +74,7 @@ class Greedy(Cautious):
         self.roadmap = clear_roadmap(self.problem, positions, parked)
         self.queues = assign(self.roadmap, works, visited)
 
-    def _wishes(self, i: int, position: Floats, visited: NDArray[np.bool_]) -> list[Floats]:
+    def _wishes(self, i: int, position: Floats, visited: Flags) -> list[Floats]:
         left = [j for j in self.queues[i] if not visited[j]]
         if not left:
             stir = STIRS[self.stirred % len(STIRS)] * self.problem.forces[i]
@@ -118,24 +112,15 @@ def clear_roadmap(problem: Problem, positions: Floats, parked: Floats = NOWHERE)
     return make_roadmap(problem.area, places)
 
 
-def assign(
-    roadmap: Roadmap, works: NDArray[np.bool_], visited: NDArray[np.bool_]
-) -> list[list[int]]:
-    """Return a queue of ROIs for each robot; the earliest possible visit is always added next.
-
-    Robots that do not work (n,) have none, ROIs that have been visited (m,) are in none.
-    """
+def assign(roadmap: Roadmap, works: Flags, visited: Flags) -> list[list[int]]:
+    """Return a queue of ROIs for each robot; the earliest possible visit is always added next."""
     n = len(works)
     at, walked = list(range(n)), np.zeros(n)
     queues: list[list[int]] = [[] for _ in range(n)]
     left = set(np.flatnonzero(~visited).tolist()) if works.any() else set()
     while left:
-        total, i, j = min(
-            (walked[i] + roadmap.lengths[at[i], n + j], i, j)
-            for i in range(n)
-            if works[i]
-            for j in left
-        )
+        options = itertools.product(np.flatnonzero(works).tolist(), left)
+        total, i, j = min((walked[i] + roadmap.lengths[at[i], n + j], i, j) for i, j in options)
         queues[i].append(j)
         at[i], walked[i] = n + j, total
         left.remove(j)

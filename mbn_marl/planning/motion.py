@@ -76,9 +76,7 @@ def solve_motion(
     """
     program = _ConicProgram(problem, steps, len(separations))
     for i in range(problem.n):
-        program.drive(i)
-        program.stay(i, places[i])
-        program.visit(i, visits[i])
+        program.add_robot(i, places[i], visits[i])
     program.separate(separations)
     return program.solve()
 
@@ -98,15 +96,18 @@ class _ConicProgram:
         self.cone_limits: list[Floats] = []
         self.speed, self.change = _differences(steps)
 
-    def drive(self, i: int) -> None:
-        """Limit velocity, force and rooms.
+    def add_robot(
+        self, i: int, places: Sequence[HalfPlanes], visits: Sequence[tuple[int, int]]
+    ) -> None:
+        """Limit robot i's velocity and force; keep it in its places and in the visits' discs.
 
         A wind that is stronger than the force leaves a robot at the speed limit at its speed.
         """
-        problem, tau = self.problem, self.problem.config.tau
+        problem, steps, tau = self.problem, self.steps, self.problem.config.tau
+        left, disc_room = i * self.block, self.rooms + 2 * i
         top = np.full(self.block, problem.drives[i].top * tau)
-        force = np.repeat(problem.forces[i], self.steps) * tau
-        push = np.repeat(problem.wind, self.steps) * tau
+        force = np.repeat(problem.forces[i], steps) * tau
+        push = np.repeat(problem.wind, steps) * tau
         first = self._first_change(i)
         for rows, limits in (
             (self.speed, top),
@@ -114,29 +115,23 @@ class _ConicProgram:
             (self.change, np.maximum(force + push, 0.0) + first),
             (-self.change, np.maximum(force - push, 0.0) - first),
         ):
-            self.linear.append(_shift(rows, i * self.block, self.width))
+            entries = rows.data, rows.indices + left, rows.indptr
+            self.linear.append(sp.csr_matrix(entries, (self.block, self.width)))
             self.limits.append(limits)
-        self._append([[0, 1]], [self._rooms(i)], [[1.0, 1.0]], [DISC_ROOM, FIELD_ROOM])
-
-    def stay(self, i: int, places: Sequence[HalfPlanes]) -> None:
-        if len(places) == 1:
-            places = [*places] * self.steps
+        rooms = [disc_room, disc_room + 1]
+        self._append([[0, 1]], [rooms], [[1.0, 1.0]], [DISC_ROOM, FIELD_ROOM])
+        places = [*places] * steps if len(places) == 1 else places
         normals, offsets = (np.concatenate(parts) for parts in zip(*places, strict=True))
-        steps = np.repeat(np.arange(self.steps), [len(limits) for _, limits in places])
-        rows, base = np.arange(len(steps)), i * self.block + steps
-        columns = [base, base + self.steps, np.full(len(base), self._rooms(i)[1])]
-        limits = offsets - normals @ self.problem.starts[i]
-        self._append([rows] * 3, columns, [*normals.T, np.ones(len(base))], limits)
-
-    def visit(self, i: int, visits: Sequence[tuple[int, int]]) -> None:
-        radius = self.problem.config.roi_radius
+        x = left + np.repeat(np.arange(steps), [len(limits) for _, limits in places])
+        columns = [x, x + steps, np.full(len(x), disc_room + 1)]
+        limits = offsets - normals @ problem.starts[i]
+        self._append([np.arange(len(x))] * 3, columns, [*normals.T, np.ones(len(x))], limits)
         for step, j in visits:
-            base = i * self.block + step - 1
-            columns = [self._rooms(i)[0], base, base + self.steps]
-            rows = sp.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], columns)), (3, self.width))
-            self.cones.append(rows)
-            offset = self.problem.starts[i] - self.problem.rois[j]
-            self.cone_limits.append(np.array([radius, *offset]))
+            at = [disc_room, left + step - 1, left + steps + step - 1]
+            row = sp.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], at)), (3, self.width))
+            self.cones.append(row)
+            offset = problem.starts[i] - problem.rois[j]
+            self.cone_limits.append(np.array([problem.config.roi_radius, *offset]))
 
     def separate(self, separations: Sequence[Separation]) -> None:
         count = len(separations)
@@ -212,9 +207,6 @@ class _ConicProgram:
         self.limits.append(np.asarray(limits))
         self.linear.append(sp.csr_matrix(entries, (len(self.limits[-1]), self.width)))
 
-    def _rooms(self, i: int) -> list[int]:
-        return [self.rooms + 2 * i, self.rooms + 2 * i + 1]
-
     def _span(self, i: int) -> slice:
         return slice(i * self.block, (i + 1) * self.block)
 
@@ -224,11 +216,6 @@ def _differences(steps: int) -> tuple[Sparse, Sparse]:
     """Return first and second differences (2T, 2T) of both axes' offsets from rest at 0."""
     one: Sparse = sp.eye_array(steps, format="csr") - sp.eye_array(steps, k=-1, format="csr")
     return sp.block_diag([one, one], format="csr"), sp.block_diag([one @ one] * 2, format="csr")
-
-
-def _shift(rows: Sparse, first: int, width: int) -> Sparse:
-    csr = rows.tocsr()
-    return sp.csr_matrix((csr.data, csr.indices + first, csr.indptr), (csr.shape[0], width))
 
 
 def surroundings(problem: Problem, paths: Floats) -> list[list[HalfPlanes]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -50,7 +50,7 @@ class Problem:
     starts: Floats  # (n, 2), units
     velocities: Floats  # (n, 2), at the starts, units/step
     rois: Floats  # (m, 2), units
-    drives: tuple[Drive, ...]  # of each robot
+    tops: Floats  # (n,), the speed limits v_clip
     forces: Floats  # (n, 2), the velocity that a full force adds in a step, units/step
     wind: Floats  # (2,), the velocity that the wind adds in a step, units/step
     area: shapely.Polygon  # where robots may be: the field, or less of it
@@ -65,6 +65,12 @@ class Problem:
     @property
     def m(self) -> int:
         return len(self.rois)
+
+    @cached_property
+    def drives(self) -> tuple[Drive, ...]:
+        ahead, back = (np.maximum(self.forces + push, 0.0) for push in (self.wind, -self.wind))
+        rates = zip(ahead.tolist(), back.tolist(), self.tops.tolist(), strict=True)
+        return tuple(Drive((*rise,), (*fall,), top, self.config.tau) for rise, fall, top in rates)
 
     @cached_property
     def convex(self) -> bool:
@@ -93,10 +99,7 @@ class Problem:
 
     def in_wind(self, wind: Floats, share: float = 1.0) -> Problem:
         """Return it in a wind (2,), units/step per step, with a share of what both can change."""
-        forces, wind = share * self.forces, share * wind
-        tops = [drive.top for drive in self.drives]
-        drives = _drives(forces, wind, tops, self.config.tau)
-        return replace(self, forces=forces, wind=wind, drives=drives)
+        return replace(self, forces=share * self.forces, wind=share * wind)
 
     def moving(self, velocities: ArrayLike) -> Problem:
         """Return the same instance with these velocities (n, 2) at the starts, units/step."""
@@ -153,23 +156,23 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
     elif config.drawn:
         drawn = ", ".join(config.drawn)
         problems.append(f"{drawn}: drawn; allowed: numbers, a plan is for those that it knows")
-    if n > len(field.starts):
-        problems.append(f"n_robots: {field.name} has {len(field.starts)} starts, not {n}")
-    if config.random_starts:
-        problems.append("random_starts: allowed: False; a plan is for the field's own starts")
-    if config.failures is not None and not closed_loop:
-        problems.append("failures: allowed: None; a plan is for robots that do not fail")
     others = sorted(set(config.of_each("dynamics", n)) - {"point_mass"})
-    if others:
-        known = "allowed: 'point_mass'; for others no plan is made, and no bound is known"
-        problems.append(f"dynamics: {', '.join(map(repr, others))}; {known}")
-    disturbed = {} if closed_loop else {name: getattr(config, name) for name in OF_ROBOTS}
-    why = "allowed: 0; a plan does not hold for robots that are disturbed"
-    problems += [f"{name}: {value}; {why}" for name, value in disturbed.items() if value]
     limits = {name: config.of_each(name, n) for name in LIMITS}
-    for name, values in limits.items():
-        if len(values) != n:
-            problems.append(f"{name}: expected {n} numbers, one per robot, got {len(values)}")
+    wrong = {
+        f"n_robots: {field.name} has {len(field.starts)} starts, not {n}": n > len(field.starts),
+        "random_starts: allowed: False; a plan is for given starts": config.random_starts,
+        "failures: allowed: None": config.failures is not None and not closed_loop,
+        f"dynamics: {others}; allowed: 'point_mass'; no other bound is known": others,
+        **{
+            f"{name}: {value}; allowed: 0, no disturbance": value and not closed_loop
+            for name, value in ((name, getattr(config, name)) for name in OF_ROBOTS)
+        },
+        **{
+            f"{name}: expected {n} numbers, one per robot, got {len(each)}": len(each) != n
+            for name, each in limits.items()
+        },
+    }
+    problems += [problem for problem, applies in wrong.items() if applies]
     if problems:
         raise ConfigError("plan", problems)
     wind = np.zeros(2) if closed_loop else np.array(config.wind_increment())
@@ -181,7 +184,7 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
         starts=np.array(field.starts[:n]),
         velocities=np.zeros((n, 2)),
         rois=np.array(field.rois),
-        drives=_drives(forces, wind, limits["v_clip"], config.tau),
+        tops=np.array(limits["v_clip"], float),
         forces=forces,
         wind=wind,
         area=field.polygon,
@@ -196,18 +199,6 @@ def half_planes(convex: shapely.Polygon) -> tuple[Floats, Floats]:
     ring, edges = ring[:-1][lengths > 0], edges[lengths > 0] / lengths[lengths > 0, None]
     normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
     return normals, np.einsum("ij,ij->i", normals, ring)
-
-
-def _drives(forces: Floats, wind: Floats, tops: Iterable[float], tau: float) -> tuple[Drive, ...]:
-    return tuple(
-        Drive(_pair(force + wind), _pair(force - wind), top, tau)
-        for force, top in zip(forces, tops, strict=True)
-    )
-
-
-def _pair(rates: Floats) -> tuple[float, float]:
-    x, y = np.maximum(rates, 0.0).tolist()
-    return x, y
 
 
 def reach(speed: float, rise: float, top: float, tau: float, steps: int) -> float:

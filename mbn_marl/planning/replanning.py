@@ -133,7 +133,7 @@ class Replanner:
                 starts=places[works],
                 velocities=speeds[works],
                 forces=whole.forces[works],
-                drives=tuple(whole.drives[i] for i in np.flatnonzero(works)),
+                tops=whole.tops[works],
                 others=np.array([*ways.values()]) if ways else whole.others,
             )
             paths = search(rest, margin * rest.config.roi_radius)
@@ -227,8 +227,8 @@ class Tracker:
         self,
         positions: FloatArray,
         velocities: FloatArray,
-        visited: NDArray[np.bool_],
-        failed: NDArray[np.bool_],
+        visited: Flags,
+        failed: Flags,
     ) -> NDArray[np.float32]:
         """Return actions (n, 2) in [-1, 1]; arguments as for :meth:`Greedy.act`."""
         problem, k = self.problem, self.step

@@ -127,24 +127,27 @@ class Cautious:
         self.before: tuple[Floats, Floats] | None = None  # velocities and actions of the last step
         shapely.prepare(problem.area)
 
-    def _look(self, velocities: Floats, works: Flags) -> None:
+    def _look(
+        self, positions: FloatArray, velocities: FloatArray, failed: Flags | None
+    ) -> tuple[Floats, Floats, Flags, dict[int, Floats]]:
+        """Learn from the last step about the wind; return the state, and who works (n,).
+
+        Last come the ways (k, 2) of all robots that have not vanished, if those that work brake.
+        """
+        places, speeds = np.asarray(positions, float), np.asarray(velocities, float)
+        works = np.ones(self.problem.n, bool) if failed is None else ~failed
         if self.before is not None:
-            self.weather = self.weather.after(self.instance, *self.before, velocities, works)
+            self.weather = self.weather.after(self.instance, *self.before, speeds, works)
             self.problem = self.weather.problem(self.instance)
-
-    def _plans(self, positions: Floats, velocities: Floats, works: Flags) -> dict[int, Floats]:
-        """Return the ways (k, 2) of all robots that have not vanished if those that work brake."""
-        ways = ways_of_failed(self.instance, positions, velocities, works, self.weather.push)
+        ways = ways_of_failed(self.instance, places, speeds, works, self.weather.push)
         for i in np.flatnonzero(works).tolist():
-            ways[i] = self._coast(i, positions[i], velocities[i])
-        return ways
-
-    def _within_force(self, i: int, change: Floats) -> Floats:
-        force, wind = self.problem.forces[i], self.problem.wind
-        return np.clip(change, wind - force, wind + force)
+            ways[i] = self._coast(i, places[i], speeds[i])
+        return places, speeds, works, ways
 
     def _toward(self, i: int, speed: Floats, wishes: Iterable[Floats]) -> Iterator[Floats]:
-        return (self._within_force(i, wanted - speed) for wanted in wishes)
+        """Yield the possible changes of robot i's velocity that are nearest to the wishes."""
+        force, wind = self.problem.forces[i], self.problem.wind
+        return (np.clip(wanted - speed, wind - force, wind + force) for wanted in wishes)
 
     def _action(self, i: int, change: Floats) -> Floats:
         """Return robot i's action (2,) for a change of its velocity in the present wind."""
@@ -189,7 +192,8 @@ class Cautious:
         top = self.problem.drives[i].top
         others = [plan for j, plan in plans.items() if j != i]
         escapes = self._toward(i, speed, (np.zeros(2), *(0.5 * top * ESCAPES)))
-        best, widest = (self._within_force(i, -speed), self._coast(i, place, speed)), -1.0
+        stop = next(self._toward(i, speed, [np.zeros(2)]))
+        best, widest = (stop, self._coast(i, place, speed)), -1.0
         for change in chain(changes, escapes):
             velocity = np.clip(speed + change, -top, top)
             position = place + velocity * self.problem.config.tau
@@ -240,10 +244,8 @@ class Shield(Cautious):
         ``actions`` are finite; values outside [-1, 1] count as clipped. The rest as for
         :meth:`Greedy.act`.
         """
-        places, speeds = np.asarray(positions, float), np.asarray(velocities, float)
-        works = np.ones(self.problem.n, bool) if failed is None else ~failed
-        self._look(speeds, works)
-        plans, taken = self._plans(places, speeds, works), np.array(actions)
+        places, speeds, works, plans = self._look(positions, velocities, failed)
+        taken = np.array(actions)
         for i in np.flatnonzero(works).tolist():
             force = np.clip(actions[i], -1.0, 1.0) * self.instance.forces[i]
             own = force + self.weather.push

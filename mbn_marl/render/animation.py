@@ -23,14 +23,10 @@ _EVEN = 2  # an MP4's sides are a multiple of this: colour is stored for every s
 
 
 class Mp4Writer(AbstractContextManager["Mp4Writer"]):
-    """Writes a video frame by frame, in a ``with`` block or until it is closed.
+    """Writes an ``.mp4`` frame by frame, in a ``with`` block or until it is closed.
 
-    Args:
-        path: an ``.mp4`` file, which is replaced only once the new one is complete.
-        fps: frames per second, 0.01 to 120.
-
-    Raises:
-        MbnError: naming the path, the frame or the number that is wrong.
+    The file is replaced only once the new one is complete; ``fps`` is 0.01 to 120. A wrong name,
+    number or frame is an ``MbnError``.
     """
 
     def __init__(self, path: str | Path, fps: float = 20.0) -> None:
@@ -70,15 +66,9 @@ def write_mp4(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.
 
 
 def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.0) -> Path:
-    """Write ``frames`` to ``path``, played in an endless loop, and return that.
+    """Write ``frames`` to a ``.gif`` that loops, and return its path, as ``write_mp4`` does.
 
-    Args:
-        frames: uint8 arrays, all of one shape (height, width, 3).
-        path: a ``.gif`` file, which is replaced only once the new one is complete.
-        fps: frames per second, 0.01 to 50; the delay is rounded to 0.01 s.
-
-    Raises:
-        MbnError: naming the path, the frame or the number that is wrong.
+    ``fps`` is 0.01 to 50; the delay is rounded to 0.01 s.
     """
     path, image = _checked(path, ".gif", fps), _load("PIL.Image")
     packed: list[bytes] = []

@@ -80,12 +80,7 @@ def trajectory_figure(last: Snapshot, title: str | None = None) -> Figure:
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = 3) -> Figure:
-    """Draw the paths of several episodes, a panel each, as in :func:`trajectory_figure`.
-
-    Args:
-        lasts: the last snapshot of each episode, at least one, by the title of its panel.
-        columns: at most so many panels are side by side.
-    """
+    """Draw the paths of episodes, at least one, by the titles of their panels."""
     sides = [np.ptp(last.field.vertices, axis=0) for last in lasts.values()]
     tall = _PANEL_WIDTH * max((height / width for width, height in sides), default=1.0)
     figure, grid = _panels("panels", len(lasts), columns, _PANEL_WIDTH, tall + _TITLES)
@@ -102,12 +97,9 @@ def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = 3) -> Fig
 def overlay_panels(
     episodes: Mapping[str, tuple[Snapshot, Snapshot]], names: tuple[str, str]
 ) -> Figure:
-    """Draw two episodes from the same starts over each other, a panel for each pair.
+    """Draw pairs of episodes over each other, at least one, by the titles of their panels.
 
-    Args:
-        episodes: the last snapshots of a pair, by the title of its panel, at least one; the ROIs
-            are those that the second one visited.
-        names: of the first, which is dashed, and the second of each pair.
+    ``names`` are those of the first, which is dashed, and of the second, whose visits are shown.
     """
 
     def outcome(last: Snapshot) -> str:
@@ -139,10 +131,7 @@ def check_name(path: Path) -> Path:
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write ``figure`` as PNG, PDF or SVG, as the end of ``path`` says, and return ``path``.
-
-    A file is replaced only once the new one is complete.
-    """
+    """Write ``figure`` as PNG, PDF or SVG, as the end of ``path`` says, and return ``path``."""
     path = check_name(Path(path))
     with replacing(path) as temporary:
         figure.savefig(temporary)

@@ -172,9 +172,8 @@ def mark_failed(axes: Axes, last: Snapshot) -> None:
 def draw_wind(axes: Axes, last: Snapshot, height: float = 9.5, *, named: bool = True) -> None:
     """Draw the winds of an episode ``height`` points over the top right corner, if any.
 
-    One is an arrow the way that it blows, with its speed if it is ``named``. In gusts there is a
-    line for the strongest of each twelfth of a turn, as long as it is strong, with the greatest
-    speed.
+    One is an arrow the way that it blows; gusts are a line for the strongest of each twelfth of a
+    turn. The greatest speed is written beside them if it is ``named``.
     """
     winds = np.unique(last.winds, axis=0)
     speeds = np.linalg.norm(winds, axis=1)

@@ -19,10 +19,7 @@ _SCRIPTS = ("dom.js", "episode.js", "stage.js", "chart.js", "replay.js")
 
 
 def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
-    """Return a page that plays ``episodes``, at least one, on one clock.
-
-    Without a ``title`` it names the fields.
-    """
+    """Return a page that plays ``episodes``, at least one, on one clock."""
     if not episodes:
         raise MbnError("replay: at least one episode is needed")
     fields = ", ".join(dict.fromkeys(episode.field.name for episode in episodes))
@@ -34,14 +31,7 @@ def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
 def whole(
     body: str, title: str, values: Mapping[str, str], extra_styles: Sequence[str] = ()
 ) -> str:
-    """Return a page with the player, that may load nothing from elsewhere.
-
-    Args:
-        body: the name of the body's template.
-        title: as plain text.
-        values: of the template's names, as HTML.
-        extra_styles: names of style sheets besides the player's.
-    """
+    """Return a page with the player: the template ``body``, with HTML ``values`` for its names."""
     light, dark = ("".join(_variables(theme)) for theme in (0, 1))
     colours = (
         f":root {{\n{light}}}\n@media (prefers-color-scheme: dark) {{ :root {{\n{dark}}} }}\n"

@@ -43,7 +43,6 @@ class CoppeliaLink:
             return self._client.call(f"sim.{name}", arguments)
 
     def constant(self, name: str) -> Any:
-        """Return ``sim.<name>``."""
         if not hasattr(self._sim, name):
             raise SimulatorError(f"{self._address}: it does not know sim.{name}")
         return getattr(self._sim, name)

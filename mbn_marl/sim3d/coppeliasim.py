@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from time import monotonic, sleep
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,12 +24,6 @@ _THIN = 0.05  # metres: the thickness of walls and of the soil
 _ABOVE_FLOOR = 0.002  # metres, at which the soil covers the floor of CoppeliaSim's empty scene
 _MARGIN = 2.0  # metres of soil on each side of the field
 _PATH_WIDTH, _PATH_ITEMS = 3.0, 10_000  # pixels; the lines that a path holds, then the oldest go
-
-
-class _Follower(NamedTuple):  # the handles in CoppeliaSim
-    body: int
-    target: int
-    path: int
 
 
 class CoppeliaSimulator(Simulator):
@@ -66,27 +60,49 @@ class CoppeliaSimulator(Simulator):
         self._objects: list[int] = []
         self._paths: list[int] = []
         self._props: dict[str, int] = {}
-        self._targets: Array = np.zeros((0, 2))
-        self._heights: Array = np.zeros(0)
-        self._braking = np.zeros(0, np.bool_)
 
     def reset(self, mission: Mission) -> None:
-        """Connect, build the scene of ``mission``, without its wind, and start stepping it.
-
-        Raises:
-            ConfigError: port or timeout are out of their range.
-            SimulatorError: CoppeliaSim does not answer, is already simulating something, refuses a
-                call, or its time step does not divide the MDP's.
-        """
+        """Connect, build the scene of ``mission``, without its wind, and start stepping it."""
         try:
             if self._connection is None:
                 self._connection = CoppeliaLink(*self._place)
             self._clear()
             self._build(mission)
-            self._start(mission.tau * self._scale.seconds)
         except BaseException:
             self.close()
             raise
+
+    def _build(self, mission: Mission) -> None:
+        """Make the scenery and the vehicles, each at its target, and start the simulation."""
+        if not self._is_stopped():
+            raise SimulatorError("CoppeliaSim: it is simulating something already; stop that first")
+        self._frame = frame = Frame(mission, self._scale.metres)
+        self._targets, count = frame.starts, len(frame.starts)
+        self._velocities = np.zeros_like(self._targets)
+        self._heights, self._braking = np.full(count, HEIGHT), np.zeros(count, np.bool_)
+        width, depth = (frame.size + 2.0 * _MARGIN).tolist()
+        place = (0.0, 0.0, _ABOVE_FLOOR - _THIN / 2)
+        self._add_prop(Prop("soil", SOIL, place, (width, depth, _THIN)), solid=True)
+        for hole in frame.ground.interiors:
+            for length, (x, y), turn in edges(hole):
+                size, place = (length, _THIN, OBSTACLE_HEIGHT), (x, y, OBSTACLE_HEIGHT / 2)
+                self._add_prop(Prop("obstacle", STONE, place, size, turn), solid=True)
+        for prop in scenery(frame):
+            self._add_prop(prop)
+        places = np.column_stack([self._targets, self._heights]).tolist()
+        self._vehicles = [self._add_vehicle(robot, place) for robot, place in enumerate(places)]
+        self._look()
+        self._time_step = self._link.call("getSimulationTimeStep")
+        lasting = mission.tau * self._scale.seconds
+        self._substeps = round(lasting / self._time_step)
+        if not self._substeps or not np.isclose(self._substeps * self._time_step, lasting):
+            raise SimulatorError(
+                f"CoppeliaSim: a step of the MDP lasts {lasting:g} s, which is no whole number of "
+                f"its time steps of {self._time_step:g} s; change one of them"
+            )
+        self._started = True
+        self._link.call("setStepping", True)
+        self._link.call("startSimulation")
 
     def command(self, velocities: Floats) -> None:
         self._velocities = np.asarray(velocities, np.float64) * self._scale.speed
@@ -95,11 +111,9 @@ class CoppeliaSimulator(Simulator):
         self._targets = self._bodies[:, :2] + lead * (_LEASH / np.maximum(length, _LEASH))
 
     def fail(self, robot: int, kind: str) -> None:
-        """Let a vehicle that brakes land where its command is to stay."""
         self._braking[robot] = kind == "brake"
 
     def step(self) -> None:
-        """Simulate one step of the MDP: as many steps of CoppeliaSim as it lasts."""
         link = self._link
         before, begun = self._bodies, link.call("getSimulationTime")
         for _ in range(self._substeps):
@@ -108,19 +122,19 @@ class CoppeliaSimulator(Simulator):
             self._heights[landing] -= SINKING * self._time_step
             self._heights = np.maximum(self._heights, 0.0)
             places = np.column_stack([self._targets, self._heights])
-            for vehicle, place in zip(self._vehicles, places.tolist(), strict=True):
-                link.call("setObjectPosition", vehicle.target, place)
+            for (_, target), place in zip(self._vehicles, places.tolist(), strict=True):
+                link.call("setObjectPosition", target, place)
             link.call("step")
         lasted = link.call("getSimulationTime") - begun
         if self._is_stopped() or lasted < (self._substeps - 0.5) * self._time_step:
             raise SimulatorError("CoppeliaSim: the simulation was stopped or paused by hand")
         self._look()
-        for vehicle, ends in zip(self._vehicles, np.hstack([before, self._bodies]), strict=True):
-            link.call("addDrawingObjectItem", vehicle.path, ends.tolist())
+        for path, ends in zip(self._paths, np.hstack([before, self._bodies]), strict=True):
+            link.call("addDrawingObjectItem", path, ends.tolist())
 
     def motion(self) -> Motion:
         link = self._link
-        speeds = [link.call("getObjectVelocity", vehicle.body)[0] for vehicle in self._vehicles]
+        speeds = [link.call("getObjectVelocity", body)[0] for body, _ in self._vehicles]
         velocities = np.array(speeds, np.float64)[:, :2] / self._scale.speed
         positions = self._frame.to_units(self._bodies[:, :2])
         return Motion(positions, velocities, self._bodies[:, 2].copy())
@@ -149,29 +163,7 @@ class CoppeliaSimulator(Simulator):
             raise SimulatorError("CoppeliaSim: nothing is simulated; allowed: reset() first")
         return self._connection
 
-    def _build(self, mission: Mission) -> None:
-        """Make the scenery and the vehicles, each at its target."""
-        if not self._is_stopped():
-            raise SimulatorError("CoppeliaSim: it is simulating something already; stop that first")
-        self._frame = frame = Frame(mission, self._scale.metres)
-        self._targets, count = frame.starts, len(frame.starts)
-        self._velocities = np.zeros_like(self._targets)
-        self._heights, self._braking = np.full(count, HEIGHT), np.zeros(count, np.bool_)
-        width, depth = (frame.size + 2.0 * _MARGIN).tolist()
-        place = (0.0, 0.0, _ABOVE_FLOOR - _THIN / 2)
-        self._add_prop(Prop("soil", SOIL, place, (width, depth, _THIN)), solid=True)
-        for hole in frame.ground.interiors:
-            for length, (x, y), turn in edges(hole):
-                size, place = (length, _THIN, OBSTACLE_HEIGHT), (x, y, OBSTACLE_HEIGHT / 2)
-                self._add_prop(Prop("obstacle", STONE, place, size, turn), solid=True)
-        for prop in scenery(frame):
-            self._add_prop(prop)
-        places = np.column_stack([self._targets, self._heights]).tolist()
-        self._vehicles = [self._add_vehicle(robot, place) for robot, place in enumerate(places)]
-        self._look()
-
     def _add_prop(self, prop: Prop, *, solid: bool = False) -> None:
-        """Make a shape that never moves, and that vehicles run into if it is solid."""
         call, constant = self._link.call, self._link.constant
         if prop.mesh is None:
             kind = constant(f"primitiveshape_{prop.kind}")
@@ -179,16 +171,17 @@ class CoppeliaSimulator(Simulator):
             call("setObjectPosition", shape, list(prop.place))
             call("setObjectOrientation", shape, [0.0, 0.0, prop.turn])
         else:
-            vertices = (prop.mesh.vertices + prop.place).ravel().tolist()
-            shape = self._make("createShape", 0, 0.0, vertices, prop.mesh.faces.ravel().tolist())
+            vertices, faces = prop.mesh
+            corners = (vertices + prop.place).ravel().tolist()
+            shape = self._make("createShape", 0, 0.0, corners, faces.ravel().tolist())
         call("setObjectAlias", shape, f"mbn_{prop.name}")
         for flag, value in (("static", 1), ("respondable", int(solid))):
             call("setObjectInt32Param", shape, constant(f"shapeintparam_{flag}"), value)
         self._props[prop.name] = shape
         self._paint(prop.name, prop.colour)
 
-    def _add_vehicle(self, robot: int, place: Sequence[float]) -> _Follower:
-        """Load a vehicle that follows a dummy, at a ``place`` (x, y, z) in metres."""
+    def _add_vehicle(self, robot: int, place: Sequence[float]) -> tuple[int, int]:
+        """Load a vehicle at a ``place``, metres; return its handle and that of its target."""
         call, constant, model = self._link.call, self._link.constant, self._model
         if not (model.startswith("/") or model[1:2] == ":"):
             model = f"{call('getStringParam', constant('stringparam_resourcesdir'))}/{model}"
@@ -205,10 +198,9 @@ class CoppeliaSimulator(Simulator):
         colour = [part / 255.0 for part in style.rgb(style.robot_colour(robot))]
         path = call("addDrawingObject", kind, _PATH_WIDTH, 0.0, -1, _PATH_ITEMS, colour)
         self._paths.append(path)
-        return _Follower(body, targets[0], path)
+        return body, targets[0]
 
     def _make(self, function: str, *arguments: object) -> int:
-        """Call a function that makes an object, and remember the object."""
         self._objects.append(self._link.call(function, *arguments))
         return self._objects[-1]
 
@@ -220,19 +212,6 @@ class CoppeliaSimulator(Simulator):
         for component, value in parts.items():
             part = link.constant(f"colorcomponent_{component}")
             link.call("setShapeColor", shape, "", part, value)
-
-    def _start(self, lasting: float) -> None:
-        """Start the simulation, with ``lasting`` seconds for a step of the MDP."""
-        self._time_step = self._link.call("getSimulationTimeStep")
-        self._substeps = round(lasting / self._time_step)
-        if not self._substeps or not np.isclose(self._substeps * self._time_step, lasting):
-            raise SimulatorError(
-                f"CoppeliaSim: a step of the MDP lasts {lasting:g} s, which is no whole number of "
-                f"its time steps of {self._time_step:g} s; change one of them"
-            )
-        self._started = True
-        self._link.call("setStepping", True)
-        self._link.call("startSimulation")
 
     def _clear(self) -> None:
         """Stop the simulation that was started, and remove what was made and still exists."""
@@ -254,8 +233,7 @@ class CoppeliaSimulator(Simulator):
         self._paths, self._objects = [], []
 
     def _look(self) -> None:
-        """Look where the vehicles are now, (n, 3) metres."""
-        places = [self._link.call("getObjectPosition", vehicle.body) for vehicle in self._vehicles]
+        places = [self._link.call("getObjectPosition", body) for body, _ in self._vehicles]
         self._bodies: Array = np.array(places, np.float64)
 
     def _is_stopped(self) -> bool:

@@ -46,12 +46,10 @@ class Deployment:
     def separation(self) -> float | None:
         """Least distance of two robots that have not vanished, units; ``None`` for a single one."""
         gone, positions = self.episode.gone, self.episode.positions.astype(np.float64)
-        if positions.shape[1] == 1:
-            return None
         gaps = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
         gaps[:, np.eye(positions.shape[1], dtype=bool)] = np.inf
         gaps[gone[:, :, None] | gone[:, None]] = np.inf
-        return float(gaps.min())
+        return float(gaps.min()) if positions.shape[1] > 1 else None
 
     @property
     def tracking_error(self) -> float:

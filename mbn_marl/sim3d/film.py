@@ -25,11 +25,9 @@ MOST_SHAPES = 20_000
 
 
 class Film:
-    """Films one mission with 960 x 720 pixels, 20 frames a second, at twice its speed.
+    """Films one mission, with 20 frames a second at twice its speed, to an ``.mp4`` file.
 
-    Args:
-        path: an ``.mp4`` file; another name is an ``MbnError``.
-        camera: ``"field"`` (across it), ``"top"`` or ``"chase"`` (behind the first robot).
+    The camera looks across the ``"field"``, from the ``"top"`` or behind the first robot.
     """
 
     def __init__(self, path: str | Path, camera: str = "field") -> None:
@@ -40,10 +38,7 @@ class Film:
         self._begun = False
 
     def begin(self, model: Any, data: Any, places: NDArray[np.intp]) -> None:
-        """Begin with the first frame, or end at a second mission.
-
-        The robots' x and y are ``data.qpos[places]``, (n, 2).
-        """
+        """Begin, or end at a second mission; robots are at ``data.qpos[places]``, (n, 2)."""
         if self._begun:
             return self.close()
         self._begun, (width, height) = True, PICTURE

@@ -38,11 +38,8 @@ class Quadrotor(Vehicle):
       ``m (a + g) . R e_z``;
     - torque: ``J (-s^2 e_R - 2 d s w) + w x J w``, ``e_R`` half the skew part of ``R_d^T R``.
 
-    The thrusts of the rotors follow from thrust and torque by inverting the mixing matrix.
-
-    Source:
-        Lee, Leok, McClamroch, *Geometric tracking control of a quadrotor UAV on SE(3)*, 2010: the
-        attitude error.
+    The attitude error is that of Lee, Leok, McClamroch, *Geometric tracking control of a quadrotor
+    UAV on SE(3)*, 2010. Inverting the mixing matrix gives the thrusts of the rotors.
     """
 
     height: ClassVar[float] = HEIGHT

@@ -41,9 +41,7 @@ FIELD_OF_VIEW = 40.0  # of the cameras, degrees from the bottom to the top
 PICTURE = (960, 720)  # pixels
 
 
-class Mesh(NamedTuple):
-    vertices: Array  # (k, 3), metres
-    faces: NDArray[np.intp]  # (f, 3), triangles
+Mesh = tuple[Array, NDArray[np.intp]]  # vertices (k, 3) in metres, triangles (f, 3)
 
 
 class Prop(NamedTuple):
@@ -87,11 +85,12 @@ def scenery(frame: Frame) -> Iterator[Prop]:
     for number, (length, (x, y), turn) in enumerate(edges(frame.ground.exterior)):
         size, place = (length, BOUNDARY_WIDTH, BOUNDARY_HEIGHT), (x, y, BOUNDARY_HEIGHT / 2.0)
         yield Prop(f"boundary_{number}", CHALK, place, size, turn)
-    crop, leaves, side = corn(frame.ground), weed(), 2.0 * frame.roi_radius
-    if len(crop.faces):
+    crop, side = corn(frame.ground), 2.0 * frame.roi_radius
+    weed = _plants(np.zeros((1, 2)), np.zeros(1), np.array([0.1]), leaves=9, width=2.0)
+    if len(crop[1]):
         yield Prop("corn", LEAF_GREEN, mesh=crop)
     for roi, (x, y) in enumerate(frame.rois.tolist()):
-        yield Prop(f"weed_{roi}", WEED, (x, y, 0.0), mesh=leaves)
+        yield Prop(f"weed_{roi}", WEED, (x, y, 0.0), mesh=weed)
         yield Prop(f"area_{roi}", AREA, (x, y, 0.006), (side, side, 0.004), kind="cylinder")
 
 
@@ -116,11 +115,6 @@ def corn(ground: shapely.Polygon) -> Mesh:
     return _plants(places, turns, heights, leaves=4, width=1.0)
 
 
-def weed() -> Mesh:
-    """Return a weed at the origin: broad leaves close to the ground."""
-    return _plants(np.zeros((1, 2)), np.zeros(1), np.array([0.1]), leaves=9, width=2.0)
-
-
 def _plants(places: Array, turns: Array, heights: Array, leaves: int, width: float) -> Mesh:
     angles = turns[:, None] + np.arange(leaves) * 2.0 * np.pi / leaves
     cos, sin = np.cos(angles)[..., None], np.sin(angles)[..., None]
@@ -130,7 +124,7 @@ def _plants(places: Array, turns: Array, heights: Array, leaves: int, width: flo
     points[..., 1] = places[:, 1, None, None] + sin * x + cos * y
     points[..., 2] = heights[:, None, None] * z
     faces = LEAF_FACES + len(LEAF) * np.arange(angles.size)[:, None, None]
-    return Mesh(points.reshape(-1, 3), faces.reshape(-1, 3))
+    return points.reshape(-1, 3), faces.reshape(-1, 3)
 
 
 # All scenes share physics, light, the classes of geoms, soil, sky and sun.

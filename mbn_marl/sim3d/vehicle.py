@@ -52,14 +52,12 @@ def add(parent: Element, tag: str, **attributes: Any) -> Element:
     """Add an MJCF element: numbers and sequences of them become text, ``class_`` is ``class``."""
 
     def text(value: Any) -> str:
-        numbers = np.atleast_1d(value).ravel().tolist()
-        return " ".join(f"{number:.9g}" for number in numbers)
+        parts = [value] if isinstance(value, str) else np.atleast_1d(value).ravel().tolist()
+        return " ".join(part if isinstance(part, str) else f"{part:.9g}" for part in parts)
 
-    values = {
-        name.rstrip("_"): value if isinstance(value, str) else text(value)
-        for name, value in attributes.items()
-    }
-    return SubElement(parent, tag, values)
+    return SubElement(
+        parent, tag, {name.rstrip("_"): text(attributes[name]) for name in attributes}
+    )
 
 
 def add_air_shape(body: Element, centre: float, radius: float, half_height: float) -> None:

@@ -5,17 +5,13 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable
 from itertools import pairwise
-from types import FunctionType
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
 from mbn_marl import BatchEngine
 from mbn_marl.engine import kernels, step
-from mbn_marl.engine import threads as threading
-from mbn_marl.engine.threads import WorldThreads
 from tests.support.configurations import EVERYTHING, STORM
 
 pytestmark = pytest.mark.slow
@@ -47,14 +43,6 @@ def in_ranges_of(size: int) -> Callable[..., int]:
     return step_worlds
 
 
-def with_block(size: int) -> Any:
-    """``step_worlds`` compiled afresh with another ``BLOCK``, a constant to the compiler."""
-    function = STEP_WORLDS.py_func
-    own_globals = {**function.__globals__, "BLOCK": size}
-    copy = FunctionType(function.__code__, own_globals, function.__name__)
-    return numba.njit(nogil=True, error_model="numpy")(copy)
-
-
 def trajectory(engine: BatchEngine) -> list[bytes]:
     """Everything that an engine which moves at random hands out, step by step."""
     rows = [engine.reset().tobytes()]
@@ -77,15 +65,6 @@ def test_blocks_and_threads_change_nothing(case: str, monkeypatch: pytest.Monkey
     monkeypatch.undo()
     for _ in range(3):
         assert trajectory(make_engine(case, threads=2)) == expected
-
-
-@pytest.mark.all
-@pytest.mark.parametrize("size", [110, 2 * step.BLOCK - 5])
-def test_other_blocks(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert size < WORLDS and WORLDS % size != 0
-    expected = trajectory(make_engine("released"))
-    monkeypatch.setattr(step, "step_worlds", with_block(size))
-    assert trajectory(make_engine("released")) == expected
 
 
 def _rewards_of_threads(worlds: int) -> list[float]:
@@ -112,6 +91,10 @@ def test_threads_take_actions_that_cannot_be_written() -> None:
             np.testing.assert_array_equal(one, other)
 
 
+class Marked(np.ndarray):
+    step_address = 1  # so that no code is compiled for it
+
+
 def test_ranges_of_threads_cover_every_world_once(monkeypatch: pytest.MonkeyPatch) -> None:
     def mark(seen: Any, actions: Any, lo: int, hi: int) -> int:
         seen[lo:hi] += 1
@@ -122,8 +105,7 @@ def test_ranges_of_threads_cover_every_world_once(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(step, "step_worlds", mark)
     monkeypatch.setattr(kernels, "step_ranges", mark_ranges)
-    monkeypatch.setattr(threading, "address_of", lambda *_: 0)
     for worlds, threads in ((1, 1), (5, 2), (7, 7), (3, 5), (600, 2)):
-        seen = np.zeros(worlds, int)
-        assert WorldThreads(worlds, threads).step(seen, seen) == worlds
-        assert (seen == 1).all()
+        stepped: Any = np.zeros(worlds, int).view(Marked)
+        assert kernels.step_all(stepped, stepped, kernels.cuts_of(worlds, threads)) == worlds
+        assert (stepped == 1).all()

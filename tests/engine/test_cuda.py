@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -20,21 +21,21 @@ import pytest
 from mbn_marl import BatchEngine, Uniform
 from mbn_marl.config import make_config
 from mbn_marl.engine.constants import constants_of, make_record
-from mbn_marl.engine.geometry import make_geometry, sizes_of
 from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.engine.state import make_episode, make_memory, make_output
+from mbn_marl.engine.tables import make_geometry, sizes_of
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler, load_field
 from mbn_marl.field.generator.layout import FAMILIES
 
 torch = pytest.importorskip("torch")
 ROOT = Path(__file__).parents[2]
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.all
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")
 MOST_LOCAL_BYTES = 128
+ARCHITECTURE = 8, 0  # the A100's; no GPU is needed to compile for it
 
 
-@pytest.mark.all
 @pytest.mark.parametrize(
     "part", ["features", "random_fields", "not features and not random_fields"]
 )
@@ -59,6 +60,14 @@ def test_cuda_that_is_missing_is_one_error() -> None:
     assert problem.startswith("device: ")
 
 
+def ptxas() -> str | None:
+    """The program that turns PTX into machine code: that of a wheel, or else the system's."""
+    nvidia = importlib.util.find_spec("nvidia")
+    folders = [*nvidia.submodule_search_locations] if nvidia else []
+    found = (str(path) for folder in folders for path in Path(folder).glob("*/bin/ptxas"))
+    return next(found, None) or shutil.which("ptxas")
+
+
 def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     """The PTX of every kernel for three robots, by name."""
     from numba import cuda, typeof, types
@@ -80,11 +89,9 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     actions, active = np.zeros((worlds, 3, 2), real), np.zeros(worlds, np.bool_)
     call = kernels.Call(actions, active, np.zeros(1, np.int64))
     rows = (np.zeros((worlds, 3, 13)),)
-    bits = np.uint32 if dtype == "float32" else np.uint64
-    step = kernels.make_step(3, size, real.type, bits)
     work: dict[str, tuple[Any, tuple[Any, ...]]] = {
-        "step": (step, (p, g, mem, now, now, out, call)),
-        "reset": (kernels.make_reset(size), (p, g, mem, now, out, call)),
+        "step": (kernels.step_kernel(3, size, dtype), (p, g, mem, now, now, out, call)),
+        "reset": (kernels.reset_kernel(size), (p, g, mem, now, out, call)),
         "infos": (kernels.infos, (p, g, mem, now, now, out, rows)),
         "states": (kernels.states, (now, (np.zeros((worlds, 13), real),))),
         "draw": (kernels.draw, (p, mem, (np.zeros((worlds, 3, 2), np.float32),))),
@@ -93,11 +100,12 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     for name, (function, arguments) in work.items():
         signature = types.void(*map(typeof, arguments))
         with kernels.rounded_products():
-            made[name], _ = cuda.compile_ptx(function, signature, cc=(9, 0), device=False)
+            made[name], _ = cuda.compile_ptx(
+                function.py_func, signature, cc=ARCHITECTURE, device=False
+            )
     return made
 
 
-@pytest.mark.all
 @pytest.mark.parametrize(
     "settings",
     [
@@ -113,22 +121,16 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     ids=str,
 )
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_the_kernels_compile_for_a_gpu(
-    dtype: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+def test_kernels_become_machine_code(
+    dtype: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Without one: PTX for compute capability 9.0."""
-    if importlib.util.find_spec("numba_cuda") is None:
-        pytest.skip("numba-cuda is not installed")
+    """Without one: to PTX, and to machine code, of which registers and spills are printed."""
+    if importlib.util.find_spec("numba_cuda") is None or (assembler := ptxas()) is None:
+        pytest.skip("numba-cuda or ptxas is not installed; `make cuda` installs both")
     from numba.cuda import dispatcher
-    from numba.cuda.cudadrv import nvrtc, nvvm
 
-    try:
-        nvvm.LibDevice()
-        nvrtc.get_arch_option(9, 0)
-    except Exception as error:
-        pytest.skip(f"no CUDA compiler: {str(error).splitlines()[0]}")
-    h100 = SimpleNamespace(compute_capability=(9, 0))
-    monkeypatch.setattr(dispatcher, "get_current_device", lambda: h100)
+    device = SimpleNamespace(compute_capability=ARCHITECTURE)
+    monkeypatch.setattr(dispatcher, "get_current_device", lambda: device)
     for name, ptx in compiled_kernels(dtype, settings).items():
         depots = [int(size) for size in re.findall(r"__local_depot\d+\[(\d+)\]", ptx)]
         assert sum(depots) <= MOST_LOCAL_BYTES, name  # else arrays have left the registers
@@ -138,6 +140,17 @@ def test_the_kernels_compile_for_a_gpu(
         fused = re.findall(r"\bfma\S*", ptx)
         assert not unrounded, name
         assert not fused, name
+        source = tmp_path / f"{name}.ptx"
+        source.write_text(ptx)
+        command = [assembler, "-v", f"-arch=sm_{ARCHITECTURE[0]}{ARCHITECTURE[1]}", source.name]
+        run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert run.returncode == 0, (name, run.stderr)
+        (registers,) = re.findall(r"Used (\d+) registers", run.stderr)
+        stack, stores, loads = re.findall(r"(\d+) bytes (?:stack frame|spill)", run.stderr)
+        print(
+            f"{dtype} {settings} {name}: {registers} registers, {stack} bytes of local memory, "
+            f"{stores} stored and {loads} loaded by spills"
+        )
 
 
 @needs_gpu

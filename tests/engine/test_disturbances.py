@@ -80,7 +80,7 @@ def test_features_that_are_off_have_no_entries() -> None:
     for array in (now.gust, now.queue, now.status, now.drawn, now.heading):
         assert array.shape in ((0, 0, 2), (0, 2))
     memory = make_memory(2, 3, 1, config, now)
-    assert memory.key.size == memory.acted.size == memory.seen.size == 0
+    assert memory.key.size == memory.acted.size == memory.sensed.size == 0
 
 
 @pytest.mark.slow

@@ -160,7 +160,6 @@ class TestFiles:
         ("text", "place"),
         [
             ("", "format"),
-            ("- 1\n- 2\n", "format"),
             ("vertices: []\n", "format"),
             ("POLYGON ((0 0, 1 0, 1 1))", "format"),
             ('{"env1": {"screen": {"width": 9}, "robots": {}, "goals": {}}}', "format"),
@@ -168,7 +167,6 @@ class TestFiles:
             ("format: [1\n", "line 2, column 1"),
             ("format: a\nformat: b\n", "line 2, column 1"),
             ("{1: 2}\n", "line 1, column 2"),
-            ("{[a, b]: 2}\n", "line 1, column 2"),
             ("<<: {format: a}\n", "line 1, column 1"),
             ("a: &anchor 1\n", "line 1, column 4"),
             ("a: *anchor\n", "line 1, column 4"),

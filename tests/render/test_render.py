@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -15,16 +14,8 @@ from tests.support.pictures import FIELD, HOLE, SIZE, SQUARE, draw, snapshot, wa
 
 pytest.importorskip("pygame", reason="needs the extra [render]")
 
-from mbn_marl.render.sprites import Viewport
 
 # ---------------------------------------------------------------- what is where
-
-
-def test_viewport_fits_the_box_and_turns_y_up() -> None:
-    points = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 5.0)])
-    view = Viewport.fit(points, (20.0, 30.0, 100.0, 100.0))
-    assert view.scale == 10.0
-    assert view.to_pixels(points).tolist() == [[20.0, 105.0], [120.0, 105.0], [120.0, 55.0]]
 
 
 @pytest.mark.parametrize("position", [(200.0, 290.0), (200.0, 110.0), (285.0, 240.0)])
@@ -180,18 +171,3 @@ def test_nothing_of_the_last_frame_stays(other: Snapshot) -> None:
     viewer = Viewer("rgb_array", SIZE)
     draw(snapshot(wander(20, 3)), viewer)
     assert np.array_equal(draw(other, viewer), draw(other))
-
-
-def test_what_stays_the_same_is_not_drawn_again() -> None:
-    trail, viewer = wander(300, 3), Viewer("rgb_array", SIZE)
-
-    def fastest(draw_one: Any) -> float:
-        spans = []
-        for step in range(250, 270):
-            start = time.process_time()
-            draw_one(snapshot(trail[: step + 1]))
-            spans.append(time.process_time() - start)
-        return min(spans)
-
-    draw(snapshot(trail[:250]), viewer)
-    assert 4.0 * fastest(viewer.draw) < fastest(draw)

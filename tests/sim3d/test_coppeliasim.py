@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import http.server
-import json
 import re
 import socket
 import sys
@@ -23,7 +21,6 @@ pytest.importorskip("coppeliasim_zmqremoteapi_client", reason="needs mbn_marl[si
 import cbor
 import zmq
 
-from baselines.cli import main
 from baselines.policies.classical import make_classical
 from mbn_marl.errors import ConfigError, SimulatorError
 from mbn_marl.field import Field
@@ -31,7 +28,7 @@ from mbn_marl.sim3d import Mission, Scale, deploy
 from mbn_marl.sim3d.coppelia_link import CoppeliaLink, _PatientSocket
 from mbn_marl.sim3d.coppeliasim import CoppeliaSimulator
 from mbn_marl.sim3d.scene import AREA, SPRAYED, WEED
-from tests.support.coppelia_server import LATE, RUNNING, STOPPED, CoppeliaServer, free_port
+from tests.support.coppelia_server import RUNNING, STOPPED, CoppeliaServer, free_port
 from tests.support.field_cases import square
 from tests.support.pages import Block, check_command, commands_of
 
@@ -96,18 +93,6 @@ def mute() -> Iterator[int]:
         yield listener.getsockname()[1]
 
 
-@contextmanager
-def web() -> Iterator[int]:
-    with http.server.ThreadingHTTPServer(
-        ("127.0.0.1", 0), http.server.BaseHTTPRequestHandler
-    ) as page:
-        thread = threading.Thread(target=page.serve_forever, args=(0.01,))
-        thread.start()
-        yield page.server_address[1]
-        page.shutdown()
-        thread.join()
-
-
 def answering(message: bytes) -> Callable[[], Any]:
     """A ZeroMQ server that answers everything with one message."""
 
@@ -140,7 +125,6 @@ FOREVER = cbor.dumps({"func": "_*wait*_", "args": []})
     [
         pytest.param(nobody, "no answer.*within 0.3 s.*refused.*running", id="nobody"),
         pytest.param(mute, "listens there, but does not speak its protocol", id="mute"),
-        pytest.param(web, "listens there, but does not speak its protocol", id="web"),
         pytest.param(answering(b""), "none of its remote API", id="empty"),
         pytest.param(answering(b"\x5b" + b"\xff" * 8), "none of its remote API", id="huge"),
         pytest.param(answering(b"\x01"), "none of its remote API", id="number"),
@@ -226,7 +210,7 @@ def test_link_survives_a_refusal_and_no_more(server: CoppeliaServer) -> None:
 def test_policy_sprays_every_weed_of_a_field_with_a_hole(server: CoppeliaServer) -> None:
     with connect(server) as simulator:
         done = deploy(make_classical("greedy", ORCHARD, {}), ORCHARD, {}, simulator)
-        assert done.success
+        assert done.success and done.seconds is None, "it is another program"
         assert sprayed(server) == [True] * 6
         steps = done.episode.steps
         assert server.steps == 20 * steps
@@ -238,29 +222,6 @@ def test_policy_sprays_every_weed_of_a_field_with_a_hole(server: CoppeliaServer)
     drawn = paths[:, :, 3:5].transpose(1, 0, 2) / 0.1 + 50.0
     assert drawn == pytest.approx(done.episode.positions[1:], abs=1e-4)
     assert left(server) == EMPTY
-
-
-@pytest.mark.all
-def test_command_flies_one_field_after_another(
-    server: CoppeliaServer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    fields, place = ["field_03", "field_04"], ["--host", "127.0.0.1", "--port", str(server.port)]
-    numbers = tmp_path / "numbers.json"
-    words = ["deploy", "greedy", "--field", *fields, "--sim", "coppeliasim", *place]
-    assert main([*words, "--json", str(numbers)]) == 0
-    assert capsys.readouterr().out.count("success") == 2
-    rows = json.loads(numbers.read_text())["deployments"]
-    assert [row["times_real_time"] for row in rows] == [None, None], "it is another program"
-    assert left(server) == EMPTY
-
-
-def test_command_names_the_problem(capsys: pytest.CaptureFixture[str]) -> None:
-    port = str(free_port())
-    words = ["deploy", "greedy", "--field", "field_03", "--sim", "coppeliasim", "--port", port]
-    assert main([*words, "--timeout", "0.3"]) != 0
-    assert f"CoppeliaSim at localhost:{port}: " in " ".join(capsys.readouterr().err.split())
-    assert main([*words, "--vehicle", "balancer"]) != 0
-    assert "allowed with coppeliasim: quadrotor" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize(("seconds", "steps"), [(0.05, 1), (0.5, 10), (1.0, 20)])
@@ -305,16 +266,6 @@ def test_vehicle_that_brakes_lands_where_it_stops(server: CoppeliaServer) -> Non
         motion = simulator.motion()
     assert motion.heights == pytest.approx([0.0, 0.35], abs=0.01)
     assert motion.positions[0] == pytest.approx(square().starts[0] + (1.0, 0.0), abs=0.1)
-
-
-def test_stand_in_reacts_late_as_the_real_quadcopter_does(server: CoppeliaServer) -> None:
-    with begun(server, scale=Scale(seconds=0.05)) as simulator:
-        simulator.command(np.full((2, 2), 5.0))
-        moved = []
-        for _ in range(LATE + 2):
-            simulator.step()
-            moved.append(bool(simulator.motion().velocities.any()))
-    assert moved == [False] * LATE + [True] * 2
 
 
 def test_target_does_not_run_away_from_a_vehicle_that_is_held_up(server: CoppeliaServer) -> None:

@@ -22,7 +22,6 @@ FLAGS = (
     "--disable-gpu",
     "--disable-dev-shm-usage",
     "--disable-extensions",
-    "--disable-background-networking",
     "--no-first-run",
     "--hide-scrollbars",
     "--remote-debugging-pipe",
@@ -66,17 +65,13 @@ class Chromium:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._process.terminate()
-        try:
-            self._process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._process.kill()
+        self._process.wait()
         os.close(self._read)
         os.close(self._write)
 
     def send(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Give a command of the DevTools protocol; returns its result."""
+        """Give a command of the DevTools protocol, and return its result."""
         number = next(self._ids)
         message = {"id": number, "method": method, "params": parameters}
         if self._session is not None:
@@ -90,13 +85,8 @@ class Chromium:
 
     def size(self, width: int, height: int, *, dark: bool = False, phone: bool = False) -> None:
         """The size of the window, and what the page learns of the device."""
-        self.send(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=2 if phone else 1,
-            mobile=phone,
-        )
+        device = {"deviceScaleFactor": 2 if phone else 1, "mobile": phone}
+        self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, **device)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.send("Emulation.setEmulatedMedia", features=[scheme])
 
@@ -109,14 +99,12 @@ class Chromium:
 
     def run(self, expression: str) -> Any:
         """The value of a JavaScript expression; promises are awaited."""
-        answer = self.send(
-            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
-        )
+        options = {"returnByValue": True, "awaitPromise": True}
+        answer = self.send("Runtime.evaluate", expression=expression, **options)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
     def wait_for(self, expression: str, seconds: float = 20.0) -> None:
-        """Wait until an expression is true."""
         deadline = time.monotonic() + seconds
         while not self.run(expression):
             assert time.monotonic() < deadline, f"never came true: {expression}"
@@ -124,12 +112,10 @@ class Chromium:
 
     def press(self, key: str, *, shift: bool = False) -> None:
         """Press and release a key, named as in ``KeyboardEvent.key``."""
-        modifiers = 8 if shift else 0
         for kind in ("keyDown", "keyUp"):
-            self.send("Input.dispatchKeyEvent", type=kind, key=key, modifiers=modifiers)
+            self.send("Input.dispatchKeyEvent", type=kind, key=key, modifiers=8 * shift)
 
     def picture(self, path: Path) -> None:
-        """Write a PNG of the window."""
         data = self.send("Page.captureScreenshot", format="png")["data"]
         path.write_bytes(base64.b64decode(data))
 
@@ -146,18 +132,13 @@ class Chromium:
 
     def _note(self, event: dict[str, Any]) -> None:
         method, parameters = event.get("method"), event.get("params", {})
-        if method == "Runtime.exceptionThrown":
-            self.problems.append(json.dumps(parameters["exceptionDetails"]))
-        elif method == "Runtime.consoleAPICalled" and parameters["type"] in ("error", "warning"):
-            self.problems.append(json.dumps(parameters["args"]))
-        elif method == "Log.entryAdded" and parameters["entry"]["level"] in ("error", "warning"):
-            self.problems.append(json.dumps(parameters["entry"]))
+        kind = parameters.get("type") or parameters.get("entry", {}).get("level")
+        said = method in ("Runtime.consoleAPICalled", "Log.entryAdded")
+        if method == "Runtime.exceptionThrown" or (said and kind in ("error", "warning")):
+            self.problems.append(json.dumps(parameters))
 
 
 def fact(page: Chromium, panel: int, name: str) -> str:
     """A number above a panel."""
-    found: str = page.run(
-        f"document.querySelectorAll('.panel')[{panel}]"
-        f".querySelector('[data-fact=\"{name}\"]').textContent"
-    )
-    return found
+    place = f"document.querySelectorAll('.panel')[{panel}]"
+    return str(page.run(f"{place}.querySelector('[data-fact=\"{name}\"]').textContent"))

@@ -15,8 +15,7 @@ SQUARE = [(100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0)]
 HOLE = [(190.0, 190.0), (210.0, 190.0), (210.0, 210.0), (190.0, 210.0)]
 FIELD = Field(SQUARE, rois=[(150.0, 150.0), (250.0, 250.0)], starts=[(120.0, 200.0)])
 
-SIZE = (400, 400)
-"""Pixels, unless the size is what is tested."""
+SIZE = (400, 400)  # pixels, unless the test is of the size
 
 Frame = NDArray[np.uint8]
 
@@ -25,23 +24,13 @@ def snapshot(trail: Any = ((120.0, 200.0),), **changes: Any) -> Snapshot:
     """A moment of one robot (or, with a (t + 1, n, 2) trail, of more) in the square field."""
     path = np.asarray(trail, np.float64)
     path = path[:, None] if path.ndim == 2 else path
-    values: dict[str, Any] = {
-        "field": FIELD,
-        "positions": path[-1],
-        "velocities": np.zeros_like(path[-1]),
-        "headings": np.full(path.shape[1], np.nan),
-        "failed": np.zeros(path.shape[1], bool),
-        "gone": np.zeros(path.shape[1], bool),
-        "visited": np.zeros(2, bool),
-        "trail": path,
-        "step": len(path) - 1,
-        "team_return": -10.0 * (len(path) - 1),
-        "winds": np.zeros((1, 2)),
-        "roi_radius": 10.0,
-        "safety_distance": 10.0,
-        "success": False,
-        "collision": False,
-    }
+    robots, steps = path.shape[1], len(path) - 1
+    values: dict[str, Any] = {"field": FIELD, "trail": path, "positions": path[-1]}
+    values |= {"velocities": np.zeros((robots, 2)), "headings": np.full(robots, np.nan)}
+    values |= dict.fromkeys(("failed", "gone"), np.zeros(robots, bool))
+    values |= {"visited": np.zeros(2, bool), "winds": np.zeros((1, 2))}
+    values |= dict.fromkeys(("roi_radius", "safety_distance"), 10.0)
+    values |= {"step": steps, "team_return": -10.0 * steps, "success": False, "collision": False}
     return Snapshot(**(values | changes))
 
 

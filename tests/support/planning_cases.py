@@ -23,21 +23,6 @@ U_SHAPE = Field(
 )
 
 
-def labyrinth(lanes: int, width: float = 20.0, length: float = 950.0, wall: float = 20.0) -> Field:
-    """Lanes one above the other, joined at alternating ends; an ROI at each end of the way."""
-    boxes = [shapely.box(10, y, 10 + length, y + width) for y in _heights(lanes, width, wall)]
-    for k, y in enumerate(_heights(lanes - 1, width, wall)):
-        x = 10 + (length - width if k % 2 == 0 else 0)
-        boxes.append(shapely.box(x, y, x + width, y + 2 * width + wall))
-    outline = np.array(shapely.union_all(boxes).exterior.coords)[:-1]
-    end = 10 + (lanes - 1) * (width + wall) + width / 2
-    return Field(outline, rois=[(20, end), (80, 20)], starts=[(20, 20), (40, 20)])
-
-
-def _heights(lanes: int, width: float, wall: float) -> list[float]:
-    return [10 + k * (width + wall) for k in range(lanes)]
-
-
 def small_field(seed: int, n: int = 2, m: int = 2) -> Field:
     """A convex field that a robot crosses in a dozen steps."""
     rng = np.random.default_rng(seed)

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 REALS: dict[str, Any] = {"float64": float, "float32": np.float32}
-TURNING = ("unicycle", "bicycle")
-"""The dynamics with a heading."""
+TURNING = ("unicycle", "bicycle")  # the dynamics with a heading
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,6 @@ class Vehicle:
 
     @property
     def turns(self) -> bool:
-        """Return whether it has a heading."""
         return self.dynamics in TURNING
 
     def ahead(self, heading: Any) -> tuple[Any, Any]:
@@ -146,22 +144,18 @@ class Robot:
 
     @property
     def position(self) -> NDArray[Any]:
-        """(2,), units."""
         return np.array([self.x, self.y])
 
     @property
     def velocity(self) -> NDArray[Any]:
-        """(2,), units/step."""
         return np.array([self.vx, self.vy])
 
     @property
     def ahead(self) -> NDArray[Any]:
-        """The cosine and the sine of its heading, (2,)."""
         return np.array(self.vehicle.ahead(self.heading))
 
     @property
     def impulse(self) -> float:
-        """Length of the sum of its forces times tau."""
         return math.hypot(self.impulse_x, self.impulse_y)
 
 
@@ -189,10 +183,8 @@ def _series(x: float) -> float:
 
 
 def dot(one: Any, other: Any) -> Any:
-    """The scalar product of two vectors of two."""
     return one[0] * other[0] + one[1] * other[1]
 
 
 def clip(value: Any, low: Any, high: Any) -> Any:
-    """``value`` limited to [low, high]."""
     return min(max(value, low), high)

@@ -9,11 +9,8 @@ from typing import Any
 import shapely
 from numpy.typing import NDArray
 
-SLACK = 1e-3
-"""A robot this near a wall, in units, may be behind it by rounding."""
-
-RESIDUE = 1e-9
-"""A speed below this, in units/step, is what rounding leaves of a robot that has braked."""
+SLACK = 1e-3  # a robot this near a wall, in units, may be behind it by rounding
+RESIDUE = 1e-9  # rounding leaves a slower speed, in units/step, of a robot that has braked
 
 
 @dataclass(frozen=True)
@@ -27,7 +24,7 @@ class WallSenses:
     def entries(
         self, spot: NDArray[Any], velocity: NDArray[Any], rest: tuple[float, float]
     ) -> list[float]:
-        """Of a robot; ``rest`` is where it would stop if it braked."""
+        """Of a robot that would stop at ``rest`` if it braked."""
         angles = [math.radians(45 * k) for k in range(8)]
         rays = [self._free(spot, math.cos(a), math.sin(a), self.radius) for a in angles]
         speed, time = math.hypot(*velocity), 1.0

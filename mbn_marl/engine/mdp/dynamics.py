@@ -1,39 +1,35 @@
-"""How a robot moves: its dynamics, by name (mdp.md, "One step", 1 and 2, and "Dynamics").
+"""How a robot moves: its dynamics, by name (mdp.md, "One step", 1 and 2, and "Dynamics")."""
 
-A dynamics is a function on the robots i of a block of worlds. It writes the velocity that the
-robot would have next and where that would take it, and, if its robots have a heading, that too;
-walls and the arena come after it. A heading and its cosine and sine are in ``Episode``, whose
-arrays have no entries if no robot of the team has one.
-
-Source: Choton, Woods, Hsu, section 4 ("Environment Design"), for the point mass; the others are
-this package's.
-"""
-
-from __future__ import annotations
+# A dynamics is a function on the robots i of a block of worlds. It writes the velocity that the
+# robot would have next and where that would take it, and, if its robots have a heading, that too;
+# walls and the arena come after it. A heading and its cosine and sine are in ``Episode``, whose
+# arrays have no entries if no robot of the team has one.
+#
+# Source: Choton, Woods, Hsu, section 4 ("Environment Design"), for the point mass; the others are
+# this package's.
 
 from collections.abc import Sequence
+from typing import get_args
 
+from mbn_marl.config import Dynamics
 from mbn_marl.engine.mdp.disturbances import add_wind, wind_along
-from mbn_marl.engine.mdp.drawn import limits_in, numbers_of
+from mbn_marl.engine.mdp.drawn_numbers import limits_in, limits_of, numbers_of
 from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import clip, cosine, length, select, sine, tangent, turned
 
 POINT_MASS, HOLONOMIC, UNICYCLE, BICYCLE = range(4)
-DYNAMICS = {
-    "point_mass": POINT_MASS,
-    "holonomic": HOLONOMIC,
-    "unicycle": UNICYCLE,
-    "bicycle": BICYCLE,
-}
+DYNAMICS = {name: number for number, name in enumerate(get_args(Dynamics))}
 """Robots of those from the unicycle on have a heading."""
-MASS, F_MAX, V_CLIP = range(3)
-"""The rows of ``Geometry.robots``, whose names are ``config.LIMITS``."""
+
+mixes_dynamics = Feature(lambda g: g.team.kinds.ndim == 1)
 
 
 @compiled
-def has_heading(kind):
-    """Return whether robots of a dynamics, by its number, have a heading."""
-    return kind >= UNICYCLE
+def has_heading(g, i):
+    if mixes_dynamics(g):
+        return g.team.kinds[i] >= UNICYCLE
+    return False
 
 
 def count_headings(names: Sequence[str]) -> int:
@@ -84,25 +80,23 @@ def part_along(x, y, cos, sin):
 
 
 @compiled
-def limits_of(g, i):
-    """The mass, the force and the speed limit of robot i."""
-    return g.robots[MASS, i], g.robots[F_MAX, i], g.robots[V_CLIP, i]
+def go(q, now, to, i, w, k, vx, vy):
+    """Write the velocity of robot i of world w, which is number k of the block, and its end."""
+    to.vx[k], to.vy[k] = vx, vy
+    to.x[k] = next_position(now.x[i, w], vx, q.tau)
+    to.y[k] = next_position(now.y[i, w], vy, q.tau)
 
 
 @compiled
 def move_point_mass(p, g, now, to, actions, i, lo, hi):
-    """The paper's robot i: a mass that its force accelerates along both axes."""
-    limits, drawn = limits_of(g, i), now.drawn
+    limits = limits_of(g, i)
     for w in range(lo, hi):
-        q, (mass, f_max, v_clip) = numbers_of(p, drawn, w), limits_in(limits, drawn, i, w)
+        q, (mass, f_max, v_clip) = numbers_of(p, now, w), limits_in(limits, now, i, w)
         fx = force(actions[w, i, 0], f_max, p.one)
         fy = force(actions[w, i, 1], f_max, p.one)
-        vx = next_velocity(now.vx[i, w], fx, mass, wind_along(q, now.gust, 0, w), v_clip)
-        vy = next_velocity(now.vy[i, w], fy, mass, wind_along(q, now.gust, 1, w), v_clip)
-        to.vx[w - lo] = vx
-        to.vy[w - lo] = vy
-        to.x[w - lo] = next_position(now.x[i, w], vx, q.tau)
-        to.y[w - lo] = next_position(now.y[i, w], vy, q.tau)
+        vx = next_velocity(now.vx[i, w], fx, mass, wind_along(q, now, 0, w), v_clip)
+        vy = next_velocity(now.vy[i, w], fy, mass, wind_along(q, now, 1, w), v_clip)
+        go(q, now, to, i, w, w - lo, vx, vy)
         now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], fx, q.tau)
         now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], fy, q.tau)
 
@@ -110,82 +104,71 @@ def move_point_mass(p, g, now, to, actions, i, lo, hi):
 @compiled
 def move_holonomic(p, g, now, to, actions, i, lo, hi):
     """A robot i whose action is a velocity, which it takes as fast as its force allows."""
-    limits, drawn = limits_of(g, i), now.drawn
+    limits = limits_of(g, i)
     for w in range(lo, hi):
-        q, (mass, f_max, v_clip) = numbers_of(p, drawn, w), limits_in(limits, drawn, i, w)
+        q, (mass, f_max, v_clip) = numbers_of(p, now, w), limits_in(limits, now, i, w)
         most = f_max / mass
         dx = held_velocity(actions[w, i, 0], now.vx[i, w], most, v_clip, p.one)
         dy = held_velocity(actions[w, i, 1], now.vy[i, w], most, v_clip, p.one)
-        vx = next_velocity(now.vx[i, w], dx, p.one, wind_along(q, now.gust, 0, w), v_clip)
-        vy = next_velocity(now.vy[i, w], dy, p.one, wind_along(q, now.gust, 1, w), v_clip)
-        to.vx[w - lo] = vx
-        to.vy[w - lo] = vy
-        to.x[w - lo] = next_position(now.x[i, w], vx, q.tau)
-        to.y[w - lo] = next_position(now.y[i, w], vy, q.tau)
+        vx = next_velocity(now.vx[i, w], dx, p.one, wind_along(q, now, 0, w), v_clip)
+        vy = next_velocity(now.vy[i, w], dy, p.one, wind_along(q, now, 1, w), v_clip)
+        go(q, now, to, i, w, w - lo, vx, vy)
         now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], mass * dx, q.tau)
         now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], mass * dy, q.tau)
 
 
 @compiled
 def face(to, lo, hi):
-    """The cosine and the sine of the headings that the robots of a block would have."""
     for k in range(hi - lo):
         to.cos[k] = cosine(to.heading[k])
         to.sin[k] = sine(to.heading[k])
 
 
 @compiled
-def drive(p, now, actions, i, w, limits, cos, sin):
+def drive(p, limits, now, actions, i, w, cos, sin):
     """``s' = clip(s + u / M + wind . e, -v_clip, v_clip)`` with the force along e = (cos, sin)."""
-    drawn = now.drawn
-    q, (mass, f_max, v_clip) = numbers_of(p, drawn, w), limits_in(limits, drawn, i, w)
+    q, (mass, f_max, v_clip) = numbers_of(p, now, w), limits_in(limits, now, i, w)
     speed = part_along(now.vx[i, w], now.vy[i, w], now.cos[i, w], now.sin[i, w])
     thrust = force(actions[w, i, 0], f_max, p.one)
     now.impulse_x[i, w] = add_impulse(now.impulse_x[i, w], thrust * cos, q.tau)
     now.impulse_y[i, w] = add_impulse(now.impulse_y[i, w], thrust * sin, q.tau)
-    wind_x, wind_y = wind_along(q, now.gust, 0, w), wind_along(q, now.gust, 1, w)
+    wind_x, wind_y = wind_along(q, now, 0, w), wind_along(q, now, 1, w)
     return next_velocity(speed, thrust, mass, part_along(wind_x, wind_y, cos, sin), v_clip)
 
 
 @compiled
 def go_ahead(p, now, to, i, lo, hi):
     """Where the speeds in ``to.vx`` take robot i along its new headings: ``v' = s' (cos, sin)``."""
-    drawn = now.drawn
     for w in range(lo, hi):
-        q = numbers_of(p, drawn, w)
-        k = w - lo
-        speed = to.vx[k]
-        to.vx[k] = speed * to.cos[k]
-        to.vy[k] = speed * to.sin[k]
-        to.x[k] = next_position(now.x[i, w], to.vx[k], q.tau)
-        to.y[k] = next_position(now.y[i, w], to.vy[k], q.tau)
+        k, speed = w - lo, to.vx[w - lo]
+        go(numbers_of(p, now, w), now, to, i, w, k, speed * to.cos[k], speed * to.sin[k])
 
 
 @compiled
 def move_unicycle(p, g, now, to, actions, i, lo, hi):
     """A robot i that turns on the spot by up to ``turn_max``, then speeds up along its heading."""
-    limits, drawn = limits_of(g, i), now.drawn
+    limits = limits_of(g, i)
     for w in range(lo, hi):
-        q = numbers_of(p, drawn, w)
+        q = numbers_of(p, now, w)
         turn = clip(actions[w, i, 1], -p.one, p.one) * q.turn_max * q.tau
         to.heading[w - lo] = turned(now.heading[i, w], turn, p.pi)
     face(to, lo, hi)
     for w in range(lo, hi):
         k = w - lo
-        to.vx[k] = drive(p, now, actions, i, w, limits, to.cos[k], to.sin[k])
+        to.vx[k] = drive(p, limits, now, actions, i, w, to.cos[k], to.sin[k])
     go_ahead(p, now, to, i, lo, hi)
 
 
 @compiled
 def move_bicycle(p, g, now, to, actions, i, lo, hi):
     """A robot i that speeds up along its heading, then turns by its speed and steering angle."""
-    limits, drawn = limits_of(g, i), now.drawn
+    limits = limits_of(g, i)
     for w in range(lo, hi):  # the tangent is kept where it is rounded to the engine's precision
-        steering = clip(actions[w, i, 1], -p.one, p.one) * numbers_of(p, drawn, w).steer_max
+        steering = clip(actions[w, i, 1], -p.one, p.one) * numbers_of(p, now, w).steer_max
         to.sin[w - lo] = tangent(steering)
     for w in range(lo, hi):
-        k, q = w - lo, numbers_of(p, drawn, w)
-        speed = drive(p, now, actions, i, w, limits, now.cos[i, w], now.sin[i, w])
+        k, q = w - lo, numbers_of(p, now, w)
+        speed = drive(p, limits, now, actions, i, w, now.cos[i, w], now.sin[i, w])
         turn = speed / q.wheelbase * to.sin[k] * q.tau
         to.heading[k] = turned(now.heading[i, w], turn, p.pi)
         to.vx[k] = speed
@@ -194,47 +177,37 @@ def move_bicycle(p, g, now, to, actions, i, lo, hi):
 
 
 @compiled
-def move_by_kind(p, g, kinds, now, to, actions, i, lo, hi):
-    """Robot i by its dynamics. ``kinds`` are those of ``g``.
-
-    The condition on their type spares teams of point masses the time to compile the others.
-    """
-    if kinds.ndim == 1:
-        if kinds[i] == HOLONOMIC:
-            move_holonomic(p, g, now, to, actions, i, lo, hi)
-        elif kinds[i] == UNICYCLE:
-            move_unicycle(p, g, now, to, actions, i, lo, hi)
-        elif kinds[i] == BICYCLE:
-            move_bicycle(p, g, now, to, actions, i, lo, hi)
-        else:
-            move_point_mass(p, g, now, to, actions, i, lo, hi)
+def propose_move(p, g, now, to, actions, i, lo, hi):
+    # Numba compiles the other dynamics only for teams that have one.
+    if not mixes_dynamics(g):
+        move_point_mass(p, g, now, to, actions, i, lo, hi)
+    elif g.team.kinds[i] == HOLONOMIC:
+        move_holonomic(p, g, now, to, actions, i, lo, hi)
+    elif g.team.kinds[i] == UNICYCLE:
+        move_unicycle(p, g, now, to, actions, i, lo, hi)
+    elif g.team.kinds[i] == BICYCLE:
+        move_bicycle(p, g, now, to, actions, i, lo, hi)
     else:
         move_point_mass(p, g, now, to, actions, i, lo, hi)
 
 
 @compiled
-def propose_move(p, g, now, to, actions, i, lo, hi):
-    """Steps 1 and 2: the velocity that robot i would have, and where it would take it."""
-    move_by_kind(p, g, g.kinds, now, to, actions, i, lo, hi)
-
-
-@compiled
-def keep_heading(kinds, now, to, i, lo, hi):
+def keep_heading(g, now, to, i, lo, hi):
     """Step 2: robot i faces where it went, or, if a wall stopped it, where it did before."""
-    if kinds.ndim == 1 and has_heading(kinds[i]):
+    if mixes_dynamics(g) and has_heading(g, i):
         for w in range(lo, hi):
             k = w - lo
-            inside = to.seen[k] != 0
+            inside = to.crossings[k] != 0
             now.heading[i, w] = select(inside, to.heading[k], now.heading[i, w])
             now.cos[i, w] = select(inside, to.cos[k], now.cos[i, w])
             now.sin[i, w] = select(inside, to.sin[k], now.sin[i, w])
 
 
 @compiled
-def face_along_x(p, kinds, now, w):
+def face_along_x(p, g, now, w):
     """Begin an episode of world w: headings are 0, and robots without one have no direction."""
-    if kinds.ndim == 1:
+    if mixes_dynamics(g):
         for i in range(now.heading.shape[0]):
             now.heading[i, w] = p.zero
-            now.cos[i, w] = select(has_heading(kinds[i]), p.one, p.zero)
+            now.cos[i, w] = select(has_heading(g, i), p.one, p.zero)
             now.sin[i, w] = p.zero

@@ -1,24 +1,31 @@
-"""The observation ``entities``: a token for the robot itself, for each other robot and each ROI.
+"""The observation ``entities``: a token for the robot itself, for each other robot and each ROI."""
 
-Lengths are made of units alone, so that a policy can act in fields and teams of any size. The first
-entry of another robot or an ROI says whether it is there to be seen; if not, all its entries are 0.
-
-Source: this package (mdp.md, "What a robot sees").
-"""
-
-from __future__ import annotations
+# Lengths are made of units alone, so that a policy can act in fields and teams of any size. The
+# first entry of another robot or an ROI says whether it is there to be seen; if not, all its
+# entries are 0.
+#
+# Source: this package (mdp.md, "What a robot sees").
 
 import math
 
 import numpy as np
 
 from mbn_marl.engine.mdp import lidar
-from mbn_marl.engine.mdp.assignment import STRAIGHT, tour, turn_of, way_to
-from mbn_marl.engine.mdp.drawn import numbers_of
-from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading, put_own_motion
-from mbn_marl.engine.mdp.failures import blank_gone, put_flag, works
-from mbn_marl.engine.mdp.sight import drop, is_seen, spot
+from mbn_marl.engine.mdp.assignment import STRAIGHT, Tours, assigns, turn_of, way_to
+from mbn_marl.engine.mdp.drawn_numbers import numbers_of
+from mbn_marl.engine.mdp.failures import WORKS, blank_gone, put_flag, status_of
+from mbn_marl.engine.mdp.sight import (
+    Row,
+    disturbs_sight,
+    drop,
+    flag_row,
+    heading_rows,
+    put_heading,
+    put_own_motion,
+    roi_place,
+)
 from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import clip, column, select
 
 SCALES = np.array([15.0, 100.0])
@@ -64,6 +71,9 @@ def _offset_rows(thing: str) -> list[Row]:
     ]
 
 
+shows_entities = Feature(lambda g: g.team.scales.ndim == 1)
+
+
 @compiled
 def soft(length, scale):
     """``d / (|d| + scale)``: 1/2 at the scale, below 1 everywhere."""
@@ -72,7 +82,6 @@ def soft(length, scale):
 
 @compiled
 def norm(x, y):
-    """The length of a vector."""
     return math.sqrt(x * x + y * y)
 
 
@@ -87,7 +96,6 @@ def closest(dx, dy, dvx, dvy, most):
 
 @compiled
 def put_offset(scales, dx, dy, tile, k, entry):
-    """The four entries of an offset."""
     tile[k, entry] = soft(dx, scales[0])
     tile[k + 1, entry] = soft(dy, scales[0])
     tile[k + 2, entry] = soft(dx, scales[1])
@@ -96,7 +104,6 @@ def put_offset(scales, dx, dy, tile, k, entry):
 
 @compiled
 def put_direction(p, scales, dx, dy, tile, k, entry):
-    """The four entries of an offset, and the two of its direction."""
     put_offset(scales, dx, dy, tile, k, entry)
     distance = norm(dx, dy) + p.one
     tile[k + 4, entry] = dx / distance
@@ -104,124 +111,120 @@ def put_direction(p, scales, dx, dy, tile, k, entry):
 
 
 @compiled
-def put_tours(p, scales, plan, n, lo, hi, i, tile, k):
-    """How far robot i would go, and the robot that goes farthest."""
+def put_tours(p, g, view, lo, hi, k):
+    plan, scale, tile = view.plan, g.team.scales[1], view.tile
     for w in range(lo, hi):
-        tile[k, w - lo] = soft(tour(plan, i, w), scales[1])
+        tile[k, w - lo] = soft(plan[w, view.i], scale)
         tile[k + 1, w - lo] = p.zero
-    for j in range(n):
+    for j in range(view.ep.x.shape[0]):
         for w in range(lo, hi):
-            tile[k + 1, w - lo] = max(tile[k + 1, w - lo], soft(tour(plan, j, w), scales[1]))
+            tile[k + 1, w - lo] = max(tile[k + 1, w - lo], soft(plan[w, j], scale))
 
 
 @compiled
-def put_robot(p, scales, drawn, ep, lo, hi, i, j, tile, k):
-    """Robot j, as robot i sees it; how many entries there are by then."""
+def put_robot(p, g, view, lo, hi, j, k):
+    robots, scales, tile, i = view.robots, g.team.scales, view.tile, view.i
     for w in range(lo, hi):
-        dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
-        dvx, dvy = ep.vx[j, w] - ep.vx[i, w], ep.vy[j, w] - ep.vy[i, w]
-        nearest = closest(dx, dy, dvx, dvy, STEPS_AHEAD * numbers_of(p, drawn, w).tau)
+        dx, dy = robots.x[j, w] - robots.x[i, w], robots.y[j, w] - robots.y[i, w]
+        dvx, dvy = robots.vx[j, w] - robots.vx[i, w], robots.vy[j, w] - robots.vy[i, w]
+        nearest = closest(dx, dy, dvx, dvy, STEPS_AHEAD * numbers_of(p, view.ep, w).tau)
         tile[k, w - lo] = p.one
         put_offset(scales, dx, dy, tile, k + 1, w - lo)
         tile[k + 5, w - lo] = dvx * p.per_speed_range
         tile[k + 6, w - lo] = dvy * p.per_speed_range
         tile[k + 7, w - lo] = soft(norm(dx, dy), scales[0])
         tile[k + 8, w - lo] = soft(nearest, scales[0])
-    if p.headings > 0:
-        put_heading(ep, lo, hi, j, tile, k + 9)
-        return k + 11
-    return k + 9
+    return k + 9 + put_heading(p, view, lo, hi, j, k + 9)
 
 
 @compiled
-def put_place(p, g, places, seen, status, scales, ep, lo, hi, i, j, tile, k):
-    """ROI j, as robot i sees it; how many entries there are by then."""
+def put_place(p, g, view, lo, hi, j, k):
+    robots, scales, tile, i = view.robots, g.team.scales, view.tile, view.i
     for w in range(lo, hi):
-        f = column(g, w)
-        dx = spot(places.rois, 0, j, f, w) - ep.x[i, w]
-        dy = spot(places.rois, 1, j, f, w) - ep.y[i, w]
+        f = column(g.field, w)
+        dx = roi_place(g, view, 0, j, f, w) - robots.x[i, w]
+        dy = roi_place(g, view, 1, j, f, w) - robots.y[i, w]
         tile[k, w - lo] = p.one
         put_direction(p, scales, dx, dy, tile, k + 1, w - lo)
         tile[k + 7, w - lo] = soft(norm(dx, dy), scales[1])
         tile[k + 8, w - lo] = p.one
-    for other in range(ep.x.shape[0]):
+    for other in range(view.ep.x.shape[0]):
         if other != i:
             for w in range(lo, hi):
-                f = column(g, w)
-                dx = spot(places.rois, 0, j, f, w) - ep.x[other, w]
-                dy = spot(places.rois, 1, j, f, w) - ep.y[other, w]
-                counts = works(status, other, w) & is_seen(seen, other, w)
+                f = column(g.field, w)
+                dx = roi_place(g, view, 0, j, f, w) - robots.x[other, w]
+                dy = roi_place(g, view, 1, j, f, w) - robots.y[other, w]
+                counts = status_of(view.ep, other, w) == WORKS
+                if disturbs_sight(view):
+                    counts &= view.sensed[other, w] != 0
                 away = select(counts, soft(norm(dx, dy), scales[1]), p.one)
                 tile[k + 8, w - lo] = min(tile[k + 8, w - lo], away)
     return k + 9
 
 
 @compiled
-def put_failed(g, status, lo, hi, i, tile, k):
-    """Write as entry k whether robot i has failed, if robots can fail; how many entries."""
-    if g.fail_at.shape[0] == 0:  # robots are only absent
+def put_failed(g, view, lo, hi, j, k):
+    if g.team.fail_at.shape[0] == 0:  # robots are only absent
         return 0
-    return put_flag(status, lo, hi, i, tile, k)
+    return put_flag(view.ep, lo, hi, j, view.tile, k)
 
 
 @compiled
-def put_plan(p, g, scales, plan, ep, lo, hi, i, j, tile, k):
+def put_plan(p, g, view, lo, hi, j, k):
     """Write the assignment of ROI j, from entry k + 9 on, and a way around a corner to it."""
-    n, m = ep.x.shape[0], g.rois.shape[1]
+    robots, tile, i = view.robots, view.tile, view.i
+    waypoints, scales = g.paths.waypoints, g.team.scales
+    n, m = view.ep.x.shape[0], g.field.rois.shape[1]
     for w in range(lo, hi):
-        _, first = way_to(plan, n, m, i, j, w)
-        tile[k + 9, w - lo] = turn_of(plan, n, m, i, j, w)
+        tours = Tours(view.plan, n, m, w)
+        way, first = way_to(tours, i, j)
+        tile[k + 9, w - lo] = turn_of(tours, i, j)
         tile[k + 10, w - lo] = p.one if first == STRAIGHT else p.zero
-    waypoints, xs, ys = g.waypoints, ep.x, ep.y
-    if waypoints.shape[1] > 0:
-        for w in range(lo, hi):
-            way, first = way_to(plan, n, m, i, j, w)
-            if first >= 0:
-                f = column(g, w)
-                dx, dy = waypoints[0, first, f] - xs[i, w], waypoints[1, first, f] - ys[i, w]
-                put_direction(p, scales, dx, dy, tile, k + 1, w - lo)
-                tile[k + 7, w - lo] = soft(way, scales[1])
+        if first >= 0:
+            f = column(g.field, w)
+            dx, dy = (
+                waypoints[0, first, f] - robots.x[i, w],
+                waypoints[1, first, f] - robots.y[i, w],
+            )
+            put_direction(p, scales, dx, dy, tile, k + 1, w - lo)
+            tile[k + 7, w - lo] = soft(way, scales[1])
 
 
 @compiled
-def blank_visited(p, g, ep, lo, hi, j, tile, k, end):
-    """Blank the entries k to end - 1, about ROI j, where it is not left."""
+def blank_visited(p, g, view, lo, hi, j, k, end):
+    field, visited = g.field, view.ep.visited
     for w in range(lo, hi):
-        left = p.one if (ep.visited[w] & g.roi_bits[j, column(g, w)]) == 0 else p.zero
+        left = p.one if (visited[w] & field.roi_bits[j, column(field, w)]) == 0 else p.zero
         for entry in range(k, end):
-            tile[entry, w - lo] *= left
+            view.tile[entry, w - lo] *= left
 
 
 @compiled
-def put_entities(p, g, places, seen, plan, status, rays, scales, ep, robots, lo, hi, i, tile):
-    """The entries of ``entities`` for robot i; how many.
-
-    ``places`` and ``robots`` are the ROIs and the robots as it sees them.
-    """
-    n, m = ep.x.shape[0], g.rois.shape[1]
-    k = put_own_motion(p, robots, lo, hi, i, tile, 0)
-    k += put_failed(g, status, lo, hi, i, tile, k)
-    k = lidar.put_walls(p, g, rays, ep, lo, hi, i, tile, k)
-    if plan.ndim == 2:
-        put_tours(p, scales, plan, n, lo, hi, i, tile, k)
+def put_entities(p, g, view, lo, hi):
+    n, scale = view.ep.x.shape[0], g.team.scales[1]
+    k = put_own_motion(p, view, lo, hi, 0)
+    k += put_failed(g, view, lo, hi, view.i, k)
+    k = lidar.put_walls(p, g, view, lo, hi, k)
+    if assigns(view):
+        put_tours(p, g, view, lo, hi, k)
         k += 2
     for j in range(n):
-        if j != i:
+        if j != view.i:
             first = k
-            k = put_robot(p, scales, ep.drawn, robots, lo, hi, i, j, tile, k)
-            k += put_failed(g, status, lo, hi, j, tile, k)
-            if plan.ndim == 2:
+            k = put_robot(p, g, view, lo, hi, j, k)
+            k += put_failed(g, view, lo, hi, j, k)
+            if assigns(view):
                 for w in range(lo, hi):
-                    tile[k, w - lo] = soft(tour(plan, j, w), scales[1])
+                    view.tile[k, w - lo] = soft(view.plan[w, j], scale)
                 k += 1
-            drop(seen, j, lo, hi, tile, first, k)
-            blank_gone(p, status, lo, hi, j, tile, first, k)
-    for j in range(m):
+            drop(view, lo, hi, j, first, k)
+            blank_gone(p, view, lo, hi, j, first, k)
+    for j in range(g.field.rois.shape[1]):
         first = k
-        k = put_place(p, g, places, seen, status, scales, robots, lo, hi, i, j, tile, k)
-        if plan.ndim == 2:
-            put_plan(p, g, scales, plan, robots, lo, hi, i, j, tile, first)
+        k = put_place(p, g, view, lo, hi, j, k)
+        if assigns(view):
+            put_plan(p, g, view, lo, hi, j, first)
             k += 2
-        drop(seen, n + j, lo, hi, tile, first, k)
-        blank_visited(p, g, ep, lo, hi, j, tile, first, k)
+        drop(view, lo, hi, n + j, first, k)
+        blank_visited(p, g, view, lo, hi, j, first, k)
     return k

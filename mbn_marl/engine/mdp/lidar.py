@@ -1,24 +1,21 @@
-"""The senses of ``lidar``: the walls, and the nearness and direction of robots and ROIs.
+"""The senses of ``lidar``: the walls, and the nearness and direction of robots and ROIs."""
 
-An edge goes from a to b, and the field lies to its left; its ends are given as seen from the robot.
-Only operations that every processor rounds alike are used.
-
-Source: this package; the paper's robots sense no walls (mdp.md, "What a robot sees").
-"""
-
-from __future__ import annotations
+# An edge goes from a to b, and the field lies to its left; its ends are given as seen from the
+# robot. Only operations that every processor rounds alike are used.
+#
+# Source: this package; the paper's robots sense no walls (mdp.md, "What a robot sees").
 
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.engine.mdp.containment import cross_edge
-from mbn_marl.engine.mdp.drawn import limits_in, numbers_of
-from mbn_marl.engine.mdp.dynamics import has_heading, limits_of, part_along
-from mbn_marl.engine.mdp.entries import Row
-from mbn_marl.engine.mdp.sight import spot
+from mbn_marl.engine.mdp.drawn_numbers import limits_in, limits_of, numbers_of
+from mbn_marl.engine.mdp.dynamics import has_heading, part_along
+from mbn_marl.engine.mdp.events import cross_edge
+from mbn_marl.engine.mdp.sight import Row, roi_place
 from mbn_marl.jit.compile import compiled
+from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import HALF, MANY, clip, column, select
 
 FAR = np.float32(np.inf)
@@ -35,33 +32,32 @@ def rays_of(radius: float, arena: tuple[float, float]) -> NDArray[np.float64]:
 
 
 def wall_rows() -> list[Row]:
-    """The entries about the walls."""
     rows = [(f"ray_{k}", 0.0, 1.0, "sensing radii") for k in range(RAYS.shape[1])]
     rows += [("time_to_wall", 0.0, 1.0, "sensing radii at the speed limit")]
     return [*rows, ("brake_inside", 0.0, 1.0, "flag"), ("wall_distance", 0.0, 1.0, "sensing radii")]
 
 
+has_rays = Feature(lambda g: g.team.rays.ndim == 2)
+
+
 @compiled
 def cross(ax, ay, bx, by):
-    """The cross product of a and b: positive if b points to the left of a."""
     return ax * by - ay * bx
 
 
 @compiled
-def slack(p, rays):
+def slack(p, g):
     """By how much, in sensing radii, rounding may have put a robot beyond a wall."""
-    return max(p.arena_x, p.arena_y) * ROUNDING / rays[0, 0]
+    return max(p.arena_x, p.arena_y) * ROUNDING / g.team.rays[0, 0]
 
 
 @compiled
 def reading(p, behind, a_side, b_side, turn, along):
-    """Where a ray leaves the field by an edge, 0 at its start to 1 at its end; 1 elsewhere.
-
-    ``a_side``, ``b_side`` and ``turn`` are the ray's direction crossed with the edge's ends and
-    with the edge; ``along`` is where the ray meets the line of the edge. A ray through a corner
-    leaves by both of its edges, so none slips between them; one along an edge leaves by the next.
-    A robot that rounding has put beyond the edge, by less than ``behind``, is at it.
-    """
+    """Where a ray leaves the field by an edge, 0 at its start to 1 at its end; 1 elsewhere."""
+    # ``a_side``, ``b_side`` and ``turn`` are the ray's direction crossed with the edge's ends and
+    # with the edge; ``along`` is where the ray meets the line of the edge. A ray through a corner
+    # leaves by both of its edges, so none slips between them; one along an edge leaves by the next.
+    # A robot that rounding has put beyond the edge, by less than ``behind``, is at it.
     leaves = (a_side <= 0) & (b_side >= 0) & (turn > 0) & (along >= -behind)
     return select(leaves, max(along, p.zero), p.one)
 
@@ -78,12 +74,10 @@ def distance_squared(p, ax, ay, ex, ey):
 
 @compiled
 def braking_path(p, tau, velocity, brake, wind, beyond):
-    """How far a robot goes until the force that brakes it by ``brake`` a step has stopped it.
-
-    One axis; ``beyond``, and on, if the wind is stronger. The speed falls by the same amount each
-    step, and in the last one to 0: the path is the mean of the first and the last speed that is
-    left, times their number.
-    """
+    """How far a robot goes until the force that brakes it by ``brake`` a step has stopped it."""
+    # One axis; ``beyond``, and on, if the wind is stronger. The speed falls by the same amount each
+    # step, and in the last one to 0: the path is the mean of the first and the last speed that is
+    # left, times their number.
     speed = abs(velocity)
     slower = brake - select(velocity > 0, wind, -wind)
     ratio = speed / slower
@@ -94,22 +88,22 @@ def braking_path(p, tau, velocity, brake, wind, beyond):
 
 
 @compiled
-def put_near(p, rays, ep, lo, hi, i, j, tile, k):
-    """``lidar``: how near robot j is: 1 here, 0 from the sensing radius on."""
-    per_radius = p.one / rays[0, 0]
+def put_near(p, g, view, lo, hi, j, k):
+    robots, i = view.robots, view.i
+    per_radius = p.one / g.team.rays[0, 0]
     for w in range(lo, hi):
-        dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
+        dx, dy = robots.x[j, w] - robots.x[i, w], robots.y[j, w] - robots.y[i, w]
         distance = math.sqrt(dx * dx + dy * dy)
-        tile[k, w - lo] = max(p.one - distance * per_radius, p.zero)
+        view.tile[k, w - lo] = max(p.one - distance * per_radius, p.zero)
 
 
 @compiled
-def put_direction(p, g, ep, lo, hi, i, j, tile, k):
-    """``lidar``: where ROI j lies, ``d / (|d| + 1 unit)``, and whether the team has visited it."""
+def put_direction(p, g, view, lo, hi, j, k):
+    robots, tile, i = view.robots, view.tile, view.i
     for w in range(lo, hi):
-        f = column(g, w)
-        dx = spot(g.rois, 0, j, f, w) - ep.x[i, w]
-        dy = spot(g.rois, 1, j, f, w) - ep.y[i, w]
+        f = column(g.field, w)
+        dx = roi_place(g, view, 0, j, f, w) - robots.x[i, w]
+        dy = roi_place(g, view, 1, j, f, w) - robots.y[i, w]
         length = math.sqrt(dx * dx + dy * dy) + p.one
         tile[k + 2, w - lo] = tile[k, w - lo]
         tile[k, w - lo] = dx / length
@@ -117,26 +111,29 @@ def put_direction(p, g, ep, lo, hi, i, j, tile, k):
 
 
 @compiled
-def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
-    """``lidar``: how far robot i can go in each of the directions, up to the sensing radius.
+def edge_from(g, view, e, w):
+    edges, f = g.field.edges, column(g.field, w)
+    x, y = view.ep.x[view.i, w], view.ep.y[view.i, w]
+    ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
+    return ax - x, ay - y, bx - x, by - y, bx - ax, by - ay
 
-    Each half of the directions is the other one turned back.
-    """
-    half, behind = rays.shape[1] // 2, slack(p, rays)
+
+@compiled
+def put_rays(p, g, view, lo, hi, k):
+    rays, tile = g.team.rays, view.tile
+    half, behind = rays.shape[1] // 2, slack(p, g)
     for ray in range(half):
+        # The other half of the directions is this one turned back: one pass does for both.
         row, back, dx, dy = k + ray, k + ray + half, rays[0, ray], rays[1, ray]
         for w in range(lo, hi):
             tile[row, w - lo] = p.one
             tile[back, w - lo] = p.one
-        for e in range(g.edges.shape[1]):
+        for e in range(g.field.edges.shape[1]):
             for w in range(lo, hi):
-                f = column(g, w)
-                ax, ay = g.edges[0, e, f], g.edges[1, e, f]
-                bx, by = g.edges[2, e, f], g.edges[3, e, f]
-                x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
+                ax, ay, bx, by, ex, ey = edge_from(g, view, e, w)
                 turn = cross(dx, dy, ex, ey)
-                a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
-                along = cross(ax - x, ay - y, ex, ey) * (p.one / turn)
+                a_side, b_side = cross(dx, dy, ax, ay), cross(dx, dy, bx, by)
+                along = cross(ax, ay, ex, ey) * (p.one / turn)
                 there = reading(p, behind, a_side, b_side, turn, along)
                 opposite = reading(p, behind, -a_side, -b_side, -turn, -along)
                 tile[row, w - lo] = min(tile[row, w - lo], there)
@@ -144,37 +141,35 @@ def put_rays(p, g, rays, ep, lo, hi, i, tile, k):
 
 
 @compiled
-def put_margins(p, g, rays, ep, lo, hi, i, tile, k):
-    """``lidar``: when robot i would reach the wall, and how far the nearest wall is."""
-    per_radius, behind = p.one / rays[0, 0], slack(p, rays)
+def put_margins(p, g, view, lo, hi, k):
+    """When the observer would reach the wall, and, two entries on, how far the nearest one is."""
+    ep, tile, i = view.ep, view.tile, view.i
+    per_radius, behind = p.one / g.team.rays[0, 0], slack(p, g)
     per_time = p.top_speed * per_radius
     for w in range(lo, hi):
         tile[k, w - lo] = p.one
         tile[k + 2, w - lo] = FAR
-    for e in range(g.edges.shape[1]):
+    for e in range(g.field.edges.shape[1]):
         for w in range(lo, hi):
-            f = column(g, w)
-            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
-            bx, by = g.edges[2, e, f], g.edges[3, e, f]
-            x, y, ex, ey = ep.x[i, w], ep.y[i, w], bx - ax, by - ay
+            ax, ay, bx, by, ex, ey = edge_from(g, view, e, w)
             dx, dy = ep.vx[i, w], ep.vy[i, w]
             turn = cross(dx, dy, ex, ey)
-            a_side, b_side = cross(dx, dy, ax - x, ay - y), cross(dx, dy, bx - x, by - y)
-            along = cross(ax - x, ay - y, ex, ey) * (per_time / turn)
-            square = distance_squared(p, ax - x, ay - y, ex, ey)
-            seen = reading(p, behind, a_side, b_side, turn, along)
-            tile[k, w - lo] = min(tile[k, w - lo], seen)
-            tile[k + 2, w - lo] = min(tile[k + 2, w - lo], square)
+            a_side, b_side = cross(dx, dy, ax, ay), cross(dx, dy, bx, by)
+            along = cross(ax, ay, ex, ey) * (per_time / turn)
+            time = reading(p, behind, a_side, b_side, turn, along)
+            tile[k, w - lo] = min(tile[k, w - lo], time)
+            tile[k + 2, w - lo] = min(tile[k + 2, w - lo], distance_squared(p, ax, ay, ex, ey))
     for w in range(lo, hi):
         distance = math.sqrt(tile[k + 2, w - lo]) * per_radius
         tile[k + 2, w - lo] = min(distance, p.one)
 
 
 @compiled
-def place_of_rest(p, q, kinds, ep, brake, i, w):
-    """Where robot i would stop if it braked from now on: along its heading, if it has one."""
+def place_of_rest(p, g, view, q, brake, w):
+    """Where the observer would stop if it braked from now on: along its heading, if it has one."""
+    ep, i = view.ep, view.i
     x, y, vx, vy = ep.x[i, w], ep.y[i, w], ep.vx[i, w], ep.vy[i, w]
-    if kinds.ndim == 1 and has_heading(kinds[i]):
+    if has_heading(g, i):
         cos, sin = ep.cos[i, w], ep.sin[i, w]
         wind, beyond = part_along(q.wind_x, q.wind_y, cos, sin), p.arena_x + p.arena_y
         path = braking_path(p, q.tau, part_along(vx, vy, cos, sin), brake, wind, beyond)
@@ -185,32 +180,28 @@ def place_of_rest(p, q, kinds, ep, brake, i, w):
 
 
 @compiled
-def put_brake(p, g, kinds, ep, lo, hi, i, tile, k):
-    """``lidar``: whether robot i would stop in the field if it braked from now on.
-
-    The entry holds the bits of ``cross_edge`` until all edges have been seen.
-    """
-    limits, drawn = limits_of(g, i), ep.drawn
+def put_brake(p, g, view, lo, hi, k):
+    """Whether the observer would stop in the field if it braked from now on."""
+    ep, edges, tile, i = view.ep, g.field.edges, view.tile, view.i
+    limits = limits_of(g, i)
     for w in range(lo, hi):
         tile[k, w - lo] = p.zero
-    for e in range(g.edges.shape[1]):
+    # The entry holds the bits of ``cross_edge`` until the pass over all edges is done.
+    for e in range(edges.shape[1]):
         for w in range(lo, hi):
-            f = column(g, w)
-            ax, ay = g.edges[0, e, f], g.edges[1, e, f]
-            bx, by = g.edges[2, e, f], g.edges[3, e, f]
-            mass, f_max, _ = limits_in(limits, drawn, i, w)
-            q = numbers_of(p, drawn, w)
-            x, y = place_of_rest(p, q, kinds, ep, f_max / mass, i, w)
+            f = column(g.field, w)
+            ax, ay, bx, by = edges[0, e, f], edges[1, e, f], edges[2, e, f], edges[3, e, f]
+            mass, f_max, _ = limits_in(limits, ep, i, w)
+            x, y = place_of_rest(p, g, view, numbers_of(p, ep, w), f_max / mass, w)
             tile[k, w - lo] = cross_edge(np.int32(tile[k, w - lo]), x, y, ax, ay, bx, by)
     for w in range(lo, hi):
         tile[k, w - lo] = min(tile[k, w - lo], p.one)
 
 
 @compiled
-def put_walls(p, g, rays, ep, lo, hi, i, tile, k):
-    """The entries about the walls; how many entries there are by then."""
-    put_rays(p, g, rays, ep, lo, hi, i, tile, k)
-    k += rays.shape[1]
-    put_margins(p, g, rays, ep, lo, hi, i, tile, k)
-    put_brake(p, g, g.kinds, ep, lo, hi, i, tile, k + 1)
+def put_walls(p, g, view, lo, hi, k):
+    put_rays(p, g, view, lo, hi, k)
+    k += g.team.rays.shape[1]
+    put_margins(p, g, view, lo, hi, k)
+    put_brake(p, g, view, lo, hi, k + 1)
     return k + 3

@@ -1,41 +1,47 @@
-"""A robot's observation: a table of entries for each kind, and the function that writes them.
+"""A robot's observation: a table of entries for each kind, and the function that writes them."""
 
-Entries are float32 and bounded: scaled to [-1, 1] by the arena, the speed limit and the sensing
-radius, but for ``entities`` (``entities.py``) and ``state``, the paper's vector in raw units with
-the own robot first. The visit bits of the ROIs are shared by the team in all of them.
+# Entries are float32 and bounded: scaled to [-1, 1] by the arena, the speed limit and the sensing
+# radius, but for ``entities`` (``entities.py``) and ``state``, the paper's vector in raw units with
+# the own robot first. The visit bits of the ROIs are shared by the team in all of them.
+#
+# ``put_...`` functions write entries from k on, or from 0 on, for worlds lo to hi - 1, and return
+# how many there are by then; ``put_flag``, ``put_heading`` and ``put_failed`` how many they wrote.
+#
+# Source: Choton, Woods, Hsu, section 3 (``state``); the others are this package's (mdp.md, "What a
+# robot sees").
 
-Source: Choton, Woods, Hsu, section 3 (``state``); the others are this package's (mdp.md, "What a
-robot sees").
-"""
-
-from __future__ import annotations
-
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
-from mbn_marl.config import NavigationConfig
+from mbn_marl.config import NavigationConfig, Observation
 from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import assign
 from mbn_marl.engine.mdp.dynamics import count_headings
-from mbn_marl.engine.mdp.entities import entity_rows, put_entities
-from mbn_marl.engine.mdp.entries import Row, flag_row, heading_rows, put_heading, put_own_motion
+from mbn_marl.engine.mdp.entities import entity_rows, put_entities, shows_entities
+from mbn_marl.engine.mdp.events import visit_code, within
 from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
-from mbn_marl.engine.mdp.sight import drop, look, seen_places, seen_robots, spot
-from mbn_marl.engine.mdp.visits import visit_code, within
+from mbn_marl.engine.mdp.lidar import has_rays
+from mbn_marl.engine.mdp.sight import (
+    Robots,
+    Row,
+    View,
+    disturbs_sight,
+    drop,
+    flag_row,
+    heading_rows,
+    look,
+    put_heading,
+    put_own_motion,
+    roi_place,
+    sensed_robots,
+)
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.functions import FIRST, clip, column, select
 from mbn_marl.jit.intrinsics import SIDE, transpose
 
 RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL, ENTITIES = range(6)
-OBSERVATIONS = {
-    "relative": RELATIVE,
-    "state": STATE,
-    "local": LOCAL,
-    "lidar": LIDAR,
-    "lidar_local": LIDAR_LOCAL,
-    "entities": ENTITIES,
-}
+OBSERVATIONS = {name: number for number, name in enumerate(get_args(Observation))}
 LIDARS = ("lidar", "lidar_local")
 WITH_RAYS = (*LIDARS, "entities")
 WITH_RADIUS = ("local", *WITH_RAYS)
@@ -83,7 +89,6 @@ def observation_table(
 
 
 def _scaled_rows(n: int, m: int, observation: str, turns: bool, flag: str) -> list[Row]:
-    """The entries of ``relative``, and what ``local`` and ``lidar`` add to them."""
     flags, lidar_only = observation == "local", observation in LIDARS
     centre = "the field's centre" if lidar_only else "its centre"
     velocity, radii = "speed limits", "sensing radii"
@@ -126,7 +131,6 @@ def nth_robot(place, first):
 
 @compiled
 def put_motion(ep, lo, hi, first, tile):
-    """All positions, then all velocities, robot ``first`` first; how many entries there are."""
     n = ep.x.shape[0]
     for place in range(n):
         i = nth_robot(place, first)
@@ -148,182 +152,175 @@ def put_state(ep, lo, hi, tile):
             tile[k, w - lo] = ep.heading[i, w]
         k += 1
     for i in range(ep.x.shape[0]):
-        k += put_flag(ep.status, lo, hi, i, tile, k)
+        k += put_flag(ep, lo, hi, i, tile, k)
     for w in range(lo, hi):
         tile[k, w - lo] = visit_code(ep.visited[w], ep.codes[w])
 
 
 @compiled
-def put_own_state(p, g, seen, status, ep, lo, hi, i, tile):
-    """The entries of ``state`` for robot i: the paper's vector with it first; how many."""
-    k = put_motion(ep, lo, hi, i, tile)
-    if p.headings > 0:
-        for place in range(p.headings):
-            put_heading(ep, lo, hi, nth_robot(place, i), tile, k)
-            k += 2
-    for place in range(ep.x.shape[0]):
-        for first in range(2 * place, k, 2 * ep.x.shape[0]):
-            drop(seen, nth_robot(place, i), lo, hi, tile, first, first + 2)
-    if status.ndim == 2:
-        for place in range(status.shape[0]):
-            k += put_flag(status, lo, hi, nth_robot(place, i), tile, k)
+def put_own_state(p, g, view, lo, hi):
+    ep, i, tile = view.ep, view.i, view.tile
+    n = ep.x.shape[0]
+    k = put_motion(view.robots, lo, hi, i, tile)
+    for place in range(p.headings):
+        k += put_heading(p, view, lo, hi, nth_robot(place, i), k)
+    for place in range(n):
+        for first in range(2 * place, k, 2 * n):
+            drop(view, lo, hi, nth_robot(place, i), first, first + 2)
+    for place in range(n):
+        k += put_flag(ep, lo, hi, nth_robot(place, i), tile, k)
     for w in range(lo, hi):
-        tile[k, w - lo] = visit_code(ep.visited[w], g.codes[column(g, w)])
+        f = column(g.field, w)
+        tile[k, w - lo] = visit_code(ep.visited[w], g.field.codes[f])
     return k + 1
 
 
 @compiled
-def put_own(p, ep, lo, hi, i, tile):
-    """Robot i's own position, velocity and heading, the first entries; how many there are."""
+def put_own(p, view, lo, hi):
+    robots, i = view.robots, view.i
     for w in range(lo, hi):
-        tile[0, w - lo] = (ep.x[i, w] - p.half_arena_x) * p.per_half_arena_x
-        tile[1, w - lo] = (ep.y[i, w] - p.half_arena_y) * p.per_half_arena_y
-    return put_own_motion(p, ep, lo, hi, i, tile, 2)
+        view.tile[0, w - lo] = (robots.x[i, w] - p.half_arena_x) * p.per_half_arena_x
+        view.tile[1, w - lo] = (robots.y[i, w] - p.half_arena_y) * p.per_half_arena_y
+    return put_own_motion(p, view, lo, hi, 2)
 
 
 @compiled
-def put_other(p, ep, lo, hi, i, j, tile, k):
-    """Where robot j is and how it moves, as robot i sees it."""
+def put_other(p, view, lo, hi, j, k):
+    robots, tile, i = view.robots, view.tile, view.i
     for w in range(lo, hi):
-        tile[k, w - lo] = (ep.x[j, w] - ep.x[i, w]) * p.per_arena_x
-        tile[k + 1, w - lo] = (ep.y[j, w] - ep.y[i, w]) * p.per_arena_y
-        tile[k + 2, w - lo] = (ep.vx[j, w] - ep.vx[i, w]) * p.per_speed_range
-        tile[k + 3, w - lo] = (ep.vy[j, w] - ep.vy[i, w]) * p.per_speed_range
-    if p.headings > 0:
-        put_heading(ep, lo, hi, j, tile, k + 4)
+        tile[k, w - lo] = (robots.x[j, w] - robots.x[i, w]) * p.per_arena_x
+        tile[k + 1, w - lo] = (robots.y[j, w] - robots.y[i, w]) * p.per_arena_y
+        tile[k + 2, w - lo] = (robots.vx[j, w] - robots.vx[i, w]) * p.per_speed_range
+        tile[k + 3, w - lo] = (robots.vy[j, w] - robots.vy[i, w]) * p.per_speed_range
+    put_heading(p, view, lo, hi, j, k + 4)
 
 
 @compiled
-def put_roi(p, g, ep, lo, hi, i, j, tile, k):
-    """Where ROI j is, as robot i sees it, and whether the team has visited it."""
+def put_roi(p, g, view, lo, hi, j, k):
+    field, robots, tile, i = g.field, view.robots, view.tile, view.i
     for w in range(lo, hi):
-        f = column(g, w)
-        tile[k, w - lo] = (spot(g.rois, 0, j, f, w) - ep.x[i, w]) * p.per_arena_x
-        tile[k + 1, w - lo] = (spot(g.rois, 1, j, f, w) - ep.y[i, w]) * p.per_arena_y
-        tile[k + 2, w - lo] = p.one if (ep.visited[w] & g.roi_bits[j, f]) != 0 else p.zero
+        f = column(field, w)
+        tile[k, w - lo] = (roi_place(g, view, 0, j, f, w) - robots.x[i, w]) * p.per_arena_x
+        tile[k + 1, w - lo] = (roi_place(g, view, 1, j, f, w) - robots.y[i, w]) * p.per_arena_y
+        tile[k + 2, w - lo] = p.one if (robots.visited[w] & field.roi_bits[j, f]) != 0 else p.zero
 
 
 @compiled
-def hide_other(p, ep, lo, hi, i, j, tile, k, end, flag):
-    """Hide robot j, in entries k to end - 1, where it is far; the flag before them says so."""
-    for entry in range(k - flag, end):
+def hide_other(p, view, lo, hi, j, first, end):
+    """Hide robot j, in entries first to end - 1, where it is far; ``local`` has a flag first."""
+    k = first + (1 if p.observation == LOCAL else 0)
+    robots, tile, i = view.robots, view.tile, view.i
+    for entry in range(first, end):
         for w in range(lo, hi):
-            dx, dy = ep.x[j, w] - ep.x[i, w], ep.y[j, w] - ep.y[i, w]
-            seen = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
-            tile[entry, w - lo] = seen * select(entry < k, p.one, tile[entry, w - lo])
+            dx, dy = robots.x[j, w] - robots.x[i, w], robots.y[j, w] - robots.y[i, w]
+            near = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
+            tile[entry, w - lo] = near * select(entry < k, p.one, tile[entry, w - lo])
 
 
 @compiled
-def hide_roi(p, g, ep, lo, hi, i, j, tile, k, end, flag):
-    """Hide ROI j, in entries k to end - 1, where it is far; its visit bit, after them, stays."""
-    for entry in range(k - flag, end):
+def hide_roi(p, g, view, lo, hi, j, first, end):
+    """Hide ROI j where it is far, as ``hide_other`` does; its visit bit, after them, stays."""
+    k = first + (1 if p.observation == LOCAL else 0)
+    robots, tile, i = view.robots, view.tile, view.i
+    for entry in range(first, end):
         for w in range(lo, hi):
-            f = column(g, w)
-            dx = spot(g.rois, 0, j, f, w) - ep.x[i, w]
-            dy = spot(g.rois, 1, j, f, w) - ep.y[i, w]
-            seen = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
-            tile[entry, w - lo] = seen * select(entry < k, p.one, tile[entry, w - lo])
+            f = column(g.field, w)
+            dx = roi_place(g, view, 0, j, f, w) - robots.x[i, w]
+            dy = roi_place(g, view, 1, j, f, w) - robots.y[i, w]
+            near = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
+            tile[entry, w - lo] = near * select(entry < k, p.one, tile[entry, w - lo])
 
 
 @compiled
-def put_relative(p, g, seen, status, ep, lo, hi, i, tile):
-    """The entries of ``relative`` and ``local`` for robot i; how many there are."""
-    local, n = p.observation == LOCAL, ep.x.shape[0]
+def end_other(p, view, lo, hi, j, first, end):
+    """Blank the entries of robot j where it is not sensed or gone; add its flag; where they end."""
+    drop(view, lo, hi, j, first, end)
+    blank_gone(p, view, lo, hi, j, first, end)
+    return end + put_flag(view.ep, lo, hi, j, view.tile, end)
+
+
+@compiled
+def put_relative(p, g, view, lo, hi):
+    local, n = p.observation == LOCAL, view.ep.x.shape[0]
     flag = 1 if local else 0
-    k = body = put_own(p, ep, lo, hi, i, tile)
-    k += put_flag(status, lo, hi, i, tile, k)
+    k = body = put_own(p, view, lo, hi)
+    k += put_flag(view.ep, lo, hi, view.i, view.tile, k)
     for j in range(n):
-        if j != i:
-            put_other(p, ep, lo, hi, i, j, tile, k + flag)
+        if j != view.i:
+            put_other(p, view, lo, hi, j, k + flag)
             if local:
-                hide_other(p, ep, lo, hi, i, j, tile, k + 1, k + 1 + body, True)
-            drop(seen, j, lo, hi, tile, k, k + flag + body)
-            first, k = k, k + flag + body
-            blank_gone(p, status, lo, hi, j, tile, first, k)
-            k += put_flag(status, lo, hi, j, tile, k)
-    for j in range(g.roi_bits.shape[0]):
-        put_roi(p, g, ep, lo, hi, i, j, tile, k + flag)
+                hide_other(p, view, lo, hi, j, k, k + 1 + body)
+            k = end_other(p, view, lo, hi, j, k, k + flag + body)
+    for j in range(g.field.roi_bits.shape[0]):
+        put_roi(p, g, view, lo, hi, j, k + flag)
         if local:
-            hide_roi(p, g, ep, lo, hi, i, j, tile, k + 1, k + 3, True)
-        drop(seen, n + j, lo, hi, tile, k, k + flag + 2)
+            hide_roi(p, g, view, lo, hi, j, k, k + 3)
+        drop(view, lo, hi, n + j, k, k + flag + 2)
         k += flag + 3
     return k
 
 
 @compiled
-def put_centred(p, g, ep, lo, hi, i, tile):
-    """As ``put_own``, with the place about the centre of the field's bounding box."""
-    count = put_own(p, ep, lo, hi, i, tile)
+def put_centred(p, g, view, lo, hi):
+    robots, boxes, i = view.robots, g.field.boxes, view.i
+    count = put_own(p, view, lo, hi)
     for w in range(lo, hi):
-        f = column(g, w)
-        x, y = ep.x[i, w] - g.boxes[0, f], ep.y[i, w] - g.boxes[1, f]
-        tile[0, w - lo] = clip((x + (x - g.boxes[2, f])) * p.per_arena_x, -p.one, p.one)
-        tile[1, w - lo] = clip((y + (y - g.boxes[3, f])) * p.per_arena_y, -p.one, p.one)
+        f = column(g.field, w)
+        x, y = robots.x[i, w] - boxes[0, f], robots.y[i, w] - boxes[1, f]
+        view.tile[0, w - lo] = clip((x + (x - boxes[2, f])) * p.per_arena_x, -p.one, p.one)
+        view.tile[1, w - lo] = clip((y + (y - boxes[3, f])) * p.per_arena_y, -p.one, p.one)
     return count
 
 
 @compiled
-def put_lidar(p, g, seen, status, rays, ep, lo, hi, i, tile):
-    """The entries of ``lidar`` and ``lidar_local`` for robot i but the walls; how many."""
-    local, n = p.observation == LIDAR_LOCAL, ep.x.shape[0]
-    k = body = put_centred(p, g, ep, lo, hi, i, tile)
-    k += put_flag(status, lo, hi, i, tile, k)
+def put_lidar(p, g, view, lo, hi):
+    local, n = p.observation == LIDAR_LOCAL, view.ep.x.shape[0]
+    k = body = put_centred(p, g, view, lo, hi)
+    k += put_flag(view.ep, lo, hi, view.i, view.tile, k)
     for j in range(n):
-        if j != i:
-            put_other(p, ep, lo, hi, i, j, tile, k)
-            lidar.put_near(p, rays, ep, lo, hi, i, j, tile, k + body)
+        if j != view.i:
+            put_other(p, view, lo, hi, j, k)
+            lidar.put_near(p, g, view, lo, hi, j, k + body)
             if local:
-                hide_other(p, ep, lo, hi, i, j, tile, k, k + body, False)
-            drop(seen, j, lo, hi, tile, k, k + body + 1)
-            first, k = k, k + body + 1
-            blank_gone(p, status, lo, hi, j, tile, first, k)
-            k += put_flag(status, lo, hi, j, tile, k)
-    for j in range(g.roi_bits.shape[0]):
-        put_roi(p, g, ep, lo, hi, i, j, tile, k)
-        lidar.put_direction(p, g, ep, lo, hi, i, j, tile, k + 2)
+                hide_other(p, view, lo, hi, j, k, k + body)
+            k = end_other(p, view, lo, hi, j, k, k + body + 1)
+    for j in range(g.field.roi_bits.shape[0]):
+        put_roi(p, g, view, lo, hi, j, k)
+        lidar.put_direction(p, g, view, lo, hi, j, k + 2)
         if local:
-            hide_roi(p, g, ep, lo, hi, i, j, tile, k, k + 4, False)
-        drop(seen, n + j, lo, hi, tile, k, k + 4)
+            hide_roi(p, g, view, lo, hi, j, k, k + 4)
+        drop(view, lo, hi, n + j, k, k + 4)
         k += 5
     return k
 
 
 @compiled
-def describe(p, g, keys, seen, plan, status, rays, scales, ep, lo, hi, i, tile):
-    """Write what robot i sees to ``tile`` (size, at least hi - lo), worlds side by side.
-
-    ``keys``, ``seen`` and ``plan`` are those of the memory, ``status`` is that of ``ep``, ``rays``
-    and ``scales`` are those of ``g``. Conditions on their types leave the code of noise, of
-    failures, of lidar and of entities, which takes seconds to compile, to those who use it.
-    """
-    n, places, robots = ep.x.shape[0], g, ep
-    if seen.ndim == 2:
-        look(p, g, keys, seen, ep, lo, hi, i)
-        places, robots = seen_places(seen, g, n), seen_robots(seen, ep, g.roi_bits.shape[0])
-    if scales.ndim == 1:
-        k = put_entities(
-            *(p, g, places, seen, plan, status, rays, scales, ep, robots, lo, hi, i, tile)
-        )
-    elif rays.ndim == 2:
-        k = put_lidar(p, places, seen, status, rays, robots, lo, hi, i, tile)
-        k = lidar.put_walls(p, g, rays, ep, lo, hi, i, tile, k)
+def write_observation(p, g, mem, ep, i, lo, hi, tile):
+    """Write what robot i observes to ``tile`` (size, at least hi - lo), worlds side by side."""
+    robots = Robots(ep.x, ep.y, ep.vx, ep.vy, ep.visited, ep.cos, ep.sin)
+    if disturbs_sight(mem):
+        look(p, g, mem, ep, i, lo, hi)
+        robots = sensed_robots(mem, ep, g.field.roi_bits.shape[0])
+    view = View(mem.sensed, mem.plan, ep, robots, i, tile)
+    if shows_entities(g):
+        k = put_entities(p, g, view, lo, hi)
+    elif has_rays(g):
+        k = lidar.put_walls(p, g, view, lo, hi, put_lidar(p, g, view, lo, hi))
     elif p.observation == STATE:
-        k = put_own_state(p, places, seen, status, robots, lo, hi, i, tile)
+        k = put_own_state(p, g, view, lo, hi)
     else:
-        k = put_relative(p, places, seen, status, robots, lo, hi, i, tile)
+        k = put_relative(p, g, view, lo, hi)
     if p.one_hot:
-        for j in range(n):
+        for j in range(ep.x.shape[0]):
             for w in range(lo, hi):
                 tile[k + j, w - lo] = p.one if i == j else p.zero
-    blank_absent(p, status, lo, hi, i, tile)
+    blank_absent(p, view, lo, hi)
 
 
 @compiled
 def turn_over(tile, lo, hi, i, rows):
-    """``rows[w, i, entry] = tile[entry, w - lo]`` for all worlds from ``lo`` to ``hi - 1``.
-
-    By squares, of which the last one of a row may overlap the one before it.
-    """
+    """``rows[w, i, entry] = tile[entry, w - lo]`` for all worlds from ``lo`` to ``hi - 1``."""
+    # By squares, of which the last one of a row may overlap the one before it.
     side, size = np.uint64(SIDE), np.uint64(rows.shape[2])
     w = lo
     if size >= side:
@@ -339,14 +336,10 @@ def turn_over(tile, lo, hi, i, rows):
 
 @compiled
 def observe(p, g, mem, ep, lo, hi, tile, rows):
-    """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size).
-
-    They are made entry by entry in ``tile`` (size, at least hi - lo), where worlds lie side by
-    side, and then turned over: faster than writing each entry to its far-apart places at once.
-    """
-    keys, seen, plan, status = mem.key, mem.seen, mem.plan, ep.status
-    rays, scales = g.rays, g.scales
-    assign(p, g, plan, status, ep, lo, hi)
+    """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size)."""
+    assign(p, g, mem, ep, lo, hi)
+    # An entry of all worlds at once is one vector loop, but its places in ``rows`` are far apart.
+    # So entries are made in ``tile``, where worlds lie side by side, and then turned over.
     for i in range(ep.x.shape[0]):
-        describe(p, g, keys, seen, plan, status, rays, scales, ep, lo, hi, i, tile)
+        write_observation(p, g, mem, ep, i, lo, hi, tile)
         turn_over(tile, lo, hi, np.uint64(i), rows)

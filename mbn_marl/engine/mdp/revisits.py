@@ -1,18 +1,15 @@
-"""Revisit memory: was a robot, or the whole team, here before? (mdp.md, "One step", 4).
+"""Revisit memory: was a robot, or the whole team, here before? (mdp.md, "One step", 4)."""
 
-The memory *is* the episode's trajectory, kept in full (``trail``), so answers are exact. A Bloom
-filter in front of it, five bits in one 64-bit word per key, settles nearly every question with a
-single memory access: a key with an unset bit is new for certain. Only where all bits are set (a
-true revisit, or by chance, under 1 %) is the trajectory searched. A robot at rest is known.
-
-A world's filter doubles as its episode gets longer, and is then filled again from the trajectory:
-short episodes touch little memory, and that, not arithmetic, is what limits a large batch.
-
-Source: Choton, Woods, Hsu, section 3 (R_V, on joint states), and the authors' released code (on the
-positions of robots).
-"""
-
-from __future__ import annotations
+# The memory *is* the episode's trajectory, kept in full (``trail``), so answers are exact. A Bloom
+# filter in front of it, five bits in one 64-bit word per key, settles nearly every question with a
+# single memory access: a key with an unset bit is new for certain. Only where all bits are set (a
+# true revisit, or by chance, under 1 %) is the trajectory searched. A robot at rest is known.
+#
+# A world's filter doubles as its episode gets longer, and is then filled again from the trajectory:
+# short episodes touch little memory, and that, not arithmetic, is what limits a large batch.
+#
+# Source: Choton, Woods, Hsu, section 3 (R_V, on joint states), and the authors' released code (on
+# the positions of robots).
 
 import numpy as np
 
@@ -49,7 +46,6 @@ def hash_position(x_bits, y_bits):
 
 @compiled
 def filter_mask(key):
-    """The five bits of ``key`` in its filter word."""
     mask = ONE << (key & BIT)
     for k in range(1, BITS_SET):
         mask |= ONE << ((key >> np.uint64(6 * k)) & BIT)
@@ -58,13 +54,11 @@ def filter_mask(key):
 
 @compiled
 def filter_word(key, words):
-    """The place, among ``words`` filter words, of that of ``key``: its upper bits."""
     return (key >> HALF_WORD) & (words - ONE)
 
 
 @compiled
 def add_bits(filters, world, place, mask):
-    """Set the bits of ``mask`` in word ``place`` of the filter; return whether all were set."""
     word = filters[world, place]
     filters[world, place] = word | mask
     return (word & mask) == mask
@@ -72,14 +66,12 @@ def add_bits(filters, world, place, mask):
 
 @compiled
 def clear_filter(filters, world, words):
-    """Forget all keys."""
     for k in range(words):
         filters[world, k] = EMPTY
 
 
 @compiled
 def refill_filter(filters, trail_bits, world, first, end, words):
-    """Fill the filter, now of ``words`` words, with trail entries ``first`` to ``end - 1``."""
     clear_filter(filters, world, words)
     for k in range(first, end):
         key = hash_position(trail_bits[world, k, 0], trail_bits[world, k, 1])
@@ -88,11 +80,9 @@ def refill_filter(filters, trail_bits, world, first, end, words):
 
 @compiled
 def stood_on(trail, trail_key, world, first, entry):
-    """Return whether the position in trail entry ``entry`` is in one from ``first`` to before it.
-
-    Searched backwards, since a robot that returns mostly returns to where it has just been, and in
-    chunks without early exit, which vectorise. Keys that are equal are compared in full.
-    """
+    """Return whether an entry of the trail from ``first`` to before ``entry`` has its position."""
+    # Searched backwards, since a robot that returns mostly returns to where it has just been, and
+    # in chunks without early exit, which vectorise. Keys that are equal are compared in full.
     key = trail_key[world, entry]
     stop = entry
     while stop > first:
@@ -113,7 +103,6 @@ def stood_on(trail, trail_key, world, first, entry):
 
 @compiled
 def same_joint_state(mem, now, w, step, code):
-    """Return whether the world was in its present joint state after ``step`` steps."""
     same = mem.trail_code[w, step] == code
     n = now.x.shape[0]
     for i in range(n):
@@ -128,11 +117,9 @@ def same_joint_state(mem, now, w, step, code):
 
 @compiled
 def joint_state_known(mem, now, w, code):
-    """R_V: was this joint state met before in the episode? It is noted either way.
-
-    The state at the start counts as met. The filter is keyed by positions and code, which differ in
-    nearly all distinct states; the trail decides.
-    """
+    """R_V: was this joint state met before in the episode? It is noted either way."""
+    # The state at the start counts as met. The filter is keyed by positions and code, which differ
+    # in nearly all distinct states; the trail decides.
     n = now.x.shape[0]
     step = min(now.steps[w], mem.trail_code.shape[1] - 1)
     key = mix(np.uint64(code))

@@ -1,20 +1,17 @@
-"""The reward terms of both rule sets, each written once (mdp.md, "Reward profiles").
+"""The reward terms of both rule sets, each written once (mdp.md, "Reward profiles")."""
 
-The engine stores what *happened* in compact words (the bits below); rewards and logged terms are
-both computed from those. A robot's reward is the sum of what it earned itself, ``own_terms``, and
-its share of what the whole team gets, ``team_terms``; the team's reward is the sum of all robots'
-own terms and of the whole ``team_terms``.
-
-Source: Choton, Woods, Hsu, section 3 (``formal``) and the authors' released code (``released``).
-"""
-
-from __future__ import annotations
+# The engine stores what *happened* in compact words (the bits below); rewards and logged terms are
+# both computed from those. A robot's reward is the sum of what it earned itself, ``own_terms``, and
+# its share of what the whole team gets, ``team_terms``; the team's reward is the sum of all robots'
+# own terms and of the whole ``team_terms``.
+#
+# Source: Choton, Woods, Hsu, section 3 (``formal``) and the authors' released code (``released``).
 
 from typing import Any
 
 import numpy as np
 
-from mbn_marl.engine.mdp.failures import ABSENT, FAILED, WORKS, count, is_absent
+from mbn_marl.engine.mdp.failures import ABSENT, FAILED, WORKS, count_status, may_rest
 from mbn_marl.jit.compile import compiled, generated
 from mbn_marl.jit.functions import is_set, select
 
@@ -44,11 +41,9 @@ TEAM_COLUMNS = tuple(map(REWARD_TERMS.index, TEAM_TERMS))
 
 @compiled
 def own_terms(p, event, outcome):
-    """The rewards of a robot alone, as ``OWN_TERMS``: r_s or r_m for ground, r_l at walls and ROIs.
-
-    ``released``: a collision replaces everything else that the step earned (step 7).
-    ``formal``: success replaces the reward of ROIs, as in R_I; ground is the team's, as in R_V.
-    """
+    """The rewards of a robot alone, as ``OWN_TERMS``: r_s or r_m for ground, r_l for the rest."""
+    # ``released``: a collision replaces everything else that the step earned (step 7).
+    # ``formal``: success replaces the reward of ROIs, as in R_I; ground is the team's, as in R_V.
     released = p.rules == RELEASED
     replaced = released & is_set(outcome, COLLISION)
     charged = released & (not replaced)
@@ -64,11 +59,9 @@ def own_terms(p, event, outcome):
 
 @compiled
 def team_terms(p, weights, outcome):
-    """The rewards of the team, as ``TEAM_TERMS``, by whole ``weights`` or a robot's share of them.
-
-    Success is R_I = r_inf, collision R_C = -r_inf. ``formal`` adds the -r_s of R_F if no robot is
-    outside, and R_V: -r_m in a known joint state, else +r_s, which cancels it on a clean step.
-    """
+    """The rewards of the team, as ``TEAM_TERMS``, by ``weights``: whole, or a robot's share."""
+    # Success is R_I = r_inf, collision R_C = -r_inf. ``formal`` adds the -r_s of R_F if no robot is
+    # outside, and R_V: -r_m in a known joint state, else +r_s, which cancels it on a clean step.
     formal = p.rules == FORMAL
     lost, done = is_set(outcome, COLLISION), is_set(outcome, SUCCESS)
     known = is_set(outcome, KNOWN_STATE)
@@ -82,7 +75,7 @@ def team_terms(p, weights, outcome):
 
 
 def _total_of(names: tuple[str, ...]) -> Any:
-    """``total(terms)``: the sum of these terms, from the first to the last, without a loop."""
+    """``total(terms)``: the sum of these terms, from the first to the last."""
     terms = " + ".join(f"terms[{k}]" for k in range(len(names)))
     return generated("total", f"def total(terms):\n    return {terms}\n")
 
@@ -94,43 +87,37 @@ def _part_of(names: tuple[str, ...]) -> Any:
     return generated("part", source, select=select)
 
 
+# Generated, so that a new term needs no edit here; without loops, which would not vectorise.
 total_own, total_team, total = map(_total_of, (OWN_TERMS, TEAM_TERMS, REWARD_TERMS))
 part_own, part_team = map(_part_of, (OWN_TERMS, TEAM_TERMS))
 
 
 @compiled
 def team_reward(p, outcome, own):
-    """``R``, from the sum of the robots' own terms.
-
-    Computed as such and not as a sum of shares: n shares of a third would not be exact.
-    """
+    """``R``, from the sum of the robots' own terms."""
+    # Computed as such and not as a sum of shares: n shares of a third would not be exact.
     return own + total_team(team_terms(p, p.whole, outcome))
 
 
 @compiled
-def earned(p, status, event, outcome, i, w):
+def earned(p, ep, event, outcome, i, w):
     """``own_terms`` of robot i of world w; none of them unless it works."""
     own = own_terms(p, event, outcome)
-    if status.ndim == 2:
-        return part_own(p, own, status[i, w] != WORKS, p.one)
+    if may_rest(ep):
+        return part_own(p, own, ep.status[i, w] != WORKS, p.one)
     return own
 
 
 @compiled
-def share_of(p, status, outcome, i, w):
-    """Robot i's part of ``team_terms``: that of one of n, or of the robots that work."""
-    if status.ndim == 2:
-        there, failed = status.shape[0] - count(status, ABSENT, w), count(status, FAILED, w)
+def with_share(p, ep, own, outcome, i, w):
+    """The terms of robot i's reward ``r_i``, as ``REWARD_TERMS``, from its own terms."""
+    # Its share of the team's is that of one of n, or of the robots that work.
+    team = team_terms(p, p.share, outcome)
+    if may_rest(ep):
+        there = ep.status.shape[0] - count_status(ep, ABSENT, w)
+        failed = count_status(ep, FAILED, w)
         some_work = failed < there
         parts = p.one * np.float32(there - select(some_work, failed, 0))
-        team = team_terms(p, p.whole, outcome)
-        none = is_absent(status, i, w) | ((status[i, w] == FAILED) & some_work)
-        return part_team(p, team, none, parts)
-    return team_terms(p, p.share, outcome)
-
-
-@compiled
-def with_share(p, status, own, outcome, i, w):
-    """The terms of robot i's reward ``r_i``, as ``REWARD_TERMS``, from its own terms."""
-    team = share_of(p, status, outcome, i, w)
+        none = (ep.status[i, w] == ABSENT) | ((ep.status[i, w] == FAILED) & some_work)
+        team = part_team(p, team_terms(p, p.whole, outcome), none, parts)
     return (own[0] + team[0], own[1] + team[1], *own[SHARED:], *team[SHARED:])

@@ -438,7 +438,7 @@ def units(length):
 
 @compiled
 def write(scratch, g, f, corners, rois, robots):
-    """Fill column f of the tables ``g`` as ``engine.geometry.write_field`` does."""
+    """Fill column f of the tables ``g`` as ``engine.tables.write_field`` does."""
     left = right = scratch[X, f]
     low = high = scratch[Y, f]
     for e in range(g.edges.shape[1]):

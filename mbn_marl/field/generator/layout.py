@@ -29,7 +29,7 @@ def scratch_rows(robots: int, rois: int) -> int:
 
 
 class Tables(NamedTuple):
-    """Generated fields, one in each of F columns, as ``engine.state.Geometry`` has fields."""
+    """Generated fields, one in each of F columns, as the engine has them."""
 
     edges: npt.NDArray[Any]  # (4, E, F) real
     rois: npt.NDArray[Any]  # (2, m, F) real

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from itertools import accumulate
 from numbers import Integral, Real
@@ -12,7 +12,13 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field as Described
-from pydantic import PlainValidator, ValidationInfo, field_validator
+from pydantic import (
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+)
 
 from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, Checked, RealNumber, WholeNumber
 from mbn_marl.errors import ConfigError
@@ -43,32 +49,23 @@ def _least_of(known: Mapping[str, Any]) -> tuple[float, str]:
     return least_size(robots, rois), f"{robots} robots and {rois} ROIs"
 
 
-def _range_of(kind: type, least: float, most: float, allowed: str) -> Callable[[Any], Any]:
-    """Return a reader of a number or of a range."""
-
-    def read(value: object) -> tuple[Any, Any] | None:
-        if value is None and kind is float:
-            return None  # a default that depends on the other arguments
-        ends = (value, value) if isinstance(value, Real) else value
-        number: Any = Integral if kind is int else Real
-        if not (isinstance(ends, list | tuple) and len(ends) == 2) or not all(
-            isinstance(end, number) and not isinstance(end, bool) and least <= end <= most
-            for end in ends
-        ):
-            raise ValueError(f"Input should be {allowed}, or a range (low, high) of such")
-        if ends[0] > ends[1]:
-            raise ValueError("Input should have a low end that is not above its high end")
-        return kind(ends[0]), kind(ends[1])
-
-    return read
+def _as_range(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+    try:
+        low, high = handler((value, value) if isinstance(value, Real) else value)
+    except ValidationError as error:
+        wrong = error.errors()[0]["msg"].removeprefix("Value error, ")
+        number = wrong.replace("a valid tuple", "a number")
+        raise ValueError(f"{number}, or a range (low, high) of such") from None
+    if low > high:
+        raise ValueError("Input should have a low end that is not above its high end")
+    return low, high
 
 
-def _counts(most: int) -> Any:
-    return PlainValidator(_range_of(int, 1, most, f"a whole number from 1 to {most}"))
-
-
-_LEAST_SIZE = least_size(1, 1)
-_SIZES = f"a number of units from {_LEAST_SIZE:g} to {MAX_COORDINATE:g}"
+RANGE = WrapValidator(_as_range)
+"""One number is a range with two equal ends."""
+_Robots = Annotated[WholeNumber, Described(ge=1, le=MAX_ROBOTS)]
+_Rois = Annotated[WholeNumber, Described(ge=1, le=MAX_ROIS)]
+_Size = Annotated[RealNumber, Described(ge=least_size(1, 1), le=MAX_COORDINATE)]
 _Side = Annotated[RealNumber, Described(gt=0.0, le=MAX_COORDINATE)]
 
 
@@ -97,12 +94,10 @@ class FieldSampler(Checked):
     """
 
     families: tuple[Family, ...]
-    robots: Annotated[tuple[int, int], _counts(MAX_ROBOTS)]
-    rois: Annotated[tuple[int, int], _counts(MAX_ROIS)]
+    robots: Annotated[tuple[_Robots, _Robots], RANGE]
+    rois: Annotated[tuple[_Rois, _Rois], RANGE]
     arena: tuple[_Side, _Side]
-    size: Annotated[
-        tuple[float, float], PlainValidator(_range_of(float, _LEAST_SIZE, MAX_COORDINATE, _SIZES))
-    ]
+    size: Annotated[tuple[_Size, _Size], RANGE]
     weights: tuple[Annotated[RealNumber, Described(ge=0.0, allow_inf_nan=False)], ...] | None
     seed: Annotated[WholeNumber, Described(ge=0, le=MAX_SEED)]
 
@@ -138,16 +133,17 @@ class FieldSampler(Checked):
             raise ValueError(f"Input should have sides of at least {least:g}, the least for {team}")
         return arena
 
+    @field_validator("size", mode="before")
+    @classmethod
+    def _by_default(cls, size: Any, info: ValidationInfo) -> Any:
+        side, (least, _) = min(info.data.get("arena", DEFAULT_ARENA)), _least_of(info.data)
+        fitting = min(max(110.0, least), side), min(max(420.0, 3.5 * least), side)
+        return fitting if size is None else size
+
     @field_validator("size")
     @classmethod
-    def _fitting(
-        cls, size: tuple[float, float] | None, info: ValidationInfo
-    ) -> tuple[float, float] | None:
-        known = info.data
-        side = min(known.get("arena", DEFAULT_ARENA))
-        least, team = _least_of(known)
-        if size is None:
-            return min(max(110.0, least), side), min(max(420.0, 3.5 * least), side)
+    def _fitting(cls, size: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+        side, (least, team) = min(info.data.get("arena", DEFAULT_ARENA)), _least_of(info.data)
         if size[1] > side:
             raise ValueError(f"Input should be at most the arena's side, {side:g}")
         if size[0] < least:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,7 +15,7 @@ from baselines import load_policy
 from baselines.evaluation.evaluate import evaluate
 from baselines.evaluation.rollout import record_episode
 from baselines.policies.classical import make_classical
-from baselines.policies.load import ENTRIES, load_trained, open_run
+from baselines.policies.load import load_trained, open_run
 from baselines.policies.policy import Policy
 from baselines.runs.files import RunError
 from mbn_marl import BatchEngine, Field, load_field, parallel_env
@@ -87,14 +86,6 @@ def test_a_policy_of_the_zoo_acts_as_in_an_evaluation() -> None:
         np.testing.assert_array_equal(last["robot_2"], taken[2])
         seen, *_ = env.step(actions)
     assert not env.agents and policy.act({}) == {}
-
-
-def test_a_run_is_loaded_from_its_folder(tmp_path: Path) -> None:
-    shutil.copytree(ENTRIES / "field_07", tmp_path / "run")
-    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, 55))
-    actions = load_policy("zoo:field_07").act(seen)
-    for source in (tmp_path / "run", str(tmp_path / "run")):
-        np.testing.assert_array_equal(load_policy(source).act(seen), actions)
 
 
 @pytest.mark.parametrize("name", ["greedy", "planner"])

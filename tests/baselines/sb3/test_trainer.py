@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,21 +11,18 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.algorithms import find_algorithm
 from baselines.evaluation.evaluate import evaluate
 from baselines.policies.load import load_trained
 from baselines.sb3.config import load
-from baselines.sb3.envs import TrainingWorlds, make_env
 from baselines.sb3.policy import SB3Policy, load_policy
-from baselines.sb3.trainer import Learner
+from baselines.sb3.trainer import Learner, TrainingWorlds, make_env
 from baselines.training import aids, run_logger
 from baselines.training.aids import RoiCurriculum
-from baselines.training.config import Task, TrainConfig
+from baselines.training.config import TrainConfig
 from baselines.training.run_logger import EpisodeWindow
 from baselines.training.train import notes, prepare, train
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import load_field
 from tests.support.runs import TinyRuns, recorded, same_policies, small_config
 
 pytestmark = pytest.mark.slow
@@ -219,33 +217,25 @@ def test_env_steps_are_steps_of_worlds(tmp_path: Path) -> None:
     assert not list(run.path.rglob("*.zip")) and not list(run.path.rglob("*.pkl"))
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "rewards", "row"),
-    [
-        # Two of the three robots start in an ROI: 10,000 - 10 each; then 100 for standing still.
-        ("ppo-shared", {}, [[-0.0005, 0.4995, 0.4995] * 2, [-0.005] * 6], (2, 19_670.0, 0.0)),
-        # The first step visits all ROIs.
-        ("ppo-shared", {"roi_radius": 1000.0}, [], (2, None, 1.0)),
-    ],
-)
-def test_learner_sees_scaled_rewards_and_the_window_true_team_returns(
-    name: str, settings: dict[str, Any], rewards: list[list[float]], row: tuple[Any, ...]
-) -> None:
-    window = EpisodeWindow()
-    config = TrainConfig(name, "field_03", environment={"max_steps": 2, **settings})
+def test_learner_sees_scaled_rewards_and_the_window_true_team_returns() -> None:
     changes: dict[str, Any] = {"num_envs": 2, "normalize_observation": False}
-    hyperparameters = find_algorithm(name).resolve(changes)
-    settings = {**hyperparameters.environment, **config.environment}
-    task = Task(config, load_field("field_03"), settings)
-    env, _ = make_env(task, hyperparameters, window)
-    env.reset()
-    still = np.zeros((env.num_envs, *env.action_space.shape), np.float32)
-    for expected in rewards or [[]]:
-        found = env.step(still)[1]
-        assert not expected or sorted(found[:ROBOTS]) == pytest.approx(sorted(expected[:ROBOTS]))
-    seen = window.pop()
-    assert (seen["episodes"], seen["success_rate"]) == (row[0], row[2])
-    assert row[1] is None or (seen["return_mean"], seen["return_std"]) == (row[1], 0.0)
+    rows = []
+    for settings in ({"max_steps": 2}, {"roi_radius": 1000.0}):
+        window, rewards = EpisodeWindow(), []
+        config = TrainConfig(
+            "ppo-shared", "field_03", environment=settings, hyperparameters=changes
+        )
+        env, _ = make_env(*prepare(config), window)
+        env.reset()
+        for _ in range(settings.get("max_steps", 1)):
+            rewards.append(env.step(np.zeros((2 * ROBOTS, 2), np.float32))[1])
+        row = window.pop()
+        rows.append((row["episodes"], row["success_rate"], row["return_mean"], row["return_std"]))
+        if "max_steps" in settings:
+            # Two of three robots start in an ROI: 10,000 - 10 each; then 100 for standing still.
+            assert sorted(rewards[0][:ROBOTS]) == pytest.approx([-0.0005, 0.4995, 0.4995])
+            assert rewards[1] == pytest.approx([-0.005] * 2 * ROBOTS)
+    assert rows[0] == (2, 0.0, 19_670.0, 0.0) and rows[1][:2] == (2, 1.0)
 
 
 def test_saved_policy_acts_as_before(tmp_path: Path, tiny_runs: TinyRuns) -> None:
@@ -253,20 +243,16 @@ def test_saved_policy_acts_as_before(tmp_path: Path, tiny_runs: TinyRuns) -> Non
     assert isinstance(policy, SB3Policy) and policy.normalization is not None
     seen = np.random.default_rng(0).uniform(-1.0, 1.0, (5, ROBOTS, 33)).astype(np.float32)
     mean = policy.act(seen, deterministic=True)
-    assert mean.shape == (5, ROBOTS, 2)
     raw = SB3Policy(policy.network, policy.shape, None)
     assert not np.array_equal(raw.act(seen, deterministic=True), mean)
-    for name, one in (("whole", policy), ("raw", raw)):
-        (tmp_path / name).mkdir()
-        one.save(tmp_path / name)
-        written = {path.name for path in (tmp_path / name).iterdir()}
-        assert written == {"policy.json", "policy.safetensors"}
-        for deterministic in (True, False):
-            acts = []
-            for each in (one, load_policy(tmp_path / name)):
-                torch.manual_seed(1)
-                acts.append(each.act(seen, deterministic=deterministic))
-            np.testing.assert_array_equal(*acts)
+    for one, deterministic in itertools.product((policy, raw), (True, False)):
+        one.save(tmp_path)
+        acts = []
+        for each in (one, load_policy(tmp_path)):
+            torch.manual_seed(1)
+            acts.append(each.act(seen, deterministic=deterministic))
+        np.testing.assert_array_equal(*acts)
+    assert {path.name for path in tmp_path.iterdir()} == {"policy.json", "policy.safetensors"}
     # Each robot's action follows from its own observation, by the same network for all.
     turned = policy.act(seen[:, ::-1], deterministic=True)[:, ::-1]
     np.testing.assert_allclose(turned, mean, atol=1e-6)

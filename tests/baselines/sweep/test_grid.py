@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -93,17 +92,6 @@ def test_a_run_that_diverges_stops_no_other(tmp_path: Path) -> None:
     assert run_here(spec).keys() == {bad}, "only a run that failed is repeated"
 
 
-def test_a_defect_fails_its_run_alone_and_is_shown(tmp_path: Path) -> None:
-    first, second = runs_of(spec_of(tmp_path, seeds=[0, 1]))
-    nowhere: Any = None
-    jobs = [TrainJob(first, nowhere), TrainJob(second, tmp_path)]
-    ended: dict[Any, Any] = {}
-    engine = LocalEngine(1, retries=1)
-    engine.run(train_in_store, jobs, print, lambda job, end: ended.update({job.run.name: end}))
-    assert isinstance(ended[first.name], Failure) and "Traceback" in ended[first.name].error
-    assert ended[second.name].state == "done"
-
-
 def test_a_run_that_another_process_trains_is_left_to_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -119,31 +107,28 @@ def test_a_run_that_another_process_trains_is_left_to_it(
     assert train_in_store(TrainJob(source, tmp_path), print).state == "failed"
 
 
-def run_jobs(jobs: Sequence[Path], engine: LocalEngine) -> tuple[list[str], dict[str, Any]]:
-    """Do jobs that die once; the reports, and how each job ended."""
-    done: list[str] = []
-    ended: dict[str, Any] = {}
-    engine.run(die_once, jobs, done.append, lambda job, end: ended.update({job.name: end}))
-    return sorted(done), ended
-
-
-def test_a_worker_that_is_killed_fails_its_job_alone(tmp_path: Path) -> None:
-    jobs = [tmp_path / name for name in "abcd"]
+def test_a_process_that_dies_or_fails_fails_its_job_alone(tmp_path: Path) -> None:
+    jobs = [tmp_path / name for name in ("a", "b", "c", "bad")]
     for job in jobs[1:]:
         job.touch()
-    done, ended = run_jobs(jobs, LocalEngine(2))
-    assert done == ["b", "c", "d"]
+    done: list[str] = []
+    ended: dict[str, Any] = {}
+    LocalEngine(2).run(die_once, jobs, done.append, lambda job, end: ended.update({job.name: end}))
+    assert sorted(done) == ["b", "c"]
     assert ended.pop("a") == Failure("a process died with exit code -9")
-    assert ended == {"b": 1, "c": 1, "d": 1}
+    assert "Traceback" in ended.pop("bad").error
+    assert ended == {"b": 1, "c": 1}
     jobs[0].unlink()
-    done, ended = run_jobs(jobs, LocalEngine(2, retries=1))
-    assert done == ["a", "b", "c", "d"] and set(ended.values()) == {1}
+    engine = LocalEngine(2, retries=1)
+    engine.run(die_once, jobs, done.append, lambda job, end: ended.update({job.name: end}))
+    assert sorted(done) == ["a", "b", "b", "c", "c"]
+    assert ended["a"] == 1 and isinstance(ended["bad"], Failure)
+    jobs[0].unlink()
 
-
-def test_an_error_on_the_way_stops_all(tmp_path: Path) -> None:
     def stop(job: Path, end: Any) -> None:
-        raise RunError(end.error)
+        if isinstance(end, Failure):
+            raise RunError(end.error)
 
     with pytest.raises(RunError, match="exit code -9"):
-        LocalEngine(2).run(die_once, [tmp_path / name for name in "ab"], print, stop)
+        LocalEngine(2).run(die_once, jobs, print, stop)
     assert not multiprocessing.active_children()

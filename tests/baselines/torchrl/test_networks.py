@@ -112,29 +112,27 @@ def test_distributions_are_those_of_torch(kind: type[TeamNormal], shape: tuple[i
 @pytest.mark.parametrize(
     ("sharing", "actor"), [("full+id", "decentralized"), ("none", "centralized")]
 )
-def test_a_saved_policy_acts_as_before(tmp_path: Path, sharing: Sharing, actor: Actor) -> None:
+def test_saved_policy_acts_as_before(tmp_path: Path, sharing: Sharing, actor: Actor) -> None:
     torch.manual_seed(0)
     network = GaussianPolicy(TeamShape(4, 3, (8, 8), sharing, actor), log_std=-0.5)
     network.norm.statistics.update(torch.randn(100, 3, 4) * 3.0)
     policy = TeamPolicy(network)
     policy.save(tmp_path)
     assert {path.suffix for path in tmp_path.iterdir()} == {".json", ".safetensors"}
-    observations = np.random.default_rng(0).normal(size=(6, 3, 4)).astype(np.float32)
-    loaded = load_policy(tmp_path)
+    seen = np.random.default_rng(0).normal(size=(6, 3, 4)).astype(np.float32)
     for deterministic in (True, False):
-        torch.manual_seed(1)
-        expected = policy.act(observations, deterministic=deterministic)
-        torch.manual_seed(1)
-        assert np.array_equal(expected, loaded.act(observations, deterministic=deterministic))
+        acts = []
+        for each in (policy, load_policy(tmp_path)):
+            torch.manual_seed(1)
+            acts.append(each.act(seen, deterministic=deterministic))
+        np.testing.assert_array_equal(*acts)
+    found = network(network.norm(TensorDict({Key.OBSERVATION: torch.from_numpy(seen)}, (6,))))
+    means = policy.act(seen, deterministic=True)
+    np.testing.assert_array_equal(found[Key.LOC].numpy(force=True), means)
+    assert found[Key.SCALE].shape == (6, 3, 2) and (found[Key.SCALE] == network.log_std.exp()).all()
     (tmp_path / "policy.safetensors").write_bytes(b"nonsense")
     with pytest.raises(RunError, match=r"policy\.safetensors"):
         load_policy(tmp_path)
-    seen = TensorDict({Key.OBSERVATION: torch.from_numpy(observations)}, (6,))
-    found = network(network.norm(seen))
-    assert np.array_equal(
-        found[Key.LOC].numpy(force=True), policy.act(observations, deterministic=True)
-    )
-    assert found[Key.SCALE].shape == (6, 3, 2) and (found[Key.SCALE] == network.log_std.exp()).all()
 
 
 def test_a_gain_multiplies_the_mean_actions() -> None:

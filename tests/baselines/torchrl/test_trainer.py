@@ -16,7 +16,7 @@ from baselines.algorithms import find_algorithm
 from baselines.torchrl import trainer
 from baselines.torchrl.config import load
 from baselines.torchrl.networks import Key
-from baselines.torchrl.teacher import Teacher, find_teacher
+from baselines.torchrl.trainer import Teacher, find_teacher
 from baselines.training import aids
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train

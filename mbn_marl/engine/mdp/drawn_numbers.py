@@ -1,13 +1,9 @@
-"""Numbers of the configuration that each episode draws (mdp.md, "Drawn numbers").
+"""Numbers of the configuration that each episode draws (mdp.md, "Drawn numbers")."""
 
-``Episode.drawn`` has them for each world: what they are made into, then the numbers themselves.
-Where nothing is drawn it has three dimensions and no entries, and its code is left out when it is
-compiled: ``numbers_of`` and ``limits_in`` then return the constants.
-
-Source: this package.
-"""
-
-from __future__ import annotations
+# ``Episode.drawn`` has them for each world: what they are made into, then the numbers themselves.
+# Where nothing is drawn, ``numbers_of`` and ``limits_in`` return the constants.
+#
+# Source: this package.
 
 import math
 from collections import namedtuple
@@ -18,6 +14,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.config import LIMITS, MAX_ROBOTS, NUMBERS, NavigationConfig, Uniform
 from mbn_marl.jit.compile import compiled, generated
+from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import cosine, exponential, sine, turned
 from mbn_marl.jit.random_numbers import FOR_NUMBERS, stream_of, uniform
 
@@ -32,8 +29,10 @@ WIND_X, WIND_Y, GUST_KEPT, GUST_ADDED, SAFETY, ROI, ROBOT, STEP = range(len(MADE
 SPEED, ANGLE, GUST, GUST_TIME = map(SINGLE.index, ("wind_speed", "wind_angle", *NUMBERS[:2]))
 DISTANCE, RADIUS = SINGLE.index("safety_distance"), SINGLE.index("roi_radius")
 FIRST, FIRST_LIMIT = len(MADE), len(MADE) + len(SINGLE)
+MASS, F_MAX, V_CLIP = range(len(LIMITS))
+"""The rows of ``Team.limits``."""
 LOW, WIDTH, COUNTER = range(3)
-"""The rows of ``Geometry.ranges``, whose columns are the numbers of ``SINGLE`` and each robot's."""
+"""The rows of ``Team.ranges``, whose columns are the numbers of ``SINGLE`` and each robot's."""
 FAILING = 1000
 """The counter of the draw of the robot that fails; its step's is the next."""
 RADIANS = math.pi / 180.0
@@ -45,30 +44,31 @@ Numbers = namedtuple("Numbers", NAMES)  # type: ignore[misc]
 
 
 def _row(name: str) -> int:
-    """The row of a number in ``Episode.drawn``."""
     return MADE.index(name) if name in MADE else FIRST + SINGLE.index(name)
 
 
-_DRAWN = ", ".join(f"drawn[{_row(name)}, w]" for name in NAMES)
+draws_numbers = Feature(lambda ep: ep.drawn.ndim == 2)
+
+_DRAWN = ", ".join(f"ep.drawn[{_row(name)}, w]" for name in NAMES)
 _FIXED = ", ".join(f"p.{name}" for name in NAMES)
+# Seventeen names, twice: written by a loop over them.
 numbers_of = generated(
     "numbers_of",
-    "def numbers_of(p, drawn, w):\n"
-    f"    if drawn.ndim == 2:\n        return Numbers({_DRAWN})\n"
+    "def numbers_of(p, ep, w):\n"
+    f"    if draws_numbers(ep):\n        return Numbers({_DRAWN})\n"
     f"    return Numbers({_FIXED})\n",
     Numbers=Numbers,
+    draws_numbers=draws_numbers,
 )
 """The numbers of world w: its own, or the constants ``p`` where nothing is drawn."""
 
 
 def is_drawn(config: NavigationConfig) -> bool:
-    """Return whether episodes draw any number."""
     failures = config.failures
     return bool(config.drawn) or (failures is not None and failures.between is not None)
 
 
 def _columns(config: NavigationConfig, n: int) -> list[tuple[str, float | Uniform]]:
-    """The names and values of all numbers, those of the robots one by one."""
     known = dict(config.numbers())
     own = [(limit if limit in known else f"{limit}_{i}") for limit in LIMITS for i in range(n)]
     return [(name, known[name]) for name in (*SINGLE, *own)]
@@ -89,7 +89,6 @@ def make_ranges(config: NavigationConfig, n: int) -> NDArray[np.float64]:
 
 
 def rows_drawn(config: NavigationConfig, n: int) -> int:
-    """How many rows ``Episode.drawn`` has for a team of n; 0 if nothing is drawn."""
     return FIRST_LIMIT + len(LIMITS) * n if is_drawn(config) else 0
 
 
@@ -103,63 +102,55 @@ def drawn_limits(ranges: NDArray[np.float64], real: Any) -> tuple[NDArray[Any], 
 
 
 def rows_of_drawn(config: NavigationConfig, n: int) -> dict[str, int]:
-    """The row in ``Episode.drawn`` of each number that is drawn, by name."""
     names = [name for name, _ in _columns(config, n)]
     return {name: FIRST + names.index(name) for name in config.drawn}
 
 
 @compiled
-def limits_in(limits, drawn, i, w):
-    """Mass, force and speed limit of robot i in world w, from those of all worlds.
+def limits_of(g, i):
+    """The mass, the force and the speed limit of robot i: read before a loop, kept in registers."""
+    return g.team.limits[MASS, i], g.team.limits[F_MAX, i], g.team.limits[V_CLIP, i]
 
-    A speed limit that is drawn is at most that of all worlds.
-    """
-    if drawn.ndim == 2:
-        n = (drawn.shape[0] - FIRST_LIMIT) // len(LIMITS)
+
+@compiled
+def limits_in(limits, ep, i, w):
+    """Mass, force and speed limit of robot i in world w, from ``limits_of`` it."""
+    # A speed limit that is drawn is at most that of all worlds.
+    if draws_numbers(ep):
+        n = (ep.drawn.shape[0] - FIRST_LIMIT) // len(LIMITS)
         first = FIRST_LIMIT + i
-        return drawn[first, w], drawn[first + n, w], min(drawn[first + 2 * n, w], limits[2])
+        top = min(ep.drawn[first + 2 * n, w], limits[V_CLIP])
+        return ep.drawn[first, w], ep.drawn[first + n, w], top
     return limits
 
 
 @compiled
 def draw(ranges, key, k):
-    """Number k of an episode."""
     return ranges[LOW, k] + ranges[WIDTH, k] * np.float64(uniform(key, ranges[COUNTER, k]))
 
 
 @compiled
 def varies(ranges, k):
-    """Return whether number k is drawn."""
     return ranges[WIDTH, k] > 0.0
 
 
 @compiled
 def squared(number):
-    """``number^2``, one product."""
     return number * number
 
 
 @compiled
-def choose_failing(p, drawn, key, team, w):
-    """Draw which robot of the ``team`` first ones fails in world w, and its step, 0 for none."""
-    count = p.failing_last - p.failing_first + 1
-    drawn[ROBOT, w] = np.int64(np.float64(uniform(key, FAILING)) * team)
-    step = p.failing_first + np.int64(np.float64(uniform(key, FAILING + 1)) * count)
-    drawn[STEP, w] = step if p.failing_last > 0 else 0
-
-
-@compiled
-def is_failing_step(drawn, i, step, w):
-    """Return whether this is the step, from 1 on, that was drawn for robot i to fail in."""
-    if drawn.ndim == 2:
-        return (drawn[STEP, w] == step) & (drawn[ROBOT, w] == i)
+def is_failing_step(ep, i, step, w):
+    if draws_numbers(ep):
+        return (ep.drawn[STEP, w] == step) & (ep.drawn[ROBOT, w] == i)
     return False
 
 
 @compiled
-def draw_numbers(p, ranges, drawn, episode_key, team, w):
+def draw_numbers(p, g, ep, episode_key, team, w):
     """Draw the numbers of the episode that world w begins with ``team`` robots."""
-    if drawn.ndim == 2:
+    ranges, drawn = g.team.ranges, ep.drawn
+    if draws_numbers(ep):
         key = stream_of(episode_key, FOR_NUMBERS)
         for k in range(ranges.shape[1]):
             drawn[FIRST + k, w] = draw(ranges, key, k)
@@ -175,4 +166,8 @@ def draw_numbers(p, ranges, drawn, episode_key, team, w):
             drawn[GUST_ADDED, w] = draw(ranges, key, GUST) * math.sqrt(1.0 - kept * kept)
         drawn[SAFETY, w] = squared(draw(ranges, key, DISTANCE))
         drawn[ROI, w] = squared(draw(ranges, key, RADIUS))
-        choose_failing(p, drawn, key, team, w)
+        # One of the robots that are there fails, in a step of the range; 0 is none.
+        count = p.failing_last - p.failing_first + 1
+        drawn[ROBOT, w] = np.int64(np.float64(uniform(key, FAILING)) * team)
+        step = p.failing_first + np.int64(np.float64(uniform(key, FAILING + 1)) * count)
+        drawn[STEP, w] = step if p.failing_last > 0 else 0

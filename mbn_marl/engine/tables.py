@@ -9,13 +9,13 @@ import numpy as np
 from shapely import MultiPoint
 
 from mbn_marl.config import LIMITS, NavigationConfig
-from mbn_marl.engine.mdp.drawn import make_ranges
+from mbn_marl.engine.mdp.drawn_numbers import make_ranges
 from mbn_marl.engine.mdp.dynamics import DYNAMICS, POINT_MASS
 from mbn_marl.engine.mdp.entities import SCALES
 from mbn_marl.engine.mdp.lidar import rays_of
 from mbn_marl.engine.mdp.observations import WITH_RAYS
-from mbn_marl.engine.mdp.ways import Ways, make_ways, no_ways
-from mbn_marl.engine.state import Array, Geometry
+from mbn_marl.engine.mdp.paths import Paths, make_paths, no_paths
+from mbn_marl.engine.state import Array, Geometry, Sampler, Team
 from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.generator.layout import Tables, make_tables, scratch_rows
 from mbn_marl.field.generator.sampler import field_of
@@ -27,8 +27,6 @@ FieldSource = tuple[Field, ...] | FieldSampler
 
 
 class Sizes(NamedTuple):
-    """The sizes of the largest of several fields."""
-
     edges: int
     rois: int
     robots: int
@@ -37,7 +35,6 @@ class Sizes(NamedTuple):
 
 
 def sizes_of(source: FieldSource) -> Sizes:
-    """The sizes of the fields of a source; those of none are 1."""
     if isinstance(source, FieldSampler):
         fewest, most = source.robots
         return Sizes(source.most_edges, source.rois[1], most, fewest, source.arena)
@@ -59,78 +56,75 @@ def make_geometry(
 ) -> Geometry:
     """Tables of one field for all worlds, or of each world's own: world w has ``w % len(source)``.
 
-    ROIs and edges are padded to the largest field. A table for each world takes more memory than
-    one for each field, but is read as it lies; looking fields up took a third of a step.
-    ``given_starts`` (n, 2) take the place of all the fields' own. The tables of a sampler are empty
-    until a world is reset.
+    ROIs and edges are padded to the largest field. ``given_starts`` (n, 2) take the place of all
+    the fields' own. The tables of a sampler are empty until a world is reset.
     """
-    real = np.dtype(config.dtype)
     sampler = source if isinstance(source, FieldSampler) else None
     fields = () if isinstance(source, FieldSampler) else source
     sizes = sizes_of(source)
     tables = make_tables(sizes.edges, sizes.rois, n, len(fields) or worlds)
     for f, field in enumerate(fields):
         write_field(tables, f, field, starts_of(field, n, config, teams_vary, given_starts))
-    tables = rounded(tables, real)
-    ways = ways_of(tables, sampler, config)
+    tables = rounded(tables, np.dtype(config.dtype))
+    paths = paths_of(tables, sampler, config)
     if len(fields) > 1:
+        # A table for each world takes more memory than one for each field, but it is read as it
+        # lies; looking fields up took a third of a step.
         own = np.arange(worlds) % len(fields)
         tables = Tables(*(np.take(table, own, axis=-1) for table in tables))
-        ways = Ways(*(np.take(table, own, axis=-1) for table in ways))
-    robots = np.array([config.at_most().of_each(name, n) for name in LIMITS], real)
-    kinds = np.array([DYNAMICS[name] for name in config.of_each("dynamics", n)], np.int32)
-    if (kinds == POINT_MASS).all():
-        kinds = np.zeros((0, 0), np.int32)
-    at = {} if config.failures is None else config.failures.at
-    fail_at = np.array([at.get(i, 0) for i in range(0 if config.failures is None else n)], np.int32)
-    scratch = scratch_rows(n, sizes.rois), worlds
-    has_rays = config.observation in WITH_RAYS
-    rays = rays_of(config.sensing_radius, sizes.arena) if has_rays else np.zeros(0)
-    scales = SCALES if config.observation == "entities" else np.zeros((0, 0))
+        paths = Paths(*(np.take(table, own, axis=-1) for table in paths))
+    scratch = (scratch_rows(n, sizes.rois), worlds) if sampler else (0, 0)
     return Geometry(
-        **tables._asdict(),
-        **ways._asdict(),
-        robots=robots,
-        kinds=kinds,
-        fail_at=fail_at,
-        ranges=make_ranges(config, n),
-        rays=rays.astype(real),
-        scales=scales.astype(real),
-        sampler=sampler_numbers(sampler) if sampler else np.zeros((0, 0), np.int64),
-        scratch=np.zeros(scratch if sampler else (0, 0), np.int64, order="F"),
-        kept=np.zeros(worlds if sampler else 0, np.bool_),
+        field=tables,
+        paths=paths,
+        team=make_team(config, n, sizes.arena),
+        sampler=Sampler(
+            numbers=sampler_numbers(sampler) if sampler else np.zeros((0, 0), np.int64),
+            scratch=np.zeros(scratch, np.int64, order="F"),
+            kept=np.zeros(worlds if sampler else 0, np.bool_),
+        ),
     )
 
 
-def ways_of(tables: Tables, sampler: FieldSampler | None, config: NavigationConfig) -> Ways:
-    """The ways around corners in fields, with room for what a sampler draws."""
+def make_team(config: NavigationConfig, n: int, arena: tuple[float, float]) -> Team:
+    real, failures = np.dtype(config.dtype), config.failures
+    kinds = np.array([DYNAMICS[name] for name in config.of_each("dynamics", n)], np.int32)
+    fail_at = [failures.at.get(i, 0) for i in range(n)] if failures else []
+    has_rays = config.observation in WITH_RAYS
+    return Team(
+        limits=np.array([config.at_most().of_each(name, n) for name in LIMITS], real),
+        kinds=np.zeros((0, 0), np.int32) if (kinds == POINT_MASS).all() else kinds,
+        fail_at=np.array(fail_at, np.int32),
+        ranges=make_ranges(config, n),
+        rays=(rays_of(config.sensing_radius, arena) if has_rays else np.zeros(0)).astype(real),
+        scales=(SCALES if config.observation == "entities" else np.zeros((0, 0))).astype(real),
+    )
+
+
+def paths_of(tables: Tables, sampler: FieldSampler | None, config: NavigationConfig) -> Paths:
     count, m, real = len(tables.codes), tables.rois.shape[1], tables.edges.dtype
     if not config.assignment:
-        return no_ways(0, m, count, real)._replace(ways_in=np.zeros((0, count), np.int32))
+        return no_paths(0, m, count, real)._replace(ways_in=np.zeros((0, count), np.int32))
     if sampler is None:
-        return make_ways(tables.edges, tables.rois, tables.codes)
-    return no_ways(sampler.most_bends, m, count, real)
+        return make_paths(tables)
+    return no_paths(sampler.most_bends, m, count, real)
 
 
 def rounded(tables: Tables, real: np.dtype[Any]) -> Tables:
-    """Tables whose float64 numbers are the engine's reals."""
     return Tables(*(t.astype(real) if t.dtype == np.float64 else t for t in tables))
 
 
 def sampler_numbers(sampler: FieldSampler) -> Array:
-    """The numbers that fields are drawn by, and the seed last."""
     return np.append(sampler.numbers(), np.int64(sampler.seed))
 
 
 def starts_of(
     field: Field, n: int, config: NavigationConfig, teams_vary: bool, given: Array | None
 ) -> Array:
-    """The starts of the team in a field: those given, or its own, at most n.
-
-    Teams that do not vary may be larger than that if they start at random. Where that fails, the
-    others start at points of the field that are at least the safety distance from those before. As
-    many as ``field_problems`` allows have discs of that radius that leave some of the field.
-    """
+    """The starts of the team in a field: those given, or its own, at most n."""
+    # Teams that do not vary may be larger than that if they start at random. Where that fails, the
+    # others start at points of the field that are at least the safety distance from those before.
+    # As many as ``field_problems`` allows have discs of that radius that leave some of the field.
     starts = field.starts[:n] if given is None else given
     if teams_vary or len(starts) == n:
         return starts
@@ -144,7 +138,6 @@ def starts_of(
 
 
 def write_field(t: Tables, f: int, field: Field, starts: Array) -> None:
-    """Write a field to column f of the tables, padded, with these starts of its team, (n, 2)."""
     m, own = t.rois.shape[1], len(field.rois)
     t.edges[:, :, f] = np.tile(field.vertices[0], 2)[:, None]
     t.edges[:, : len(field.edges), f] = directed_edges(field)
@@ -161,13 +154,13 @@ def write_field(t: Tables, f: int, field: Field, starts: Array) -> None:
 
 def column_of(
     field: Field, g: Geometry, config: NavigationConfig, teams_vary: bool, starts: Array | None
-) -> dict[str, Array]:
-    """The tables of a field by name, with one column; as large as those of ``g``, or larger."""
-    edges = max(len(field.edges), g.edges.shape[1])
-    tables = make_tables(edges, g.rois.shape[1], g.starts.shape[1], 1)
-    write_field(tables, 0, field, starts_of(field, g.starts.shape[1], config, teams_vary, starts))
+) -> tuple[Tables, Paths]:
+    """The tables of a field, with one column; as large as those of ``g``, or larger."""
+    (_, most_edges, _), n = g.field.edges.shape, g.field.starts.shape[1]
+    tables = make_tables(max(len(field.edges), most_edges), g.field.rois.shape[1], n, 1)
+    write_field(tables, 0, field, starts_of(field, n, config, teams_vary, starts))
     tables = rounded(tables, np.dtype(config.dtype))
-    return {**tables._asdict(), **ways_of(tables, None, config)._asdict()}
+    return tables, paths_of(tables, None, config)
 
 
 def with_room(g: Geometry, edges: int, waypoints: int, xp: ModuleType) -> Geometry:
@@ -175,21 +168,27 @@ def with_room(g: Geometry, edges: int, waypoints: int, xp: ModuleType) -> Geomet
 
     ``xp`` is numpy or torch. New edges are a vertex of each field.
     """
-    if (missing := edges - g.edges.shape[1]) > 0:
-        vertex = xp.concatenate([g.edges[:2, :1], g.edges[:2, :1]])
-        g = g._replace(edges=xp.concatenate([g.edges, *[vertex] * missing], axis=1))
-    if (missing := waypoints - g.waypoints.shape[1]) > 0:
-        nodes, known, empty = g.rois.shape[1] + waypoints, len(g.legs), 0 * g.rois[:1, :1]
+    field, paths = g.field, g.paths
+    if (missing := edges - field.edges.shape[1]) > 0:
+        vertex = xp.concatenate([field.edges[:2, :1], field.edges[:2, :1]])
+        g = g._replace(
+            field=field._replace(edges=xp.concatenate([field.edges, *[vertex] * missing], axis=1))
+        )
+    if (missing := waypoints - paths.waypoints.shape[1]) > 0:
+        nodes, known, empty = (
+            field.rois.shape[1] + waypoints,
+            len(paths.legs),
+            0 * field.rois[:1, :1],
+        )
         legs = xp.concatenate([xp.concatenate([empty] * nodes, axis=1)] * nodes)
-        legs[:known, :known] = g.legs
+        legs[:known, :known] = paths.legs
         none = xp.concatenate([empty, empty])
-        corners = xp.concatenate([g.waypoints, *[none] * missing], axis=1)
-        g = g._replace(waypoints=corners, legs=legs)
+        corners = xp.concatenate([paths.waypoints, *[none] * missing], axis=1)
+        g = g._replace(paths=paths._replace(waypoints=corners, legs=legs))
     return g
 
 
 def read_field(tables: Tables, arena: tuple[float, float], name: str) -> Field:
-    """The field in the only column of the tables, to a thousandth of a unit."""
     edges, rois, starts = (np.round(table.astype(np.float64), 3) for table in tables[:3])
     return field_of(tables._replace(edges=edges, rois=rois, starts=starts), arena, name)
 
