@@ -82,17 +82,31 @@ class TextTable:
         """Print it, by default on the standard output, with its caption below."""
         screen = screen or console()
         look: dict[str, Any] = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), "pad_edge": False}
-        table = Table(**look)
-        for index, heading in enumerate(self.headings):
-            side: Any = "left" if index < self.words else "right"
-            table.add_column(heading, justify=side, overflow="fold")
-        for line in self.lines:
-            table.add_row(*line)
         if title:
             screen.print(title, style="table.title", markup=False, highlight=False, soft_wrap=True)
-        screen.print(table)
+        for block in self._blocks(screen.width):
+            table = Table(**look)
+            for k in block:
+                side: Any = "left" if k < self.words else "right"
+                table.add_column(self.headings[k], justify=side, overflow="fold")
+            for line in self.lines:
+                table.add_row(*(line[k] for k in block))
+            screen.print(table)
         if self.caption:
             screen.print(self.caption, markup=False)
+
+    def _blocks(self, width: int) -> list[list[int]]:
+        # Columns that fit side by side, each block after the columns that name the row: a cell is
+        # broken only if it is too wide alone.
+        columns = zip(self.headings, *self.lines, strict=True)
+        wide = [2 + max(len(part) for cell in one for part in cell.split("\n")) for one in columns]
+        lead = [*range(min(self.words, len(wide) - 1))]
+        blocks = [[*lead]]
+        for k in range(len(lead), len(wide)):
+            if blocks[-1] != lead and sum(wide[j] for j in (*blocks[-1], k)) > width:
+                blocks.append([*lead])
+            blocks[-1].append(k)
+        return blocks
 
 
 def csv_text(table: DataFrame, form: str | None = None) -> str:

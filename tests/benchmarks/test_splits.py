@@ -19,7 +19,7 @@ from mbn_marl.planning import Plan, plan
 
 pytestmark = pytest.mark.slow
 
-CONVEX = Splits(tier=("1-convex",), split=("test",), count=3, seconds=5.0)
+CONVEX = Splits(tier=("1-convex",), split=("test",), count=3, seconds=60.0)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_instances_are_proved_and_an_interrupted_run_goes_on(
     record = read_json(made)
     sampler = FieldSampler(("convex",), seed=3_000_000)
     for number, one in enumerate(record["instances"]):
-        found = plan(sampler.field(number), time_limit=5.0)
+        found = plan(sampler.field(number), time_limit=60.0)
         assert one["candidate"] == number and one["geometry"] == geometry_hash(found.field)
         assert (one["makespan_lower_bound"], one["makespan"]) == (found.makespan,) * 2
     calls: list[Field] = []

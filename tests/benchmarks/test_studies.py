@@ -156,7 +156,7 @@ def test_the_benchmark_of_learning_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(learning, "labelled", lambda blocks, place: CONFIG.variants)
-    monkeypatch.setattr("baselines.compare.report.write_animation", lambda episode, path: None)
+    monkeypatch.setattr("baselines.compare.report.write_episode", lambda *drawn: None)
     out = tmp_path / "bench"
     size = ("--fields", "field_03", "--seeds", "0", "--steps", "1", "--processes", "1")
     assert main(["study", "learning", *size, "--out", str(out)]) == 0

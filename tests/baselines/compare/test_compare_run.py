@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("baselines.compare.report.write_animation", lambda episode, path: None)
+    monkeypatch.setattr("baselines.compare.report.write_episode", lambda *drawn: None)
     out = tmp_path / "comparison"
     second = out / CONFIG.runs()[1].name
 
@@ -59,7 +59,7 @@ WILD = {**TINY, "learning_rate": [1e30, 1e30], "max_grad_norm": 1e30}
 def test_a_learner_that_breaks_down_stops_its_own_run_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    monkeypatch.setattr("baselines.compare.report.write_animation", lambda episode, path: None)
+    monkeypatch.setattr("baselines.compare.report.write_episode", lambda *drawn: None)
     out, variants = tmp_path / "out", tmp_path / "variants.yaml"
     wild, tame = ({"algorithm": "mappo", "hyperparameters": values} for values in (WILD, TINY))
     variants.write_text(json.dumps({"wild": wild, "tame": tame}))
