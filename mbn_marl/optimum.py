@@ -6,11 +6,11 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.field import Field
 
 DEFAULT = NavigationConfig()
+# Settings that change observations, but not the best return; or nothing without a gust.
 VIEW = (
     *("reward_sharing", "observation", "assignment", "one_hot", "sensing_radius", "dtype"),
     *("position_noise", "velocity_noise", "dropout", "gust_time"),
 )
-"""Settings that change observations, but not the best return; or nothing without a gust."""
 
 
 def optimality_gap(return_: float, optimum: float | None) -> float | None:

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 
 from mbn_marl.engine.constants import Constants, constants_of
 
+# Groups of constants. Where all of one are 0, they are part of the arguments' type.
+#
+# Code that they exclude is not compiled then. Each other value in the type would compile it again.
 SETTLED = ("rules", "team_sharing", "one_hot", "random_starts"), ("observation",)
-"""Groups of constants. Where all of one are 0, they are part of the arguments' type.
-
-Code that they exclude is not compiled then. Each other value in the type would compile it again.
-"""
 NO_OWNER = (0, 0)
 
 

@@ -31,16 +31,16 @@ from mbn_marl.field import Field, FieldSampler, load_field
 from mbn_marl.field.generator.layout import Tables
 
 FieldLike = Field | str | os.PathLike[str]
+# A field for all worlds, those of the worlds in turn, or what draws one for each episode.
 Fields = FieldLike | Sequence[FieldLike] | FieldSampler
-"""A field for all worlds, those of the worlds in turn, or what draws one for each episode."""
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
+# The names of the measures of an episode, in the order of ``BatchEngine.metrics``.
 METRICS = (
     *("success", "collision", "rois_visited", "steps", "episode_return"),
     *("wall_hits", "path_length", "impulse", "failed", "return_"),
 )
-"""The names of the measures of an episode, in the order of ``BatchEngine.metrics``."""
 
 
 class Listener(Protocol):

@@ -48,8 +48,8 @@ NO_FAULT = np.int64(2**62)
 ZERO, ONE = np.uint64(0), np.uint64(1)
 SIMULATED = bool(config.ENABLE_CUDASIM)
 MOST_THREADS = 128
+# The shared memory that a block has without asking the driver for more.
 TILE_BYTES = 48 * 1024
-"""The shared memory that a block has without asking the driver for more."""
 
 
 if not SIMULATED and importlib.util.find_spec("numba_cuda"):
@@ -101,8 +101,8 @@ def _view_of(kind: Any, index: str, given: tuple[str, ...] = (), **places: str) 
 
 
 MOTION = ("x", "y", "vx", "vy", "visited", "steps")
+# The parts of an episode, and those of the output, that a step keeps in registers.
 RESULTS = ("rewards", "team_rewards", "terminated", "truncated", "events", "outcomes")
-"""The parts of an episode, and those of the output, that a step keeps in registers."""
 LAST = "[..., w:end]"
 field_of, paths_of = _view_of(Tables, LAST), _view_of(Paths, LAST)
 episode_of, output_of = _view_of(Episode, LAST, MOTION), _view_of(Output, "[w:end]", RESULTS)

@@ -24,15 +24,15 @@ from mbn_marl.jit.intrinsics import call_step
 from mbn_marl.jit.random_numbers import FOR_ACTIONS, stream_key, uniform, world_number
 
 FIRST, NEXT = np.uint64(0), np.uint64(1)
+# With fewer worlds than this for each thread, one does it all.
 WORLDS_PER_THREAD = 256
-"""With fewer worlds than this for each thread, one does it all."""
 
 MEASURES = (
     *("success", "rois_visited", "collision"),
     *("wall_hits", "path_length", "impulse", "failed"),
 )
+# The first measures are the team's, and after all measures come the terms of the reward.
 TEAM_MEASURES, TERMS = MEASURES.index("wall_hits"), len(MEASURES)
-"""The first measures are the team's, and after all measures come the terms of the reward."""
 INFO_COLUMNS = (*MEASURES, *(f"reward/{term}" for term in rewards.REWARD_TERMS))
 
 

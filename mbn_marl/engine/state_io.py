@@ -18,17 +18,17 @@ from mbn_marl.engine.mdp.rewards import RESTED, ROIS_SHIFT
 from mbn_marl.engine.state import Team, draws_fields
 from mbn_marl.errors import ProblemsError
 
+# Arrays of ``Memory`` that are another array's memory.
 VIEWS = ("x_bits", "y_bits", "trail_bits", "trail_key")
-"""Arrays of ``Memory`` that are another array's memory."""
+# Arrays of ``Memory`` that nothing is read from after a step.
 PASSING = ("acted", "sensed")
-"""Arrays of ``Memory`` that nothing is read from after a step."""
+# Arrays of ``Geometry`` that do not depend on the field, or that nothing is read from.
 FIXED = (*Team._fields, "scratch")
-"""Arrays of ``Geometry`` that do not depend on the field, or that nothing is read from."""
 EDGES, WAYS_IN = "geometry.edges", "geometry.ways_in"
+# Tables that are left out where no field has a corner to go round.
 WAYS = ("geometry.waypoints", "geometry.legs")
-"""Tables that are left out where no field has a corner to go round."""
+# Arrays of ``Memory`` that do not belong to a world.
 COUNTERS = ("seed", "draw")
-"""Arrays of ``Memory`` that do not belong to a world."""
 
 
 def changing_arrays(backend: Backend) -> dict[str, Any]:

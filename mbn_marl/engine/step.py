@@ -36,8 +36,8 @@ from mbn_marl.jit.compile import compiled, entry_point, returning_views
 from mbn_marl.jit.functions import clip, column, is_set, select
 from mbn_marl.jit.intrinsics import prefetch
 
+# Worlds per block.
 BLOCK = 256
-"""Worlds per block."""
 
 # Indices of worlds are unsigned, which spares the loops Python's negative indexing.
 ZERO, ONE = np.uint64(0), np.uint64(1)

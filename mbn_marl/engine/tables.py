@@ -20,10 +20,10 @@ from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.generator.layout import Tables, make_tables, scratch_rows
 from mbn_marl.field.generator.sampler import field_of
 
+# Safety distances between starts: discs about them are polygons, and they are rounded.
 MARGIN = 1.02
-"""Safety distances between starts: discs about them are polygons, and they are rounded."""
+# The fields of the worlds in turn, or what draws one for each episode.
 FieldSource = tuple[Field, ...] | FieldSampler
-"""The fields of the worlds in turn, or what draws one for each episode."""
 
 
 class Sizes(NamedTuple):

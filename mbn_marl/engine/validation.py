@@ -17,14 +17,14 @@ from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.generator.layout import MILLI, STARTS_APART
 
+# The least distance of starts that are drawn, units.
 SPACING = STARTS_APART / MILLI
-"""The least distance of starts that are drawn, units."""
 Autoreset = bool | Literal["disabled", "same_step", "next_step"]
 Device = Literal["cpu", "cuda"]
 
 MOST_WORLDS = 2**31 - 1
+# Units by which a start that was once rounded to float32 may miss what is allowed.
 ROUNDING = 1e-3
-"""Units by which a start that was once rounded to float32 may miss what is allowed."""
 
 
 def autoreset_mode(value: Autoreset) -> str:

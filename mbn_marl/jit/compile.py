@@ -27,8 +27,8 @@ if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
     raise MbnError("NUMBA_DISABLE_JIT: set; allowed: unset, since the engine runs only compiled")
 
 LOG = logging.getLogger("mbn_marl")
+# Compiled code runs without the GIL, divides as NumPy does, and is not for C to call.
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-"""Compiled code runs without the GIL, divides as NumPy does, and is not for C to call."""
 
 ANNOUNCEMENT = (
     "mbn_marl: compiling %s for these settings, once per machine: about 5 to 30 seconds of CPU. "
@@ -37,12 +37,12 @@ ANNOUNCEMENT = (
 DAMAGED = "mbn_marl: %s is damaged, so its code is compiled again: %s"
 NOT_USED = "mbn_marl: NUMBA_CACHE_DIR=%s cannot be written, so compiled code in it is not used"
 NOT_KEPT = "mbn_marl: %s cannot be written, so compiled code is not kept: %s"
+# The environment variable that turns ``PartCompiler`` off, if it is set.
 PLAIN = "MBN_PLAIN_JIT"
-"""The environment variable that turns ``PartCompiler`` off, if it is set."""
+# The versions of Numba that the engine was run with; others are tried first.
 PROVEN = ("0.61.", "0.68.")
-"""The versions of Numba that the engine was run with; others are tried first."""
+# The files, and the folders, that compiled functions and the numbers in them come from.
 SOURCES_OF = ("config.py", "jit", "engine", "field")
-"""The files, and the folders, that compiled functions and the numbers in them come from."""
 
 
 def digest_of_sources(package: Path) -> str:

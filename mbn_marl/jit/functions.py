@@ -62,12 +62,13 @@ def _horner(coefficients: list[float]) -> str:
 
 
 SINE = [(-1.0) ** k / math.factorial(2 * k + 1) for k in range(11)]
+# ``sin(a) / a`` from ``x = a^2``, for a in [-pi/2, pi/2].
 sine_series = generated("series", f"def series(x):\n    return {_horner(SINE)}\n")
-"""``sin(a) / a`` from ``x = a^2``, for a in [-pi/2, pi/2]."""
 
+# ``exp(x)`` for x in [-1.25, 0], from powers of x.
 EXPONENTIAL = [1.0 / math.factorial(k) for k in range(23)]
-"""``exp(x)`` for x in [-1.25, 0], from powers of x."""
 HALVINGS, LEAST = 5, -40.0
+# ``exp(x)`` for x of at most 0, float64, to 3e-14 of it; below -40 it is that of -40.
 exponential = generated(
     "exponential",
     "def exponential(x):\n"
@@ -75,7 +76,6 @@ exponential = generated(
     f"    power = {_horner(EXPONENTIAL)}\n"
     f"    for _ in range({HALVINGS}):\n        power *= power\n    return power\n",
 )
-"""``exp(x)`` for x of at most 0, float64, to 3e-14 of it; below -40 it is that of -40."""
 
 
 @compiled

@@ -126,14 +126,14 @@ class _Part(JITCodeLibrary):
         self._finalized = True
 
 
+# Numba's passes, without those for closures, contexts, exceptions, loops over tuples and array
+# expressions, which rules do not have.
 PASSES = (
     *(TranslateByteCode, FixupArgs, IRProcessing),
     *(RewriteSemanticConstants, GenericRewrites, DeadBranchPrune, ReconstructSSA),
     *(NopythonTypeInference, PreLowerStripPhis),
     *(IRLegalization, _LowerPart, NoPythonBackend),
 )
-"""Numba's passes, without those for closures, contexts, exceptions, loops over tuples and array
-expressions, which rules do not have."""
 
 
 class PartCompiler(CompilerBase):

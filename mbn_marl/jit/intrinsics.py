@@ -16,8 +16,8 @@ HALVINGS = 3  # of SIDE, down to 1
 FLOATS = ir.VectorType(ir.FloatType(), SIDE)
 INDICES = ir.VectorType(ir.IntType(32), SIDE)
 LOWER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) for k in range(SIDE)])
+# Indices into two joined vectors that interleave their lower or upper halves.
 UPPER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) + SIDE // 2 for k in range(SIDE)])
-"""Indices into two joined vectors that interleave their lower or upper halves."""
 
 
 def _prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:
@@ -43,8 +43,8 @@ def _prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:
     return types.void(array, row, column), generate
 
 
+# ``prefetch(array, row, column)``, for compiled functions; it changes nothing but the time.
 prefetch: Any = intrinsic(_prefetch)
-"""``prefetch(array, row, column)``, for compiled functions; it changes nothing but the time."""
 
 
 def _call_step(typing: Any, address: Any, store: Any, actions: Any, lo: Any, hi: Any) -> Any:
@@ -64,8 +64,8 @@ def _call_step(typing: Any, address: Any, store: Any, actions: Any, lo: Any, hi:
     return types.int64(address, *kinds), generate
 
 
+# ``call_step(address, store, actions, lo, hi)``: what calls it need not be compiled with it.
 call_step: Any = intrinsic(_call_step)
-"""``call_step(address, store, actions, lo, hi)``: what calls it need not be compiled with it."""
 
 
 def _transpose(typing: Any, tile: Any, k: Any, column: Any, rows: Any, w: Any, i: Any) -> Any:
@@ -98,6 +98,6 @@ def _transpose(typing: Any, tile: Any, k: Any, column: Any, rows: Any, w: Any, i
     return types.void(tile, k, column, rows, w, i), generate
 
 
+# ``transpose(tile, k, column, rows, w, i)``, for compiled functions and float32 arrays whose last
+# axis is contiguous; the indices are unsigned and the square lies within both arrays.
 transpose: Any = intrinsic(_transpose)
-"""``transpose(tile, k, column, rows, w, i)``, for compiled functions and float32 arrays whose last
-axis is contiguous; the indices are unsigned and the square lies within both arrays."""

@@ -27,15 +27,15 @@ FOR_SIGHT = np.uint64(6)
 FOR_NUMBERS = np.uint64(7)
 FOR_FIELDS = np.uint64(8)
 
+# The start of the 40 bits that are counted; below them are two numbers of twelve bits.
 HIGH, LOW, TWELVE = np.uint64(24), np.uint64(0xFFF), np.uint64(12)
-"""The start of the 40 bits that are counted; below them are two numbers of twelve bits."""
 PAIRS, QUADS = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333)
 BYTES, EACH_BYTE = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x0101010101010101)
 BY_1, BY_2, BY_4, TOP_BYTE = np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(56)
 PER_ONE, CENTRE = np.int32(4096), np.int32(21 * 4096 - 1)
 TO_ONES = np.float32(1 / 4096)
+# Of the sum of bits, so that variance and kurtosis are those of the normal distribution.
 LINEAR, CUBIC = np.float32(0.31164049), np.float32(6.6003307e-5)
-"""Of the sum of bits, so that variance and kurtosis are those of the normal distribution."""
 
 
 @compiled

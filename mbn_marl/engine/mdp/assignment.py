@@ -29,18 +29,18 @@ from mbn_marl.jit.functions import column, count_bits
 
 Floats = NDArray[np.floating[Any]]
 
+# In place of a first waypoint: the ROI is in straight sight, or no way is known.
 STRAIGHT, NO_WAY = -1, -2
-"""In place of a first waypoint: the ROI is in straight sight, or no way is known."""
+# In place of a robot or an ROI: none.
 END = -1
-"""In place of a robot or an ROI: none."""
+# Weights of the sum of the tours: both are tried to insert ROIs; changes use the latter.
 SUM, SPREAD = np.float32(1), np.float32(1 / 64)
-"""Weights of the sum of the tours: both are tried to insert ROIs; changes use the latter."""
+# How often an assignment is changed, at most, for each ROI of the field.
 CHANGES = 2
-"""How often an assignment is changed, at most, for each ROI of the field."""
+# The cost of a U-turn at an ROI, units; less for smaller turns, 0 up to a right angle.
 TURN_BACK = np.float32(16)
-"""The cost of a U-turn at an ROI, units; less for smaller turns, 0 up to a right angle."""
+# The cost of speeding up from standing, units; 0 at full speed, 4 times it from the wrong way.
 GO = np.float32(40)
-"""The cost of speeding up from standing, units; 0 at full speed, 4 times it from the wrong way."""
 
 
 def plan_size(n: int, m: int) -> int:

@@ -19,8 +19,8 @@ from mbn_marl.jit.random_numbers import FOR_GUSTS, FOR_SENDING, normal, stream_o
 OF_ACTIONS = ("action_noise", "action_loss", "action_delay")
 OF_ROBOTS = ("gust", *OF_ACTIONS)
 OF_SIGHT = ("position_noise", "velocity_noise", "dropout")
+# The settings, 0 where they are off, that disturb actions, what robots do, and what they see.
 DISTURBANCES = (*OF_ROBOTS, *OF_SIGHT)
-"""The settings, 0 where they are off, that disturb actions, what robots do, and what they see."""
 MOST_ROBOTS, DRAWS = np.uint64(MAX_ROBOTS), np.uint64(4)
 
 

@@ -19,8 +19,8 @@ from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import clip, cosine, length, select, sine, tangent, turned
 
 POINT_MASS, HOLONOMIC, UNICYCLE, BICYCLE = range(4)
+# Robots of those from the unicycle on have a heading.
 DYNAMICS = {name: number for number, name in enumerate(get_args(Dynamics))}
-"""Robots of those from the unicycle on have a heading."""
 
 mixes_dynamics = Feature(lambda g: g.team.kinds.ndim == 1)
 

@@ -28,10 +28,10 @@ from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import clip, column, select
 
+# NEAR and FAR: the lengths that become 1/2, units.
 SCALES = np.array([15.0, 100.0])
-"""NEAR and FAR: the lengths that become 1/2, units."""
+# How far ahead the approach of another robot is foreseen, steps.
 STEPS_AHEAD = np.float32(15.0)
-"""How far ahead the approach of another robot is foreseen, steps."""
 
 
 def entity_rows(n: int, m: int, turns: bool, flag: str, assigned: bool) -> list[Row]:

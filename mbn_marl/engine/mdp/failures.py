@@ -13,8 +13,8 @@ from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import clip, select
 from mbn_marl.jit.random_numbers import FOR_FAILURES, stream_of, uniform
 
+# The status of a robot; an absent one is not in the team of its world.
 WORKS, FAILED, ABSENT = range(3)
-"""The status of a robot; an absent one is not in the team of its world."""
 BRAKE, COAST, VANISH = range(3)
 KINDS = {"brake": BRAKE, "coast": COAST, "vanish": VANISH}
 

@@ -19,11 +19,11 @@ from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import HALF, MANY, clip, column, select
 
 FAR = np.float32(np.inf)
+# Of a position, in arenas: a little more than float32's.
 ROUNDING = np.float32(1e-6)
-"""Of a position, in arenas: a little more than float32's."""
 S = math.sqrt(0.5)
+# The directions of the rays, (2, 8): unit vectors, counter-clockwise from +x.
 RAYS = np.array([[1, S, 0, -S, -1, -S, 0, S], [0, S, 1, S, 0, -S, -1, -S]])
-"""The directions of the rays, (2, 8): unit vectors, counter-clockwise from +x."""
 
 
 def rays_of(radius: float, arena: tuple[float, float]) -> NDArray[np.float64]:

@@ -44,8 +44,8 @@ RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL, ENTITIES = range(6)
 OBSERVATIONS = {name: number for number, name in enumerate(get_args(Observation))}
 LIDARS = ("lidar", "lidar_local")
 WITH_RAYS = (*LIDARS, "entities")
+# The observations that depend on the sensing radius.
 WITH_RADIUS = ("local", *WITH_RAYS)
-"""The observations that depend on the sensing radius."""
 
 
 class Entry(NamedTuple):

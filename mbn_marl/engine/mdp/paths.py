@@ -16,17 +16,17 @@ from mbn_marl.field.generator.layout import Tables
 from mbn_marl.jit.compile import compiled, entry_point
 from mbn_marl.jit.functions import count_bits
 
+# How far waypoints are from their corners, units.
 CLEARANCE = np.float32(3.0)
-"""How far waypoints are from their corners, units."""
+# The sine of the turn up to which a corner counts as straight.
 BLUNT = np.float32(1e-3)
-"""The sine of the turn up to which a corner counts as straight."""
+# Ways whose lengths differ by no more are equally long, units.
 CLOSE = np.float32(1e-3)
-"""Ways whose lengths differ by no more are equally long, units."""
+# The weight of a leg's shorter side.
 SHORTER = np.float32(1 / 8)
-"""The weight of a leg's shorter side."""
 NEVER = np.float32(np.inf)
+# The rows of ``ways_in``.
 EDGES, WAYPOINTS = range(2)
-"""The rows of ``ways_in``."""
 
 
 class Paths(NamedTuple):

@@ -20,8 +20,8 @@ BITS_PER_KEY = 16
 KEYS_PER_WORD = np.uint64(64 // BITS_PER_KEY)
 BITS_SET = 5
 LEAST_WORDS = 32
+# Filters lie an odd number of cache lines apart, so that they spread over all cache sets.
 ODD_LINES = 8
-"""Filters lie an odd number of cache lines apart, so that they spread over all cache sets."""
 
 ONE = np.uint64(1)
 BIT = np.uint64(63)

@@ -32,11 +32,11 @@ RESTED = 16  # the world was reset, or left out: nothing happened, nothing was e
 
 OWN_TERMS = ("step", "revisit", "wall", "roi")
 TEAM_TERMS = ("step", "revisit", "success", "collision")
+# ``step`` and ``revisit`` are a robot's own when ``released``, the team's when ``formal``.
 SHARED = 2
-"""``step`` and ``revisit`` are a robot's own when ``released``, the team's when ``formal``."""
 REWARD_TERMS = (*OWN_TERMS, *TEAM_TERMS[SHARED:])
+# The places of the ``TEAM_TERMS`` among the ``REWARD_TERMS``.
 TEAM_COLUMNS = tuple(map(REWARD_TERMS.index, TEAM_TERMS))
-"""The places of the ``TEAM_TERMS`` among the ``REWARD_TERMS``."""
 
 
 @compiled
