@@ -1,11 +1,10 @@
-"""The environments' ids in the registries of Gymnasium and PettingZoo.
+"""The environments' ids in the registries of Gymnasium and PettingZoo."""
 
-They are ``mbn/field_03-v0`` and the like, and ``mbn/field_03-gusty-v0`` under a condition.
-Gymnasium has ``mbn/field_03-flat-v0`` too, with actions ``(2n,)``.
-
-Entry points are strings, so that an environment is imported only when one is made. Without an
-import of this package, use ``gymnasium.make("mbn_marl:mbn/field_03-v0")``.
-"""
+# They are ``mbn/field_03-v0`` and the like, and ``mbn/field_03-gusty-v0`` under a condition.
+# Gymnasium has ``mbn/field_03-flat-v0`` too, with actions ``(2n,)``.
+#
+# Entry points are strings, so that an environment is imported only when one is made. Without an
+# import of this package, use ``gymnasium.make("mbn_marl:mbn/field_03-v0")``.
 
 from __future__ import annotations
 

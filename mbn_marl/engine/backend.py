@@ -22,8 +22,6 @@ from mbn_marl.jit.compile import address_of
 
 @dataclass(frozen=True, eq=False)
 class BackendSpec:
-    """The settings and tables that a backend is made from."""
-
     config: NavigationConfig  # with the team size filled in
     num_worlds: int
     obs_size: int
@@ -69,7 +67,6 @@ class Backend:
     # -- the cycle: reset, step --------------------------------------------------------------------
 
     def reset(self, mask: Any) -> None:
-        """Begin a new episode in the worlds of a mask (W,), or in all if it is ``None``."""
         chosen = self._checked_mask("mask", mask)
         kernels.reset_worlds(self.arguments, chosen, 0, self.spec.num_worlds, True)
         self.recount()
@@ -146,7 +143,6 @@ class Backend:
     # -- what is given -----------------------------------------------------------------------------
 
     def checked_actions(self, actions: Any) -> Any:
-        """Return the actions in the engine's precision, or raise an ``ActionError``."""
         allowed = self._allowed_actions
         given = self.given("actions", actions, allowed)
         if given.shape != self._actions.shape:

@@ -25,8 +25,6 @@ NEEDS = (
 
 
 class Device:
-    """torch's current CUDA device and stream, for Numba's kernels."""
-
     def __init__(self) -> None:
         if problem := _missing():
             raise ConfigError("configuration", [f"{NEEDS}; {problem}"])
@@ -61,15 +59,12 @@ def _missing() -> str | None:
 
 
 def _mapped(function: Any, arrays: Any) -> Any:
-    """Return the named tuple of arrays, or of such tuples, with the function's results."""
     if not isinstance(arrays, tuple):
         return function(arrays)
     return type(arrays)(*(_mapped(function, array) for array in arrays))
 
 
 class CudaBackend(Backend):
-    """The worlds of an engine in torch tensors."""
-
     # Nothing here waits for the device but ``raise_fault`` and ``host``. What a captured graph has
     # to find changed later (seed, number of the draw, first fault) is in tensors.
     xp = torch

@@ -60,8 +60,6 @@ if not SIMULATED and importlib.util.find_spec("numba_cuda"):
 
 
 class Call(NamedTuple):
-    """The arguments of a step or a reset besides the worlds."""
-
     actions: Any  # (W, n, 2) real
     active: Any  # (W,) bool: worlds to step, or to reset
     fault: Any  # (1,) int64: the first world with a fault * KINDS + its kind, or NO_FAULT
@@ -180,7 +178,6 @@ def rounded_products() -> Iterator[None]:
 
 @cache
 def step_kernel(n: int, obs_size: int, dtype: str) -> Any:
-    """The step of all worlds, for a team and observation size and a precision."""
     real = np.dtype(dtype).type
     bits = np.uint32 if real == np.float32 else np.uint64
     # These are constants of the code: the robots' loops unroll, and a world's arrays are registers.

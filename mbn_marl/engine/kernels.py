@@ -147,7 +147,6 @@ def write_infos(arguments, rows):
 
 @entry_point
 def write_states(arguments, final, rows):
-    """Write the paper's vector of every world, (W, size)."""
     _, _, _, now, ended, _, _ = worlds_of(arguments)
     put_state(ended if final else now, FIRST, np.uint64(rows.shape[0]), rows.T)
 
@@ -164,7 +163,6 @@ def draw_world(p, mem, w, actions):
 
 @entry_point
 def draw_actions(arguments, actions):
-    """Fill ``actions`` (W, n, 2) with the next draw of each world's stream of actions."""
     p, _, mem, _, _, _, _ = worlds_of(arguments)
     for w in range(actions.shape[0]):
         draw_world(p, mem, w, actions)
@@ -196,7 +194,6 @@ def cuts_of(worlds: int, threads: int | None) -> NDArray[np.int64]:
 
 
 def step_all(arguments: Arguments, actions: NDArray[Any], cuts: NDArray[np.int64]) -> int:
-    """Step all worlds with ``actions`` (W, n, 2); return how many episodes ended."""
     # No two worlds share memory that is written, so neither the number of threads nor the cuts
     # change any result. The threads are those of Numba's threading layer: OpenMP where there is
     # one, since it starts work in microseconds.

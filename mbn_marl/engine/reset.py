@@ -103,7 +103,6 @@ def draw_field(p, g, mem, w):
 
 @compiled
 def reset_world(p, g, mem, now, w):
-    """Begin the next episode of world w: robots at rest at the starts, nothing visited."""
     f, field = column(g.field, w), g.field
     n = now.x.shape[0]
     mem.episode[w] += 1

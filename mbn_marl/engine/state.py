@@ -62,8 +62,6 @@ draws_fields = Feature(lambda g: g.sampler.numbers.ndim == 1)
 
 
 class Episode(NamedTuple):
-    """Everything about one episode of each world that a reset clears."""
-
     x: Array  # (n, W) real, units
     y: Array
     vx: Array  # (n, W) real, units/step
@@ -87,8 +85,6 @@ class Episode(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """The data that outlives or supports an episode."""
-
     x_bits: Array  # (n, W) uint: the bits of Episode.x, the same memory
     y_bits: Array
     trail: Array  # (W, (T + 1) n, 2) real: positions, entry step * n + robot, the start first

@@ -153,7 +153,6 @@ def relation_problems(given: Mapping[str, NDArray[Any]], n: int, m: int, steps: 
 
 
 def problems_of(backend: Backend, given: Mapping[str, Any]) -> list[str]:
-    """Return why ``given`` cannot take the place of these worlds; either may have more room."""
     arrays, (_, m, fields) = changing_arrays(backend), backend.geometry.field.rois.shape
     optional = set(WAYS) if WAYS_IN in arrays and len(given.keys() & set(WAYS)) != 1 else set()
     problems = [
@@ -186,7 +185,6 @@ def _room(given: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def restore_worlds(backend: Backend, saved: Mapping[str, NDArray[Any]]) -> None:
-    """Restore saved worlds; raise a ProblemsError with all problems before anything changes."""
     given = {
         name: np.asarray(array) if isinstance(array, np.ndarray) else array  # masked ones too
         for name, array in saved.items()

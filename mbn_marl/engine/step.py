@@ -149,7 +149,6 @@ def mark_visits(p, g, now, out, i, lo, hi):
 
 @compiled
 def record_positions(mem, now, lo, hi):
-    """Append the robots' positions to the trails; absent robots were nowhere."""
     n = np.uint64(now.x.shape[0])
     last = np.uint64(mem.trail.shape[1]) - n
     for i in range(n):
@@ -182,7 +181,6 @@ def hash_positions(mem, now, out, to, i, lo, hi):
 
 @compiled
 def pass_time(p, mem, now, lo, hi):
-    """The robots have moved: the step counts, and the gust changes."""
     for w in range(lo, hi):
         now.steps[w] += 1
     change_gust(p, mem, now, lo, hi)

@@ -121,7 +121,6 @@ def sampler_numbers(sampler: FieldSampler) -> Array:
 def starts_of(
     field: Field, n: int, config: NavigationConfig, teams_vary: bool, given: Array | None
 ) -> Array:
-    """The starts of the team in a field: those given, or its own, at most n."""
     # Teams that do not vary may be larger than that if they start at random. Where that fails, the
     # others start at points of the field that are at least the safety distance from those before.
     # As many as ``field_problems`` allows have discs of that radius that leave some of the field.

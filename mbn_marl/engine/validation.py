@@ -28,7 +28,6 @@ ROUNDING = 1e-3
 
 
 def autoreset_mode(value: Autoreset) -> str:
-    """Return the name of an autoreset mode; ``True`` is same-step, ``False`` disabled."""
     mode = ("same_step" if value else "disabled") if isinstance(value, bool) else value
     if mode not in AUTORESET_MODES:
         allowed = ", ".join(map(repr, (True, False, *AUTORESET_MODES)))
@@ -47,7 +46,6 @@ def check_setup(
     starts: NDArray[Any] | None,
     first_world: int,
 ) -> None:
-    """Raise a ConfigError that lists every problem of fields, team and batch."""
     problems = [*_number_problems("seed", seed), *_number_problems("first_world", first_world)]
     if device not in get_args(Device):
         problems.append(f"device: {device!r}; allowed: {', '.join(map(repr, get_args(Device)))}")
@@ -124,7 +122,6 @@ def set_field_problems(
 
 
 def set_sampler_problems(sampler: FieldSampler, sizes: Sizes, teams_vary: bool) -> list[str]:
-    """Return why a sampler cannot draw the fields of worlds of these sizes."""
     new, robots = sizes_of(sampler), sizes.robots
     least = 1 if teams_vary else robots
     problems = [
@@ -212,7 +209,6 @@ def _sampler_problems(
 
 
 def as_starts(starts: ArrayLike | None) -> NDArray[Any] | None:
-    """Return given starts as an array of any shape; raise a ConfigError if they make none."""
     try:
         return None if starts is None else np.asarray(starts)
     except ValueError as error:

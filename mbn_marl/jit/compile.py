@@ -46,7 +46,6 @@ SOURCES_OF = ("config.py", "jit", "engine", "field")
 
 
 def digest_of_sources(package: Path) -> str:
-    """Return a hash of all source files of ``SOURCES_OF``, and of their places."""
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         place = path.relative_to(package)
@@ -141,7 +140,6 @@ def compiler_of_rules() -> type[CompilerBase]:
 
 
 def _prove(compiler: type[CompilerBase]) -> None:
-    """Compile a rule, and what calls it; raise if that does not work."""
     rule = _rule(lambda pair, k: pair[0][k] + pair[1], compiler)
     result = numba.njit(lambda pair: rule(pair, 1))((np.arange(3.0), 2.0))
     if result != 3.0:
@@ -196,7 +194,6 @@ def parallel_entry_point(function: Callable[..., Any]) -> Any:
 
 
 def address_of(function: Any, *arguments: Any) -> int:
-    """Return the address of an entry point's machine code for arguments of these types."""
     kinds = tuple(map(numba.typeof, arguments))
     function.compile(kinds)
     result = function.overloads[kinds]

@@ -1,8 +1,7 @@
-"""Features that are on or off for a whole engine: code of those that are off is not compiled.
+"""Features that are on or off for a whole engine: code of those that are off is not compiled."""
 
-Numba compiles a function once for each set of argument types, and the arrays of a feature that is
-off have another number of dimensions. So the types tell which features are on.
-"""
+# Numba compiles a function once for each set of argument types, and the arrays of a feature that is
+# off have another number of dimensions. So the types tell which features are on.
 
 from __future__ import annotations
 
@@ -40,8 +39,6 @@ class _Kind:
 
 
 class _Parts(NamedTuple):
-    """The type of a tuple that is made in place."""
-
     types: list[Any]
 
 

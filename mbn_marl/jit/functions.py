@@ -1,12 +1,11 @@
-"""Sine, cosine, tangent, exponential and length, the same bits on every processor.
+"""Sine, cosine, tangent, exponential and length, the same bits on every processor."""
 
-They are made from + - x / and the square root, which all processors round alike; libraries
-differ in the last bit of them. Here they are float64 whatever the engine's precision, and no two
-operations are fused: the series of the sine, up to its term of degree 21, about the nearest point
-where the function is 0. Absolute errors are below 4e-16, a tangent's relative to its square.
-The exponential is its series for a part of x, squared. The length is a root, corrected once
-(specification.md, "Arithmetic").
-"""
+# They are made from + - x / and the square root, which all processors round alike; libraries
+# differ in the last bit of them. Here they are float64 whatever the engine's precision, and no two
+# operations are fused: the series of the sine, up to its term of degree 21, about the nearest point
+# where the function is 0. Absolute errors are below 4e-16, a tangent's relative to its square.
+# The exponential is its series for a part of x, squared. The length is a root, corrected once
+# (specification.md, "Arithmetic").
 
 from __future__ import annotations
 
@@ -39,7 +38,6 @@ def is_set(word, flag):
 
 @compiled
 def count_bits(word):
-    """The number of bits that are set in a non-negative integer."""
     count = 0
     while word != 0:
         word &= word - 1

@@ -40,8 +40,6 @@ class Whole(tuple[Any, ...]):
 
 
 class _WholePacker:
-    """Numba's ``ArgPacker`` for arguments that are passed as they are."""
-
     def __init__(self, models: Any, kinds: Whole) -> None:
         self.argument_types = tuple(models.lookup(kind).get_value_type() for kind in kinds)
 
@@ -137,8 +135,6 @@ PASSES = (
 
 
 class PartCompiler(CompilerBase):
-    """Compiles a rule into a part."""
-
     def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
         part = _Part(target.codegen(), "part")  # type: ignore[no-untyped-call]
         super().__init__(typing, target, part, *rest)  # type: ignore[no-untyped-call]

@@ -1,9 +1,8 @@
-"""Counter-based random numbers: each is a hash of what it is for, so no state is carried along.
+"""Counter-based random numbers: each is a hash of what it is for, so no state is carried along."""
 
-The key is (seed, world, episode, purpose, counter). A world therefore draws the same numbers
-whatever the batch size, the thread count or the device. The mixer is the finaliser of SplitMix64
-(Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014).
-"""
+# The key is (seed, world, episode, purpose, counter). A world therefore draws the same numbers
+# whatever the batch size, the thread count or the device. The mixer is the finaliser of SplitMix64
+# (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014).
 
 from __future__ import annotations
 

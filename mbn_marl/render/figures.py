@@ -1,7 +1,6 @@
-"""Figures of fields and episodes for print and reports, and the files of all figures.
+"""Figures of fields and episodes for print and reports, and the files of all figures."""
 
-They are matplotlib figures without pyplot: no display, no global state, nothing to close.
-"""
+# They are matplotlib figures without pyplot: no display, no global state, nothing to close.
 
 from __future__ import annotations
 
@@ -36,7 +35,6 @@ _ROBOT: dict[str, Any] = {"marker": "o", "ls": "none", "color": style.FAINT_INK,
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def field_figure(field: Field) -> Figure:
-    """Draw a field with its holes, its numbered ROIs, and the starts."""
     figure, axes = _canvas(field, field.name)
     maps.draw_field(axes, field)
     maps.draw_robots(axes, field.starts)
@@ -46,7 +44,6 @@ def field_figure(field: Field) -> Figure:
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def fields_figure(fields: Sequence[Field]) -> Figure:
-    """Draw fields, at least one, side by side with ROIs, starts and a scale bar each."""
     figure, grid = _panels("fields", len(fields), 5, _FIELD_WIDTH, 2.4)
     for axes, field in zip(grid, fields, strict=True):
         maps.draw_field(axes, field, numbered=False)
@@ -80,7 +77,6 @@ def trajectory_figure(last: Snapshot, title: str | None = None) -> Figure:
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = 3) -> Figure:
-    """Draw the paths of episodes, at least one, by the titles of their panels."""
     sides = [np.ptp(last.field.vertices, axis=0) for last in lasts.values()]
     tall = _PANEL_WIDTH * max((height / width for width, height in sides), default=1.0)
     figure, grid = _panels("panels", len(lasts), columns, _PANEL_WIDTH, tall + _TITLES)
@@ -185,7 +181,6 @@ def _panels(
 
 
 def _draw_place(axes: Axes, last: Snapshot, title: str, *, numbered: bool) -> None:
-    """Draw the field, the title of two lines, and the wind beside it, unless the title names it."""
     radius = last.roi_radius
     maps.draw_field(axes, last.field, visited=last.visited, roi_radius=radius, numbered=numbered)
     maps.draw_wind(axes, last, height=20.5, named="wind " not in title)

@@ -96,7 +96,6 @@ class Viewer:
             pygame.display.quit()
 
     def _show(self, frame: pygame.Surface) -> None:
-        """Bring ``frame`` to the window, answer its events and keep to the frame rate."""
         import pygame
 
         if self._window is None:

@@ -82,7 +82,6 @@ class CoppeliaLink:
 
     @contextmanager
     def _exchange(self, what: str, *, opening: bool = False) -> Iterator[None]:
-        """Give a call of the client its time, and its errors a meaning."""
         if self.lost or self.interrupted:
             raise SimulatorError(f"{self._address}: the connection is closed")
         self._socket.deadline = monotonic() + self.timeout

@@ -212,7 +212,6 @@ class CoppeliaSimulator(Simulator):
             link.call("setShapeColor", shape, "", part, value)
 
     def _clear(self) -> None:
-        """Stop the simulation that was started, and remove what was made and still exists."""
         link = self._link
         if self._started:
             if not self._is_stopped():

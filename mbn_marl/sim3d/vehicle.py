@@ -25,8 +25,6 @@ class Senses(NamedTuple):
 
 
 class Vehicle(ABC):
-    """One kind of vehicle; n of them have one controller."""
-
     height: ClassVar[float]  #: of its origin above the ground when it works, metres
     mass: ClassVar[float]  #: of all its parts, kg
     resting: ClassVar[tuple[float, ...]]  #: of each motor, the control that keeps it at rest

@@ -72,8 +72,6 @@ assigns = Feature(lambda mem: mem.plan.ndim == 2)
 
 
 class Tours(NamedTuple):
-    """The tours of the robots of world w."""
-
     plan: Any  # Memory.plan
     n: Any
     m: Any
@@ -197,7 +195,6 @@ def exchange(t, i, a, k, b):
 
 @compiled
 def tour_length(g, ep, t, i):
-    """The length of robot i's tour: the ways to its ROIs, and the cost of its turns there."""
     rois, legs, f, w = g.field.rois, g.paths.legs, column(g.field, t.w), t.w
     bent = g.paths.waypoints.shape[1] > 0 and g.paths.ways_in[WAYPOINTS, f] > 0
     total = ux = uy = t.plan[w, i] * 0
@@ -374,7 +371,6 @@ def keep(g, ep, t):
 
 @compiled
 def assign(p, g, mem, ep, lo, hi):
-    """Assign the ROIs that are left to the robots that work, in each world of a block."""
     if assigns(mem):
         find_ways(g, mem, ep, lo, hi)
         n, m = ep.x.shape[0], g.field.rois.shape[1]

@@ -114,7 +114,6 @@ def limits_of(g, i):
 
 @compiled
 def limits_in(limits, ep, i, w):
-    """Mass, force and speed limit of robot i in world w, from ``limits_of`` it."""
     # A speed limit that is drawn is at most that of all worlds.
     if draws_numbers(ep):
         n = (ep.drawn.shape[0] - FIRST_LIMIT) // len(LIMITS)

@@ -102,7 +102,6 @@ def move_point_mass(p, g, now, to, actions, i, lo, hi):
 
 @compiled
 def move_holonomic(p, g, now, to, actions, i, lo, hi):
-    """A robot i whose action is a velocity, which it takes as fast as its force allows."""
     limits = limits_of(g, i)
     for w in range(lo, hi):
         q, (mass, f_max, v_clip) = numbers_of(p, now, w), limits_in(limits, now, i, w)
@@ -145,7 +144,6 @@ def go_ahead(p, now, to, i, lo, hi):
 
 @compiled
 def move_unicycle(p, g, now, to, actions, i, lo, hi):
-    """A robot i that turns on the spot by up to ``turn_max``, then speeds up along its heading."""
     limits = limits_of(g, i)
     for w in range(lo, hi):
         q = numbers_of(p, now, w)
@@ -160,7 +158,6 @@ def move_unicycle(p, g, now, to, actions, i, lo, hi):
 
 @compiled
 def move_bicycle(p, g, now, to, actions, i, lo, hi):
-    """A robot i that speeds up along its heading, then turns by its speed and steering angle."""
     limits = limits_of(g, i)
     for w in range(lo, hi):  # the tangent is kept where it is rounded to the engine's precision
         steering = clip(actions[w, i, 1], -p.one, p.one) * numbers_of(p, now, w).steer_max
@@ -204,7 +201,6 @@ def keep_heading(g, now, to, i, lo, hi):
 
 @compiled
 def face_along_x(p, g, now, w):
-    """Begin an episode of world w: headings are 0, and robots without one have no direction."""
     if mixes_dynamics(g):
         for i in range(now.heading.shape[0]):
             now.heading[i, w] = p.zero

@@ -75,7 +75,6 @@ def fail(p, g, mem, now, to, i, lo, hi):
 
 @compiled
 def failed_velocity(p, velocity, brake, wind, v_clip):
-    """The next velocity of a failed robot that is there, along an axis or its heading."""
     slower = velocity - clip(velocity, -brake, brake)
     blown = next_velocity(velocity, p.zero, p.one, wind, v_clip)
     return select(p.failure_kind == BRAKE, slower, blown)

@@ -64,7 +64,6 @@ def reading(p, behind, a_side, b_side, turn, along):
 
 @compiled
 def distance_squared(p, ax, ay, ex, ey):
-    """From the robot to the nearest point of the edge, squared; (ex, ey) is the edge b - a."""
     square = ex * ex + ey * ey
     per_square = select(square > 0, p.one / square, p.zero)
     along = clip(-(ax * ex + ay * ey) * per_square, p.zero, p.one)

@@ -336,7 +336,6 @@ def turn_over(tile, lo, hi, i, rows):
 
 @compiled
 def observe(p, g, mem, ep, lo, hi, tile, rows):
-    """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size)."""
     assign(p, g, mem, ep, lo, hi)
     # An entry of all worlds at once is one vector loop, but its places in ``rows`` are far apart.
     # So entries are made in ``tile``, where worlds lie side by side, and then turned over.

@@ -30,8 +30,6 @@ EDGES, WAYPOINTS = range(2)
 
 
 class Paths(NamedTuple):
-    """The paths in each of F fields with m ROIs."""
-
     waypoints: Any  # (2, C, F) real, units; C is 0 if nothing is assigned
     legs: Any  # (m + C, m + C, F) real: from each ROI, then each waypoint, to each; units
     ways_in: Any  # (2, F) int32: how many edges and waypoints are there, the first ones
@@ -170,7 +168,6 @@ def no_paths(waypoints: int, m: int, count: int, real: Any) -> Paths:
 
 
 def make_paths(field: Tables) -> Paths:
-    """The paths in given fields, with room for the most waypoints that one has."""
     m = field.rois.shape[1]
     paths = no_paths(field.edges.shape[1], m, len(field.codes), field.edges.dtype)
     find_all(field, paths)

@@ -75,7 +75,6 @@ def team_terms(p, weights, outcome):
 
 
 def _total_of(names: tuple[str, ...]) -> Any:
-    """``total(terms)``: the sum of these terms, from the first to the last."""
     terms = " + ".join(f"terms[{k}]" for k in range(len(names)))
     return generated("total", f"def total(terms):\n    return {terms}\n")
 
