@@ -163,12 +163,7 @@ WITHOUT_RADIUS = ("relative", "state")
 
 
 class RewardProfile(Checked):
-    """A named set of reward rules and weights, in reward units (mdp.md, "Reward profiles").
-
-    Source:
-        Choton, Woods, Hsu, section 3 (``"formal"``) and the authors' released code
-        (``"released"``).
-    """
+    """A named set of reward rules and weights, in reward units (mdp.md, "Reward profiles")."""
 
     name: str
     rules: Literal["released", "formal"] = "released"
@@ -212,11 +207,7 @@ class Failures(Checked):
 
 
 class NavigationConfig(Checked):
-    """Everything about the MDP that is not the field. Symbols are those of the paper.
-
-    Source:
-        Choton, Woods, Hsu, sections 3 and 4: symbols, dynamics and default numbers.
-    """
+    """Everything about the MDP that is not the field. Symbols and numbers are the paper's."""
 
     n_robots: Annotated[WholeNumber, Field(ge=1, le=MAX_ROBOTS)] | None = None
     """Team size, 1 to 64; ``None`` takes as many as the field has starts."""

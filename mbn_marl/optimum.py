@@ -24,10 +24,8 @@ def optimal_return(field: Field, config: NavigationConfig | None = None) -> floa
     It is proved for the default dynamics, the released rewards and the field's own starts and
     team, as long as ``r_l``, the cost of the abrupt stop at a wall, exceeds that of all the steps.
 
-    ``config`` is that of the environment; ``None`` is the default one.
-
-    Source:
-        The formula is that of ``docs/mdp.md`` for a clean success, T* the planner's.
+    ``config`` is that of the environment; ``None`` is the default one. The formula is that of
+    ``docs/mdp.md`` for a clean success, T* the planner's.
     """
     config = config or DEFAULT
     comparable = config.model_copy(

@@ -297,16 +297,14 @@ class BatchEngine:
             starts: where the robots start, (n, 2) units, instead of the field's own starts.
         """
         self._check_world(world)
-        given = validation.as_starts(starts)
-        problems = validation.set_field_problems(
-            field, self._sizes, self.config, self.teams_vary, given
-        )
+        given, vary = validation.as_starts(starts), self.teams_vary
+        problems = validation.set_field_problems(field, self._sizes, self.config, vary, given)
         if self.num_worlds > 1 and len(self.fields) == 1:
             problems.append("field: one for all worlds; allowed: with a field for each, or 1 world")
         if problems:
             raise ConfigError("set_field", problems)
         f, backend = self._column(world), self._backend
-        tables, paths = column_of(field, backend.geometry, self.config, self.teams_vary, given)
+        tables, paths = column_of(field, backend.geometry, self.config, vary, given)
         backend.make_room(tables.edges.shape[1], paths.waypoints.shape[1])
         here = *backend.geometry.field, *backend.geometry.paths
         for table, part in zip(here, (*tables, *paths), strict=True):
@@ -404,9 +402,8 @@ class BatchEngine:
         ended = (output.terminated | output.truncated) & (self.autoreset == "same_step")
 
         def last(name: str) -> Array:
-            """Return the part ``name`` of the episodes that the last step was of, ([n,] W)."""
             part: Array = xp.where(ended, getattr(final, name), getattr(now, name))
-            return part
+            return part  # of the episode that the last step was of, ([n,] W)
 
         def count_visited() -> Array:
             codes = last("visited") & last("codes")
@@ -505,10 +502,9 @@ class BatchEngine:
 
     @property
     def running(self) -> Flags:
-        """Which worlds are in an episode, (W,) bool, a fresh NumPy array.
+        """Flags of the worlds that are in an episode, (W,) bool, a fresh NumPy array.
 
-        A world is not before its first reset, nor after its end until it is reset, by itself or
-        by :meth:`reset_worlds`.
+        A world is in none before its first reset, nor between its end and its next reset.
         """
         return ~self._backend.host(self._backend.memory.pending)
 
@@ -519,17 +515,17 @@ class BatchEngine:
 
     @property
     def failed(self) -> Flags:
-        """Which robots have failed in the present episode of each world, (W, n) bool."""
+        """Flags of the robots that have failed in each world's present episode, (W, n) bool."""
         return self._have_status(FAILED)
 
     @property
     def working(self) -> Flags:
-        """Which robots are in the team and have not failed, (W, n) bool."""
+        """Flags of the robots that are in the team and have not failed, (W, n) bool."""
         return ~(self._have_status(FAILED) | self._have_status(ABSENT))
 
     @property
     def present(self) -> Flags:
-        """Which robots are in the present team of each world, (W, n) bool.
+        """Flags of the robots in the present team of each world, (W, n) bool.
 
         The first ones always are. Those that are not observe zeros, earn nothing, touch nothing
         and visit nothing; their actions have no effect.

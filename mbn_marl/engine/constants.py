@@ -98,10 +98,7 @@ Constants = namedtuple("Constants", _values(NavigationConfig(), 1, (1.0, 1.0), "
 
 
 def make_record(*arguments: Any, **named: Any) -> NDArray[Any]:
-    """The constants as one structured array, (1,), laid out as Numba lays out ``Constants``.
-
-    The arguments are those of ``_values``.
-    """
+    """The ``_values`` as one structured array, (1,), laid out as Numba lays out ``Constants``."""
     values = _values(*arguments, **named)
     real = np.dtype(arguments[0].dtype)
     kinds = {float: real, Weights: np.dtype([(name, real) for name in WEIGHTS])}

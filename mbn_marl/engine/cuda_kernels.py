@@ -35,7 +35,7 @@ from mbn_marl.engine.reset import (
     reset_world,
 )
 from mbn_marl.engine.state import Episode, Geometry, Memory, Output
-from mbn_marl.engine.step import Written, close_step, move_robots, score_step, scratch_of
+from mbn_marl.engine.step import close_step, move_robots, score_step, scratch_of
 from mbn_marl.field.generator.layout import Tables
 from mbn_marl.jit.compile import compiled, generated, returning_views
 from mbn_marl.jit.features import Settle
@@ -86,11 +86,9 @@ def fault_of(p, mem, call, w):
 
 
 def _view_of(kind: Any, index: str, given: tuple[str, ...] = (), **places: str) -> Any:
-    """``view(source, w, end, ...)``: world w of the arrays of ``kind``, as a batch of one.
-
-    ``index`` is where a world lies in an array, ``places`` those where that differs; ``given`` are
-    the arrays that the caller has and passes.
-    """
+    """``view(source, w, end, ...)``: world w of the arrays of ``kind``, as a batch of one."""
+    # ``index`` is the place of a world in an array, ``places`` are those that differ; ``given`` are
+    # the arrays that the caller has and passes.
     index_of = dict.fromkeys(kind._fields, index) | places
     arrays = (field if field in given else f"source.{field}{index_of[field]}" for field in index_of)
     head = f"def view({', '.join(('source', 'w', 'end', *given))}):"
@@ -213,9 +211,7 @@ def step_kernel(n: int, obs_size: int, dtype: str) -> Any:
             if (fault != 0) | (not call.active[w]):
                 clear_output(p, given, ZERO)
             else:
-                move_robots(
-                    *(p, own, memory, one, Written(given, to)), *(call.actions[w:end], ZERO, ONE)
-                )
+                move_robots(p, own, memory, one, given, to, call.actions[w:end], ZERO, ONE)
                 score_step(p, own, memory, one, given, to, ZERO, ONE)
                 change = close_step(p, memory, given, ZERO)
             if change == ENDED | RESTARTS:

@@ -58,10 +58,7 @@ def step_ranges(address, arguments, actions, cuts):
 
 @entry_point
 def reset_worlds(arguments, mask, lo, hi, asked):
-    """Begin a new episode in the worlds from ``lo`` to ``hi - 1`` that ``mask`` marks.
-
-    Unless this was ``asked`` for, the outputs of the last step stay.
-    """
+    # Unless this was ``asked`` for, the outputs of the last step stay.
     p, g, mem, now, _, out, to = worlds_of(arguments)
     for w in range(np.uint64(lo), np.uint64(hi)):
         if mask[w - np.uint64(lo)]:

@@ -47,15 +47,12 @@ class Sampler(NamedTuple):
 
 
 class Geometry(NamedTuple):
-    """Where and with whom the worlds play, padded to common sizes."""
+    """The fields and the teams of the worlds, padded to common sizes."""
 
     field: Tables
     paths: Paths
     team: Team
     sampler: Sampler
-
-    def by_name(self) -> dict[str, Array]:
-        return {name: array for part in self for name, array in part._asdict().items()}
 
 
 draws_fields = Feature(lambda g: g.sampler.numbers.ndim == 1)

@@ -37,7 +37,8 @@ def changing_arrays(backend: Backend) -> dict[str, Any]:
         name: getattr(backend, name)._asdict() for name in ("now", "final", "memory", "output")
     }
     if draws_fields(backend.geometry):
-        groups["geometry"] = backend.geometry.by_name()
+        parts = backend.geometry
+        groups["geometry"] = {name: one for part in parts for name, one in part._asdict().items()}
     return {
         name if name in COUNTERS else f"{group}.{name}": array
         for group, members in groups.items()
@@ -51,11 +52,9 @@ def save_worlds(backend: Backend) -> dict[str, NDArray[Any]]:
 
 
 def limits(backend: Backend, edges: int, waypoints: int) -> dict[str, tuple[Any, Any]]:
-    """The least and the greatest value of an array by name: one value, or one per entry.
-
-    Compiled code uses these numbers as indices, counts and shifts without checks. Other reals are
-    finite, other whole numbers are free. ``edges`` and ``waypoints`` are the sizes of the tables.
-    """
+    """The least and the greatest value of an array by name: one value, or one per entry."""
+    # Compiled code uses these numbers as indices, counts and shifts without checks. Other reals are
+    # finite, other whole numbers are free. ``edges`` and ``waypoints`` are the sizes of the tables.
     spec, g, real = backend.spec, backend.geometry, np.dtype(backend.spec.config.dtype).type
     _, n, _ = spec.actions_shape
     m, steps = g.field.rois.shape[1], spec.config.max_steps

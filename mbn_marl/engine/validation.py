@@ -141,11 +141,7 @@ def set_sampler_problems(sampler: FieldSampler, sizes: Sizes, teams_vary: bool) 
 
 
 def as_array(value: Any) -> NDArray[Any]:
-    """Return an array; a tensor without its graph, bfloat16 as float32.
-
-    Raises:
-        TypeError, ValueError: it is no array.
-    """
+    """Return an array; a tensor without its graph, bfloat16 as float32."""
     if isinstance(value, np.ndarray) or not hasattr(value, "detach"):
         return np.asarray(value)
     tensor = value.detach().cpu()

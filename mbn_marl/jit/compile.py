@@ -58,11 +58,8 @@ SOURCES = digest_of_sources(Path(__file__).parents[1])
 
 
 class _Announcer(event.Listener):
-    """Warns, once in a process, that functions of this package are compiled.
-
-    Meanwhile nothing collects garbage, which would take a tenth of the time and find none.
-    """
-
+    # It warns once in a process. Meanwhile nothing collects garbage, which would take a tenth of
+    # the time and find none.
     announced, depth, collects = False, 0, True
 
     def on_start(self, event: Any) -> None:
@@ -91,12 +88,10 @@ event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
 
 
 class Rule(CPUDispatcher):
-    """A compiled function that becomes part of the compiled functions that call it.
+    """A compiled function that becomes part of the compiled functions that call it."""
 
-    It has no machine code and no wrappers, which take Numba longer than all the rest. A call from
-    Python, by a test or a curious reader, compiles the function alone.
-    """
-
+    # It has no machine code and no wrappers, which take Numba longer than all the rest. A call from
+    # Python, by a test or a curious reader, compiles the function alone.
     returns_views = False
 
     def get_call_template(self, arguments: Any, keywords: Any) -> Any:
@@ -230,11 +225,9 @@ class CodeFiles(IndexDataCacheFile):
 
 
 class CodeCache(FunctionCache):
-    """Numba's cache of a function; a program runs without it where it cannot be written.
+    """Numba's cache of a function; a program runs without it where it cannot be written."""
 
-    Code is renewed when its ``stamp`` changes; without one, when the function's file does.
-    """
-
+    # Code is renewed when its ``stamp`` changes; without one, when the function's file does.
     def __init__(self, function: Callable[..., Any], stamp: Any = None) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
         ours, theirs = stamp, self._cache_file._source_stamp

@@ -14,12 +14,10 @@ from numba.core.types import Literal
 
 
 class Feature:
-    """A test of arrays' dimensions, which compiled code knows before it is compiled.
+    """A test of arrays' dimensions, which compiled code knows before it is compiled."""
 
-    ``may_rest = Feature(lambda ep: ep.status.ndim == 2)`` lets Numba leave out one of the branches
-    of ``if may_rest(ep):``.
-    """
-
+    # ``may_rest = Feature(lambda ep: ep.status.ndim == 2)`` lets Numba leave out one of the
+    # branches of ``if may_rest(ep):``.
     def __init__(self, test: Callable[..., bool]) -> None:
         self.test = test
 
@@ -43,12 +41,10 @@ class _Parts(NamedTuple):
 
 
 class Settle(Rewrite):
-    """Replaces what the types tell by its value; Numba prunes the branches afterwards.
+    """Replaces what the types tell by its value; Numba prunes the branches afterwards."""
 
-    That are calls of a ``Feature``, and fields of named tuples whose types are literals. The IR of
-    Numba and that of numba-cuda are two modules, so classes are found by the code's own.
-    """
-
+    # That are calls of a ``Feature``, and fields of named tuples whose types are literals. The IR
+    # of Numba and that of numba-cuda are two modules, so classes are found by the code's module.
     def __init__(self, state: Any) -> None:
         self.kinds = state.args
 

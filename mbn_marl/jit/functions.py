@@ -105,10 +105,8 @@ def turned(heading, turn, pi):
 
 @compiled
 def length(x, y):
-    """``sqrt(x^2 + y^2)``, float64: the root, corrected once.
-
-    Borges, "Algorithm 1014: An Improved Algorithm for hypot(x, y)", without fused operations.
-    """
+    """``sqrt(x^2 + y^2)``, float64: the root, corrected once."""
+    # Borges, "Algorithm 1014: An Improved Algorithm for hypot(x, y)", without fused operations.
     a, b = abs(np.float64(x)), abs(np.float64(y))
     most, least = max(a, b), min(a, b)
     root = math.sqrt(most * most + least * least)

@@ -32,11 +32,10 @@ from numba.core.untyped_passes import (
 
 
 class Whole(tuple[Any, ...]):
-    """The types of arguments that are passed as they are.
+    """The types of arguments that are passed as they are."""
 
-    Numba takes arguments apart, down to each length of an array: some hundred numbers for the
-    engine's named tuples. To pack and unpack them would be most of a rule's code.
-    """
+    # Numba takes arguments apart, down to each length of an array: some hundred numbers for the
+    # engine's named tuples. To pack and unpack them would be most of a rule's code.
 
 
 class _WholePacker:
@@ -64,12 +63,10 @@ cpu_target.target_context.get_arg_packer = _packer  # both ends of a call ask it
 
 
 class _PartLowering(Lower):
-    """Writes the code of a rule, with arguments as they are and no memory for what has one value.
+    """Writes a rule's code, with arguments as they are and no memory for what has one value."""
 
-    Numba keeps a variable that several basic blocks use in memory, so that each use of a named
-    tuple of arrays copies all of it, and the optimiser has to take the copies apart.
-    """
-
+    # Numba keeps a variable that several basic blocks use in memory, so that each use of a named
+    # tuple of arrays copies all of it, and the optimiser has to take the copies apart.
     def __init__(self, context: Any, library: Any, function: Any, *rest: Any, **named: Any) -> None:
         function.argtypes = Whole(function.argtypes)
         super().__init__(context, library, function, *rest, **named)  # type: ignore[no-untyped-call]

@@ -24,10 +24,8 @@ from mbn_marl.render import maps, style
 
 FORMATS = (".png", ".pdf", ".svg")
 
-_WIDTH, _HEIGHTS = (
-    4.6,
-    (3.0, 5.6),
-)  # of a figure of one field, its least and greatest height, inches
+# The width of a figure of one field, its least and greatest height, inches.
+_WIDTH, _HEIGHTS = 4.6, (3.0, 5.6)
 _PANEL_WIDTH, _PAIR_WIDTH, _FIELD_WIDTH = 3.2, 2.6, 1.9  # of panels with one or two episodes, none
 _TITLES = 0.6  # height of a panel's title and axis label, inches
 _ROBOT: dict[str, Any] = {"marker": "o", "ls": "none", "color": style.FAINT_INK, "ms": 8}
@@ -56,11 +54,8 @@ def fields_figure(fields: Sequence[Field]) -> Figure:
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def trajectory_figure(last: Snapshot, title: str | None = None) -> Figure:
-    """Draw the paths of one episode up to its ``last`` snapshot, by default titled by its field.
-
-    A hollow circle marks a start, a numbered disc the end of a path; the dots between are one
-    step apart, so that their distance shows the speed.
-    """
+    # A hollow circle marks a start, a numbered disc the end of a path; the dots between are one
+    # step apart, so that their distance shows the speed.
     figure, axes = _canvas(last.field, last.field.name if title is None else title)
     maps.draw_field(axes, last.field, visited=last.visited, roi_radius=last.roi_radius)
     maps.draw_paths(axes, last)
@@ -93,10 +88,7 @@ def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = 3) -> Fig
 def overlay_panels(
     episodes: Mapping[str, tuple[Snapshot, Snapshot]], names: tuple[str, str]
 ) -> Figure:
-    """Draw pairs of episodes over each other, at least one, by the titles of their panels.
-
-    ``names`` are those of the first, which is dashed, and of the second, whose visits are shown.
-    """
+    """Draw pairs of episodes over each other: the first is dashed, visits are the second's."""
 
     def outcome(last: Snapshot) -> str:
         failure = "collision" if last.collision else f"{int(last.visited.sum())} ROIs"

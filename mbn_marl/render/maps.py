@@ -129,10 +129,7 @@ def draw_light_paths(axes: Axes, last: Snapshot, *, dashed: bool) -> None:
 
 
 def draw_robots(
-    axes: Axes,
-    positions: NDArray[Any],
-    size: float = 9.5,
-    headings: NDArray[Any] | None = None,
+    axes: Axes, positions: NDArray[Any], size: float = 9.5, headings: NDArray[Any] | None = None
 ) -> None:
     for index, (x, y) in enumerate(positions.tolist()):
         colour = style.robot_colour(index)
@@ -166,11 +163,9 @@ def mark_failed(axes: Axes, last: Snapshot) -> None:
 
 
 def draw_wind(axes: Axes, last: Snapshot, height: float = 9.5, *, named: bool = True) -> None:
-    """Draw the winds of an episode ``height`` points over the top right corner, if any.
-
-    One is an arrow the way that it blows; gusts are a line for the strongest of each twelfth of a
-    turn. The greatest speed is written beside them if it is ``named``.
-    """
+    """Draw the winds of an episode ``height`` points over the top right corner, if any."""
+    # One is an arrow the way that it blows; gusts are a line for the strongest of each twelfth of a
+    # turn. The greatest speed is written beside them if it is ``named``.
     winds = np.unique(last.winds, axis=0)
     speeds = np.linalg.norm(winds, axis=1)
     if speeds.max() < style.CALM:

@@ -25,11 +25,7 @@ _FONT, _SMALL_FONT = 18.0, 13.0
 
 
 class Scene:
-    """Draws snapshots at one size; markers can be read, and have circles to scale round them.
-
-    Arguments as :class:`~mbn_marl.render.Viewer`.
-    """
-
+    # Markers are of a size that can be read, and have circles to scale round them.
     def __init__(self, size: tuple[int, int], own: int | None = None, keys: str = "") -> None:
         pygame.font.init()
         self.size, self._own, self._keys = size, own, keys

@@ -48,11 +48,8 @@ class Prop(NamedTuple):
 
     name: str
     colour: str  # as MJCF has it
-    place: tuple[float, float, float] = (
-        0.0,
-        0.0,
-        0.0,
-    )  # of the middle or the mesh's origin, metres
+    # Of the middle or the mesh's origin, metres.
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
     size: tuple[float, float, float] = (0.0, 0.0, 0.0)  # along x, y, z, metres
     turn: float = 0.0  # about z, radians
     kind: str = "cuboid"
@@ -170,10 +167,8 @@ _COMMON = f"""
 
 
 def build_scene(frame: Frame, vehicle: Vehicle, timestep: float) -> str:
-    """Return the MJCF of a mission with a ``vehicle`` at each start; ``timestep`` in seconds.
-
-    Robot i is the body ``robot_i``, ROI j the geoms ``weed_j`` and ``area_j``.
-    """
+    """Return the MJCF of a mission with a ``vehicle`` at each start; ``timestep`` in seconds."""
+    # Robot i is the body ``robot_i``, ROI j the geoms ``weed_j`` and ``area_j``.
     root = ElementTree.fromstring(_COMMON)
     root.set("model", frame.name)
     part = {child.tag: child for child in root}

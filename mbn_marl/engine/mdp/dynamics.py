@@ -1,4 +1,4 @@
-"""How a robot moves: its dynamics, by name (mdp.md, "One step", 1 and 2, and "Dynamics")."""
+"""The moves of a robot: its dynamics, by name (mdp.md, "One step", 1 and 2, and "Dynamics")."""
 
 # A dynamics is a function on the robots i of a block of worlds. It writes the velocity that the
 # robot would have next and where that would take it, and, if its robots have a heading, that too;
@@ -136,7 +136,7 @@ def drive(p, limits, now, actions, i, w, cos, sin):
 
 @compiled
 def go_ahead(p, now, to, i, lo, hi):
-    """Where the speeds in ``to.vx`` take robot i along its new headings: ``v' = s' (cos, sin)``."""
+    """Move robot i along its new headings by the speeds in ``to.vx``: ``v' = s' (cos, sin)``."""
     for w in range(lo, hi):
         k, speed = w - lo, to.vx[w - lo]
         go(numbers_of(p, now, w), now, to, i, w, k, speed * to.cos[k], speed * to.sin[k])

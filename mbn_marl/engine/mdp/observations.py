@@ -69,10 +69,7 @@ class Entry(NamedTuple):
 def observation_table(
     config: NavigationConfig, n: int, m: int, arena: tuple[float, float], teams_vary: bool = False
 ) -> tuple[Entry, ...]:
-    """The entries of one robot's observation, in order, for a team of n robots and m ROIs.
-
-    ``teams_vary``: whether there may be fewer robots in an episode.
-    """
+    """The entries of a robot's observation; if ``teams_vary``, episodes may have fewer robots."""
     rows: list[Row]
     turns = count_headings(config.of_each("dynamics", n)) > 0
     flag = "failed" if config.failures else "absent" if teams_vary else ""

@@ -37,8 +37,8 @@ class Paths(NamedTuple):
 
 @compiled
 def path_length(dx, dy):
-    """How far it is: forces and speed limits are per axis, so the longer side takes the time."""
-    # The shorter one tells ways apart that take the same.
+    # Forces and speed limits are per axis, so the longer side takes the time. The shorter one tells
+    # ways apart that take the same.
     dx, dy = abs(dx), abs(dy)
     return max(dx, dy) + SHORTER * min(dx, dy)
 

@@ -31,7 +31,7 @@ EMPTY = np.uint64(0)
 
 
 def filter_size(keys: int) -> int:
-    """How many 64-bit words, a power of two, filter ``keys`` keys."""
+    """The number of 64-bit words, a power of two, that filter ``keys`` keys."""
     words = LEAST_WORDS
     while words * 64 < keys * BITS_PER_KEY:
         words *= 2
@@ -92,10 +92,8 @@ def stood_on(trail, trail_key, world, first, entry):
             matches += trail_key[world, k] == key
         if matches > 0:
             for k in range(start, stop):
-                if (
-                    trail[world, k, 0] == trail[world, entry, 0]
-                    and trail[world, k, 1] == trail[world, entry, 1]
-                ):
+                same_x = trail[world, k, 0] == trail[world, entry, 0]
+                if same_x and trail[world, k, 1] == trail[world, entry, 1]:
                     return True
         stop = start
     return False
