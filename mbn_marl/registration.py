@@ -24,10 +24,8 @@ def environment_id(field_name: str, condition: Condition = "calm") -> str:
 
 
 def register_environments() -> None:
-    """Register every catalogue field under every condition.
-
-    Centralised in Gymnasium, decentralised in PettingZoo, which has a registry from 1.27 on.
-    """
+    """Register all fields and conditions: Gymnasium's are centralised, PettingZoo's are not."""
+    # PettingZoo has a registry from 1.27 on.
     forms = {"parallel": "parallel_env", "aec": "env"} if hasattr(pettingzoo, "register") else {}
     for name in catalogue_names():
         gymnasium.register(

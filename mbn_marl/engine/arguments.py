@@ -13,10 +13,11 @@ import numpy as np
 from llvmlite import ir
 from numba import typeof
 from numba.core import cgutils, types
-from numba.extending import NativeValue, intrinsic, models, register_model, unbox
+from numba.extending import NativeValue, models, register_model, unbox
 from numpy.typing import NDArray
 
 from mbn_marl.engine.constants import Constants, constants_of
+from mbn_marl.jit.intrinsics import instruction
 
 # Groups of constants. Those of a group that are all 0 are part of the arguments' type.
 #
@@ -85,7 +86,7 @@ def _table_of(context: Any, kind: ArgumentsType) -> ir.LiteralStructType:
     return ir.LiteralStructType([ir.IntType(64), constants.as_pointer(), *parts])
 
 
-@intrinsic
+@instruction
 def worlds_of(typing: Any, kind: ArgumentsType) -> Any:
     """Return the constants, all parts and the scratch, without counting references."""
     # Scalars that live in registers cannot alias the arrays that a pass writes, so they leave its
@@ -101,7 +102,7 @@ def worlds_of(typing: Any, kind: ArgumentsType) -> Any:
     return kinds(kind), generate
 
 
-@intrinsic
+@instruction
 def with_scratch(typing: Any, kind: ArgumentsType, k: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -111,7 +112,7 @@ def with_scratch(typing: Any, kind: ArgumentsType, k: Any) -> Any:
     return kind(kind, k), generate
 
 
-@intrinsic
+@instruction
 def call_reset(typing: Any, kind: ArgumentsType, mask: Any, lo: Any, hi: Any) -> Any:
     """Call the ``reset_worlds`` at the address; what calls it need not be compiled with it."""
     kinds = (kind, mask, lo, hi, types.boolean)

@@ -206,11 +206,7 @@ class BatchEngine:
         return self._backend.output.observations
 
     def reset_worlds(self, mask: ArrayLike) -> Floats:
-        """Begin a new episode in the worlds where ``mask`` (W,) bool is set.
-
-        Returns:
-            The observations of all worlds, (W, n, obs_size) float32.
-        """
+        """Begin a new episode where ``mask`` (W,) bool is set; return all worlds' observations."""
         self._backend.reset(mask)
         self._tell_reset(mask)
         return self._backend.output.observations
@@ -315,11 +311,7 @@ class BatchEngine:
         self._set_fields[world] = int(self.episode_numbers[world]) + 1, field
 
     def set_sampler(self, sampler: FieldSampler) -> None:
-        """Draw fields by other numbers from the next resets on, as in a curriculum.
-
-        Args:
-            sampler: its fields are at most as large as those of the first one.
-        """
+        """Draw fields by other numbers from the next resets on, at most as large as at first."""
         problems = validation.set_sampler_problems(sampler, self._sizes, self.teams_vary)
         if self.sampler is None:
             problems = ["sampler: allowed in place of another one"]
@@ -603,9 +595,7 @@ class BatchEngine:
         """Restore a saved state: the worlds then continue as those of the saved engine.
 
         Settings and fields have to be the same; only sizes, types and samplers are compared.
-
-        Args:
-            saved: what :meth:`save_state` gave: arrays of its shapes, such as (n, W), and units.
+        Arrays have the shapes and units that :meth:`save_state` gave.
 
         Raises:
             ProblemsError: naming every array with another shape or type, or values out of range.

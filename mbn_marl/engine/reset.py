@@ -17,7 +17,7 @@ from mbn_marl.jit import random_numbers as rng
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.functions import column
 
-# How many random starts are tried for a robot before the field's own starts are used instead.
+# The random starts that are tried for a robot before the field's own starts are used instead.
 DRAWS_PER_ROBOT = 1000
 # Bits of how the episode of a world changes after a step.
 ENDED, RESTARTS = 1, 2

@@ -119,7 +119,7 @@ def sampler_numbers(sampler: FieldSampler) -> Array:
 def starts_of(
     field: Field, n: int, config: NavigationConfig, teams_vary: bool, given: Array | None
 ) -> Array:
-    # Teams that do not vary may be larger than that if they start at random. Where that fails, the
+    # Teams that do not vary may be larger than that if they start at random. If that fails, the
     # others start at points of the field that are at least the safety distance from those before.
     # As many as ``field_problems`` allows have discs of that radius that leave some of the field.
     starts = field.starts[:n] if given is None else given

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -10,6 +11,8 @@ from numba.core.cpu import CPUContext
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
+# Calls of an instruction lack the typing context, which Numba's own type would ask for.
+instruction: Callable[[Callable[..., Any]], Any] = intrinsic
 FOR_WRITING, KEEP, DATA = 1, 3, 1
 SIDE = 8
 HALVINGS = 3  # of SIDE, down to 1
@@ -20,7 +23,7 @@ LOWER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) for k in range(SIDE)])
 UPPER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) + SIDE // 2 for k in range(SIDE)])
 
 
-@intrinsic
+@instruction
 def prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:
     """Begin to fetch ``array[row, column]``, which is going to be changed; on CUDA, do nothing."""
 
@@ -44,7 +47,7 @@ def prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:
     return types.void(array, row, column), generate
 
 
-@intrinsic
+@instruction
 def call_step(typing: Any, address: Any, store: Any, actions: Any, lo: Any, hi: Any) -> Any:
     """Call the ``step_worlds`` at ``address``, which its caller is then not compiled with."""
     kinds = (store, actions, lo, hi)
@@ -62,7 +65,7 @@ def call_step(typing: Any, address: Any, store: Any, actions: Any, lo: Any, hi: 
     return types.int64(address, *kinds), generate
 
 
-@intrinsic
+@instruction
 def transpose(typing: Any, tile: Any, k: Any, column: Any, rows: Any, w: Any, i: Any) -> Any:
     # Arrays are float32, with a contiguous last axis; indices are unsigned, the square within both.
 

@@ -16,7 +16,7 @@ ARM = 0.15  # of each rotor's offset along x and along y, metres
 REACTION = 0.016  # torque about the rotor's axis per thrust, metres
 FULL_THRUST = 6.0  # of one rotor, N; hovering takes 2.45
 ROTOR_LAG = 0.02  # time constant of a rotor's thrust, seconds
-# Where each rotor is along x and y, in arms, and the sign of its reaction.
+# The place of each rotor along x and y, in arms, and the sign of its reaction.
 ROTORS = ((1, 1, -1), (1, -1, 1), (-1, -1, -1), (-1, 1, 1))
 HOVER = MASS * GRAVITY / len(ROTORS)
 

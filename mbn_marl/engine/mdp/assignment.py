@@ -28,7 +28,7 @@ STRAIGHT, NO_WAY = -1, -2
 END = -1
 # Weights of the sum of the tours: both are tried to insert ROIs; changes use the latter.
 SUM, SPREAD = np.float32(1), np.float32(1 / 64)
-# How often an assignment is changed, at most, for each ROI of the field.
+# The most changes of an assignment for each ROI of the field.
 CHANGES = 2
 # The cost of a U-turn at an ROI, units; less for smaller turns, 0 up to a right angle.
 TURN_BACK = np.float32(16)

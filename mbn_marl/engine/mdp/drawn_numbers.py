@@ -1,7 +1,7 @@
 """Numbers of the configuration that each episode draws (mdp.md, "Drawn numbers")."""
 
 # ``Episode.drawn`` has them for each world: what they are made into, then the numbers themselves.
-# Where nothing is drawn, ``numbers_of`` and ``limits_in`` return the constants.
+# If nothing is drawn, ``numbers_of`` and ``limits_in`` return the constants.
 #
 # Source: this package.
 

@@ -30,7 +30,7 @@ from mbn_marl.jit.functions import clip, column, select
 
 # NEAR and FAR: the lengths that become 1/2, units.
 SCALES = np.array([15.0, 100.0])
-# How far ahead the approach of another robot is foreseen, steps.
+# The steps ahead for which the approach of another robot is foreseen.
 STEPS_AHEAD = np.float32(15.0)
 
 

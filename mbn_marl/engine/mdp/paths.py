@@ -16,7 +16,7 @@ from mbn_marl.field.generator.layout import Tables
 from mbn_marl.jit.compile import compiled, entry_point
 from mbn_marl.jit.functions import count_bits
 
-# How far waypoints are from their corners, units.
+# The distance of waypoints from their corners, units.
 CLEARANCE = np.float32(3.0)
 # The sine of the turn up to which a corner counts as straight.
 BLUNT = np.float32(1e-3)
