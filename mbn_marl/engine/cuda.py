@@ -65,8 +65,8 @@ def _mapped(function: Any, arrays: Any) -> Any:
 
 
 class CudaBackend(Backend):
-    # Nothing here waits for the device but ``raise_fault`` and ``host``. All that a captured graph has
-    # to find changed later (seed, number of the draw, first fault) is in tensors.
+    # Nothing here waits for the device but ``raise_fault`` and ``host``. All that a captured graph
+    # has to find changed later (seed, number of the draw, first fault) is in tensors.
     xp = torch
     derived = ("_arrays", "_final", "_output", "_faults", "_device")
 

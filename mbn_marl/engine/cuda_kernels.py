@@ -96,8 +96,8 @@ def _view_of(kind: Any, index: str, given: tuple[str, ...] = (), **places: str) 
     return generated("view", source, returning_views, Kind=kind)
 
 
-MOTION = ("x", "y", "vx", "vy", "visited", "steps")
 # The parts of an episode, and those of the output, that a step keeps in registers.
+MOTION = ("x", "y", "vx", "vy", "visited", "steps")
 RESULTS = ("rewards", "team_rewards", "terminated", "truncated", "events", "outcomes")
 LAST = "[..., w:end]"
 field_of, paths_of = _view_of(Tables, LAST), _view_of(Paths, LAST)

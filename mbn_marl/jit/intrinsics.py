@@ -18,8 +18,8 @@ SIDE = 8
 HALVINGS = 3  # of SIDE, down to 1
 FLOATS = ir.VectorType(ir.FloatType(), SIDE)
 INDICES = ir.VectorType(ir.IntType(32), SIDE)
-LOWER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) for k in range(SIDE)])
 # Indices into two joined vectors that interleave their lower or upper halves.
+LOWER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) for k in range(SIDE)])
 UPPER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) + SIDE // 2 for k in range(SIDE)])
 
 
