@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Any
 
 import pytest
-from tyro.conf import Positional, arg
 
 from baselines.cli import fields
-from baselines.cli.main import COMMANDS, main
-from baselines.cli.options import read_options
+from baselines.cli.main import COMMANDS, main, read_command
 from mbn_marl import __version__
-from mbn_marl.errors import ConfigError
 from tests.baselines.conftest import Refusal
 from tests.support.terminal import MBN
 
@@ -76,63 +72,29 @@ def test_reader_may_leave(words: list[str]) -> None:
     assert process.returncode == 1
 
 
-@dataclass(frozen=True)
-class Budget:
-    """How long a run is.
-
-    Attributes:
-        steps: how many.
-    """
-
-    steps: int = 5
-
-    def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise ConfigError("budget", [f"steps: at least 1, not {self.steps}"])
-
-
-@dataclass(frozen=True)
-class Options:
-    """Do something."""
-
-    name: Positional[Annotated[str, arg(metavar="NAME")]]
-    budget: Annotated[Budget, arg(name="")] = Budget()
-    kind: Literal["short", "long"] = "short"
-    wind: tuple[float, float] = (0.0, 0.5)
-    seeds: tuple[int, ...] = ()
-    limit: int | None = None
-    """At most."""
-    quiet: bool = False
-
-
-def read(*words: str) -> Options:
-    return read_options(Options, words, "mbn do")
-
-
-def test_options_of_a_configuration_are_those_of_its_command() -> None:
-    words = ("x", "--steps", "1e6", "--kind", "long", "--seeds", "1", "2_000", "--limit", "3e2")
-    found = read(*words, "--wind", "-1e1", "2", "--quiet")
-    assert found == Options("x", Budget(1_000_000), "long", (-10.0, 2.0), (1, 2000), 300, True)
-    assert read("x") == Options("x")
+def test_numbers_may_be_written_short() -> None:
+    words = ("train ppo field_03", "--steps 2.5e1", "--num-envs 1_000", "--seed 3e2")
+    train = read_command(" ".join(words).split())
+    config: Any = train.config
+    assert (config.steps, config.num_envs, config.seed) == (25, 1000, 300)
+    assert read_command(["plan", "field_03", "--wind", "-1e1", "2"]).wind == (-10.0, 2.0)
 
 
 @pytest.mark.parametrize(
     ("words", "place"),
     [
-        ("", "name"),
-        ("x --limt 3", "--limit"),
-        ("x --steps many", "--steps"),
-        ("x --limit 1.5", "--limit"),
-        ("x --seeds 1 b", "--seeds"),
-        ("x --wind 1", "--wind"),
-        ("x --kind shrt", "'short'"),
-        ("x y", "y"),
+        ("train ppo", "FIELD"),
+        ("train ppo field_03 --stps 3", "--stps"),
+        ("train ppo field_03 --steps many", "--steps"),
+        ("train ppo field_03 --seed 1.5", "--seed"),
+        ("train ppo field_03 --setting Q", "'A'"),
+        ("compare --seeds 1 b", "--seeds"),
+        ("plan field_03 --wind 1", "--wind"),
+        ("plan field_03 y", "y"),
     ],
 )
 def test_wrong_option_is_named(words: str, place: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        read(*words.split())
-    assert caught.value.code == 2 and place in capsys.readouterr().err
+    assert main(words.split()) == 2 and place in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", COMMANDS)

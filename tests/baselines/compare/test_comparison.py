@@ -253,26 +253,3 @@ def test_the_result_in_words(
     assert comparison.to_json()["verdict"] == comparison.verdict
     asked = "Centralized (ppo-joint) or decentralized (mappo) on field_03, 400 env-steps a run, "
     assert comparison.question.startswith(asked)
-
-
-HEADINGS, LINE = ["algorithm", "setting", "one", "two", "three"], ["ppo", "N", *["-11,972,196"] * 3]
-
-
-# Names take 9 + 2 + 7 + 2 columns, each number 11 + 2: two fit into 46 columns, not into 45.
-@pytest.mark.parametrize(
-    ("columns", "blocks"),
-    [("", [3]), ("59", [3]), ("46", [2, 1]), ("45", [1, 1, 1]), ("20", [1, 1, 1])],
-)
-def test_table(
-    columns: str,
-    blocks: list[int],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setenv("COLUMNS", columns)
-    TextTable("the caption", HEADINGS, [LINE], words=2).print("the title")
-    lines = [line.split() for line in capsys.readouterr().out.splitlines() if line.strip()]
-    assert (lines[0], lines[-1]) == (["the", "title"], ["the", "caption"])
-    if columns != "20":
-        rows = [line for line in lines if line[0] == "ppo"]
-        assert rows == [["ppo", "N", *["-11,972,196"] * count] for count in blocks]

@@ -41,18 +41,18 @@ def make_run(
     path = folder / f"{algorithm}-{setting}-{Path(field).stem}-seed{seed}"
     config = {"algorithm": algorithm, "setting": setting, "field": field, "seed": seed}
     run = RunFolder.create(path, config, load_field(field), f"mbn train {algorithm} {field}")
-    for index, (episodes, mean, sd, low, high) in enumerate(rows, start=1):
-        spread = {"return_std": sd, "return_min": low, "return_max": high, "success_rate": 0.0}
-        known = {"env_steps": index * every, "seconds": 1.0, "episodes": episodes}
-        run.append_progress({**known, "return_mean": mean, **spread})
+    names = ("episodes", "return_mean", "return_std", "return_min", "return_max")
+    for index, row in enumerate(rows, start=1):
+        known = {"env_steps": index * every, "seconds": 1.0, **dict(zip(names, row, strict=True))}
+        run.append_progress({**known, "success_rate": 0.0})
     if finished:
         stochastic = {"success_rate": 0.25, "return_mean": -1234.0}
         write_json(path / "evaluation.json", {"stochastic": stochastic})
     return path
 
 
-def report(folder: Path, *options: str) -> str:
-    assert main(["report", "--paper", str(folder), "-o", str(folder / "out"), *options]) == 0
+def report(folder: Path) -> str:
+    assert main(["report", "--paper", str(folder), "-o", str(folder / "out")]) == 0
     return (folder / "out" / "paper.md").read_text()
 
 
@@ -83,8 +83,6 @@ def test_a_cell_is_the_mean_sd_max_and_range_of_all_its_episodes(tmp_path: Path)
     (shown,) = cells(fields, "field_01", "A", "here", "single episodes", "reward")
     by_hand = [5e6 / 3, np.std([0.0, 1e6, 4e6]), 4e6, 4e6]
     assert [float(word) for word in shown] == pytest.approx(by_hand)
-    latex = (tmp_path / "out" / "algorithms.tex").read_text()
-    assert "PPO & mean & $-$0.2128 & $-$1.0000 &" in latex
 
 
 def test_the_moving_mean_is_over_the_latest_hundred_episodes(tmp_path: Path) -> None:
@@ -109,8 +107,6 @@ def test_missing_cells_say_so_and_setting_n_is_marked_as_ours(tmp_path: Path) ->
     assert "curves_N.png" in page and not (tmp_path / "out" / "curves_A.png").exists()
     table = tmp_path / "out" / "algorithms.csv"
     assert cells(table, "TQC", "A", "here", "single episodes") == [["1e6 reward", "", "", "", ""]]
-    field_03 = ["", "reward", "32867.09", "264073", "159490", "22615808"]
-    assert cells(tmp_path / "out" / "fields.csv", "field_03", "C", "paper") == [field_03]
 
 
 def test_what_was_run_and_who_got_there(tmp_path: Path) -> None:
