@@ -53,7 +53,6 @@ def claim_file(path: Path, *, force: bool = False) -> Path:
 
 
 def free_name(path: Path) -> Path:
-    """Return the first of ``<path>.1``, ``<path>.2``, ... that does not exist."""
     number = 1
     while (candidate := path.with_name(f"{path.name}.{number}")).exists():
         number += 1

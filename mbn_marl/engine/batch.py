@@ -283,7 +283,6 @@ class BatchEngine:
             raise IndexError(f"world {world}; allowed: 0 to {self.num_worlds - 1}")
 
     def _column(self, world: int) -> int:
-        """The column of a world in the tables of its field."""
         return world if self._backend.geometry.field.codes.shape[0] > 1 else 0
 
     def set_field(self, field: Field, world: int = 0, starts: ArrayLike | None = None) -> None:
@@ -646,6 +645,5 @@ def _class_of(device: Device) -> type[Backend]:
 
 
 def _load_all(field: FieldLike | Sequence[FieldLike]) -> tuple[Field, ...]:
-    """The fields of an engine that does not draw them."""
     several = isinstance(field, Sequence) and not isinstance(field, str)
     return tuple(load_field(one) for one in (field if several else [field]))  # type: ignore[union-attr,arg-type]

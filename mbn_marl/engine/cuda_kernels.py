@@ -258,7 +258,6 @@ def reset_kernel(obs_size: int) -> Any:
 
 @exact
 def infos(p, g, mem, now, final, out, rows):
-    """As ``kernels.write_infos``, with ``rows`` in a tuple of one."""
     w = cuda.grid(1)
     if w < now.steps.shape[0]:
         if is_final(p, out, w):
@@ -269,7 +268,6 @@ def infos(p, g, mem, now, final, out, rows):
 
 @exact
 def states(episode, rows):
-    """As ``kernels.write_states``, of one of the episodes, with ``rows`` in a tuple of one."""
     w = np.uint64(cuda.grid(1))
     if w < episode.steps.shape[0]:
         put_state(episode, w, w + ONE, rows[0][w : w + ONE].T)
@@ -277,7 +275,6 @@ def states(episode, rows):
 
 @exact
 def draw(p, mem, rows):
-    """As ``kernels.draw_actions``, with the actions in a tuple of one."""
     w = cuda.grid(1)
     if w < rows[0].shape[0]:
         draw_world(p, mem, w, rows[0])

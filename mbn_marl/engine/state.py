@@ -147,7 +147,6 @@ def make_episode(
 def make_memory(
     worlds: int, n: int, m: int, config: NavigationConfig, now: Episode, xp: ModuleType = np
 ) -> Memory:
-    """Zeroed memory, for m ROIs."""
     real = getattr(xp, config.dtype)
     length = config.max_steps + 1
     formal = config.reward.rules == "formal"

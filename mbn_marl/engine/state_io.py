@@ -137,7 +137,6 @@ def _world(name: str, place: tuple[int, ...]) -> str:
 
 
 def relation_problems(given: Mapping[str, NDArray[Any]], n: int, m: int, steps: int) -> list[str]:
-    """Return the problems between values that are all in their ranges."""
     words, plan = given["memory.words"], given.get("memory.plan")
     goes_on = ~given["memory.pending"] & (given["now.steps"] >= steps)
     wrong = {
@@ -181,7 +180,6 @@ def problems_of(backend: Backend, given: Mapping[str, Any]) -> list[str]:
 
 
 def _room(given: Mapping[str, Any]) -> tuple[int, int]:
-    """The numbers of edges and waypoints of saved tables."""
     shapes: list[Any] = [getattr(given.get(name), "shape", ()) for name in (EDGES, WAYS[0])]
     edges, waypoints = (shape[1] if len(shape) == 3 else 0 for shape in shapes)
     return edges, waypoints

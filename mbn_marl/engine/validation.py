@@ -110,7 +110,6 @@ def set_field_problems(
     teams_vary: bool,
     starts: NDArray[Any] | None,
 ) -> list[str]:
-    """Return why a field and starts cannot be those of a world of these sizes."""
     n = sizes.robots
     if starts is not None and (wrong := _given_starts_problems(starts, config, n)):
         return wrong
@@ -157,7 +156,6 @@ def as_array(value: Any) -> NDArray[Any]:
 
 
 def option_problems(options: object, allowed: Sequence[str]) -> list[str]:
-    """Return the problems of the options of a reset."""
     if options is None:
         return []
     if not isinstance(options, Mapping):
@@ -170,7 +168,6 @@ def option_problems(options: object, allowed: Sequence[str]) -> list[str]:
 
 
 def reset_problems(seed: object, episode: object) -> list[str]:
-    """Return the problems of the arguments of a reset."""
     problems = [] if seed is None else _number_problems("seed", seed)
     problems += _number_problems("episode", episode)
     if seed is None and not problems and episode != 0:

@@ -115,7 +115,6 @@ class EpisodeFile(_Strict):
 
 
 def save_episode(episode: Episode, path: str | Path) -> Path:
-    """Write ``episode`` atomically to ``path``, which has to end in ``.json``, and return that."""
     path = Path(path)
     if path.suffix.lower() != ".json":
         raise MbnError(f"{path}: the file name has to end in .json")

@@ -121,7 +121,6 @@ class Rule(CPUDispatcher):
 
     @cached_property
     def alone(self) -> Any:
-        """The function, compiled alone."""
         return _cached(self.py_func, _nrt=self.returns_views)
 
 
@@ -170,7 +169,6 @@ def returning_views(function: Callable[..., Any]) -> Any:
 
 
 def generated(name: str, source: str, as_rule: Callable[..., Any] = compiled, **names: Any) -> Any:
-    """Compile the function ``name`` of a generated source text."""
     module = {"__name__": __name__, **names}
     exec(source, module)
     return as_rule(module[name])

@@ -56,7 +56,6 @@ class Settle(Rewrite):
         self.kinds = state.args
 
     def match(self, code: Any, block: Any, *_: Any) -> bool:
-        """Find what is settled in a block."""
         self.ir, self.code, self.block = sys.modules[type(block).__module__], code, block
         self.settled: list[tuple[Any, Any]] = []
         for assignment in block.find_insts(self.ir.Assign):
@@ -70,7 +69,6 @@ class Settle(Rewrite):
         return bool(self.settled)
 
     def apply(self) -> Any:
-        """Write the values into the block."""
         for assignment, value in self.settled:
             assignment.value = self.ir.Const(value, assignment.loc)
             self.code._definitions[assignment.target.name] = [assignment.value]

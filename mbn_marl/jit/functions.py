@@ -29,13 +29,11 @@ def select(condition, a, b):
 
 @compiled
 def clip(value, low, high):
-    """``value`` limited to ``[low, high]``."""
     return min(max(value, low), high)
 
 
 @compiled
 def is_set(word, flag):
-    """Return whether ``flag`` is set in ``word``."""
     return (word & flag) != 0
 
 
@@ -82,7 +80,6 @@ exponential = generated(
 
 @compiled
 def sine(angle):
-    """The sine of an angle in [-pi, pi], float64."""
     x = np.float64(angle)
     x = select(x > HALF_PI, PI - x, select(x < -HALF_PI, -PI - x, x))
     return clip(x * sine_series(x * x), -1.0, 1.0)
@@ -90,20 +87,17 @@ def sine(angle):
 
 @compiled
 def cosine(angle):
-    """The cosine of an angle in [-pi, pi], float64."""
     x = HALF_PI - abs(np.float64(angle))
     return clip(x * sine_series(x * x), -1.0, 1.0)
 
 
 @compiled
 def tangent(angle):
-    """The tangent of an angle nearer to 0 than pi/2, float64."""
     return sine(angle) / cosine(angle)
 
 
 @compiled
 def turned(heading, turn, pi):
-    """``h + turn``, in [-pi, pi)."""
     angle, circle = heading + turn, pi + pi
     turns = angle / circle
     turns = clip(turns + select(turns > 0, HALF, -HALF), -MANY, MANY)

@@ -69,7 +69,6 @@ call_step: Any = intrinsic(_call_step)
 
 
 def _transpose(typing: Any, tile: Any, k: Any, column: Any, rows: Any, w: Any, i: Any) -> Any:
-    """``rows[w + b, i, k + a] = tile[k + a, column + b]`` for a and b from 0 to ``SIDE`` - 1."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         tile, k, column, rows, w, i = arguments

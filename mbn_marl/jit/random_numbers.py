@@ -54,7 +54,6 @@ def world_number(p, w):
 
 @compiled
 def episode_key(seed, world, episode):
-    """The key of all random numbers of an episode."""
     key = mix(np.uint64(seed) + GOLDEN)
     key = mix(key + np.uint64(world) + GOLDEN)
     return mix(key + np.uint64(episode) + GOLDEN)
@@ -62,13 +61,11 @@ def episode_key(seed, world, episode):
 
 @compiled
 def stream_of(key, purpose):
-    """The key of one of the streams of an episode with this key."""
     return mix(key + purpose + GOLDEN)
 
 
 @compiled
 def stream_key(seed, world, episode, purpose):
-    """The key of one stream of random numbers."""
     return stream_of(episode_key(seed, world, episode), purpose)
 
 
@@ -80,7 +77,6 @@ def uniform(key, counter):
 
 @compiled
 def count_ones(bits):
-    """The number of bits that are set, of 64."""
     bits -= (bits >> BY_1) & PAIRS
     bits = (bits & QUADS) + ((bits >> BY_2) & QUADS)
     bits = (bits + (bits >> BY_4)) & BYTES

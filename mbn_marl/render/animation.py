@@ -56,7 +56,6 @@ class Mp4Writer(AbstractContextManager["Mp4Writer"]):
 
 
 def write_mp4(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.0) -> Path:
-    """Write ``frames`` to ``path``, and return that; arguments and errors as of ``Mp4Writer``."""
     with Mp4Writer(path, fps) as writer:
         for frame in frames:
             writer.add(np.asarray(frame))
@@ -117,7 +116,6 @@ def _load(name: str) -> Any:
 
 
 def _check_shape(frame: NDArray[Any], shapes: list[tuple[int, ...]], path: Path) -> None:
-    """Add the shape of the next frame of ``path`` to those before it, and check them."""
     place = f"{path}: frame {len(shapes)}"
     if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
         raise MbnError(f"{place} is {frame.dtype} {frame.shape}, not uint8 (height, width, 3)")

@@ -123,7 +123,6 @@ def overlay_panels(
 
 
 def check_name(path: Path) -> Path:
-    """Check that a figure can have this name; return ``path``."""
     if path.suffix.lower() not in FORMATS:
         raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
     return path
@@ -164,7 +163,6 @@ def _canvas(field: Field, title: str) -> tuple[Figure, Axes]:
 
 
 def _explain(figure: Figure, looks: Mapping[str, Mapping[str, Any]]) -> None:
-    """Add a legend of lines' looks by their labels."""
     handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
     columns = len(handles) if len(handles) <= 4 else 3
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=1.2)
@@ -173,7 +171,6 @@ def _explain(figure: Figure, looks: Mapping[str, Mapping[str, Any]]) -> None:
 def _panels(
     what: str, count: int, columns: int, width: float, height: float
 ) -> tuple[Figure, list[Axes]]:
-    """Make a figure of ``count`` panels, each ``width`` x ``height`` inches."""
     if not count:
         raise MbnError(f"{what}: there is none to draw")
     columns = min(columns, count)

@@ -40,7 +40,6 @@ def draw_field(
     roi_radius: float = ROI_RADIUS,
     numbered: bool = True,
 ) -> None:
-    """Draw a field and its ROIs, ``visited`` (m,) or not, and fit the axes to it."""
     axes.set_facecolor(style.OBSTACLE)
     ground = orient(field.polygon)  # holes turn against the outline, so that they stay empty
     rings = [Path(np.array(ring.coords)) for ring in (ground.exterior, *ground.interiors)]

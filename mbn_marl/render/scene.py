@@ -103,7 +103,6 @@ class Scene:
         self._frame.blit(label, label.get_rect(midright=end))
 
     def _extend_trails(self, snapshot: Snapshot) -> None:
-        """Draw the new part of the trails, or all of another episode's."""
         trail = np.array(snapshot.trail, np.float64)
         known = len(self._drawn)
         if not np.array_equal(trail[:known], self._drawn):
@@ -144,7 +143,6 @@ class Scene:
             self._write("success", style.WHITE, (column, rows[1]), style.SUCCESS)
 
     def _write(self, text: str, colour: str, place: tuple[int, int], badge: str = "") -> None:
-        """Write ``text`` with its top left corner at ``place``, on a ``badge`` of that colour."""
         picture = self._font.render(text, True, style.rgb(colour))
         box = picture.get_rect(topleft=place)
         if badge:

@@ -116,7 +116,6 @@ def robot_colour(index: int) -> str:
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Return ``"#RRGGBB"`` as three numbers, 0 to 255."""
     red, green, blue = bytes.fromhex(colour[1:])
     return red, green, blue
 

@@ -88,7 +88,6 @@ class Viewer:
         return None
 
     def close(self) -> None:
-        """Close the window, if there is one."""
         self.closed = True
         if self._window is not None:
             import pygame
@@ -131,7 +130,6 @@ class Viewer:
 
 
 def size_problems(name: str, size: object) -> list[str]:
-    """Return the problems of a picture's ``size``, if any."""
     sides = size if isinstance(size, (tuple, list)) else ()
     if [isinstance(side, int) and side >= SMALLEST_SIDE for side in sides] == [True, True]:
         return []

@@ -48,7 +48,6 @@ class CoppeliaLink:
         return getattr(self._sim, name)
 
     def connect(self) -> None:
-        """Connect as a client that CoppeliaSim has not seen."""
         self._client = self._new_client()
         self._client.socket = self._socket = _PatientSocket(self._client.socket)
         self.lost = self.interrupted = False

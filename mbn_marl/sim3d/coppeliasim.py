@@ -73,7 +73,6 @@ class CoppeliaSimulator(Simulator):
             raise
 
     def _build(self, mission: Mission) -> None:
-        """Make the scenery and the vehicles, each at its target, and start the simulation."""
         if not self._is_stopped():
             raise SimulatorError("CoppeliaSim: it is simulating something already; stop that first")
         self._frame = frame = Frame(mission, self._scale.metres)
@@ -181,7 +180,6 @@ class CoppeliaSimulator(Simulator):
         self._paint(prop.name, prop.colour)
 
     def _add_vehicle(self, robot: int, place: Sequence[float]) -> tuple[int, int]:
-        """Load a vehicle at a ``place``, metres; return its handle and that of its target."""
         call, constant, model = self._link.call, self._link.constant, self._model
         if not (model.startswith("/") or model[1:2] == ":"):
             model = f"{call('getStringParam', constant('stringparam_resourcesdir'))}/{model}"

@@ -19,7 +19,6 @@ from mbn_marl.sim3d.vehicle import GRAVITY, Array, Vehicle, add
 
 
 def rgba(colour: str, alpha: float = 1.0) -> str:
-    """Return ``"#RRGGBB"`` as MJCF has it."""
     return " ".join(f"{channel / 255.0:.4g}" for channel in style.rgb(colour)) + f" {alpha:g}"
 
 

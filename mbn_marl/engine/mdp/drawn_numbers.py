@@ -148,7 +148,6 @@ def is_failing_step(ep, i, step, w):
 
 @compiled
 def draw_numbers(p, g, ep, episode_key, team, w):
-    """Draw the numbers of the episode that world w begins with ``team`` robots."""
     ranges, drawn = g.team.ranges, ep.drawn
     if draws_numbers(ep):
         key = stream_of(episode_key, FOR_NUMBERS)

@@ -45,7 +45,6 @@ def force(action, f_max, one):
 
 @compiled
 def next_velocity(velocity, thrust, mass, wind, v_clip):
-    """``v' = clip(v + u / M + wind, -v_clip, v_clip)``, one axis."""
     return clip(add_wind(velocity + thrust / mass, wind), -v_clip, v_clip)
 
 

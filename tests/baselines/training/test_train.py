@@ -30,6 +30,7 @@ from baselines.training.train import prepare, train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from tests.support.runs import STAGES, TinyRuns, interrupted, recorded, same_policies, small_config
+from tests.support.terminal import MBN
 
 pytestmark = pytest.mark.slow
 
@@ -81,7 +82,7 @@ def test_killed_process_is_resumed(tmp_path: Path) -> None:
     words += "--set action_repeat=[4,1] roi_radius=20.0 episode_steps=50 model.n_steps=32 "
     arguments = [*f"{words} model.batch_size=64 --out".split()]
     assert main([*arguments, str(whole)]) == 0
-    command = [sys.executable, "-m", "mbn_marl", *arguments, str(killed)]
+    command = [*MBN, *arguments, str(killed)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     deadline = time.monotonic() + 600.0
     while not list(killed.glob("checkpoints/[0-9]*")) and time.monotonic() < deadline:
