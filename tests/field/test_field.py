@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from mbn_marl import parallel_env
 from mbn_marl.errors import ConfigError, FieldError
@@ -128,13 +126,6 @@ def test_problems_of_several_arguments() -> None:
     ]
 
 
-def test_boundaries_belong_to_the_field() -> None:
-    assert len(square(rois=[(40.0, 50.0), (60.0, 60.0), (100.0, 0.0)]).rois) == 3
-    starts = [(5 + 10 * (k % 8), 5 + 10 * (k // 8)) for k in range(64)]
-    field = square(starts=starts, rois=[(k, 99) for k in range(24)], holes=())
-    assert (len(field.starts), len(field.rois)) == (64, 24)
-
-
 def test_points_that_rounding_puts_outside_are_on_the_border() -> None:
     slanted, hole = (
         [(10.1, 20.3), (333.3, 47.9), (280.7, 310.1)],
@@ -158,28 +149,3 @@ def test_environments_check_starts_and_scale() -> None:
     parcel = Field([(5.1, 52.1), (5.2, 52.1), (5.2, 52.2)], [(5.18, 52.15)], [(5.15, 52.12)])
     with pytest.warns(UserWarning, match="smaller than an ROI"):
         parallel_env(parcel)
-
-
-numbers = st.floats() | st.integers(-(10**400), 10**400) | st.sampled_from([0, 1, 50, 5e-324, 1e6])
-scalars = numbers | st.none() | st.booleans() | st.text(max_size=5) | st.binary(max_size=3)
-lists = st.lists(st.lists(numbers, min_size=2, max_size=2), min_size=1, max_size=12)
-trees = st.recursive(scalars, lambda inner: st.lists(inner, max_size=5), max_leaves=20)
-
-
-@settings(max_examples=100)
-@given(
-    vertices=lists | trees,
-    rois=lists | trees,
-    starts=lists | trees,
-    holes=st.lists(lists, max_size=3) | trees,
-    arena=st.tuples(numbers, numbers) | trees,
-    name=st.just("custom") | scalars,
-    optimal_makespan=st.none() | scalars,
-)
-def test_any_arguments_are_a_field_or_a_field_error(**values: Any) -> None:
-    try:
-        field = Field(**values)
-    except FieldError as error:
-        assert error.problems
-    else:
-        assert field.polygon.is_valid

@@ -14,7 +14,7 @@ from benchmarks.splits import definition, instance_problems, weather
 from mbn_marl import FieldSampler
 from mbn_marl.errors import FieldError
 from mbn_marl.field import load_split
-from mbn_marl.field.splits import FOLDER, NAMES, TIERS, WEATHER, Split, sampler_of
+from mbn_marl.field.splits import FOLDER, NAMES, TIERS, WEATHER, Split
 from tests.support.field_cases import places_of
 from tests.support.frozen import write_split, write_splits
 
@@ -31,16 +31,6 @@ def test_instances_are_fields_with_what_is_known_of_them(tmp_path: Path) -> None
         *((10, 12), (11, 13), (12, 14))
     ]
     assert {one.condition for one in read} == {"calm"}
-
-
-def test_fields_under_conditions_come_from_the_first_three_tiers(tmp_path: Path) -> None:
-    write_splits(tmp_path, 3)
-    read = load_split("test", WEATHER, tmp_path)
-    assert [one.condition for one in read] == ["windy", "gusty", "noisy"]
-    assert [one.best_known for one in read] == [None] * 3
-    assert [one.field for one in read] == [
-        FieldSampler(**sampler_of("test", tier)).field(2 * k) for k, tier in enumerate(NAMES[:3])
-    ]
 
 
 def test_a_field_that_is_another_is_an_error_that_names_it(tmp_path: Path) -> None:

