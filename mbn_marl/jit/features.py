@@ -70,7 +70,8 @@ class Settle(Rewrite):
     def _settle_call(self, assignment: Any) -> None:
         call = assignment.value
         called = self._definition(call.func)
-        feature = getattr(called, "value", None)
+        # Numba's expressions raise a KeyError, not an AttributeError, for a name that they lack.
+        feature = called.value if isinstance(called, (self.ir.Global, self.ir.FreeVar)) else None
         if isinstance(feature, Feature):
             kinds = [self._kind_of(part) for part in call.args]
             if None in kinds:
