@@ -77,7 +77,9 @@ class Settle(Rewrite):
     def _settle_call(self, assignment: Any) -> None:
         call = assignment.value
         called = self._definition(call.func)
-        feature = getattr(called, "value", None)
+        # An ir.Expr without a value answers with a KeyError, which getattr lets through.
+        named = isinstance(called, (self.ir.Global, self.ir.FreeVar))
+        feature = called.value if named else None
         if isinstance(feature, Feature):
             kinds = [self._kind_of(part) for part in call.args]
             if None in kinds:
