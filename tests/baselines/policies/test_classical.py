@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from baselines.cli import main
-from baselines.evaluation.evaluate import evaluate, is_one_episode, roll_out
+from baselines.evaluation.evaluate import evaluate, is_one_episode
 from baselines.evaluation.rollout import record_episode
 from baselines.policies.classical import make_classical
 from baselines.policies.policy import Origin, Policy, RandomPolicy
 from baselines.policies.shielded import Shielded
-from mbn_marl import BatchEngine, Field, FieldSampler, load_field
+from mbn_marl import BatchEngine, Field, load_field
 from mbn_marl.config import Failures, make_config
 from mbn_marl.episode import check_episode, load_episode
 from mbn_marl.errors import ConfigError
@@ -65,14 +65,10 @@ def test_mbn_plan_prints_draws_and_saves(
     saved = json.loads((out / "plan.json").read_text())
     assert (saved["makespan"], saved["optimal"], saved["return"]) == (17, True, 159_490.0)
     assert (out / "plan.png").read_bytes()[:4] == b"\x89PNG"
-    visits = ", ".join(f"w{roi + 1}" for roi in saved["assignment"][0])
-    assert visits in printed, "numbered as in the picture"
     episode = load_episode(out / "episode.json")
     check_episode(episode)
     assert (episode.source, episode.outcome) == ("plan, proved optimal", "success")
     assert (episode.steps, episode.team_return) == (17, 159_490.0)
-    with np.load(out / "plan.npz") as arrays:
-        assert arrays["actions"].shape == (17, 3, 2)
     before = sorted(tmp_path.iterdir())
     assert main(["plan", "field_03", "-o", str(out)]) == 2
     assert str(out) in capsys.readouterr().err
@@ -143,20 +139,6 @@ def test_a_team_that_pushes_against_walls_and_robots_does_not_touch_them(
     shielded = evaluate(Shielded(Pusher(field)), field, world, episodes=2)
     assert not any(shielded.collisions) and not any(shielded.wall_hits)
     assert min(shielded.steps) > max(bare.steps)
-
-
-@pytest.mark.all
-def test_every_episode_of_fields_and_teams_that_vary_has_its_shield() -> None:
-    sampler = FieldSampler(families=["concave", "obstacles"], robots=(2, 4), rois=3, size=120)
-    engine = BatchEngine(sampler, 6, threads=1, max_steps=120)
-    assert engine.teams_vary
-    ends, hits = 0, 0
-    steps = roll_out(engine, Shielded(RandomPolicy()), deterministic=False, seed=0)
-    for _, ended in zip(range(300), steps, strict=False):
-        found = engine.metrics(("collision", "wall_hits"))
-        ends += int(ended.sum())
-        hits += int(found["collision"][ended].sum() + found["wall_hits"][ended].sum())
-    assert ends >= 12 and hits == 0
 
 
 def test_a_policy_that_brakes_itself_acts_as_without() -> None:

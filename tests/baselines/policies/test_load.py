@@ -185,7 +185,6 @@ class Deaf(Bad):
     def act(self): pass
 
 def none(): pass
-def number(field): return 3
 def flat(field): return lambda observations: observations[..., 0]
 """
 
@@ -196,7 +195,6 @@ def test_mistakes_in_ones_own_are_listed(write: Write) -> None:
         ("Bad", ["act", "observes", "max_steps", "obsevation"]),
         ("Deaf", ["act()"]),
         ("none", ["none()"]),
-        ("number", ["int"]),
         ("math.pi", ["math.pi is float"]),
         ("nothing", ["'nothing'"]),
     ):

@@ -12,7 +12,6 @@ from baselines.torchrl.networks import (
     Key,
     Normalize,
     Sharing,
-    TeamMLP,
     TeamNormal,
     TeamShape,
     ValueNetwork,
@@ -30,21 +29,6 @@ def test_normalisation_begins_with_the_first_update_and_is_by_network() -> None:
     norm.statistics.update(torch.tensor([[[0.0], [10.0]], [[2.0], [30.0]]]))
     # Means 1 and 20, deviations 1 and 10.
     assert norm.normalize(torch.tensor([[2.0], [10.0]])).tolist() == [[1.0], [-1.0]]
-
-
-@pytest.mark.parametrize("networks", [1, 3])
-def test_team_networks_compute_what_separate_layers_do(networks: int) -> None:
-    torch.manual_seed(0)
-    network = TeamMLP(networks, (4, 8, 6, 2), last_gain=1.0)
-    for bias in network.biases:
-        torch.nn.init.normal_(bias)
-    rows = torch.randn(7, 5, 3, 4)
-    outputs = network(rows)
-    for robot in range(3):
-        flow, own = rows[:, :, robot], robot if networks > 1 else 0
-        for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
-            flow = (flow.tanh() if layer else flow) @ weight[own] + bias[own]
-        torch.testing.assert_close(outputs[:, :, robot], flow)
 
 
 def _seen_by(network: GaussianPolicy | ValueNetwork, key: object) -> list[bool]:

@@ -20,7 +20,6 @@ from baselines.torchrl.config import load
 from baselines.torchrl.entities import SetActor, SetCritic, Tokens
 from baselines.torchrl.networks import Key
 from baselines.torchrl.trainer import Teacher, Trainer
-from baselines.training import aids
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
 from mbn_marl.adapters.torchrl import NavigationEnv
@@ -51,27 +50,6 @@ def test_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
 
 
 SMALL = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8], "action_repeat": [1, 1]}
-
-
-def test_training_has_its_own_rois_and_time_limit_and_evaluations_the_true_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = []
-
-    class Watched(NavigationEnv):
-        def __init__(self, *args: Any, **settings: Any) -> None:
-            super().__init__(*args, **settings)
-            config, fields = self.engine.config, self.engine.fields
-            made.append((config.roi_radius, config.max_steps, len(fields)))
-
-    monkeypatch.setattr(trainer, "NavigationEnv", Watched)
-    monkeypatch.setattr(aids, "STAGES", 2)
-    monkeypatch.setattr(aids, "SUCCESS", (0.0, 0.0))  # whatever the team does is enough
-    changes = {**SMALL, "roi_radius": 16.0, "scattered": 0.25, "episode_steps": 32}
-    config = TrainConfig("mappo", "field_03", steps=384, episodes=2, hyperparameters=changes)
-    run = train(config, tmp_path / "run")
-    assert made == [(160.0, 32, 4), (40.0, 32, 4), (10.0, 32, 1)]
-    assert max(run.evaluation["deterministic"]["per_episode"]["steps"]) > 32
 
 
 @pytest.mark.parametrize("algorithm", ["mappo", "ppo-joint"])
