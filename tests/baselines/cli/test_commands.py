@@ -87,7 +87,6 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(
         ),
         ("transfer ippo", ["settings: "]),
         ("transfer ppo --fields field_01", ["fields: "]),
-        ("transfer ppo --fields field_02 field_02", ["fields: field_02"]),
         ("transfer ppo --source-steps 0", ["source_steps: "]),
         (f"train ppo field_02 --seed {2**32}", ["seed: "]),
         ("train ppo field_02 --setting C", ["--from"]),

@@ -63,7 +63,6 @@ def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
     [
         ("greedy", "field: greedy"),
         ("zoo:field_03 --sim plane --compare", "compare: "),
-        ("zoo:field_03 --sim plane --video x.mp4", "video: "),
         ("zoo:field_03 --sim coppeliasim --vehicle balancer", "vehicle: "),
         ("zoo:field_03 --figure x.png", "figure: "),
         ("zoo:field_03 --video x.avi", "video: x.avi"),

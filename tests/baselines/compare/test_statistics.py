@@ -38,13 +38,6 @@ def test_an_interval_by_hand() -> None:
     assert (low, high) == pytest.approx((1 / 6, 5 / 6))
 
 
-def test_one_seed_has_no_interval() -> None:
-    scores = np.array([[0.2], [0.4]])
-    assert stratified.interquartile_mean(scores) == pytest.approx((0.3, None, None))
-    assert stratified.probability_of_improvement(scores, scores) == Estimate(0.5, None, None)
-    assert stratified.performance_profile(scores, np.array([0.3])).share.tolist() == [0.5]
-
-
 def test_the_probability_of_improvement_compares_within_each_field() -> None:
     # Field 0: ours win 3 of 4 pairs and tie the other; field 1: they lose all.
     ours, theirs = np.array([[2.0, 5.0], [10.0, 10.0]]), np.array([[1.0, 2.0], [99.0, 99.0]])

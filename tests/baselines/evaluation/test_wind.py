@@ -73,9 +73,6 @@ def test_wind_carries_the_robots() -> None:
     assert [row["makespan"] for row in rows] == [9.0, 9.0, 6.0, 6.0]
     assert {row["wind_angle"] for row in rows} == {0.0}
     assert {name: episode.steps for name, episode in drawn.items()} == {"wind 0.5": 9, "wind 1": 6}
-    away, _ = evaluate_in_wind(Still(), SQUARE, {"max_steps": 4}, [0.5], 180.0, episodes=1, seed=1)
-    assert [row["success_rate"] for row in away] == [0.0, 0.0]
-    assert away[0]["makespan_interval"] is None
 
 
 @pytest.mark.slow

@@ -109,16 +109,6 @@ def test_missing_cells_say_so_and_setting_n_is_marked_as_ours(tmp_path: Path) ->
     assert cells(table, "TQC", "A", "here", "single episodes") == [["1e6 reward", "", "", "", ""]]
 
 
-def test_what_was_run_and_who_got_there(tmp_path: Path) -> None:
-    good = (100, 120_000, 0, 120_000, 120_000)
-    make_run(tmp_path, [(1, 0, 0, 0, 0), good], every=200_000)
-    make_run(tmp_path, [(1, 0, 0, 0, 0)], seed=34, finished=False)
-    runs = find_trainings([tmp_path])
-    assert tables.coverage(runs).lines[4][:3] == ("PPO", "A", "2 x 1k to 400k, 1 unfinished")
-    assert tables.success(runs).lines[4][:3] == ("PPO", "A", "25%, -1,234")
-    assert tables.reached(runs).lines[1] == ("PPO", "1 of 2, soonest 400k", *["missing"] * 3)
-
-
 def test_rankings_are_compared_by_kendalls_tau(tmp_path: Path) -> None:
     # The paper under A: CrossQ, TRPO, PPO. Here PPO, CrossQ, TRPO: one pair of three agrees.
     for algorithm, mean in {"ppo": 3e6, "crossq": 2e6, "trpo": 1e6}.items():

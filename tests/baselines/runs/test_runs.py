@@ -114,6 +114,30 @@ MAPPO = ("obs_size", "n_robots", "hidden", "sharing", "actor")
 SHARED = ("algorithm", "observes", "policy", "obs_size", "action_shape", "arguments")
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mappo", "ppo"])
+def test_a_file_that_is_cut_off_is_named(name: str, tmp_path: Path, tiny_runs: TinyRuns) -> None:
+    run = RunFolder(shutil.copytree(tiny_runs.finished(name).path, tmp_path / "finished"))
+    stopped: Any = tiny_runs.stopped(name, tmp_path / "stopped")
+    read = "**/*" if name == "ppo" else "*"  # mappo's policy is in the learner's file
+    files = [(path, lambda: load_trained(run)) for path in run.policy.iterdir()]
+    files += [
+        (path, lambda: train(small_config(name), stopped.path, resume=True))
+        for path in filter(Path.is_file, stopped.checkpoint.glob(read))
+    ]
+    for path, load in files:
+        if path.parent == run.policy and path.name == "learner.safetensors":
+            continue  # only runs that begin with this one read it
+        whole = path.read_bytes()
+        path.write_bytes(whole[: len(whole) // 2])
+        with pytest.raises(RunError, match=path.name):
+            load()
+        path.write_bytes(whole)
+    stopped.progress.write_text("env_steps\n")  # it ends before the checkpoint
+    with pytest.raises(RunError, match=r"progress\.csv"):
+        train(small_config(name), stopped.path, resume=True)
+
+
 class Evil:
     def __init__(self, path: Path) -> None:
         self.path = str(path)
@@ -209,6 +233,7 @@ EDITS: list[tuple[str, str, Callable[[Any], Any]]] = [
     ("tqc", "replay.npz", with_entry("pos", np.array(10**9))),
     ("tqc", "counters.json", with_entry("num_timesteps", "x")),
     ("mappo", "counters.json", with_entry("curriculum", {"first": "x"})),
+    ("mappo", "counters.json", lambda a: [a]),
     ("mappo", "counters.json", with_entry("env_steps", -1)),
     ("mappo", "recorder.json", with_entry("progress_bytes", -5)),
     ("ppo", "recorder.json", lambda a: [a]),

@@ -83,7 +83,6 @@ def test_a_wrong_hyperparameter_file_is_refused_by_place(tmp_path: Path) -> None
         ("N: {model: {policy_kwargs: {log_std_init: .inf}}}", "model.policy_kwargs: "),
         ("N: {model: {learning_rate: {from: 1.0, to: -1.0}}}", "model.learning_rate"),
         ("N: {policy: Mlp}", "no learner"),
-        ("N: {model: {n_steps: 1}}", "no learner"),
         ("N: {model: {policy_kwargs: {depth: 3}}}", "depth"),
         ("N: {environment: {gravity: 9.81}}", "gravity: "),
         ("N: {", "mine.yaml: line 2"),

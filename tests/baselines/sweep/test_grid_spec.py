@@ -62,10 +62,8 @@ def test_wrong_values_are_refused_by_place_and_nothing_is_made(
         ({"algorithms": ["sac"]}, "algorithms.0: sac"),
         ({"algorithms": ["mappo"]}, "settings: mappo"),
         ({"settings": ["C"], "fields": ["two.yaml"]}, "two.yaml: robots"),
-        ({"robots": [2, 9]}, "n_robots: 9"),
         ({"set": {"model.gamma": [2]}}, "model.gamma: "),
         ({"robots": [2], "set": {"environment.n_robots": [3]}}, "set: environment.n_robots"),
-        ({"budget": {"steps": 0}}, "budget.steps: "),
         ({"resources": {"retries": -1}}, "resources.retries: "),
     ]
     for changes, place in cases:
