@@ -196,14 +196,15 @@ class Zoo:
     if it was trained on random fields."""
 
     def run(self, command_line: str) -> None:
-        from baselines.policies.load import ENTRIES, entry_names, read_card
+        from baselines.policies.load import CARD, ENTRIES, entry_names
+        from baselines.runs.files import read_json
         from baselines.runs.folder import RunFolder
         from baselines.zoo.make import make_entry
         from mbn_marl.field import FieldSampler
 
         check_options("zoo", {"out: allowed with --add": self.out and self.add is None})
         if self.add is None:
-            print_cards([read_card(name) for name in entry_names()])
+            print_cards([read_json(ENTRIES / name / CARD) for name in entry_names()])
             return
         run = RunFolder.open(self.add)
         sampled, config = isinstance(run.fields, FieldSampler), run.config

@@ -11,6 +11,7 @@ import pytest
 from baselines.evaluation.rollout import record_episode
 from baselines.policies.classical import make_classical
 from baselines.policies.load import load_trained, open_run
+from baselines.policies.policy import Policy
 from mbn_marl.config import RewardProfile, Uniform
 from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.episode import Episode
@@ -189,10 +190,8 @@ def test_wrong_measurements_and_numbers_are_errors(
 # ---------------------------------------------------------------- the numbers of a deployment
 
 
-class Push:
+class Push(Policy):
     """Full force to the left, or to the right, always."""
-
-    observes = "observations"
 
     def __init__(self, force: float) -> None:
         self.force = force
