@@ -30,8 +30,6 @@ LISTS = {
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The episodes of one evaluation, each list with one entry per episode."""
-
     deterministic: bool  # whether the policy's mean action was taken, or a sampled one
     seed: int  # of the episodes and of the sampled actions
     returns: list[float]  # true team returns (undiscounted, reward units)
@@ -155,7 +153,6 @@ def record_evaluation(
 def evaluate_both(
     policy: Policy, field: Field | FieldSampler, settings: Mapping[str, Any], **how: Any
 ) -> dict[str, Evaluation]:
-    """Evaluate with sampled actions (``stochastic``) and with mean ones (``deterministic``)."""
     return {
         name: evaluate(policy, field, settings, deterministic=name == "deterministic", **how)
         for name in ("stochastic", "deterministic")

@@ -57,6 +57,5 @@ def share_interval(outcomes: Sequence[bool]) -> Interval:
 
 
 def mean_of_known(values: Iterable[float | None]) -> float | None:
-    """The mean of the values that are not ``None``; ``None`` if there are none."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None

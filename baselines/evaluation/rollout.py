@@ -35,7 +35,6 @@ def record_episode(
     limit: int | None = None,
     source: str = "",
 ) -> Episode:
-    """Record an episode of a policy; ``limit`` stops it after so many steps (> 0)."""
     engine = BatchEngine(field, 1, seed=seed, autoreset="disabled", threads=1, **settings)
     with EpisodeRecorder(engine, source=source) as recorder:
         steps = roll_out(engine, policy, deterministic=deterministic, seed=seed)
@@ -51,7 +50,6 @@ def check_ending(path: Path) -> None:
 
 
 def write_episode(episode: Episode, path: Path, title: str | None = None) -> None:
-    """Write an episode as the end of ``path`` says: the episode, an animation, or its paths."""
     ending = path.suffix.lower()
     if ending == ".json":
         save_episode(episode, path)

@@ -201,7 +201,6 @@ def versions(*more: str) -> dict[str, Any]:
 
 
 def _git_revision() -> str | None:
-    """Return the revision of the clone with this file, with ``-dirty`` if it was changed."""
     root = Path(__file__).resolve().parents[2]
     describe = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     if (root / ".git").exists():
@@ -220,7 +219,6 @@ class Place:
 
     @classmethod
     def of(cls, out: Path, page: str) -> Self:
-        """Return the place for ``out``: a page with the folder ``NAME``, or a folder."""
         if out.suffix == ".md":
             return cls(out, out.with_suffix(""))
         return cls(out / page, out)

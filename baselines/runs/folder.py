@@ -128,7 +128,6 @@ class RunFolder:
 
     @property
     def checkpoint(self) -> Path | None:
-        """The newest checkpoint, if there is one; its name is its number of env-steps."""
         return max(self._checkpoints(), key=lambda path: int(path.name), default=None)
 
     def _checkpoints(self) -> list[Path]:
@@ -179,7 +178,6 @@ class RunFolder:
         return self.progress.stat().st_size if self.progress.exists() else 0
 
     def cut_progress(self, size: int) -> None:
-        """Keep the first ``size`` bytes of ``progress.csv``; with 0, remove it."""
         if not 0 <= size <= self.progress_bytes:
             raise RunError(f"{self.progress} is damaged: it ends before the checkpoint")
         if size == 0:

@@ -50,7 +50,6 @@ def moments_of(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
 
 
 def with_moments(state: Mapping[str, Any], moments: Mapping[str, torch.Tensor]) -> dict[str, Any]:
-    """Return an optimiser's ``state_dict`` with what :func:`moments_of` returned in it."""
     entries: dict[int, dict[str, torch.Tensor]] = {}
     for key, tensor in moments.items():
         index, name = key.split(".")

@@ -40,7 +40,6 @@ class LocalEngine:
             raise ConfigError("engine", [f"processes: must be at least 1 (got {self.processes})"])
 
     def run(self, work: Work, jobs: Iterable[Any], report: Report, ended: Ended) -> None:
-        """Run all jobs; a process that dies fails its job alone."""
         if self.processes == 1 and self.retries == 0:
             for job in jobs:
                 ended(job, work(job, report))

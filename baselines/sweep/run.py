@@ -42,8 +42,6 @@ def make_engine(
 
 @dataclass(frozen=True)
 class TrainJob:
-    """A run to train into ``store``, where the run that it begins with is too."""
-
     run: TrainConfig
     store: Path
     wandb: str | None = None

@@ -106,7 +106,6 @@ def without_source(run: TrainConfig) -> TrainConfig:
 
 
 def _problems(spec: GridSpec) -> list[str]:
-    """Return what does not fit together in a grid whose values are valid."""
     problems: list[str] = []
     for name in spec.algorithms:
         known = find_algorithm(name).settings
@@ -145,7 +144,6 @@ def _problems_of_runs(spec: GridSpec) -> Iterator[str]:
 
 
 def _runs(spec: GridSpec) -> Iterator[TrainConfig]:
-    """Expand a grid; under C a run comes after the one that it begins with."""
     device: Literal["cpu", "cuda"] = "cuda" if spec.resources.gpus else "cpu"
     axes = (spec.seeds, spec.fields, spec.algorithms, spec.settings, _changes(spec))
     for seed, field, algorithm, asked, (words, changes) in itertools.product(*axes):

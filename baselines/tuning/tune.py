@@ -136,15 +136,12 @@ def _without_lost_trials(folder: Path) -> Study:
 
 @dataclass(frozen=True)
 class TrialJob:
-    """The next trial of the study in ``folder``."""
-
     config: TrainConfig
     folder: Path
     command: str
 
 
 def run_trial(job: TrialJob, report: Callable[[Any], None]) -> FrozenTrial:
-    """Run the study's next trial, which Optuna writes to the journal; return how it ended."""
     trials: list[FrozenTrial] = []
     load_study(job.folder).optimize(
         lambda trial: _train(job, trial), 1, callbacks=[lambda study, trial: trials.append(trial)]
@@ -153,7 +150,6 @@ def run_trial(job: TrialJob, report: Callable[[Any], None]) -> FrozenTrial:
 
 
 def _train(job: TrialJob, trial: Trial) -> float:
-    """Train a trial; return the mean return of its final evaluation."""
     # The trial's number decides the draws: no process, and no later one, repeats those of another.
     seed = (job.config.seed + trial.number) % (MOST_SEED + 1)
     trial.study.sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
@@ -208,7 +204,6 @@ def _write_results(study: Study, config: TrainConfig, folder: Path) -> Path:
 
 
 def _draw(study: Study, folder: Path) -> None:
-    """Save Optuna's figures ``history.png`` and, with enough trials, ``importances.png``."""
     with plt.rc_context(), warnings.catch_warnings(action="ignore"):  # they are experimental
         plots.plot_optimization_history(study, target_name="mean return")
         plt.savefig(folder / "history.png")

@@ -19,7 +19,6 @@ LARGEST = 1_000_000
 
 
 def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
-    """Evaluate a finished run's policy, make the folder ``path`` of it, and return its card."""
     if not run.finished:
         raise RunError(f"{run.path} is not finished; resume it first (--resume)")
     config, field = run.config, run.config["field"]
@@ -63,7 +62,6 @@ def make_card(run: RunFolder, name: str) -> dict[str, Any]:
 
 
 def plain_command(command: str) -> str:
-    """A recorded command without the options that only place its files."""
     words, kept = iter(shlex.split(command)), []
     for word in words:
         if word in ("--out", "-o"):
