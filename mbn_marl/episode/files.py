@@ -195,7 +195,6 @@ def to_file(episode: Episode) -> EpisodeFile:
 
 
 def _from_file(content: EpisodeFile, name: str) -> Episode:
-    """Return the episode in the file ``name``; raise ``EpisodeError`` with what does not fit."""
     place = "field"
     try:
         field = fields.Field(**content.field)

@@ -1,12 +1,11 @@
-"""Sine, cosine, tangent, exponential and length, the same bits on every processor.
+"""Sine, cosine, tangent, exponential and length, the same bits on every processor."""
 
-They are made from + - x / and the square root, which all processors round alike; libraries
-differ in the last bit of them. Here they are float64 whatever the engine's precision, and no two
-operations are fused: the series of the sine, up to its term of degree 21, about the nearest point
-where the function is 0. Absolute errors are below 4e-16, a tangent's relative to its square.
-The exponential is its series for a part of x, squared. The length is a root, corrected once
-(specification.md, "Arithmetic").
-"""
+# They are made from + - x / and the square root, which all processors round alike; libraries
+# differ in the last bit of them. Here they are float64 whatever the engine's precision, and no two
+# operations are fused: the series of the sine, up to its term of degree 21, about the nearest point
+# where the function is 0. Absolute errors are below 4e-16, a tangent's relative to its square.
+# The exponential is its series for a part of x, squared. The length is a root, corrected once
+# (specification.md, "Arithmetic").
 
 from __future__ import annotations
 
@@ -39,7 +38,6 @@ def is_set(word, flag):
 
 @compiled
 def count_bits(word):
-    """The number of bits that are set in a non-negative integer."""
     count = 0
     while word != 0:
         word &= word - 1
@@ -62,12 +60,13 @@ def _horner(coefficients: list[float]) -> str:
 
 
 SINE = [(-1.0) ** k / math.factorial(2 * k + 1) for k in range(11)]
+# ``sin(a) / a`` from ``x = a^2``, for a in [-pi/2, pi/2].
 sine_series = generated("series", f"def series(x):\n    return {_horner(SINE)}\n")
-"""``sin(a) / a`` from ``x = a^2``, for a in [-pi/2, pi/2]."""
 
+# ``exp(x)`` for x in [-1.25, 0], from powers of x.
 EXPONENTIAL = [1.0 / math.factorial(k) for k in range(23)]
-"""``exp(x)`` for x in [-1.25, 0], from powers of x."""
 HALVINGS, LEAST = 5, -40.0
+# ``exp(x)`` for x of at most 0, float64, to 3e-14 of it; below -40 it is that of -40.
 exponential = generated(
     "exponential",
     "def exponential(x):\n"
@@ -75,7 +74,6 @@ exponential = generated(
     f"    power = {_horner(EXPONENTIAL)}\n"
     f"    for _ in range({HALVINGS}):\n        power *= power\n    return power\n",
 )
-"""``exp(x)`` for x of at most 0, float64, to 3e-14 of it; below -40 it is that of -40."""
 
 
 @compiled
@@ -107,10 +105,8 @@ def turned(heading, turn, pi):
 
 @compiled
 def length(x, y):
-    """``sqrt(x^2 + y^2)``, float64: the root, corrected once.
-
-    Borges, "Algorithm 1014: An Improved Algorithm for hypot(x, y)", without fused operations.
-    """
+    """``sqrt(x^2 + y^2)``, float64: the root, corrected once."""
+    # Borges, "Algorithm 1014: An Improved Algorithm for hypot(x, y)", without fused operations.
     a, b = abs(np.float64(x)), abs(np.float64(y))
     most, least = max(a, b), min(a, b)
     root = math.sqrt(most * most + least * least)

@@ -25,11 +25,7 @@ _FONT, _SMALL_FONT = 18.0, 13.0
 
 
 class Scene:
-    """Draws snapshots at one size; markers can be read, and have circles to scale round them.
-
-    Arguments as :class:`~mbn_marl.render.Viewer`.
-    """
-
+    # Markers are of a size that can be read, and have circles to scale round them.
     def __init__(self, size: tuple[int, int], own: int | None = None, keys: str = "") -> None:
         pygame.font.init()
         self.size, self._own, self._keys = size, own, keys
@@ -39,7 +35,6 @@ class Scene:
         self._look: tuple[object, ...] = ()
 
     def pixels(self, snapshot: Snapshot) -> NDArray[np.uint8]:
-        """Draw ``snapshot`` as a new array (height, width, 3)."""
         picture = pygame.surfarray.array3d(self.draw(snapshot))
         return np.ascontiguousarray(picture.swapaxes(0, 1))
 
@@ -120,7 +115,6 @@ class Scene:
         self._drawn = trail
 
     def _draw_nose(self, index: int, centre: NDArray[np.float64], heading: float) -> None:
-        """Draw a point that sticks out from below a robot's disc the way that it faces."""
         ahead = np.array([math.cos(heading), -math.sin(heading)]) * _ROBOT * self._ui
         side = ahead[::-1] * (0.75, -0.75)
         corners = [centre + 2.0 * ahead, centre + 0.6 * ahead + side, centre + 0.6 * ahead - side]

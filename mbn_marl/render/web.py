@@ -50,7 +50,6 @@ def whole(
 
 
 def episodes_data(episodes: Sequence[Episode]) -> str:
-    """Return what the player needs of the episodes, as JSON for a script element."""
     found = [to_file(one).model_dump(mode="json", exclude={"actions"}) for one in episodes]
     return json.dumps(found, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 

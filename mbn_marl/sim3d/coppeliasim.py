@@ -38,7 +38,7 @@ class CoppeliaSimulator(Simulator):
         timeout: seconds, above 0, that CoppeliaSim may take for any answer.
         scale: of the MDP in the scene.
         model: the vehicles' model: a file in CoppeliaSim's folder of resources, or an absolute path
-            on its machine. It has to follow an object of its own with the alias ``target``.
+            on its machine. It has to follow an object in it with the alias ``target``.
     """
 
     has_wind: ClassVar[bool] = False
@@ -212,7 +212,6 @@ class CoppeliaSimulator(Simulator):
             link.call("setShapeColor", shape, "", part, value)
 
     def _clear(self) -> None:
-        """Stop the simulation that was started, and remove what was made and still exists."""
         link = self._link
         if self._started:
             if not self._is_stopped():

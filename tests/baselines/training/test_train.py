@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import resource
-import shutil
 import subprocess
 import sys
 import time
@@ -149,13 +147,6 @@ def test_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(
     assert threads == [3, 1, 3]
 
 
-def test_a_finished_run_is_left_as_it_is(tmp_path: Path, tiny_runs: TinyRuns) -> None:
-    run = RunFolder(shutil.copytree(tiny_runs.finished("ppo").path, tmp_path / "run"))
-    before = {path: path.stat().st_mtime_ns for path in run.path.iterdir()}
-    assert train(SMALL, run.path, resume=True).evaluation == run.evaluation
-    assert {path: path.stat().st_mtime_ns for path in run.path.iterdir()} == before
-
-
 def test_only_the_same_run_can_be_resumed(tmp_path: Path, tiny_runs: TinyRuns) -> None:
     stopped = tiny_runs.stopped("ppo", tmp_path / "run")
     before = stopped.progress.read_bytes()
@@ -168,16 +159,6 @@ def test_only_the_same_run_can_be_resumed(tmp_path: Path, tiny_runs: TinyRuns) -
     with pytest.raises(ConfigError, match="field"):
         train(SMALL, stopped.path, resume=True)
     assert stopped.progress.read_bytes() == before and stopped.checkpoint is not None
-
-
-@pytest.mark.parametrize("options", [{"resume": True}, {"force": True}])
-def test_run_that_is_being_trained_is_left_alone(options: dict[str, Any], tmp_path: Path) -> None:
-    def interfere(report: Report) -> None:
-        train(SMALL, tmp_path / "run", **options)
-
-    with pytest.raises(RunError, match=f"{tmp_path / 'run'}.*process {os.getpid()} on"):
-        train(SMALL, tmp_path / "run", listener=interfere)
-    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 @pytest.mark.parametrize("name", ["mappo", "ppo"])
