@@ -243,11 +243,12 @@ class Export(Writes):
     """A name of `mbn fields`, or a field file; by default that of the run or of zoo:NAME."""
 
     def run(self, command_line: str) -> None:
-        from baselines.policies.export import ALLOWED, check_name, export_policy
+        from baselines.policies.export import ALLOWED, export_policy
         from baselines.policies.load import check_known, find_policy, is_trained
         from mbn_marl.config import make_config
+        from mbn_marl.files import check_ending
 
-        check_name(self.out)
+        check_ending(self.out, ".onnx")
         check_known(self.policy)
         check_options("export", {f"{self.policy}: {ALLOWED}": not is_trained(self.policy)})
         policy = find_policy(self.policy, self.field)

@@ -13,7 +13,6 @@ from baselines.evaluation.evaluate import roll_out
 from baselines.policies.policy import Policy
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder, save_episode
-from mbn_marl.errors import MbnError
 from mbn_marl.field import Field
 from mbn_marl.render import Viewer, figures, write_gif, write_mp4
 
@@ -42,11 +41,6 @@ def record_episode(
             if ended or number == limit:
                 break
     return recorder.episodes[0]
-
-
-def check_ending(path: Path) -> None:
-    if path.suffix.lower() not in FORMATS:
-        raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
 
 
 def write_episode(episode: Episode, path: Path, title: str | None = None) -> None:

@@ -14,7 +14,7 @@ from baselines.policies.loaded import LoadedPolicy
 from baselines.policies.policy import TrainedPolicy
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
-from mbn_marl.files import check_free, claim_file, replacing
+from mbn_marl.files import check_ending, check_free, claim_file, replacing
 from mbn_marl.version import __version__
 
 # The largest difference of an action of the file: sums of float32 have another order.
@@ -35,11 +35,6 @@ class Network(torch.nn.Module):
         return self._policy.means(seen).clamp(-1.0, 1.0)
 
 
-def check_name(path: Path) -> None:
-    if path.suffix.lower() != ".onnx":
-        raise MbnError(f"{path}: the file name has to end in .onnx")
-
-
 def export_policy(
     policy: LoadedPolicy, path: Path, *, force: bool = False
 ) -> tuple[dict[str, Any], float]:
@@ -48,8 +43,7 @@ def export_policy(
     import onnxruntime
     import onnxscript  # noqa: F401 - the exporter needs it, and says otherwise what is missing
 
-    check_name(path)
-    check_free(path, force=force)
+    check_free(check_ending(path, ".onnx"), force=force)
     if not isinstance(policy.policy, TrainedPolicy):
         raise ConfigError("export", [f"{policy.name}: {ALLOWED}"])
     engine = BatchEngine(policy.place, 1, threads=1, **policy.settings)

@@ -58,8 +58,7 @@ class Normalization:
 
     def __call__(self, seen: np.ndarray) -> np.ndarray:
         scaled = (seen - self.mean) / np.sqrt(self.variance + self.epsilon)
-        clipped: np.ndarray = np.clip(scaled, -self.clip, self.clip).astype(np.float32)
-        return clipped
+        return np.asarray(np.clip(scaled, -self.clip, self.clip), np.float32)
 
     def to_json(self) -> dict[str, Any]:
         return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
@@ -105,8 +104,7 @@ class SB3Policy(TrainedPolicy):
         rows = rows if self.normalization is None else self.normalization(rows)
         with torch.autocast("cpu", enabled=False):  # predict() wants what NumPy has a type for
             actions, _ = self.network.predict(rows, deterministic=deterministic)
-        answers: np.ndarray = actions.reshape(len(seen), -1, 2)
-        return answers
+        return np.asarray(actions.reshape(len(seen), -1, 2))
 
     def means(self, seen: torch.Tensor) -> torch.Tensor:
         network: Any = self.network
