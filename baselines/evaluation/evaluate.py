@@ -75,10 +75,8 @@ def evaluate(
     record: Iterable[int] = (),
     source: str = "",
 ) -> Evaluation:
-    """Run ``episodes`` fresh episodes (> 0) side by side, one world each.
-
-    A sampler draws a field for each world; the worlds in ``record`` (from 0) are recorded.
-    """
+    """Run fresh episodes side by side; those of the worlds in ``record`` (from 0) are recorded."""
+    # A sampler draws a field for each world.
     engine = BatchEngine(field, episodes, seed=seed, threads=1, **settings)
     running = np.ones(episodes, dtype=bool)
     results: dict[str, np.ndarray] = {}

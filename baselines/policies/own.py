@@ -99,8 +99,6 @@ def _takes(function: Callable[..., Any], *arguments: Any, **named: Any) -> bool:
     """Return whether a function can be called like this, as far as it says."""
     try:
         inspect.signature(function).bind(*arguments, **named)
-    except TypeError:
-        return False
-    except ValueError:  # it has no signature
-        return True
+    except (TypeError, ValueError) as error:
+        return isinstance(error, ValueError)  # it has no signature
     return True

@@ -25,7 +25,7 @@ WEIGHTS, SHAPE, LEARNER = "policy.safetensors", "policy.json", "learner.safetens
 
 @dataclass(frozen=True)
 class Normalization:
-    """How ``VecNormalize`` treats observations; mean and variance are of ``count`` of them."""
+    """The numbers of ``VecNormalize``; mean and variance are of ``count`` observations."""
 
     mean: np.ndarray
     variance: np.ndarray

@@ -46,7 +46,7 @@ class LocalEngine:
             return
         context = multiprocessing.get_context("spawn")
         waiting = deque((job, self.retries) for job in jobs)
-        # Each process has a connection of its own: a shared queue would break when one is killed.
+        # Each process has its connection: a shared queue would break when one is killed.
         busy: dict[Any, tuple[SpawnProcess, Any, int]] = {}
         try:
             while waiting or busy:

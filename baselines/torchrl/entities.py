@@ -130,7 +130,7 @@ class Turned(nn.Module):
         return torch.where(swap, actions.flip(-1), actions) * signs
 
 
-# Which ray is seen as each of the 8 after sign changes of x, y and a swap, (8, 8).
+# The ray that is seen as each of the 8 after sign changes of x, y and a swap, (8, 8).
 def _turned_rays() -> torch.Tensor:
     table = torch.empty(8, 8, dtype=torch.long)
     for element in range(8):
@@ -191,7 +191,7 @@ def _length(vectors: torch.Tensor) -> torch.Tensor:
 class SetEncoder(nn.Module):
     """Make one vector of what a robot sees: pooled tokens of ROIs and robots beside its own."""
 
-    # Where robots do not see the assignment, ROIs' tokens also have Rivals, and are pooled once
+    # If robots do not see the assignment, ROIs' tokens also have Rivals, and are pooled once
     # more, knowing what was found the first time. ``widths``: of the tokens' layers, and the last.
     def __init__(self, tokens: Tokens, widths: tuple[int, ...]) -> None:
         super().__init__()

@@ -78,7 +78,7 @@ class TrainingAids(Hyperparameters):
     # Env-steps that a decision lasts, from and to, falling linearly (rounded). Evaluations always
     # decide at every step.
     action_repeat: tuple[Count, Count] = (1, 1)
-    # How many times as large ROIs are at first in training, 1 for no curriculum.
+    # ROIs are so many times as large at first in training, 1 for no curriculum.
     roi_radius: Annotated[float, pydantic.Field(ge=1.0, allow_inf_nan=False)] = 1.0
     # The share of the worlds whose robots start anywhere in the field, elsewhere at every stage,
     # until ROIs have their true size. A start beside an ROI visits it while it is large: a team

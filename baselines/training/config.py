@@ -74,7 +74,7 @@ class TrainConfig:
     # transfer` does it all; mappo, ippo and ppo-joint take the actor's network, also of the zoo
     # (zoo:NAME), whose field may be another one.
     transferred_from: Annotated[Path | None, arg(name="from", metavar="RUN")] = None
-    # Where the networks run, and under mappo, ippo and ppo-joint the worlds too; of the others,
+    # The networks run there, and under mappo, ippo and ppo-joint the worlds too; of the others,
     # worth it for crossq and tqc.
     device: Literal["cpu", "cuda"] = "cpu"
     # The name in tables and figures, and of the folder; by default the algorithm.
@@ -159,7 +159,7 @@ def default_label(algorithm: str, setting: str) -> str:
 class Hyperparameters(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    # Where the numbers come from.
+    # The origin of the numbers.
     source: str = pydantic.Field("", repr=False)
     # The algorithm's own settings of the environment.
     environment: dict[str, Any] = pydantic.Field(default_factory=dict)

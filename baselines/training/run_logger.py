@@ -118,9 +118,9 @@ class Recorder:
         self.episodes = EpisodeWindow()
         # The checkpoint that the trainer has to resume.
         self.checkpoint = folder.checkpoint
-        # Whether the trainer should call save_checkpoint as soon as it is between two updates.
+        # Then the trainer should call save_checkpoint as soon as it is between two updates.
         self.checkpoint_due = False
-        # Whether a fresh evaluation met the criterion for stopping: the trainer then calls finish.
+        # Then a fresh evaluation met the criterion for stopping: the trainer calls finish.
         self.passed = False
         self._folder, self._task, self._listener = folder, task, listener
         self._diagnostics: Mapping[str, float] = {}

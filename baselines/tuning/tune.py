@@ -29,7 +29,7 @@ from baselines.training.train import found_anywhere, train
 from mbn_marl.errors import ConfigError, MbnError
 
 JOURNAL = "study.log"
-# What a study records of its trainings.
+# The entries that a study records of its trainings.
 CONFIG = ("algorithm", "field", "seed", "steps", "evaluate_every", "episodes", "num_envs")
 # The attribute of a trial whose learner diverged, with its error, and its constraint.
 DIVERGED = "diverged"
