@@ -199,13 +199,14 @@ class NavigationEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = None if tensordict is None else tensordict.get("_reset", None)
-        full, loaded = mask is None or bool(mask.all()), self._loaded
-        if full and not loaded:
-            observations = self.engine.reset(seed=self._next_seed)
+        if mask is not None and not mask.all():
+            observations = self.engine.reset_worlds(self._give(mask.reshape(-1)))
         else:
-            chosen = torch.from_numpy(~self.engine.running).to(self.device) if full else mask
-            observations = self.engine.reset_worlds(self._give(chosen.reshape(-1)))
-        if full:
+            if self._loaded:
+                ended = torch.from_numpy(~self.engine.running).to(self.device)
+                observations = self.engine.reset_worlds(self._give(ended))
+            else:
+                observations = self.engine.reset(seed=self._next_seed)
             self._next_seed, self._loaded = None, False
         flags = torch.zeros(self.engine.num_worlds, dtype=torch.bool, device=self.device)
         team = self._tensor(self.engine.team_rewards)

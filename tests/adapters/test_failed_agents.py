@@ -67,11 +67,11 @@ def test_one_after_the_other():
 
 
 def test_black_death_keeps_the_agents_and_its_limits():
-    env = black_death_v3(parallel_env(max_steps=3, **FAILING, failed_agents="terminate"))
+    env = black_death_v3(parallel_env(max_steps=4, **FAILING, failed_agents="terminate"))
     env.reset()
-    for step in range(1, 5):
+    for step in range(1, 6):
         observations, rewards, terminated, truncated, _ = step_all(env, env.possible_agents)
-        assert all(terminated.values()) == all(truncated.values()) == (step == 4), "now lifted"
+        assert all(terminated.values()) == all(truncated.values()) == (step == 5), "now lifted"
         if step == 3:
             assert [one.any() for one in observations.values()] == [True, False, True]
             assert rewards["robot_1"] == 0
