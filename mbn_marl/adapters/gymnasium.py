@@ -190,11 +190,8 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
             known = ", ".join(repr(known.value) for known in AutoresetMode)
             problem = f"autoreset_mode: unknown mode {autoreset_mode!r}; known: {known}"
             raise ConfigError("environment", [problem]) from None
-        self.metadata = {
-            "render_modes": ["rgb_array"],
-            "render_fps": RENDER_FPS,
-            "autoreset_mode": mode,
-        }
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
+        self.metadata["autoreset_mode"] = mode
         engine_mode = cast(Literal["same_step", "next_step", "disabled"], mode.name.lower())
         self.engine = engine = BatchEngine(
             field, num_envs, autoreset=engine_mode, threads=threads, n_robots=n_robots, **settings

@@ -35,6 +35,8 @@ from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 if TYPE_CHECKING:
     from mbn_marl.engine import Snapshot
 
+Flags = NDArray[np.bool_]
+
 
 class NavigationVecEnv(VecEnv):
     """The base of the two forms: stepping, automatic reset, seeding and infos.
@@ -173,11 +175,7 @@ class NavigationVecEnv(VecEnv):
         return self._observations(observations), rewards, dones, infos
 
     def _close_episodes(
-        self,
-        infos: list[dict[str, Any]],
-        ending: NDArray[np.bool_],
-        timeouts: NDArray[np.bool_],
-        last: NDArray[np.float32],
+        self, infos: list[dict[str, Any]], ending: Flags, timeouts: Flags, last: NDArray[np.float32]
     ) -> None:
         ended = np.flatnonzero(np.repeat(ending, self._rows_per_world))
         metrics = {name: self._by_row(one) for name, one in self.engine.metrics().items()}

@@ -184,13 +184,7 @@ class NavigationEnv(EnvBase):
         flags = {name: flag.clone() for name in FLAGS}
         self.done_spec = Composite(flags, shape=worlds, device=self.device)
 
-    def _box(
-        self,
-        low: NDArray[Any] | float,
-        high: NDArray[Any] | float,
-        shape: tuple[int, ...],
-        dtype: torch.dtype,
-    ) -> Bounded:
+    def _box(self, low: Any, high: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Bounded:
         bounds = [torch.as_tensor(bound, dtype=dtype).expand(shape) for bound in (low, high)]
         return Bounded(*bounds, shape=shape, dtype=dtype, device=self.device)
 

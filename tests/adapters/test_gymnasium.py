@@ -80,7 +80,6 @@ class TestNumbersByHand:
         state, info = env.reset()
         assert state.tolist() == [20.0, 50.0, 0.0, 0.0, 0.0]
         assert info == NOTHING
-
         forward = [[1.0, 0.0]]
         state, reward, terminated, truncated, info = env.step(forward)
         assert state.tolist() == [30.0, 50.0, 10.0, 0.0, 0.0]
@@ -143,10 +142,8 @@ class TestVector:
         assert isinstance(envs, CentralizedVectorEnv)
         assert envs.engine.num_worlds == envs.num_envs == 5
         assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-        assert envs.observation_space.shape == (5, 13)
-        assert envs.action_space.shape == (5, 3, 2)
-        states, _ = envs.reset(seed=1)
-        assert envs.observation_space.contains(states)
+        assert (envs.observation_space.shape, envs.action_space.shape) == ((5, 13), (5, 3, 2))
+        assert envs.observation_space.contains(envs.reset(seed=1)[0])
 
     @pytest.mark.slow
     @pytest.mark.parametrize(

@@ -44,17 +44,9 @@ def test_the_checkers_pass() -> None:
     parallel_api_test(parallel_env(SAMPLER, max_steps=9), num_cycles=60)
     api_test(raw_env(SAMPLER, max_steps=9), num_cycles=60)
     check_env(centralized_env(SAMPLER, max_steps=9), skip_render_check=True)
-    check_env_specs(NavigationEnv(SAMPLER, 6, max_steps=3), check_dtype=True)
-
-
-def test_gymnasium_draws_a_field_for_each_world_and_episode() -> None:
     envs = gymnasium.make_vec("mbn/field_03-v0", 5, field=SAMPLER, max_steps=3)
-    states, _ = envs.reset(seed=1)
-    assert envs.single_observation_space.shape == states[0].shape == (4 * 3 + 3 + 1,)
-    for _ in range(9):
-        states, *_, infos = envs.step(np.zeros((5, 3, 2), np.float32))
-        assert envs.observation_space.contains(states)
-        assert np.isnan(infos["optimality_gap"]).all()
+    assert envs.observation_space.contains(envs.reset(seed=1)[0])
+    check_env_specs(NavigationEnv(SAMPLER, 6, max_steps=3), check_dtype=True)
 
 
 def test_torchrl_masks_absent_robots() -> None:

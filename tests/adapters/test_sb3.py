@@ -156,6 +156,7 @@ def test_bad_calls_are_refused_before_anything_moves(kind: type[NavigationVecEnv
         (lambda: env.step(np.zeros(2)), ActionError, "actions: "),
         (lambda: env.step(bad), ActionError, r"world 4.*robot_2"),
         (lambda: env.set_attr("action_repeat", 0), ConfigError, "action_repeat: "),
+        (lambda: kind("field_03", 4, render_mode="human"), ConfigError, "render_mode: "),
         (lambda: env.set_attr("label", "other", indices=[0]), MbnError, "label"),
     ):
         with pytest.raises(error, match=place):

@@ -13,7 +13,7 @@ import pytest
 from baselines.compare.benchmark import load_tiers, run_benchmark
 from baselines.runs.files import write_json
 from benchmarks.__main__ import main
-from benchmarks.leaderboard import _by_condition, _faster, leaderboard
+from benchmarks.leaderboard import leaderboard
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import splits
 from tests.support.frozen import write_split, write_splits
@@ -79,20 +79,6 @@ def test_a_table_for_each_tier_with_the_best_first(results: Results, tmp_path: P
     gap = results["greedy"]["tiers"]["1-convex"]["mean"]["gap"]["mean"]
     assert f"{gap:.1%}" in parts["1-convex"]
     assert f"- {name}: `mbn benchmark random`" in parts["Commands"]
-
-
-def test_who_is_faster_and_who_succeeds_where_counted_by_hand(results: Results) -> None:
-    swift = copy.deepcopy(results["greedy"])
-    swift["tiers"]["1-convex"]["instances"][0]["mean"]["makespan"] -= 1.0
-    weather = swift["tiers"]["5-weather"]["instances"]
-    first = weather[0]["condition"]
-    for row in weather:
-        row["mean"]["success_rate"] = 0.25 if row["condition"] == first else 1.0
-    teams = {"greedy": results["greedy"], "swift": swift}
-    faster = rows_of(_faster(teams).markdown(""))
-    assert faster["swift", "mean"][:2] == ("1 of 1", "0 of 1")
-    found = rows_of(_by_condition(teams).markdown(""))["swift", "mean"]
-    assert found[splits.CONDITIONS.index(first)] == "25.0%"
 
 
 def test_results_of_other_splits_are_refused(

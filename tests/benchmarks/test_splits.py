@@ -98,6 +98,7 @@ def test_verifying_finds_what_was_changed(
     for problem in (
         *("sampler: is another", "two instances have the same", "instances[0]: geometry"),
         *("instances[1]: makespan_lower_bound", "instances[2]: plan: its hash"),
+        "instances[2]: plan: unfinished after 4 steps",
     ):
         assert problem in said
     with pytest.raises(ConfigError, match="sampler: "):

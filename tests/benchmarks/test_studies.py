@@ -13,13 +13,7 @@ from baselines.compare.records import RunRecord
 from baselines.training.train import prepare, resolve
 from benchmarks.__main__ import main
 from benchmarks.studies import learning
-from benchmarks.studies.learning import (
-    STUDIES,
-    Study,
-    run_table,
-    target_rows,
-    write_targets,
-)
+from benchmarks.studies.learning import STUDIES, Study, run_table, target_rows, write_targets
 from mbn_marl.errors import ConfigError
 from tests.support.records import CONFIG, make_run
 
