@@ -1,8 +1,6 @@
 """``python -m tests.lowest``: run the environments on the lowest versions that they allow.
 
-It builds the wheel, installs it without extras and with the oldest version of every dependency that
-``pyproject.toml`` allows into a new virtual environment, and steps each form there, PettingZoo's in
-its own tests. Nothing else is there: no torch, no matplotlib.
+The wheel is installed without extras, with the oldest allowed version of every dependency.
 """
 
 from __future__ import annotations
@@ -37,13 +35,11 @@ engine.step(engine.sample_actions())
 
 
 def lowest() -> list[str]:
-    """Return the dependencies of the package, each at its lower bound."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     return [requirement.replace(">=", "==") for requirement in project["dependencies"]]
 
 
 def main() -> None:
-    """Install and run; a failure raises."""
     with tempfile.TemporaryDirectory(prefix="lowest") as name:
         folder = Path(name)
         wheel = build_wheel(folder / "build")
@@ -54,7 +50,6 @@ def main() -> None:
         for words in (["mbn", "fields", "field_03"], ["python", "-c", FORMS]):
             command = [programs / words[0], *words[1:]]
             subprocess.run(command, cwd=folder, env=environment, check=True)
-        print("on", *lowest())
 
 
 if __name__ == "__main__":

@@ -1,12 +1,7 @@
 """``python -m tests.newcomer [PAGE ...]``: do what the pages say, with the wheel, elsewhere.
 
-It builds the wheel, installs it into a new virtual environment, and runs every command line of the
-README and of docs from an empty folder, without a checkout: with tiny budgets, page by page, in
-order, and the README's Python. Blocks under a comment ``<!-- needs: ... -->`` and the pages of
-results, which record what was run, are left out. Each command runs in a pipe; one that prints a
-table runs again in a terminal of 80 columns, where no number or label may be broken. The wheel is
-installed with the extra ``export``; for named pages it borrows the packages of this environment.
-Commands may use what the tests have compiled.
+It installs the wheel into a new virtual environment and runs each page's command lines there, with
+tiny budgets, from an empty folder; see CONTRIBUTING.md.
 """
 
 from __future__ import annotations
@@ -24,38 +19,26 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from numba import config
 from numba.core.caching import _CacheLocator
 
-from tests.support.pages import (
-    PAGES,
-    README,
-    ROOT,
-    blocks_of,
-    commands_of,
-    tiny,
-    write_file,
-    write_own_files,
-)
+from tests.support import pages
+from tests.support.pages import PAGES, README, ROOT, blocks_of, commands_of, tiny
 from tests.support.terminal import in_terminal
 from tests.support.wheel import build_wheel
 
 WIDTH = 80
-LONGEST = 600.0
-"""Seconds that a command may take."""
+LONGEST = 600.0  # seconds that a command may take
 PAGES_AT_A_TIME = 2
 RULE = re.compile("[─━═╌]{3}")
+# They are answered with a message and exit code 2.
 WRONG = ("mbn nonsense", "mbn evaluate nobody", "mbn train ppo field_99", "mbn plan missing.yaml")
-"""Command lines that are answered with a message and exit code 2."""
 
 
 def broken_words(whole: str, narrow: str) -> Iterator[str]:
-    """Yield the words of ``whole`` that ``narrow`` has in two parts, one below the other.
-
-    The parts start or end in the same column, as those of a cell do. Times differ between two runs:
-    a word that is just not there is none.
-    """
+    """Yield the words of ``whole`` that a cell of ``narrow`` breaks into two lines."""
     lines = [[*re.finditer(r"\S+", line)] for line in narrow.splitlines()]
     words = set(whole.split()) - set(narrow.split())
     for above, below in pairwise(lines):
@@ -69,19 +52,13 @@ def broken_words(whole: str, narrow: str) -> Iterator[str]:
 
 
 class Newcomer:
-    """Someone who has installed the wheel into a virtual environment.
-
-    Args:
-        folder: to work in.
-        borrows: whether the wheel's dependencies are the packages of this environment.
-    """
+    """Someone who has the wheel in a virtual environment; it may borrow this one's packages."""
 
     def __init__(self, folder: Path, *, borrows: bool) -> None:
         self._folder, self._cache = folder, folder / "cache"
         programs = folder / "venv" / "bin"
-        kept = {name: os.environ[name] for name in ("HOME", "LANG") if name in os.environ}
         self._environment = {
-            **kept,
+            **{name: os.environ[name] for name in ("HOME", "LANG") if name in os.environ},
             "PATH": f"{programs}:{os.environ['PATH']}",
             "NUMBA_CACHE_DIR": str(self._cache),
             "XDG_CONFIG_HOME": str(folder / "config"),
@@ -102,30 +79,19 @@ class Newcomer:
             subprocess.run([*pip, "torch"], check=True)
             subprocess.run([*pip, f"{wheel}[export]"], check=True)
 
-    def take_compiled(self) -> int:
-        """Take over what the tests have compiled; return how many files that is.
-
-        Numba keeps it by the path of the source, and the package uses it for the same sources only.
-        """
-        place, files = _CacheLocator.get_suitable_cache_subpath, 0
+    def take_compiled(self) -> None:
+        """Take over what the tests have compiled, which Numba keeps by the path of the source."""
+        place = _CacheLocator.get_suitable_cache_subpath
         for folder in {source.parent for source in (ROOT / "mbn_marl").rglob("*.py")}:
             known = Path(config.CACHE_DIR, place(str(folder / "any.py")))
             if config.CACHE_DIR and known.is_dir():
                 own = self._cache / place(str(self._site / folder.relative_to(ROOT) / "any.py"))
                 shutil.copytree(known, own, dirs_exist_ok=True)
-                files += len([*known.iterdir()])
-        return files
 
     def run(self, words: Sequence[str], folder: Path, code: int = 0) -> str:
         """Run a command in a pipe; return its output."""
-        done = subprocess.run(
-            words,
-            cwd=folder,
-            env=self._environment,
-            capture_output=True,
-            text=True,
-            timeout=LONGEST,
-        )
+        how: dict[str, Any] = {"cwd": folder, "env": self._environment, "timeout": LONGEST}
+        done = subprocess.run(words, capture_output=True, text=True, **how)
         assert done.returncode == code, f"exit code {done.returncode}: {done.stderr[-2000:]}"
         assert "Traceback" not in done.stdout + done.stderr, done.stderr[-2000:]
         assert code == 0 or done.stderr.strip(), "no message"
@@ -146,7 +112,7 @@ class Newcomer:
         wrong = []
         folder = self._folder / str(page.relative_to(ROOT)).replace("/", "-")
         folder.mkdir()
-        write_own_files(folder)
+        pages.write_own_files(folder)
         for line in lines_of(page, folder):
             words = ["mbn", *tiny(line[1:])] if line[0] == "mbn" else line
             name = f"{page.relative_to(ROOT)}: {shlex.join(line)}"
@@ -160,10 +126,9 @@ class Newcomer:
 
 
 def lines_of(page: Path, folder: Path) -> Iterator[list[str]]:
-    """Yield a page's command lines, and write the files that it shows before them."""
     for block in blocks_of(page):
         if block.language in ("yaml", "python"):
-            write_file(block, folder)
+            pages.write_file(block, folder)
         elif block.language == "sh" and not block.needs:
             yield from commands_of(block)
     if page == README:
@@ -172,25 +137,18 @@ def lines_of(page: Path, folder: Path) -> Iterator[list[str]]:
 
 
 def main(*names: str) -> int:
-    """Be a newcomer.
-
-    Args:
-        names: of the pages, from the root of the checkout; none is all.
-
-    Returns:
-        The exit code: 1 if a command did not do what the pages say.
-    """
+    """Read the named pages, or all; return 1 if a command does not do what they say."""
     everything = [page for page in PAGES if "results" not in page.parts]
-    pages = [ROOT / name for name in names] or everything
+    chosen = [ROOT / name for name in names] or everything
     with tempfile.TemporaryDirectory(prefix="newcomer") as name:
         folder = Path(name)
         newcomer = Newcomer(folder, borrows=bool(names))
-        print(newcomer.take_compiled(), "files of compiled code are the tests'", flush=True)
+        newcomer.take_compiled()
         (folder / "empty").mkdir()
         for line in WRONG:
             newcomer.run(shlex.split(line), folder / "empty", code=2)
         with ThreadPoolExecutor(PAGES_AT_A_TIME) as readers:
-            wrong = [line for found in readers.map(newcomer.read, pages) for line in found]
+            wrong = [line for found in readers.map(newcomer.read, chosen) for line in found]
     print(*wrong, f"{len(wrong)} command lines do not do what the pages say", sep="\n")
     return 1 if wrong else 0
 

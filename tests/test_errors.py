@@ -9,19 +9,10 @@ from baselines.policies.load import open_run
 from baselines.sweep.spec import GridSpec
 from baselines.training.config import validate
 from mbn_marl.config import make_config
-from mbn_marl.errors import ConfigError, MbnError, unknown
+from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import load_field, load_split
 
 GRID = {"store": "runs", "algorithms": ["ppo"], "seeds": [0], "budget": {"stepss": 1}}
-
-
-def test_what_is_close_is_named_first() -> None:
-    assert unknown("pet", "cta", ["dog", "cat"]) == "unknown pet; known: dog, cat"
-    meant = "unknown pet (did you mean cat?); known: dog, cat"
-    assert unknown("pet", "catt", ["dog", "cat"]) == meant
-    assert "did you mean model.gamma?" in unknown("name", "gama", ["model.gamma", "model"])
-    assert "did you mean 1-convex?" in unknown("tier", "1", ["1-convex", "2-sizes"])
-    assert unknown("pet", "cat", []) == "unknown pet; known: none"
 
 
 def test_every_lookup_by_name_says_what_may_be_meant() -> None:

@@ -43,7 +43,6 @@ HEAVY = {"numba", "torch", "pygame", "matplotlib", "PIL", "stable_baselines3", "
 
 
 def package_of(module: str) -> str:
-    """Return the layer's package that ``module`` belongs to."""
     top, *rest = module.split(".")
     own = top in ("mbn_marl", "docs") or rest[:1] == ["cli"]
     return f"{top}.{rest[0]}" if own and rest else top
@@ -51,12 +50,10 @@ def package_of(module: str) -> str:
 
 @functools.cache
 def nodes_of(module: str) -> list[ast.AST]:
-    """Return what ``module`` consists of."""
     return [*ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8")))]
 
 
 def imports_of(module: str) -> Iterator[str]:
-    """Yield the modules of this repository that ``module`` imports, inside functions too."""
     for node in nodes_of(module):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -70,17 +67,14 @@ def imports_of(module: str) -> Iterator[str]:
 
 
 def named_in(module: str) -> Iterator[str]:
-    """Yield the modules of this repository whose names are strings in ``module``: loaded later."""
+    # Such names are loaded later.
     for node in nodes_of(module):
         if isinstance(node, ast.Constant) and node.value in MODULES and "." in str(node.value):
             yield node.value
 
 
-def test_every_module_has_a_layer() -> None:
+def test_every_module_has_a_layer_and_imports_point_to_the_left() -> None:
     assert {package_of(module) for module in MODULES} == set(RANK)
-
-
-def test_imports_point_to_the_left() -> None:
     for module in MODULES:
         own = package_of(module)
         for imported in (*imports_of(module), *named_in(module)):
@@ -89,14 +83,8 @@ def test_imports_point_to_the_left() -> None:
 
 
 def test_no_circle_within_a_package() -> None:
-    graph = {
-        module: {
-            imported
-            for imported in imports_of(module)
-            if MODULES[imported].name != "__init__.py" and imported != module
-        }
-        for module in MODULES
-    }
+    plain = {name for name, path in MODULES.items() if path.name != "__init__.py"}
+    graph = {module: {*imports_of(module)} & plain - {module} for module in MODULES}
     TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
@@ -112,7 +100,6 @@ def test_a_folder_of_baselines_imports_from_those_above_it_in_the_readme() -> No
 
 
 def loaded_by(statement: str) -> set[str]:
-    """The top-level packages that a fresh process has loaded after ``statement``."""
     code = f"import sys; {statement}; print(*{{name.split('.')[0] for name in sys.modules}})"
     run = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
@@ -128,7 +115,6 @@ def test_what_is_loaded() -> None:
         (f"{run}; main(['--help'])", set()),
         (f"{run}; main(['fields'])", set()),
         ("import gymnasium, mbn_marl; gymnasium.spec('mbn/field_03-v0')", set()),
-        ("from mbn_marl import parallel_env; parallel_env('field_03')", {"numba"}),
         ("from mbn_marl import centralized_env; centralized_env('field_03')", {"numba"}),
     ):
         loaded = loaded_by(statement)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-
-from tests.newcomer import WIDTH, broken_words
-from tests.support.terminal import in_terminal
+from tests.newcomer import broken_words
 
 WHOLE = """
  algo        return  seconds
@@ -24,8 +21,3 @@ def test_broken_words() -> None:
         (" ppo-sha…  -1,972,196", ["ppo-sha…  -1,972,196"]),
     ):
         assert [*broken_words(WHOLE, narrow)] == broken, narrow
-
-
-def test_a_terminal_has_80_columns() -> None:
-    code = "import os; print('lost\\r', os.get_terminal_size().columns, '\\x1b[1mbold\\x1b[0m')"
-    assert in_terminal([sys.executable, "-c", code]) == f" {WIDTH} bold\n"

@@ -20,9 +20,6 @@ def test_public_names():
     assert {*dir(mbn_marl)} == {*expected, "__version__"}
     assert all(callable(getattr(mbn_marl, name)) for name in mbn_marl.__all__)
     assert mbn_marl.parallel_env is mbn_marl.navigation_v0.parallel_env
-
-
-def test_an_unknown_name_is_an_error_that_names_it():
     with pytest.raises(AttributeError, match="'paralell_env'"):
         _ = mbn_marl.paralell_env
 

@@ -143,8 +143,7 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
 class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
     """Many worlds of the single MDP in one engine; ``gymnasium.make_vec`` makes it.
 
-    Spaces, rewards and infos are those of :class:`CentralizedEnv` with a first axis of worlds. The
-    worlds share one seed, from which the engine derives a stream for each.
+    Spaces, rewards and infos are those of :class:`CentralizedEnv` with a first axis of worlds.
 
     With ``SAME_STEP``, a world that ends starts its next episode in the same step, and the returned
     state is the new episode's. ``infos["final_obs"][world]`` and ``infos["final_info"]`` contain
@@ -185,12 +184,14 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         check_names(settings)
         self._viewer = LazyViewer(render_mode, ("rgb_array",), render_size)
         self.render_mode = render_mode
-        self.autoreset_mode = mode = _autoreset_mode(autoreset_mode)
-        self.metadata = {
-            "render_modes": ["rgb_array"],
-            "render_fps": RENDER_FPS,
-            "autoreset_mode": mode,
-        }
+        try:
+            self.autoreset_mode = mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            known = ", ".join(repr(known.value) for known in AutoresetMode)
+            problem = f"autoreset_mode: unknown mode {autoreset_mode!r}; known: {known}"
+            raise ConfigError("environment", [problem]) from None
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
+        self.metadata["autoreset_mode"] = mode
         engine_mode = cast(Literal["same_step", "next_step", "disabled"], mode.name.lower())
         self.engine = engine = BatchEngine(
             field, num_envs, autoreset=engine_mode, threads=threads, n_robots=n_robots, **settings
@@ -213,21 +214,18 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         """Start an episode in every world, or in some.
 
         Args:
-            seed: of all worlds, restarts the random numbers; ``None`` continues with those of the
-                current seed, at first 0.
+            seed: of all worlds; otherwise as in :class:`CentralizedEnv`.
             options: ``"reset_mask"``, ``(W,)`` bool, resets only these worlds (without a seed).
 
         Returns:
             The states ``(W, 4n+1)``, fresh, and the infos.
 
         Raises:
-            ConfigError: a seed out of range; a mask of the wrong shape or type, or together with a
-                seed; or another option (``field`` and ``starts`` are for one environment).
+            ConfigError: the seed or an option is not allowed; nothing has changed.
         """
         self._check(options, seed)
-        options = options or {}
         super().reset(seed=None if seed is None else int(seed))
-        mask = options.get("reset_mask")
+        mask = (options or {}).get("reset_mask")
         if mask is None:
             self.engine.reset(seed)
             mask = np.ones(self.num_envs, np.bool_)
@@ -263,11 +261,9 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         return None if self.render_mode is None else frames
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Release the viewer; ``**kwargs`` is Gymnasium's and ignored."""
         self._viewer.close()
 
     def _check(self, options: dict[str, Any] | None, seed: int | None) -> None:
-        """Check the arguments of :meth:`reset`."""
         problems = option_problems(options, ("reset_mask",))
         if not problems and options and (mask := options.get("reset_mask")) is not None:
             if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_):
@@ -276,21 +272,18 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
                 problems.append(f"reset_mask: shape {mask.shape}, allowed: ({self.num_envs},)")
             if seed is not None:
                 problems.append("reset_mask: a seed restarts all worlds; give only one of the two")
-        problems += [] if seed is None else reset_problems(seed, 0)
+        problems += reset_problems(seed, 0)
         if problems:
             raise ConfigError("reset", problems)
 
     def _step_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        """Return a step's infos in the layout of Gymnasium's own vector environments."""
         everywhere = np.ones(self.num_envs, np.bool_)
         rows = self._infos.of_teams(ended)
         if self.autoreset_mode is not AutoresetMode.SAME_STEP or not ended.any():
             return self._by_key(rows, everywhere)
-        states = np.full(self.num_envs, None, object)
-        for world, state in zip(
-            np.flatnonzero(ended), self.engine.final_state()[ended], strict=True
-        ):
-            states[world] = state
+        states, final = np.full(self.num_envs, None, object), self.engine.final_state()
+        for world in np.flatnonzero(ended):
+            states[world] = final[world]
         return {
             **self._by_key(np.where(ended[:, None], self._infos.of_resets(), rows), everywhere),
             "final_obs": states,
@@ -300,22 +293,11 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         }
 
     def _by_key(self, rows: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
-        """Split rows of infos ``(W, keys)`` by key; ``_key`` is the mask of valid worlds."""
         infos = dict(zip(self._infos.keys, rows.T.copy(), strict=True))
         return {**infos, **{f"_{key}": mask for key in infos}}
 
 
-def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    try:
-        return AutoresetMode(mode)
-    except ValueError:
-        known = ", ".join(repr(known.value) for known in AutoresetMode)
-        problem = f"autoreset_mode: unknown mode {mode!r}; known: {known}"
-        raise ConfigError("environment", [problem]) from None
-
-
 def _as_actions(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.floating[Any]]:
-    """Check that the actions have ``shape``, and return them as a float array."""
     try:
         array = as_array(actions)
         floats = array if array.dtype.kind == "f" else array.astype(np.float64)

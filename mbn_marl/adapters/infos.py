@@ -71,11 +71,10 @@ class Infos:
         self.optima = np.resize(np.array(optima, np.float64), engine.num_worlds)
 
     def of_reset(self) -> dict[str, float]:
-        """The info of a reset of the first world, of a robot or of the team."""
         return self._named(self.of_resets()[0].tolist())
 
     def of_resets(self) -> NDArray[np.float64]:
-        """The info of a reset of every world, (W, keys), ordered as ``keys``, in their units."""
+        """The info of a reset of every world, (W, keys)."""
         worlds = self._engine.num_worlds
         gaps, drawn = np.full(worlds, np.nan), self._engine.drawn().values()
         return np.column_stack([np.zeros((worlds, len(INFO_COLUMNS))), gaps, *drawn])
@@ -89,22 +88,13 @@ class Infos:
         return [dict(zip(INFO_COLUMNS, row), optimality_gap=UNDEFINED) for row in rows]  # noqa: B905 - strict is slow
 
     def of_team(self, ended: bool) -> dict[str, float]:
-        """The info of the first world's team; ``ended``: whether its episode has."""
         return self._named(self.of_teams(np.array([ended]))[0].tolist())
 
     def of_teams(self, ended: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """The info of every world's team as of the last step, before any automatic reset.
-
-        Args:
-            ended: (W,) bool, the worlds whose episode has ended.
-
-        Returns:
-            (W, keys), ordered as ``keys``, in their units.
-        """
+        """The info of every world's team before any automatic reset, (W, keys)."""
         return np.column_stack([self._engine.team_infos(), *self._team_wide(ended)])
 
     def _team_wide(self, ended: NDArray[np.bool_]) -> list[NDArray[Any]]:
-        """The entries from the gap on, (W,) each."""
         if self.keys[-1] == GAP:  # nothing is drawn
             return [self._gaps(ended)]
         drawn = self._engine.drawn()

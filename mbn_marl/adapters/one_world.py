@@ -57,11 +57,7 @@ class LazyViewer:
 
 
 class ActionRepeat:
-    """The attribute ``action_repeat``: env-steps of a step, all with the same action; at least 1.
-
-    Raises:
-        ConfigError: another value is set.
-    """
+    """The attribute ``action_repeat``, at least 1; another value is a ``ConfigError``."""
 
     def __get__(self, env: Any, kind: type) -> Any:
         return self if env is None else vars(env)["_action_repeat"]
@@ -118,10 +114,7 @@ class OneWorld:
         return None if np.isnan(optimum) else optimum
 
     def state(self) -> NDArray[Any]:
-        """Return the paper's state, ``(4n+1,)`` in the engine's dtype, raw units, a fresh array.
-
-        Before the first reset it is a ``StepError``.
-        """
+        """Return the paper's state, ``(4n+1,)`` in raw units; before a reset a ``StepError``."""
         if not self._started:
             raise StepError("there is no state before the first reset(): call reset() first")
         state: NDArray[Any] = self.engine.state()[0]
@@ -138,9 +131,8 @@ class OneWorld:
     def _start(
         self, seed: int | None, options: Mapping[str, Any] | None = None
     ) -> NDArray[np.float32]:
-        """Start an episode; return fresh observations ``(n, obs_size)``."""
         problems = option_problems(options, ("field", "starts"))
-        problems += [] if seed is None else reset_problems(seed, 0)
+        problems += reset_problems(seed, 0)
         if problems:
             raise ConfigError("reset", problems)
         given, starts = ((options or {}).get(name) for name in ("field", "starts"))
@@ -158,11 +150,7 @@ class OneWorld:
         return observations
 
     def _move(self, actions: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[Any], bool, bool]:
-        """Step with actions ``(n, 2)``.
-
-        Return fresh observations ``(n, obs_size)``, rewards ``(n,)`` that the next step overwrites,
-        terminated and truncated.
-        """
+        # The rewards are the engine's: the next step overwrites them.
         observations, rewards, terminated, truncated = self.engine.step(actions[None])
         self._show()
         return observations[0].copy(), rewards[0], bool(terminated[0]), bool(truncated[0])

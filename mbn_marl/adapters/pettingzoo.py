@@ -33,8 +33,7 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
     """All robots act at once. ``parallel_env`` is this class under its usual name.
 
     The agents are ``robot_0`` to ``robot_{n-1}``. An episode ends for all of them in the same
-    step: ``terminated`` on success or collision, ``truncated`` after ``max_steps`` steps. Only with
-    ``failed_agents="terminate"`` it ends for a robot that fails in the step in which it does.
+    step: ``terminated`` on success or collision, ``truncated`` after ``max_steps`` steps.
 
     ============  ==================================================================================
     action        ``(2,)`` float32 in [-1, 1]: the force along x and y, in units of ``f_max``
@@ -55,12 +54,11 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         render_size: width and height of a frame or the window, pixels, each at least 200.
         max_cycles: PettingZoo's name of ``max_steps``; give only one of the two.
         failed_agents: ``"keep"``: robots that fail remain agents, whose actions do nothing;
-            ``"terminate"``: they are terminated, and gone from ``agents``.
+            ``"terminate"``: they are terminated in that step, and gone from ``agents``.
         **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
     Attributes:
-        np_random: a generator for wrappers, restarted by the seed; the environment itself draws
-            nothing from it.
+        np_random: a generator for wrappers alone, restarted by the seed.
 
     Raises:
         FieldError: listing every problem with the field.
@@ -119,28 +117,16 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, Info]]:
-        """Start an episode.
-
-        Args:
-            seed: restarts the random numbers; ``None`` continues with those of the current seed,
-                at first 0.
-            options: ``"field"``, a name, a path or a Field for this episode alone, of the same
-                arena and with no more ROIs; ``"starts"``, where its robots start, ``(n, 2)`` units.
+        """Start an episode; arguments and errors as ``CentralizedEnv.reset``.
 
         Returns:
             Each agent's observation, ``(obs_size,)`` float32 in the units of
             ``engine.observation_table``, and info.
-
-        Raises:
-            ConfigError: the seed or an option is not allowed; nothing has changed.
-            FieldError: the field of the options is invalid or unknown; nothing has changed.
         """
         observations = self._start(seed, options)
         if seed is not None:
             self.np_random, _ = np_random(int(seed))
-        self.agents = list(self.possible_agents)
-        if self.engine.teams_vary:
-            self.agents = self.agents[: int(self.engine.present[0].sum())]
+        self.agents = self.possible_agents[: int(self.engine.present[0].sum())]
         info = self._infos.of_reset()
         infos = {agent: info.copy() for agent in self.agents}
         return dict(zip(self.agents, observations, strict=False)), infos
@@ -161,8 +147,12 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
             StepError: before the first reset, or with actions after the end of an episode.
         """
         agents = self.agents
+        if not self._started:
+            raise StepError("step() before the first reset(): call reset() first")
+        if not agents and actions:
+            raise StepError("step() with actions after the end of the episode: call reset() first")
         if not agents:
-            return self._step_without_agents(actions)
+            return {}, {}, {}, {}, {}
         observations, rewards, terminated, truncated = self._move(self._stacked(actions))
         ended = terminated or truncated
         infos = self._infos.of_robots(ended)
@@ -186,15 +176,8 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         if agent not in self.possible_agents:
             raise MbnError(f"{agent!r}: {unknown('agent', str(agent), self.possible_agents)}")
 
-    def _step_without_agents(self, actions: Mapping[str, ArrayLike]) -> StepResult:
-        if not self._started:
-            raise StepError("step() before the first reset(): call reset() first")
-        if actions:
-            raise StepError("step() with actions after the end of the episode: call reset() first")
-        return {}, {}, {}, {}, {}
-
     def _stacked(self, actions: Mapping[str, ArrayLike]) -> NDArray[Any]:
-        """Return the actions as one array, (n, 2) in the engine's dtype, 0 of robots not asked."""
+        # An array (n, 2) in the engine's dtype, 0 of robots that are not asked.
         agents = self.agents
         try:
             given = np.array([actions[agent] for agent in agents], self.engine.dtype)
@@ -217,14 +200,13 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
             return f"actions: {type(actions).__name__}; allowed: a dict of the agents' actions"
         known = self.agents
         problems = [f"{agent!r}: unknown agent" for agent in actions if agent not in self._index]
-        problems += [f"{agent}: missing" for agent in known if agent not in actions]
         for agent in known:
-            if agent in actions and not _is_action(actions[agent]):
+            if agent not in actions:
+                problems.append(f"{agent}: missing")
+            elif not _is_action(actions[agent]):
                 problems.append(f"{agent}: {actions[agent]!r:.80}, not two numbers")
-        if not problems:
-            return ""
         allowed = f"two numbers for each of {', '.join(known)}"
-        return f"actions: {'; '.join(problems)}; allowed: {allowed}"
+        return f"actions: {'; '.join(problems)}; allowed: {allowed}" if problems else ""
 
 
 def _is_action(action: object) -> bool:
@@ -235,10 +217,7 @@ def _is_action(action: object) -> bool:
 
 
 class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
-    """One robot acts after the other; all move once the last one has acted.
-
-    Each action is checked at once, so that the robot that caused an error can act again.
-    """
+    """One robot acts after the other; all move once the last one has acted."""
 
     def __repr__(self) -> str:
         return repr(self.env).replace(type(self.env).__name__, type(self).__name__, 1)
@@ -246,10 +225,9 @@ class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
     def step(self, action: Action | None) -> None:
         """Submit the ``action`` of ``agent_selection``: two numbers ``(2,)``, clipped to [-1, 1].
 
-        After the end of the episode, or of the agent's, it must be ``None``.
-
         Raises:
-            ActionError: not two finite numbers, or not ``None`` after the end; nothing has changed.
+            ActionError: not two finite numbers, or not ``None`` after the agent's end; nothing has
+                changed, so that the robot can act again.
             StepError: before the first reset, or when no agent is left.
         """
         if not getattr(self, "agents", None):

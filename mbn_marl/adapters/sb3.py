@@ -35,6 +35,8 @@ from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 if TYPE_CHECKING:
     from mbn_marl.engine import Snapshot
 
+Flags = NDArray[np.bool_]
+
 
 class NavigationVecEnv(VecEnv):
     """The base of the two forms: stepping, automatic reset, seeding and infos.
@@ -101,7 +103,6 @@ class NavigationVecEnv(VecEnv):
         """Return the rows of a world, and the observation and action space of a row."""
 
     def _observations(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """Return fresh observations by row, from the engine's ``(num_worlds, n, obs_size)``."""
         return observations.reshape(self.num_envs, -1).copy()
 
     @abstractmethod
@@ -113,10 +114,7 @@ class NavigationVecEnv(VecEnv):
         """Return a value for each row, from ``(num_worlds,)`` or ``(num_worlds, n)``."""
 
     def reset(self) -> NDArray[Any]:
-        """Start a new episode in every world.
-
-        Returns:
-            Fresh observations ``(num_envs, *observation_space.shape)``, in the class's units.
+        """Start a new episode in every world; return fresh observations by row.
 
         Raises:
             ConfigError: ``set_options`` was given some; there are none.
@@ -130,11 +128,7 @@ class NavigationVecEnv(VecEnv):
         return self._observations(observations)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take the actions of the next step.
-
-        Args:
-            actions: ``(num_envs, *action_space.shape)``, shares of the full force per axis,
-                clipped to [-1, 1].
+        """Take the actions of the next step, ``(num_envs, *action_space.shape)`` in [-1, 1].
 
         Raises:
             ActionError: the shape is wrong.
@@ -181,13 +175,8 @@ class NavigationVecEnv(VecEnv):
         return self._observations(observations), rewards, dones, infos
 
     def _close_episodes(
-        self,
-        infos: list[dict[str, Any]],
-        ending: NDArray[np.bool_],
-        timeouts: NDArray[np.bool_],
-        last: NDArray[np.float32],
+        self, infos: list[dict[str, Any]], ending: Flags, timeouts: Flags, last: NDArray[np.float32]
     ) -> None:
-        """Fill the infos of the worlds whose episode has just ended, before they are reset."""
         ended = np.flatnonzero(np.repeat(ending, self._rows_per_world))
         metrics = {name: self._by_row(one) for name, one in self.engine.metrics().items()}
         returns = metrics[self._return][ended].tolist()
@@ -212,20 +201,14 @@ class NavigationVecEnv(VecEnv):
         self._viewer.close()
 
     def snapshot(self, row: int) -> Snapshot:
-        """Return the current snapshot of the world of ``row``, see ``BatchEngine.snapshot``."""
         return self.engine.snapshot(row // self._rows_per_world)
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return ``attr_name`` of this object, or else of the engine, for each of ``indices``."""
         owner = self if hasattr(self, attr_name) else self.engine
         return [getattr(owner, attr_name)] * len(self._rows(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set the attribute ``attr_name`` of this object to ``value``, for all rows.
-
-        Raises:
-            MbnError: ``indices`` omits rows; all rows are one object.
-        """
+        """Set an attribute of this object; ``indices`` that omit rows are an ``MbnError``."""
         if set(self._rows(indices)) != set(range(self.num_envs)):
             raise MbnError(f"set_attr({attr_name!r}): all rows share it; leave indices out")
         setattr(self, attr_name, value)
@@ -237,7 +220,6 @@ class NavigationVecEnv(VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Call ``self.method_name(row, *method_args, **method_kwargs)`` for each row."""
         method = getattr(self, method_name)
         return [method(row, *method_args, **method_kwargs) for row in self._rows(indices)]
 
@@ -246,10 +228,7 @@ class NavigationVecEnv(VecEnv):
         wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]],
         indices: VecEnvIndices = None,
     ) -> list[bool]:
-        """Return whether ``wrapper_class`` is ``Monitor``, for each of ``indices``.
-
-        ``evaluate_policy`` then reads the true returns from the infos, under reward scaling too.
-        """
+        # evaluate_policy then reads the true returns from the infos, under reward scaling too.
         return [wrapper_class is Monitor] * len(self._rows(indices))
 
     def _rows(self, indices: VecEnvIndices) -> list[int]:

@@ -138,7 +138,7 @@ class NavigationEnv(EnvBase):
             threads=threads,
             **settings,
         )
-        self._give = as_array if self.engine.device == "cpu" else _as_it_is
+        self._give = as_array if self.engine.device == "cpu" else torch.as_tensor
         self._state, self._team_reward, self._measures = state, team_reward, tuple(metrics)
         self._drawn = tuple(f"drawn/{name}" for name in self.engine.config.drawn if metrics)
         self._metrics = self._measures + self._drawn
@@ -164,13 +164,11 @@ class NavigationEnv(EnvBase):
 
         self.action_spec = group("action", self._box(-1.0, 1.0, (*robots, 2), torch.float32))
         self.reward_spec = group("reward", scalar(robots, dtype))
-        observation = self._box(
-            engine.observation_low,
-            engine.observation_high,
+        bounds, shape = (
+            (engine.observation_low, engine.observation_high),
             (*robots, engine.obs_size),
-            torch.float32,
         )
-        self.observation_spec = group("observation", observation)
+        self.observation_spec = group("observation", self._box(*bounds, shape, torch.float32))
         if engine.may_rest:
             mask = Categorical(2, shape=robots, dtype=torch.bool, device=self.device)
             self.observation_spec[GROUP, "mask"] = mask
@@ -183,19 +181,10 @@ class NavigationEnv(EnvBase):
             columns = {name: scalar(worlds, torch.float32) for name in self._metrics}
             self.observation_spec["metrics"] = Composite(columns, shape=worlds, device=self.device)
         flag = Categorical(2, shape=(*worlds, 1), dtype=torch.bool, device=self.device)
-        self.done_spec = Composite(
-            {name: flag.clone() for name in FLAGS},
-            shape=worlds,
-            device=self.device,
-        )
+        flags = {name: flag.clone() for name in FLAGS}
+        self.done_spec = Composite(flags, shape=worlds, device=self.device)
 
-    def _box(
-        self,
-        low: NDArray[Any] | float,
-        high: NDArray[Any] | float,
-        shape: tuple[int, ...],
-        dtype: torch.dtype,
-    ) -> Bounded:
+    def _box(self, low: Any, high: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Bounded:
         bounds = [torch.as_tensor(bound, dtype=dtype).expand(shape) for bound in (low, high)]
         return Bounded(*bounds, shape=shape, dtype=dtype, device=self.device)
 
@@ -219,26 +208,18 @@ class NavigationEnv(EnvBase):
         return self._entries(nothing)
 
     def save_state(self) -> dict[str, NDArray[Any]]:
-        """Return copies of everything that changes, by name; see ``BatchEngine.save_state``."""
         return self.engine.save_state()
 
     def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
         """Continue with the next full reset exactly where ``saved`` was taken.
 
-        That reset, such as the one of a new collector, then begins new episodes only in the worlds
-        that had ended.
-
-        Args:
-            saved: the arrays of :meth:`save_state`, with its shapes and units.
-
-        Raises:
-            MbnError: it does not fit this environment.
+        That reset begins new episodes only in the worlds that had ended. A state of another
+        environment is an ``MbnError``.
         """
         self.engine.load_state(saved)
         self._loaded = True
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Reset the worlds that ``tensordict`` says are done, in place."""
         # The result is that of TorchRL's own, which would merge every entry row by row; the engine
         # already has the current rows of all worlds side by side.
         if self.any_done(tensordict):
@@ -281,7 +262,6 @@ class NavigationEnv(EnvBase):
         return made
 
     def _advance(self, actions: Rows, active: torch.Tensor | None) -> _Outcome:
-        """Take one env-step; copy what the next one would overwrite."""
         engine = self.engine
         mask = None if active is None else self._give(active)
         observations, rewards, terminated, truncated = engine.step(actions, mask)
@@ -295,7 +275,6 @@ class NavigationEnv(EnvBase):
         )
 
     def _rows(self) -> torch.Tensor:
-        """Return the metrics to report, (count, W) float32."""
         known = [*self.engine.metrics(self._measures).values()]
         known += self.engine.drawn().values() if self._drawn else []
         if not known:
@@ -305,7 +284,6 @@ class NavigationEnv(EnvBase):
         return torch.from_numpy(np.array(known, np.float32)).to(self.device)
 
     def _entries(self, outcome: _Outcome) -> TensorDict:
-        """Return the tensordict of a step or a reset; the specs' checks are for its readers."""
         worlds = self.batch_size
         robots = {"observation": self._tensor(outcome.observations)}
         if self.engine.may_rest:
@@ -326,7 +304,7 @@ class NavigationEnv(EnvBase):
         return self._unchecked(entries, worlds)
 
     def _unchecked(self, entries: dict[str, Any], size: torch.Size) -> TensorDict:
-        """Return a tensordict of entries that have its batch size and device by construction."""
+        # The entries have this batch size and device by construction.
         made: TensorDict = TensorDict._new_unsafe(entries, size, device=self.device)
         return made
 
@@ -338,7 +316,3 @@ class NavigationEnv(EnvBase):
         if isinstance(array, torch.Tensor):
             return array.clone()
         return torch.from_numpy(array.copy()).to(self.device)
-
-
-def _as_it_is(tensor: torch.Tensor) -> torch.Tensor:
-    return tensor

@@ -21,30 +21,23 @@ def step_all(env, agents):
     return env.step(dict.fromkeys(agents, (0.5, 0.5)))
 
 
-def test_they_are_kept():
-    env = parallel_env(**FAILING)
-    env.reset()
-    for step in range(1, 4):
-        _, rewards, terminated, _, infos = step_all(env, env.possible_agents)
-        assert env.agents == env.possible_agents and not any(terminated.values())
-        assert [info["failed"] for info in infos.values()] == [0.0, float(step > 1), 0.0]
-    assert rewards["robot_1"] == 0.0
-
-
-def test_they_are_terminated_and_gone():
+def test_they_are_kept_or_terminated_and_gone():
     env = parallel_env(**FAILING, failed_agents="terminate")
     kept = parallel_env(**FAILING)
-    first = env.reset()[0], kept.reset()[0]
-    assert all(np.array_equal(first[0][agent], first[1][agent]) for agent in env.agents)
+    env.reset(), kept.reset()
     for step in range(1, 4):
         asked, working = list(env.agents), ["robot_0", "robot_2"]
         assert asked == (env.possible_agents if step < 3 else working)
         ours, theirs = step_all(env, asked), step_all(kept, kept.agents)
+        assert kept.agents == kept.possible_agents and not any(theirs[2].values())
+        failed = [info["failed"] for info in theirs[4].values()]
+        assert failed == [0.0, float(step > 1), 0.0]
         for mine, full in zip(ours, theirs, strict=True):
             assert list(mine) == asked
             for agent in working:
                 assert np.array_equal(mine[agent], full[agent])
         assert [agent for agent in asked if ours[2][agent]] == ["robot_1"] * (step == 2)
+    assert theirs[1]["robot_1"] == 0.0
     with pytest.raises(ActionError, match="'robot_3': "):
         step_all(env, [*env.possible_agents, "robot_3"])
     step_all(env, env.possible_agents), step_all(kept, kept.agents)  # as TorchRL and skrl do
@@ -54,9 +47,8 @@ def test_they_are_terminated_and_gone():
 
 
 def test_the_episode_is_over_when_all_have_failed():
-    env = parallel_env(
-        **FAILING | {"failures": {"rate": 1.0, "most": 3}}, failed_agents="terminate"
-    )
+    failures = {"rate": 1.0, "most": 3}
+    env = parallel_env(**EVERYTHING | {"failures": failures}, failed_agents="terminate")
     env.reset()
     assert all(step_all(env, env.agents)[2].values())
     assert env.agents == [] and env.step({}) == ({}, {}, {}, {}, {})
@@ -70,28 +62,19 @@ def test_one_after_the_other():
         dead = env.terminations[agent]
         acted.append((agent, dead))
         env.step(None if dead else np.zeros(2))
-    names = ("robot_0", "robot_1", "robot_2")
-    alive = [(name, False) for name in names]
-    rest = [alive[0], alive[2], alive[0]]
-    assert acted == [*alive, *alive, ("robot_1", True), *rest]
+    first, _, third = alive = [(name, False) for name in env.possible_agents]
+    assert acted == [*alive, *alive, ("robot_1", True), first, third, first]
 
 
-def test_black_death_keeps_the_agents():
-    env = black_death_v3(parallel_env(**FAILING, failed_agents="terminate"))
+def test_black_death_keeps_the_agents_and_its_limits():
+    env = black_death_v3(parallel_env(max_steps=4, **FAILING, failed_agents="terminate"))
     env.reset()
-    for _ in range(3):
-        observations, rewards, *_ = step_all(env, env.possible_agents)
-    assert set(observations) == set(env.possible_agents)
-    assert not observations["robot_1"].any() and rewards["robot_1"] == 0
-    assert observations["robot_0"].any()
-
-
-def test_limits_of_black_death():
-    env = black_death_v3(parallel_env(max_steps=3, **FAILING, failed_agents="terminate"))
-    env.reset()
-    for step in range(1, 5):
-        observations, _, terminated, truncated, _ = step_all(env, env.possible_agents)
-        assert all(terminated.values()) == all(truncated.values()) == (step == 4), "now lifted"
+    for step in range(1, 6):
+        observations, rewards, terminated, truncated, _ = step_all(env, env.possible_agents)
+        assert all(terminated.values()) == all(truncated.values()) == (step == 5), "now lifted"
+        if step == 3:
+            assert [one.any() for one in observations.values()] == [True, False, True]
+            assert rewards["robot_1"] == 0
     assert not any(observation.any() for observation in observations.values())
     varying = black_death_v3(parallel_env(FieldSampler(robots=(2, 3)), max_steps=1))
     rows = pettingzoo_env_to_vec_env_v1(varying)
@@ -126,7 +109,6 @@ def test_stable_baselines3_flags_them(make):
         assert flags == ([failed] * 2 if make is CentralizedVecEnv else [False, failed, False] * 2)
         if make is SharedPolicyVecEnv:
             assert (rewards[1] == 0) == failed
-    env.close()
     plain = make("field_03", 2)
     plain.reset()
     assert "failed" not in plain.step(np.zeros(shape, np.float32))[3][0]

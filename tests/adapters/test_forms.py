@@ -26,18 +26,13 @@ pytestmark = pytest.mark.slow
 
 EXAMPLES = 6  # for each number of robots
 STEPS = 60
-TIE = {"float64": 1e-9, "float32": 1e-2}
-"""A decision closer than this to its threshold, in units, may fall either way by rounding."""
-ROUNDING = {"float64": 1e-12, "float32": 3e-6}
-"""Relative tolerance of sums whose order of additions is free."""
-SIGHT = 3e-7
-"""Tolerance of observations, whose scales are products with reciprocals."""
-DOUBT = 5e-4
-"""Tolerance of the position from which walls are seen in float32, in units."""
+TIE = {"float64": 1e-9, "float32": 1e-2}  # units: a closer decision may fall either way
+ROUNDING = {"float64": 1e-12, "float32": 3e-6}  # relative, of sums in any order
+SIGHT = 3e-7  # of observations, whose scales are products with reciprocals
+DOUBT = 5e-4  # units, of the position from which walls are seen in float32
 
 
 def situations(step: Step) -> dict[str, bool]:
-    """Return the events of a step by name."""
     return {
         "wall": any(step.wall),
         "revisit": any(step.revisit),
@@ -52,7 +47,6 @@ def situations(step: Step) -> dict[str, bool]:
 
 
 def check_outcome(outcome: Outcome, oracle: Oracle, step: Step, rounding: float) -> None:
-    """Positions, velocities, code and flags exactly; rewards to rounding."""
     assert_array_equal(outcome.state, oracle.state())
     assert (outcome.terminated, outcome.truncated) == (step.terminated, step.truncated)
     assert outcome.team_reward == pytest.approx(step.team_reward, rel=rounding, abs=rounding * 1e5)
@@ -60,10 +54,8 @@ def check_outcome(outcome: Outcome, oracle: Oracle, step: Step, rounding: float)
 
 
 def check_sights(outcome: Outcome, oracle: Oracle, dtype: str, missing: int = 0) -> None:
-    """Compare observations to rounding; in float32 a ray along a wall or past a corner may jump.
-
-    ``missing`` is by how many ROIs the field has fewer than another of the batch.
-    """
+    """Compare to rounding; ``missing`` counts the ROIs that another field of the batch has more."""
+    # In float32 a ray along a wall or past a corner may jump.
     for robot, observation in enumerate(outcome.observations):
         low = high = oracle.observe(robot, missing)
         if oracle.observation in WITH_RAYS and dtype == "float32":
@@ -75,7 +67,6 @@ def check_sights(outcome: Outcome, oracle: Oracle, dtype: str, missing: int = 0)
 
 
 def check_rewards(outcome: Outcome, step: Step, rounding: float) -> None:
-    """Each agent's share, their sum, and the terms of each."""
     close = {"rel": rounding, "abs": rounding * 1e5}
     assert outcome.rewards == pytest.approx(step.rewards, **close)
     assert sum(outcome.rewards) == pytest.approx(step.team_reward, **close)
@@ -86,7 +77,6 @@ def check_rewards(outcome: Outcome, step: Step, rounding: float) -> None:
 
 
 def check_infos(infos: list[dict[str, float]], oracle: Oracle, rounding: float) -> None:
-    """The measures of the episode so far, one info per robot."""
     expected = oracle.metrics()
     for robot, info in enumerate(infos):
         for name in ("success", "collision", "rois_visited"):
@@ -99,7 +89,6 @@ def check_infos(infos: list[dict[str, float]], oracle: Oracle, rounding: float) 
 
 
 def check_team_info(outcome: Outcome, infos: list[dict[str, float]], rounding: float) -> None:
-    """The centralised form's info: the robots' own values summed, the shared ones as they are."""
     (team,) = outcome.infos
     assert team.keys() == infos[0].keys()
     for name, value in team.items():
@@ -112,8 +101,6 @@ def check_team_info(outcome: Outcome, infos: list[dict[str, float]], rounding: f
 
 
 class Together:
-    """The oracle and the forms of one world, stepped together and compared in every step."""
-
     def __init__(
         self, field: Field, dtype: str, num_worlds: int = 1, which: int = 0, **options: Any
     ) -> None:
@@ -134,7 +121,6 @@ class Together:
             assert_array_equal(form.reset(), self.oracle.state())
 
     def follow(self, actions: NDArray[np.float32], step: Step) -> None:
-        """Take the step that the oracle has just taken."""
         one, many, team, shared = outcomes = [form.step(actions) for form in self.forms]
         for outcome in outcomes:
             check_outcome(outcome, self.oracle, step, self.rounding)
@@ -177,13 +163,10 @@ COMPILED: dict[str, tuple[str, tuple[int, ...], list[dict[str, Any]]]] = {
     "and entities": ("float32", FEW, [{**DRAWN, **ASSIGNED}]),
     "and entities, fresh": ("float32", FEW, [{**DRAWN, **ASSIGNED, "assignment": "fresh"}]),
 }
-"""The precision, the sizes of teams, and the settings to choose from, by what is compiled."""
 *GATE, LAST = COMPILED
-NAMES = [*GATE, pytest.param(LAST, marks=pytest.mark.all)]
 
 
 def failures_of(n: int) -> st.SearchStrategy[Failures]:
-    """Failures by chance, at given steps or in a window, of every kind."""
     chances = [(0.0, 0), (0.1, n), (1.0, n), (Uniform(0.0, 0.3), n)]
     chances += [(rate, None) for rate in (0.0, 0.1, 1.0)[:n]]
     return st.builds(
@@ -195,7 +178,7 @@ def failures_of(n: int) -> st.SearchStrategy[Failures]:
     )
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*GATE, pytest.param(LAST, marks=pytest.mark.all)])
 def test_all_forms_agree_with_the_oracle(name: str) -> None:
     seen: Counter[str] = Counter()
     dtype, teams, choices = COMPILED[name]
@@ -230,7 +213,7 @@ STILL, RIGHT, LEFT, UP = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)
 TIES: dict[str, tuple[dict[str, Any], list[list[tuple[float, float]]]]] = {
     "onto the outline, then beyond": (
         {"vertices": SQUARE, "starts": [(99.5, 50.0)]},
-        [[RIGHT], [RIGHT]],
+        [[RIGHT]] * 2,
     ),
     "along the outline": ({"vertices": SQUARE, "starts": [(100.0, 50.0)]}, [[UP], [UP]]),
     "into a corner, level with another": (
@@ -263,7 +246,7 @@ TIES: dict[str, tuple[dict[str, Any], list[list[tuple[float, float]]]]] = {
 def follow(
     shape: dict[str, Any], script: list[list[tuple[float, float]]], dtype: str, **options: Any
 ) -> list[Step]:
-    """Follow a script in world 1 of 3; return the steps."""
+
     together, steps = Together(Field(**shape), dtype, 3, 1, **options), []
     for actions in script:
         steps.append(together.oracle.step(actions))

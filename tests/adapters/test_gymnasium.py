@@ -1,52 +1,28 @@
-"""The centralised form: Gymnasium's checks, numbers worked out by hand, and bad input.
-
-The native vector environment is held against Gymnasium's own ``SyncVectorEnv`` of single ones.
-"""
+"""The centralised form: Gymnasium's checks, its own vector, numbers by hand, and bad input."""
 
 from __future__ import annotations
 
 import copy
-import math
-import subprocess
-import sys
 
 import gymnasium
 import numpy as np
+import pettingzoo
 import pytest
-from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from mbn_marl import Field, centralized_env, parallel_env
 from mbn_marl.adapters.gymnasium import CentralizedVectorEnv
-from mbn_marl.adapters.infos import GAP
 from mbn_marl.config import CONDITIONS
-from mbn_marl.errors import ActionError, ConfigError, FieldError, StepError
+from mbn_marl.errors import ActionError, ConfigError, StepError
 from mbn_marl.field import catalogue_names
 from tests.support.forms import NOTHING
 
 MODES = list(AutoresetMode)
 
 
-def equal(first, second):
-    """Bit for bit, types too; NaN equals NaN."""
-    return data_equivalence(comparable(first), comparable(second), exact=True)
-
-
-def comparable(data):
-    """The data with -1 in the place of NaN in arrays."""
-    if isinstance(data, dict):
-        return {key: comparable(value) for key, value in data.items()}
-    if isinstance(data, tuple | list):
-        return type(data)(map(comparable, data))
-    is_real = isinstance(data, np.ndarray) and data.dtype.kind == "f"
-    return np.nan_to_num(data, nan=-1.0) if is_real else data
-
-
-@pytest.fixture
-def lane():
-    """One ROI 35 units from the only robot, in a square of 100 units."""
-    corners = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
-    return Field(vertices=corners, rois=[(55.0, 50.0)], starts=[(20.0, 50.0)])
+CORNERS = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
+LANE = Field(vertices=CORNERS, rois=[(55.0, 50.0)], starts=[(20.0, 50.0)])
 
 
 class TestOfficial:
@@ -61,10 +37,18 @@ class TestOfficial:
         marks = ["", *(f"-{name}" for name in CONDITIONS if name != "calm")]
         marks.append("-flat")
         assert ids == {f"mbn/{name}{mark}-v0" for name in catalogue_names() for mark in marks}
+        for registry in (pettingzoo.parallel_registry, pettingzoo.aec_registry):
+            assert {*registry} >= {env_id for env_id in ids if "-flat" not in env_id}
         for name in catalogue_names():
             env = gymnasium.make(f"mbn/{name}-v0", n_robots=2)
-            assert env.unwrapped.engine.field.name == name
+            parallel = pettingzoo.make("parallel", f"mbn/{name}-v0", n_robots=2)
+            aec = pettingzoo.make("aec", f"mbn/{name}-windy-v0", max_cycles=7)
+            for made in (env, parallel, aec):
+                assert made.unwrapped.engine.field.name == name
             assert env.action_space.shape == (2, 2)
+            assert parallel.possible_agents == ["robot_0", "robot_1"]
+            config = aec.unwrapped.engine.config
+            assert (config.max_steps, config.wind) == (7, CONDITIONS["windy"]["wind"])
 
     def test_flat_actions(self):
         flat, env = gymnasium.make("mbn/field_03-flat-v0"), centralized_env("field_03")
@@ -76,39 +60,26 @@ class TestOfficial:
         with pytest.raises(ActionError):
             flat.step(action.reshape(3, 2))
 
-    @pytest.mark.slow
-    def test_an_id_can_name_the_package_instead_of_importing_it(self):
-        code = (
-            "import gymnasium; env = gymnasium.make('mbn_marl:mbn/field_04-v0'); "
-            "assert env.unwrapped.engine.field.name == 'field_04'"
-        )
-        subprocess.run([sys.executable, "-c", code], check=True)
-
     def test_frames(self):
-        for mode in ("rgb_array", "rgb_array_list"):
-            env = gymnasium.make("mbn/field_03-v0", render_mode=mode)
-            env.reset()
-            env.step(env.action_space.sample())
-            frames = env.render() if mode == "rgb_array_list" else [env.render()]
-            assert all(frame.ndim == 3 and frame.dtype == np.uint8 for frame in frames)
-            env.close()
-            env.close()
+        env = gymnasium.make("mbn/field_03-v0", render_mode="rgb_array_list")
+        env.reset()
+        env.step(env.action_space.sample())
+        assert [(frame.ndim, frame.dtype) for frame in env.render()] == [(3, np.uint8)] * 2
+        env.close()
+        env.close()
         with pytest.warns(UserWarning, match="render_mode"):
             assert centralized_env().render() is None
         envs = gymnasium.make_vec("mbn/field_03-v0", num_envs=2, render_mode="rgb_array")
         envs.reset()
-        first, second = envs.render()
-        assert first.shape == second.shape
-        envs.close()
+        assert len(envs.render()) == 2
 
 
 class TestNumbersByHand:
-    def test_to_the_roi_and_success(self, lane):
-        env = centralized_env(lane, f_max=10.0, v_clip=15.0)
+    def test_to_the_roi_and_success(self):
+        env = centralized_env(LANE, f_max=10.0, v_clip=15.0)
         state, info = env.reset()
         assert state.tolist() == [20.0, 50.0, 0.0, 0.0, 0.0]
         assert info == NOTHING
-        assert math.isnan(info.pop(GAP)) and set(info.values()) == {0.0}
         forward = [[1.0, 0.0]]
         state, reward, terminated, truncated, info = env.step(forward)
         assert state.tolist() == [30.0, 50.0, 10.0, 0.0, 0.0]
@@ -119,9 +90,6 @@ class TestNumbersByHand:
         assert info["success"] == info["rois_visited"] == 1.0
         assert info["path_length"] == 25.0
         assert info["impulse"] == 20.0
-        assert info["reward/success"] == 100_000.0
-        assert info["reward/roi"] == 10_000.0
-        assert info["reward/step"] == -10.0
 
 
 class TestBadInput:
@@ -132,9 +100,7 @@ class TestBadInput:
         before = env.engine.state()
         for action, place in (
             (np.zeros((2, 2)), "action: "),
-            (np.zeros(6), "action: "),
             ([[0.0, 0.0], [0.0, np.nan], [0.0, 0.0]], "robot_1"),
-            ([[0.0, 0.0], [0.0, 0.0], [np.inf, 0.0]], "robot_2"),
             ("north", "action: "),
             ([[0.0], [0.0, 1.0]], "action: "),
         ):
@@ -149,19 +115,15 @@ class TestBadInput:
             envs.step(np.zeros((4, 3, 2)))
         with pytest.raises(StepError):
             env.step(np.zeros((3, 2)))
-        for _ in range(2):
-            env.reset()
-            assert env.step(np.zeros((3, 2)))[2:4] == (False, True)
-            with pytest.raises(StepError):
-                env.step(np.zeros((3, 2)))
+        env.reset()
+        assert env.step(np.zeros((3, 2)))[2:4] == (False, True)
+        with pytest.raises(StepError):
+            env.step(np.zeros((3, 2)))
 
     def test_names(self):
         for call, error, place in (
-            (lambda: centralized_env("field_99"), FieldError, "field_99"),
-            (lambda: centralized_env(render_mode="ascii"), ConfigError, "render_mode: "),
             (lambda: centralized_env(autoreset=1), ConfigError, "autoreset: "),
             (lambda: CentralizedVectorEnv(2, seed=1), ConfigError, "seed: "),
-            (lambda: CentralizedVectorEnv(2, first_world=1), ConfigError, "first_world: "),
             (lambda: CentralizedVectorEnv(2, autoreset_mode="x"), ConfigError, "autoreset_mode: "),
             (
                 lambda: CentralizedVectorEnv(2, max_episode_steps=10, max_steps=11),
@@ -179,14 +141,9 @@ class TestVector:
         envs = gymnasium.make_vec("mbn/field_06-v0", num_envs=5)
         assert isinstance(envs, CentralizedVectorEnv)
         assert envs.engine.num_worlds == envs.num_envs == 5
-        assert envs.engine.field.name == "field_06"
         assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-        assert envs.observation_space.shape == (5, 13)
-        assert envs.action_space.shape == (5, 3, 2)
-        states, _ = envs.reset(seed=1)
-        assert envs.observation_space.contains(states)
-        made = gymnasium.make_vec("mbn/field_03-v0", num_envs=2, max_steps=50)
-        assert gymnasium.make_vec(made.spec).unwrapped.engine.config.max_steps == 50
+        assert (envs.observation_space.shape, envs.action_space.shape) == ((5, 13), (5, 3, 2))
+        assert envs.observation_space.contains(envs.reset(seed=1)[0])
 
     @pytest.mark.slow
     @pytest.mark.parametrize(
@@ -194,20 +151,18 @@ class TestVector:
         [(AutoresetMode.NEXT_STEP, "team"), *((mode, "individual") for mode in MODES)],
     )
     def test_it_does_what_gymnasiums_own_vector_does(self, mode, sharing):
-        """Through hundreds of ends: states, rewards, flags, infos, final states and final infos."""
         settings = {"field": "field_03", "max_steps": 25, "wind": (0.08, 45.0), "f_max": 1.0}
         settings |= {"reward_sharing": sharing}
         native = CentralizedVectorEnv(6, autoreset_mode=mode, **settings)
         single = SyncVectorEnv([lambda: centralized_env(**settings)] * 6, autoreset_mode=mode)
-        assert equal(native.reset(seed=3), single.reset(seed=3))
+        np.testing.assert_equal(native.reset(seed=3), single.reset(seed=3))
         rng = np.random.default_rng(8)
         terminations = truncations = 0
         for _ in range(300):
             actions = rng.uniform(-1, 1, (6, 3, 2)).astype(np.float32)
             ours, theirs = native.step(actions), single.step(actions)
-            for name, one, other in zip(("states", "rewards"), ours, theirs, strict=False):
-                assert np.array_equal(one, other), name
-            assert equal(ours[2:4], theirs[2:4])
+            np.testing.assert_equal(ours[:4], theirs[:4])
+            assert [one.dtype for one in ours[2:4]] == [bool, bool]
             assert_same_infos(ours[4], theirs[4])
             terminations += ours[2].sum()
             truncations += ours[3].sum()
@@ -217,58 +172,23 @@ class TestVector:
                 ours, theirs = native.reset(options=mask), single.reset(options=dict(mask))
                 assert np.array_equal(ours[0], theirs[0])
                 assert_same_infos(ours[1], theirs[1])
-        assert terminations > 10
-        assert truncations > 10
+        assert min(terminations, truncations) > 10
 
-    def test_same_step_final_state_by_hand(self, lane):
-        mode = AutoresetMode.SAME_STEP
-        settings = {"f_max": 30.0, "v_clip": 30.0}
-        envs = CentralizedVectorEnv(2, lane, autoreset_mode=mode, **settings)
-        envs.reset()
-        actions = np.zeros((2, 1, 2))
-        actions[1, 0, 0] = 1.0
-        states, rewards, terminated, truncated, infos = envs.step(actions)
-        assert states.tolist() == [[20.0, 50.0, 0.0, 0.0, 0.0]] * 2
-        assert rewards.tolist() == [-10.0, 109_990.0]
-        assert terminated.tolist() == infos["_final_obs"].tolist() == [False, True]
-        assert not truncated.any()
-        assert infos["final_obs"][0] is None
-        assert infos["final_obs"][1].tolist() == [50.0, 50.0, 30.0, 0.0, 1.0]
-        assert infos["final_info"]["success"].tolist() == [0.0, 1.0]
-        assert infos["final_info"]["_success"].tolist() == [False, True]
-        assert infos["success"].tolist() == [0.0, 0.0]
-        assert infos["reward/step"].tolist() == [-10.0, 0.0]
-
-    def test_what_was_returned_stays_as_it_was(self, lane):
-        envs = CentralizedVectorEnv(2, lane, f_max=30.0, v_clip=30.0, max_steps=2)
+    def test_what_was_returned_stays_as_it_was(self):
+        envs = CentralizedVectorEnv(2, LANE, f_max=30.0, v_clip=30.0, max_steps=2)
         actions = np.array([[[0.0, 1.0]], [[1.0, 0.0]]])  # world 1 succeeds, world 0 runs out
         kept = [envs.reset(seed=1), envs.step(actions), envs.step(actions)]
         before = copy.deepcopy(kept)
-        assert kept[1][2].tolist() == [False, True]
-        assert kept[2][3].tolist() == [True, False]
         envs.step(-actions)
         envs.reset()
-        assert equal(kept, before)
+        np.testing.assert_equal(kept, before)
 
     def test_seeds(self):
         envs = gymnasium.make_vec("mbn/field_03-v0", num_envs=3, random_starts=True)
-        first, _ = envs.reset(seed=5)
-        second, _ = envs.reset()
-        again, _ = envs.reset(seed=5)
-        other, _ = envs.reset(seed=6)
+        first, second, again, other = (envs.reset(seed=seed)[0] for seed in (5, None, 5, 6))
         assert np.array_equal(first, again)
-        assert not np.array_equal(first, second)
-        assert not np.array_equal(first, other)
+        assert (first != second).any() and (first != other).any()
         assert len(np.unique(first, axis=0)) == 3
-
-    def test_a_partial_reset_leaves_the_other_worlds(self):
-        envs = CentralizedVectorEnv(3)
-        envs.reset()
-        moved, *_ = envs.step(np.full((3, 3, 2), 0.8))
-        states, infos = envs.reset(options={"reset_mask": np.array([False, True, False])})
-        assert np.array_equal(states[[0, 2]], moved[[0, 2]])
-        assert states[1, :6].tolist() == [200.0, 250.0, 300.0, 300.0, 250.0, 300.0]
-        assert infos["_success"].tolist() == [False, True, False]
 
     def test_wrong_options(self):
         envs = CentralizedVectorEnv(2)
@@ -276,7 +196,6 @@ class TestVector:
         for options, seed, place in (
             ({"reset_mask": np.array([True])}, None, "reset_mask: "),
             ({}, [0, 1], "seed: "),
-            ({"reset_mask": [True, False]}, None, "reset_mask: "),
             ({"reset_mask": np.array([1, 0])}, None, "reset_mask: "),
             ({"reset_mask": np.array([True, False])}, 3, "reset_mask: "),
             ({"field": "field_03", "reset_msk": [True]}, None, r"'field': (.|\n)*'reset_msk': "),
@@ -286,26 +205,14 @@ class TestVector:
                 envs.reset(seed=seed, options=options)
             assert np.array_equal(envs.engine.state(), before)
 
-    def test_wrong_actions_name_the_world(self):
-        envs = CentralizedVectorEnv(4)
-        envs.reset()
-        actions = np.zeros((4, 3, 2))
-        with pytest.raises(ActionError, match="actions: "):
-            envs.step(actions[0])
-        actions[2, 1, 0] = np.nan
-        with pytest.raises(ActionError, match=r"world 2.*robot_1"):
-            envs.step(actions)
-
 
 def assert_same_infos(ours, theirs):
-    """The same keys, masks and values; sums over robots may differ in the last bit."""
+    # Sums over robots may differ in the last bit.
     for key, value in theirs.items():
         if isinstance(value, dict):
             assert_same_infos(ours[key], value)
         elif value.dtype == object:
-            for one, other in zip(ours[key], value, strict=True):
-                assert (one is None) == (other is None)
-                assert one is None or np.array_equal(one, other)
+            np.testing.assert_equal([*ours[key]], [*value])
         else:
             np.testing.assert_allclose(ours[key], value, rtol=1e-12, err_msg=key)
     assert ours.keys() == theirs.keys()

@@ -1,8 +1,4 @@
-"""SuperSuit's way from PettingZoo to Stable-Baselines3: it trains, and what it does not do.
-
-See docs/supersuit.md for when to use ``SharedPolicyVecEnv`` instead. The tests of the limits are
-there to fail when SuperSuit lifts one, so that the document can be changed.
-"""
+"""SuperSuit's way from PettingZoo to Stable-Baselines3: it trains, and its limits."""
 
 from __future__ import annotations
 
@@ -40,7 +36,6 @@ def test_ppo_trains() -> None:
     assert model.num_timesteps == 384
     after = list(model.policy.parameters())
     assert any((old != new).any() for old, new in zip(before, after, strict=True))
-    assert all(torch.isfinite(weight).all() for weight in after)
 
 
 def test_rows_are_the_robots_of_each_world() -> None:
@@ -56,29 +51,19 @@ def test_rows_are_the_robots_of_each_world() -> None:
         assert not dones.any()
 
 
-def test_limit_it_cannot_be_seeded() -> None:
+def test_its_limits() -> None:
+    """Of each limit that docs/supersuit.md tells: if one is lifted, change the page."""
     env = make_env(random_starts=True)
-    with pytest.raises(AttributeError):
-        env.seed(0)
-    with pytest.raises(AttributeError):
-        make_model(env, seed=0)
-
-
-def test_limit_worlds_are_copies_that_do_the_same() -> None:
-    """Unseeded, each copy of the environment draws the same random starts."""
-    rows = make_env(random_starts=True).reset()
+    for call in (lambda: env.seed(0), lambda: make_model(env, seed=0)):
+        with pytest.raises(AttributeError):
+            call()
+    rows = env.reset()  # unseeded copies draw the same starts
     np.testing.assert_array_equal(rows[:ROBOTS], rows[ROBOTS:])
-
-
-def test_limit_time_limits_look_like_ends() -> None:
-    """``terminal_observation`` is there, ``TimeLimit.truncated`` is not: no bootstrapping."""
     env = make_env()
     env.reset()
     for _ in range(LIMIT):
         _, _, dones, infos = env.step(np.zeros((env.num_envs, 2), np.float32))
     assert dones.all()
-    for info in infos:
-        assert info["success"] == info["collision"] == 0.0
+    for info in infos:  # time limits look like ends
         assert info["terminal_observation"].shape == env.observation_space.shape
-        assert "TimeLimit.truncated" not in info
-        assert "episode" not in info
+        assert "TimeLimit.truncated" not in info and "episode" not in info

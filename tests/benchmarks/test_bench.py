@@ -6,14 +6,13 @@ import json
 import math
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from benchmarks import speed
 from benchmarks.__main__ import SUBJECTS, main
 from benchmarks.conditions import POLICIES, Conditions
 from benchmarks.report import Findings, Measurement
-from benchmarks.speed import Budget, Case, Speed, Timings, interleaved
+from benchmarks.speed import Budget, Case, Speed, interleaved
 from mbn_marl.config import Condition
 from mbn_marl.errors import ConfigError
 
@@ -22,70 +21,44 @@ TINY = Budget(rounds=2, seconds=0.0, warm_up=3, worlds=10, many_worlds=16, start
 
 @pytest.fixture(scope="module")
 def findings() -> Findings:
-    """A whole run, as small as it can be."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(speed, "VMAS_WORLDS", (8,))
         patch.setattr(Speed, "budget", TINY)
         return Speed().measure()
 
 
-def test_ratios_are_medians_over_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    turns = pd.DataFrame({"lean": [1e-6, 2e-6, 30e-6], "all": [4e-6, 10e-6, 60e-6]})
-    monkeypatch.setattr(speed, "interleaved", lambda cases, budget: Timings(turns, turns))
-    (lean,) = speed.measure_torchrl(TINY)
-    assert lean.value == pytest.approx(0.5) and "4.00 x" in lean.note  # of 4, 5, 2
-
-
-def test_cases_take_turns_and_prepare_first() -> None:
-    turns: list[str] = []
-    cases = [
-        Case(
-            name,
-            run=lambda calls, name=name: turns.append(f"run {name} {calls}"),
-            prepare=lambda calls, name=name: turns.append(f"prepare {name} {calls}"),
-        )
-        for name in "ab"
-    ]
-    timings = interleaved(cases, Budget(rounds=2, seconds=0.0))
-    turn = [f"{what} {name} 1" for name in "ab" for what in ("prepare", "run")]
-    assert turns[-8:] == 2 * turn
-    for clock in timings:
-        assert list(clock) == ["a", "b"] and clock.shape == (2, 2)
-
-
-def test_seconds_are_per_unit(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = {"now": 0.0}
+def test_cases_take_turns_and_seconds_are_per_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, turns = {"now": 0.0}, []
     monkeypatch.setattr(speed, "thread_time", lambda: clock["now"])
     monkeypatch.setattr(speed, "perf_counter", lambda: 3.0 * clock["now"])
 
-    def run(calls: int) -> None:
-        clock["now"] += 0.5 * calls
+    def make(name: str) -> Case:
+        def run(calls: int) -> None:
+            turns.append(f"run {name}")
+            clock["now"] += 0.5 * calls
 
-    cpu, wall = interleaved([Case("a", run, units=10.0)], Budget(rounds=3, seconds=4.0))
+        return Case(name, run, 10.0, lambda calls: turns.append(f"prepare {name}"))
+
+    cpu, wall = interleaved([make("a"), make("b")], Budget(rounds=3, seconds=4.0))
+    assert turns[-12:] == 3 * ["prepare a", "run a", "prepare b", "run b"]
+    assert list(cpu) == list(wall) == ["a", "b"]
     assert cpu["a"].tolist() == [0.05] * 3
     assert wall["a"].tolist() == pytest.approx([0.15] * 3)
-    assert clock["now"] == 0.5 * (1 + 1 + 2 + 3 * 8)  # warm-up, calibration, three turns of 4 s
+    assert clock["now"] == 2 * 0.5 * (1 + 1 + 2 + 3 * 8)  # warm-up, calibration, turns of 4 s
 
 
-@pytest.mark.parametrize(
-    ("value", "target", "at_least", "met"),
-    [
+def test_target_is_met() -> None:
+    for value, target, at_least, met in (
         (2.0, 2.0, True, True),
         (1.9, 2.0, True, False),
         (1.9, 2.0, False, True),
         (2.1, 2.0, False, False),
         (None, 2.0, True, None),
         (1.0, None, True, None),
-        (math.inf, 2.0, False, False),
-    ],
-)
-def test_target_is_met(
-    value: float | None, target: float | None, at_least: bool, met: bool | None
-) -> None:
-    one = Measurement("a", value, "x", target, at_least)
-    assert one.met is met
-    if value == math.inf:
-        assert one.words() == ("a", "never", "<= 2", "missed", "") and not one.to_json()["value"]
+    ):
+        assert Measurement("a", value, "x", target, at_least).met is met
+    never = Measurement("a", math.inf, "x", 2.0, at_least=False)
+    assert never.words() == ("a", "never", "<= 2", "missed", "") and not never.to_json()["value"]
 
 
 @pytest.mark.all
@@ -97,20 +70,12 @@ def test_conditions_are_those_of_the_zoo_and_the_classical_policies() -> None:
     for name, rows in found.values["evaluations"].items():
         assert rows["calm"]["field_03"]["success_rate"] == 1.0, name
     assert not found.values["evaluations"]["planner"]["failing"]
-    in_storm = {name: rows["storm"] for name, rows in found.values["evaluations"].items()}
-    assert in_storm["zoo-sampled"]["field_03"]["episodes"] == 2
-    assert not in_storm["zoo-sampled"]["field_03"]["deterministic"]
-    assert in_storm["zoo:generalist-hint"]["field_03"]["deterministic"]
-    (success, _) = found.tables.values()
-    assert success.lines[0][:2] == ("calm", "100.0% (100%)")
-
-
-def test_every_unknown_policy_is_named() -> None:
-    asked = Conditions(policies=("greedy", "nobody", "zoo:none"), fields=("field_03",))
-    with pytest.raises(ConfigError) as caught:
-        asked.measure()
-    first, second = caught.value.problems
-    assert "nobody" in first and "none" in second
+    for name, mean in (("zoo-sampled", False), ("zoo:generalist-hint", True)):
+        row = found.values["evaluations"][name]["storm"]["field_03"]
+        assert (row["episodes"], row["deterministic"]) == (2, mean)
+    wrong = Conditions(policies=("greedy", "nobody", "zoo:none"), fields=("field_03",))
+    with pytest.raises(ConfigError, match=r"nobody(.|\n)*none"):
+        wrong.measure()
 
 
 def test_folder_with_every_row_is_written_once(
@@ -127,12 +92,10 @@ def test_folder_with_every_row_is_written_once(
     monkeypatch.setattr(Speed, "measure", lambda self: findings)
     words = ["speed", "--out", str(tmp_path / "bench")]
     assert main(words) == 0
-    printed = capsys.readouterr().out
     stored = json.loads((tmp_path / "bench" / "speed.json").read_text())
     assert stored["command"].startswith("python -m benchmarks speed --out ")
     assert stored["rows"] == rows and stored["machine"]["packages"]["numba"]
-    assert stored["machine"]["processor"] in printed
-    assert all(row["name"] in " ".join(printed.split()) for row in rows)
+
     assert main(words) == 2
     assert "--force" in capsys.readouterr().err
 
@@ -144,9 +107,8 @@ def test_subjects(
     listed = capsys.readouterr().out
     assert all(f"  {subject} " in listed for subject in SUBJECTS)
     for subject in SUBJECTS:
-        with pytest.raises(SystemExit) as caught:
+        with pytest.raises(SystemExit, match="0"):
             main([subject, "--help"])
-        assert caught.value.code == 0 and f"benchmarks {subject}" in capsys.readouterr().out
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     for words, place in (["sped"], "speed?"), (["gpu", "--out", str(tmp_path / "gpu")], "cuda"):
         assert main(words) == 2
