@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mbn_marl import BatchEngine
-from mbn_marl.engine import kernels, step
+from mbn_marl.engine import step
 from tests.support.configurations import EVERYTHING, STORM
 
 pytestmark = pytest.mark.slow
@@ -34,8 +34,6 @@ def make_engine(case: str, threads: int = 1) -> BatchEngine:
 
 
 def in_ranges_of(size: int) -> Callable[..., int]:
-    """``step_worlds`` called on ``size`` worlds at a time: a call's block is no larger."""
-
     def step_worlds(store: Any, actions: Any, lo: int, hi: int) -> int:
         cuts = [*range(lo, hi, size), hi]
         return sum(STEP_WORLDS(store, actions, a, b) for a, b in pairwise(cuts))
@@ -44,7 +42,6 @@ def in_ranges_of(size: int) -> Callable[..., int]:
 
 
 def trajectory(engine: BatchEngine) -> list[bytes]:
-    """Everything that an engine which moves at random hands out, step by step."""
     rows = [engine.reset().tobytes()]
     ends = 0
     for _ in range(STEPS):
@@ -89,23 +86,3 @@ def test_threads_take_actions_that_cannot_be_written() -> None:
         actions.flags.writeable = can
         for one, other in zip(kept.step(actions), expected, strict=True):
             np.testing.assert_array_equal(one, other)
-
-
-class Marked(np.ndarray):
-    step_address = 1  # so that no code is compiled for it
-
-
-def test_ranges_of_threads_cover_every_world_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    def mark(seen: Any, actions: Any, lo: int, hi: int) -> int:
-        seen[lo:hi] += 1
-        return hi - lo
-
-    def mark_ranges(address: int, seen: Any, actions: Any, cuts: Any) -> int:
-        return sum(mark(seen, actions, lo, hi) for lo, hi in pairwise(cuts))
-
-    monkeypatch.setattr(step, "step_worlds", mark)
-    monkeypatch.setattr(kernels, "step_ranges", mark_ranges)
-    for worlds, threads in ((1, 1), (5, 2), (7, 7), (3, 5), (600, 2)):
-        stepped: Any = np.zeros(worlds, int).view(Marked)
-        assert kernels.step_all(stepped, stepped, kernels.cuts_of(worlds, threads)) == worlds
-        assert (stepped == 1).all()

@@ -71,7 +71,6 @@ class Chromium:
         os.close(self._write)
 
     def send(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Give a command of the DevTools protocol, and return its result."""
         number = next(self._ids)
         message = {"id": number, "method": method, "params": parameters}
         if self._session is not None:
@@ -84,21 +83,18 @@ class Chromium:
         return result
 
     def size(self, width: int, height: int, *, dark: bool = False, phone: bool = False) -> None:
-        """The size of the window, and what the page learns of the device."""
         device = {"deviceScaleFactor": 2 if phone else 1, "mobile": phone}
         self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, **device)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.send("Emulation.setEmulatedMedia", features=[scheme])
 
     def open(self, path: Path) -> None:
-        """Open a file and wait until it has been painted."""
         self.problems.clear()
         self.send("Page.navigate", url=path.resolve().as_uri())
         self.wait_for("document.readyState === 'complete' && location.href !== 'about:blank'")
         self.wait_for("performance.getEntriesByName('first-contentful-paint').length > 0")
 
     def run(self, expression: str) -> Any:
-        """The value of a JavaScript expression; promises are awaited."""
         options = {"returnByValue": True, "awaitPromise": True}
         answer = self.send("Runtime.evaluate", expression=expression, **options)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
@@ -111,7 +107,6 @@ class Chromium:
             time.sleep(0.02)
 
     def press(self, key: str, *, shift: bool = False) -> None:
-        """Press and release a key, named as in ``KeyboardEvent.key``."""
         for kind in ("keyDown", "keyUp"):
             self.send("Input.dispatchKeyEvent", type=kind, key=key, modifiers=8 * shift)
 

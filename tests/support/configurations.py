@@ -1,8 +1,4 @@
-"""Configurations that tests share, and how the processes of a run share what they compile.
-
-The engine is compiled for each combination of a precision with what is on, for many seconds each.
-So a test takes one of these configurations, unless what it checks needs another.
-"""
+"""Configurations that tests share, and how the processes of a run share what they compile."""
 
 from __future__ import annotations
 
@@ -33,14 +29,12 @@ EVERYTHING: dict[str, Any] = {
     **{"dtype": "float64", "dynamics": ("point_mass", "holonomic", "unicycle")},
     **{"gust": NOUGHT, "action_loss": NOUGHT, "dropout": NOUGHT},
     **{"gust_time": Uniform(10.0, 10.0), "failures": Failures()},
-}
-"""Headings, drawn numbers, disturbances and failures; a test says which of them do something."""
+}  # Headings, drawn numbers, disturbances and failures; a test says which of them do something
 SIGHTS: dict[str, dict[str, Any]] = {
     **{name: {"observation": name} for name in ("relative", "local", "state")},
     **{name: {"observation": name} for name in ("lidar", "lidar_local")},
     "entities": {"observation": "entities", "assignment": True, "dtype": "float32"},
-}
-"""Settings beside ``EVERYTHING`` for each observation."""
+}  # Settings beside `EVERYTHING` for each observation
 
 
 def seeing(observation: str, radius: float) -> dict[str, Any]:
@@ -52,8 +46,7 @@ STORM: dict[str, Any] = {
     **{"observation": "entities", "assignment": True, **CONDITIONS["storm"]},
     **{"dynamics": "mixed", "mass": Uniform(0.8, 1.5), "tau": Uniform(0.8, 1.2)},
     **{"roi_radius": 20.0, "max_steps": 90},
-}
-"""The same with entities and an assignment, in float32; all of it does something."""
+}  # The same with entities and an assignment, in float32; all of it does something
 SAMPLER = FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 6), seed=5)
 
 COMPILED: list[float] = []
@@ -97,7 +90,6 @@ def pytest_configure() -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Hand what a worker compiled to the process that prints the summary."""
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["compiled"] = COMPILED
 
@@ -114,7 +106,6 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
 
 
 def entries(engine: Any, robot: int, world: int = 0) -> dict[str, float]:
-    """Return a robot's observation by name; it is in its space."""
     row = engine._backend.output.observations[world, robot]
     assert ((row >= engine.observation_low) & (row <= engine.observation_high)).all()
     return dict(zip((entry.name for entry in engine.observation_table), row.tolist(), strict=True))

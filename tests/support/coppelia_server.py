@@ -1,11 +1,4 @@
-"""A stand-in for CoppeliaSim: its remote API's protocol, version 2, and a scene without physics.
-
-It speaks as the add-on "ZMQ remote API server" does: CBOR over a ZeroMQ REP socket, clients told
-apart by their uuid, answers ``ret`` or ``err``, and ``_*wait*_`` against ``_*executed*_`` during a
-step. Its quadcopters follow their targets by the law of the script in CoppeliaSim's own quadcopter,
-linearised: they accelerate by 0.2 / s^2 of the way to the target and by 2 / s of its velocity
-relative to theirs. They react 0.3 s late, as the real one was seen to lag behind that law.
-"""
+"""A stand-in for CoppeliaSim: its remote API's protocol, version 2, and a scene without physics."""
 
 from __future__ import annotations
 
@@ -58,8 +51,6 @@ def floats(values: Any, count: int) -> np.ndarray:
 
 @dataclass
 class Thing:
-    """An object of the scene."""
-
     alias: str
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
     parent: int = -1
@@ -128,7 +119,6 @@ class CoppeliaServer:
         self._context.term()
 
     def named(self, alias: str) -> list[Thing]:
-        """The objects of this alias, perhaps with a number."""
         things = self.things.values()
         return [thing for thing in things if thing.alias.rstrip("0123456789_") == alias]
 
@@ -331,6 +321,5 @@ class CoppeliaServer:
 
 
 def free_port() -> int:
-    """Return a port of this machine on which nobody listens."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         return int(listener.getsockname()[1])

@@ -15,8 +15,6 @@ from mbn_marl.engine import INFO_COLUMNS, REWARD_TERMS
 
 @dataclass
 class Outcome:
-    """The results of a step for one world; the centralised form has one info, for the team."""
-
     state: NDArray[Any]
     team_reward: float
     terminated: bool
@@ -31,8 +29,6 @@ class Outcome:
 
 
 class ParallelForm:
-    """``parallel_env``. The team's reward is the sum of the robots' shares, exact to rounding."""
-
     def __init__(self, field: Field | str, **settings: Any) -> None:
         self.env = parallel_env(field, **settings)
 
@@ -70,8 +66,6 @@ class ParallelForm:
 
 
 class TeamSharingForm(ParallelForm):
-    """``parallel_env`` whose robots each get the team's reward."""
-
     def __init__(self, field: Field | str, **settings: Any) -> None:
         super().__init__(field, reward_sharing="team", **settings)
 
@@ -132,7 +126,6 @@ class BatchForm:
         )
 
     def _infos(self) -> list[dict[str, float]]:
-        """The engine's metrics and terms, in the layout of the adapters' infos."""
         metrics = self.engine.metrics()
         terms = self.engine.reward_terms()[self.world]
         infos = []
@@ -150,9 +143,7 @@ class BatchForm:
         assert ((observations >= low) & (observations <= high)).all()
 
 
-INFO_KEYS = (*INFO_COLUMNS, GAP)
-"""The keys of every info where nothing is drawn."""
-NOTHING = {**dict.fromkeys(INFO_COLUMNS, 0.0), GAP: UNDEFINED}
-"""The info of a reset."""
+INFO_KEYS = (*INFO_COLUMNS, GAP)  # The keys of every info where nothing is drawn
+NOTHING = {**dict.fromkeys(INFO_COLUMNS, 0.0), GAP: UNDEFINED}  # The info of a reset
 TEAM_METRICS = ("success", "collision", "rois_visited")
 ROBOT_METRICS = ("wall_hits", "path_length", "impulse", "failed")

@@ -1,8 +1,4 @@
-"""A second, slow implementation of the MDP: one world, robot by robot.
-
-It shares nothing with the package, so a mistake would have to be made twice. Geometry comes from
-shapely, distances from ``math.hypot``. A comparison stops where ``Step.margin`` is mere rounding.
-"""
+"""A second, slow implementation of the MDP: one world, robot by robot."""
 
 from __future__ import annotations
 
@@ -101,7 +97,6 @@ class Oracle:
     def reset(
         self, positions: Sequence[Sequence[float]] | None = None, episode: int | None = None
     ) -> None:
-        """Start the next episode, or number ``episode``, at the field's starts or ``positions``."""
         self.episode = self.episode + 1 if episode is None else episode
         key = key_of(*self.place, self.episode, NUMBERS)
         self._configure(self.field, **drawn_settings(self.settings, len(self.field.starts), key))
@@ -140,7 +135,6 @@ class Oracle:
         return (*positions, *velocities, *headings, float(self.visit_code))
 
     def step(self, actions: Sequence[Sequence[float]]) -> Step:
-        """Move every robot by ``actions`` (n, 2), numbers that are clipped to [-1, 1]."""
         step = Step()
         self._fail()
         taken = self.disturbances.arrived(actions)
@@ -223,7 +217,6 @@ class Oracle:
         return np.concatenate(seen).astype(np.float32)
 
     def _seen_robots(self, i: int, me: Robot) -> list[Robot]:
-        """The robots as robot i, which is at ``me``, sees them; itself first."""
         bodies = {i: me, **{j: body for j, body in enumerate(self.robots) if j != i}}
         if not self.disturbances.blurs:
             return [*bodies.values()]
@@ -235,14 +228,12 @@ class Oracle:
         return found
 
     def _flag(self, robot: Robot) -> NDArray[Any]:
-        """The entries of an observation that flag a failed robot: none without failures."""
         return np.array([robot.failed] if self.failures else [], float)
 
     def _gone(self, robot: Robot) -> bool:
         return robot.failed and self.failures.kind == "vanish"
 
     def _sight(self, offset: NDArray[Any], *more: NDArray[Any]) -> list[NDArray[Any]]:
-        """Something at an offset, in arenas; blank if too far, which ``local`` flags."""
         entries = [offset / np.array([self.width, self.height]), *more]
         if self.observation not in ("local", "lidar_local"):
             return entries
@@ -260,7 +251,6 @@ class Oracle:
         return [value] * self.n if one else list(value)
 
     def metrics(self) -> dict[str, Any]:
-        """Sums over the episode so far, under the engine's names."""
         return {
             "success": self.success,
             "collision": self.collision,
@@ -275,7 +265,6 @@ class Oracle:
         }
 
     def _fail(self) -> None:
-        """Robots fail at their step, and by chance while few enough have."""
         if self.failures is None:
             return
         most = self.n - 1 if self.failures.most is None else self.failures.most

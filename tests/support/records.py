@@ -35,7 +35,6 @@ CONFIG = CompareConfig(
 
 
 def _made_up(share: float, field: Field, seed: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Evaluations and the final one of a run that reaches ``share``."""
     best = share * OPTIMA.get(field.name, 150_000.0)
     always = float(share > 0.7)
     final = {

@@ -94,5 +94,4 @@ def parts_of(step: Step) -> list[float]:
 
 
 def by_term(**values: float) -> dict[str, float]:
-    """A reward by term; the terms that are not given are zero."""
     return {name: values.get(name, 0.0) for name in TERMS}

@@ -1,9 +1,4 @@
-"""The CUDA backend in Numba's simulator, where kernels are Python and threads are Python's.
-
-``test_cuda.py`` runs this file in processes of its own, with NUMBA_ENABLE_CUDASIM=1. The functions
-of the MDP that the kernels call are compiled for the CPU, so all that differs from a GPU is the
-kernels' own code. torch's tensors lie on the CPU: ``SimulatedDevice`` is the only stand-in.
-"""
+"""The CUDA backend in Numba's simulator, where kernels are Python and threads are Python's."""
 
 from __future__ import annotations
 
@@ -36,8 +31,6 @@ SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 40, "wind": (0.0
 
 
 class SimulatedDevice:
-    """Stands in for ``cuda.Device``: torch's CPU tensors, Numba's simulator."""
-
     torch = torch.device("cpu")
 
     def array(self, tensor: torch.Tensor) -> NDArray[Any]:
@@ -75,7 +68,6 @@ def simulator(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def pair(field: Any = "field_03", **settings: Any) -> tuple[BatchEngine, BatchEngine]:
-    """The same engine on the CPU and on the simulated device."""
     return (
         BatchEngine(field, WORLDS, seed=11, threads=1, **settings),
         BatchEngine(field, WORLDS, seed=11, device="cuda", **settings),
@@ -83,7 +75,6 @@ def pair(field: Any = "field_03", **settings: Any) -> tuple[BatchEngine, BatchEn
 
 
 def assert_same(cpu: BatchEngine, gpu: BatchEngine) -> None:
-    """Everything that the engines tell, bit for bit."""
     terminated = cpu._backend.output.terminated | cpu._backend.output.truncated
     told = {
         "observations": (cpu._backend.output.observations, gpu._backend.output.observations),
@@ -112,7 +103,6 @@ def assert_same(cpu: BatchEngine, gpu: BatchEngine) -> None:
 
 
 def run(cpu: BatchEngine, gpu: BatchEngine, steps: int) -> int:
-    """Step both alike; how many episodes ended."""
     ended = 0
     np.testing.assert_array_equal(gpu.reset().numpy(), cpu.reset())
     for _ in range(steps):
@@ -171,7 +161,6 @@ SEVERAL: dict[str, Any] = {"field": ["field_05", "field_09"], **HARD}
     ids=["coasting", "vanishing"],
 )
 def test_equals_the_cpu_with_features(settings: dict[str, Any]) -> None:
-    """Each set of features is a program to compile, so there are few."""
     run(*pair(**(SETTINGS | settings)), steps=60)
 
 
@@ -317,7 +306,6 @@ def test_snapshot() -> None:
 
 
 def test_torchrl_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The environment with the device's engine: its rollout is that of the CPU's."""
     from mbn_marl.adapters import torchrl
 
     made = []
@@ -343,7 +331,6 @@ def test_the_simulator_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_recorders_note_the_same() -> None:
-    """Starts, actions and rewards of every episode of a world, and what the engines tell of it."""
     from mbn_marl.episode import EpisodeRecorder
 
     cpu, gpu = pair(**{**SETTINGS, "max_steps": 3})

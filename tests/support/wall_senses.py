@@ -24,7 +24,6 @@ class WallSenses:
     def entries(
         self, spot: NDArray[Any], velocity: NDArray[Any], rest: tuple[float, float]
     ) -> list[float]:
-        """Of a robot that would stop at ``rest`` if it braked."""
         angles = [math.radians(45 * k) for k in range(8)]
         rays = [self._free(spot, math.cos(a), math.sin(a), self.radius) for a in angles]
         speed, time = math.hypot(*velocity), 1.0
