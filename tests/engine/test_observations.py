@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from mbn_marl import BatchEngine, Failures, Field
-from tests.support.configurations import EVERYTHING, SIGHTS, entries, seeing
+from mbn_marl.config import WITHOUT_RADIUS
+from tests.support.configurations import EVERYTHING, SIGHTS, entries
 
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
@@ -108,7 +109,8 @@ def test_radius_beyond_the_arena_is_its_diagonal() -> None:
 def moved(observation: str, radius: float, **settings: Any) -> BatchEngine:
     starts = [(20.0, 50.0), (50.0, 20.0), (80.0, 50.0)]
     field = field_of(starts[0], starts=starts, rois=[(5.0, 95.0), (80.0, 50.0)])
-    sight = {**EVERYTHING, **seeing(observation, radius), "one_hot": True}
+    sight = {**EVERYTHING, **SIGHTS[observation], "one_hot": True}
+    sight |= {} if observation in WITHOUT_RADIUS else {"sensing_radius": radius}
     sight["dynamics"] = ("point_mass", "unicycle", "point_mass")
     engine = BatchEngine(field, 2, threads=1, autoreset=False, **{**sight, **settings})
     engine.reset()

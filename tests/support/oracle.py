@@ -16,14 +16,13 @@ from tests.support.draws import NUMBERS, drawn_settings, highest, is_range
 from tests.support.scores import Profile, Step, formal_reward, released_reward
 from tests.support.tokens import Atlas, Plan, entities
 from tests.support.vehicles import REALS, Robot, Vehicle, clip
-from tests.support.wall_senses import WallSenses
+
+SLACK = 1e-3  # a robot this near a wall, in units, may be behind it by rounding
+RESIDUE = 1e-9  # rounding leaves a slower speed, in units/step, of a robot that has braked
 
 
 class Oracle:
-    """One world of the MDP; settings have the names, units and defaults of the engine's.
-
-    ``reward`` and ``failures`` may be any object with the attributes of theirs.
-    """
+    """One world of the MDP; settings have the names, units and defaults of the engine's."""
 
     def __init__(self, field: Any, *, seed: int = 0, world: int = 0, **settings: Any) -> None:
         self.field, self.place, self.settings = field, (seed, world), settings
@@ -169,10 +168,9 @@ class Oracle:
     def observe(
         self, i: int, missing: int = 0, shift: tuple[float, float] = (0.0, 0.0)
     ) -> NDArray[np.float32]:
-        """The observation of robot i, (size,), or that from a place elsewhere by ``shift``.
+        """The observation of robot i, (size,), perhaps from elsewhere by ``shift``.
 
-        ``missing`` is by how many ROIs the field has fewer than another of a batch: they are seen
-        as visited, and where the first one is.
+        ROIs that the field is ``missing`` are seen as visited, and where the first one is.
         """
         here = self.robots[i]
         there = replace(here, x=here.x + self.real(shift[0]), y=here.y + self.real(shift[1]))
@@ -242,9 +240,25 @@ class Oracle:
         return [*flag, *(near * entry for entry in entries)]
 
     def _walls(self, me: Robot, reach: float) -> list[float]:
-        senses = WallSenses(self.polygon, float(self.top_speed), reach)
+        """The last eleven entries of ``lidar``: rays, time to the wall, brake, distance."""
+        spot, velocity = me.position.astype(float), me.velocity.astype(float)
+        angles = [math.radians(45 * k) for k in range(8)]
+        rays = [self._free(spot, math.cos(a), math.sin(a), reach) for a in angles]
+        speed, time = math.hypot(*velocity), 1.0
+        if speed > RESIDUE:
+            far = reach * speed / float(self.top_speed)  # as long as the reach at the speed limit
+            time = self._free(spot, velocity[0] / speed, velocity[1] / speed, far)
         rest = me.vehicle.place_of_rest(me.position, me.velocity, me.heading)
-        return senses.entries(me.position.astype(float), me.velocity.astype(float), rest)
+        inside = bool(shapely.intersects_xy(self.polygon, *rest))
+        distance = self.boundary.distance(shapely.Point(spot))
+        return [*rays, time, float(inside), min(1.0, distance / reach)]
+
+    def _free(self, spot: NDArray[Any], x: float, y: float, reach: float) -> float:
+        """The part of ``reach`` that a robot can go along (x, y) before it leaves the field."""
+        start, end = shapely.Point(spot), (spot[0] + reach * x, spot[1] + reach * y)
+        ways = self.polygon.intersection(shapely.LineString([start, end]))
+        own = [way for way in shapely.get_parts(ways) if way.distance(start) < SLACK]
+        return max((way.length for way in own), default=0.0) / reach
 
     def _each(self, value: Any) -> list[Any]:
         one = isinstance(value, str | int | float) or is_range(value)
