@@ -58,19 +58,12 @@ def test_episode_draws_the_numbers_of_the_page(engine: BatchEngine) -> None:
         engine.reset()
 
 
-def test_numbers_fill_their_ranges_and_hold_for_an_episode(engine: BatchEngine) -> None:
+def test_numbers_hold_for_an_episode(engine: BatchEngine) -> None:
     engine.reset(seed=1)
     first = engine.drawn()
-    for name, ends in engine.config.drawn.items():
-        assert ((first[name] >= ends.low) & (first[name] <= ends.high)).all()
-        assert np.ptp(first[name]) > 0.9 * (ends.high - ends.low)
-    for step in range(4):
+    for _ in range(4):
         assert all(np.array_equal(engine.drawn()[name], first[name]) for name in NAMES)
-        failed = engine.failed.sum(axis=1)
-        assert failed.max() == (step > 0) and failed.min() == (step == 3)
-        failures = engine.failed.sum(axis=0)
         _, _, _, truncated = engine.step(np.zeros((200, 3, 2)))
-    assert (failures > 40).all()  # any robot may be the one
     assert truncated.all() and (engine.metrics(["failed"])["failed"].sum(axis=1) == 1).all()
     for name in NAMES:  # the worlds have begun again
         assert np.array_equal(engine.final_drawn()[name], first[name])

@@ -17,23 +17,13 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 PROGRAM = next((found for name in NAMES if (found := shutil.which(name))), None)
 MISSING = "no Chromium here: install one (Debian: apt-get install chromium)"
 FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-dev-shm-usage",
-    "--disable-extensions",
-    "--no-first-run",
-    "--hide-scrollbars",
-    "--remote-debugging-pipe",
+    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
+    *("--disable-extensions", "--no-first-run", "--hide-scrollbars", "--remote-debugging-pipe"),
 )
 
 
 class Chromium:
-    """A browser with one page. Use it in a ``with`` block.
-
-    Attributes:
-        problems: everything that the page wrote to the console as an error, and its exceptions.
-    """
+    """A browser with one page. ``problems`` are its errors and warnings in the console."""
 
     def __init__(self, folder: Path) -> None:
         assert PROGRAM is not None, MISSING
@@ -58,8 +48,8 @@ class Chromium:
     def __enter__(self) -> Self:
         targets = self.send("Target.getTargets")["targetInfos"]
         page = next(target["targetId"] for target in targets if target["type"] == "page")
-        attached = self.send("Target.attachToTarget", targetId=page, flatten=True)
-        self._session = attached["sessionId"]
+        attach = self.send("Target.attachToTarget", targetId=page, flatten=True)
+        self._session = attach["sessionId"]
         for domain in ("Page", "Runtime", "Log"):
             self.send(f"{domain}.enable")
         return self
@@ -79,8 +69,7 @@ class Chromium:
         while (answer := self._receive()).get("id") != number:
             self._note(answer)
         assert "error" not in answer, f"{method}: {answer.get('error')}"
-        result: dict[str, Any] = answer["result"]
-        return result
+        return dict(answer["result"])
 
     def size(self, width: int, height: int, *, dark: bool = False, phone: bool = False) -> None:
         device = {"deviceScaleFactor": 2 if phone else 1, "mobile": phone}
@@ -122,8 +111,7 @@ class Chromium:
             assert piece, "the browser has gone"
             self._buffer += piece
         message, self._buffer = self._buffer.split(b"\0", 1)
-        answer: dict[str, Any] = json.loads(message)
-        return answer
+        return dict(json.loads(message))
 
     def _note(self, event: dict[str, Any]) -> None:
         method, parameters = event.get("method"), event.get("params", {})

@@ -126,16 +126,13 @@ class BatchForm:
         )
 
     def _infos(self) -> list[dict[str, float]]:
-        metrics = self.engine.metrics()
-        terms = self.engine.reward_terms()[self.world]
+        metrics = {name: rows[self.world] for name, rows in self.engine.metrics().items()}
         infos = []
-        for robot in range(self.engine.n_robots):
-            info = {name: float(metrics[name][self.world]) for name in TEAM_METRICS}
-            info |= {name: float(metrics[name][self.world, robot]) for name in ROBOT_METRICS}
-            info |= {
-                f"reward/{k}": float(v) for k, v in zip(REWARD_TERMS, terms[robot], strict=True)
-            }
-            infos.append(info)
+        for robot, terms in enumerate(self.engine.reward_terms()[self.world]):
+            info = {name: float(metrics[name]) for name in TEAM_METRICS}
+            info |= {name: float(metrics[name][robot]) for name in ROBOT_METRICS}
+            named = zip(REWARD_TERMS, terms, strict=True)
+            infos.append(info | {f"reward/{name}": float(term) for name, term in named})
         return infos
 
     def _check(self, observations: NDArray[np.float32]) -> None:

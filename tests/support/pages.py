@@ -55,14 +55,6 @@ TINY_GRID = {
 
 @dataclass(frozen=True)
 class Block:
-    """A code block.
-
-    Attributes:
-        language: what follows the backticks; empty for output.
-        text: the code.
-        needs: one of :data:`NEEDS`.
-    """
-
     language: str
     text: str
     needs: str = ""

@@ -105,10 +105,7 @@ class Atlas:
 
 
 class Plan:
-    """Orders of ROIs for n robots: made at first and when a robot with ROIs fails.
-
-    If ``fresh`` they are made at each update.
-    """
+    """Orders of ROIs for n robots: made at first and when one with ROIs fails, or if ``fresh``."""
 
     def __init__(self, atlas: Atlas, n: int, *, fresh: bool = False) -> None:
         self._atlas, self._fresh = atlas, fresh

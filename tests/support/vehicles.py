@@ -116,10 +116,7 @@ class Vehicle:
 
 @dataclass
 class Robot:
-    """One robot: position (units), velocity (units/step), heading (radians), and its sums.
-
-    ``seen`` is False in what another robot sees if it does not see this one.
-    """
+    """One robot and its sums; ``seen`` is False for a robot that does not see this one."""
 
     vehicle: Vehicle
     x: Any
