@@ -103,10 +103,7 @@ class Disturbances:
         ]
 
     def seen(self, i: int, thing: int, numbers: Any, bounds: Any) -> tuple[list[Any], bool]:
-        """Return a thing's position and velocity as robot i sees them, and if it sees the thing.
-
-        Robot j is thing j, ROI j is thing 64 + j; ``bounds`` are the least and the greatest values.
-        """
+        """A thing's motion as robot i sees it, and if it does; robot j is thing j, ROI j 64 + j."""
         if not self.blurs:
             return list(numbers), True
         key = key_of(*self.place, self.episode, SIGHT)

@@ -61,7 +61,6 @@ class Oracle:
     ) -> None:
         real = self.real = REALS[dtype]
         self.n = len(field.starts) if n_robots is None else n_robots
-        self.starts = [(float(x), float(y)) for x, y in field.starts]
         self.rois = [(real(x), real(y)) for x, y in field.rois]
         self.width, self.height = (real(side) for side in field.arena)
         self.polygon = shapely.Polygon(field.vertices, field.holes)
@@ -93,18 +92,15 @@ class Oracle:
         self.failures, self.failure_rate, self.fails = failures, failure_rate, fails or {}
         self.disturbances = Disturbances(real, *self.place, **disturbances)
 
-    def reset(
-        self, positions: Sequence[Sequence[float]] | None = None, episode: int | None = None
-    ) -> None:
+    def reset(self, episode: int | None = None) -> None:
         self.episode = self.episode + 1 if episode is None else episode
         key = key_of(*self.place, self.episode, NUMBERS)
         self._configure(self.field, **drawn_settings(self.settings, len(self.field.starts), key))
         self.disturbances.begin(self.episode)
         zero = self.real(0.0)
-        spots = self.starts[: self.n] if positions is None else positions
         self.robots = [
             Robot(vehicle, self.real(x), self.real(y), zero, zero, zero)
-            for vehicle, (x, y) in zip(self.vehicles, spots, strict=True)
+            for vehicle, (x, y) in zip(self.vehicles, self.field.starts, strict=False)
         ]
         self.visited = [False] * len(self.rois)
         self.stood_on: set[tuple[float, float]] = set()

@@ -53,11 +53,7 @@ Pair = tuple[float, float]
 def brute_force(
     field: Field, radius: float, wind: Pair = (0.0, 0.0), velocity: Pair = (0.0, 0.0)
 ) -> int:
-    """The least makespan without collisions: every partition, every order, all visit times.
-
-    One linear program in the forces for each; discs are 48-gons of circumradius ``radius``. All
-    robots have the same ``velocity`` at their starts.
-    """
+    """The least makespan without collisions: every partition, order and visit time."""
     robots, rois = range(len(field.starts)), range(len(field.rois))
     for steps in range(1, 200):
         reach = {

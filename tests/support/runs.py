@@ -52,7 +52,6 @@ def small_config(name: str, setting: Setting = "N") -> TrainConfig:
 
 
 def interrupted(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
-
     def interrupt(report: Report) -> None:
         if (out / "checkpoints").exists():
             raise InterruptedError
@@ -63,7 +62,6 @@ def interrupted(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
 
 
 def recorded(run: RunFolder) -> dict[str, Any]:
-
     def timeless(entry: dict[str, Any]) -> dict[str, Any]:
         return {name: value for name, value in entry.items() if "seconds" not in name}
 
