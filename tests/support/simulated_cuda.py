@@ -234,36 +234,24 @@ def test_shapes_and_types_are_checked_at_once(actions: Any, problem: str) -> Non
         gpu.reset_worlds(torch.ones(2, dtype=torch.bool))
 
 
-def test_outputs_are_written_in_place_and_a_copy_goes_on_alike() -> None:
+def test_outputs_are_written_in_place_and_copies_and_saved_worlds_go_on_alike() -> None:
     _, gpu = pair(**SETTINGS)
+    _, other = pair(**SETTINGS)
     first = gpu.reset()
     for _ in range(20):
         assert gpu.step(gpu.sample_actions())[0] is first
+    other.reset(99)
+    other.step(torch.full((WORLDS, 3, 2), torch.nan))  # of worlds that are replaced
+    other.load_state(gpu.save_state())
+    other.snapshot()
     twin = copy.deepcopy(gpu)
     for _ in range(30):
         actions = gpu.sample_actions()
         ahead = [tensor.clone() for tensor in gpu.step(actions)]
-        assert (twin.sample_actions() == actions).all()
-        assert all((a == b).all() for a, b in zip(ahead, twin.step(actions), strict=True))
+        for engine in (twin, other):
+            assert (engine.sample_actions() == actions).all()
+            assert all((a == b).all() for a, b in zip(ahead, engine.step(actions), strict=True))
     assert twin.step(actions)[0] is not first
-
-
-def test_saved_worlds_go_on_alike() -> None:
-    _, gpu = pair(**SETTINGS)
-    gpu.reset()
-    for _ in range(20):
-        gpu.step(gpu.sample_actions())
-    saved = gpu.save_state()
-    _, other = pair(**SETTINGS)
-    other.reset(99)
-    other.step(torch.full((WORLDS, 3, 2), torch.nan))  # of worlds that are replaced
-    other.load_state(saved)
-    other.snapshot()
-    for _ in range(30):
-        actions = gpu.sample_actions()
-        assert (other.sample_actions() == actions).all()
-        ahead = gpu.step(actions)
-        assert all((a == b).all() for a, b in zip(ahead, other.step(actions), strict=True))
 
 
 def test_snapshot() -> None:
