@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import itertools
 import json
 import os
@@ -98,10 +97,6 @@ class Chromium:
     def press(self, key: str, *, shift: bool = False) -> None:
         for kind in ("keyDown", "keyUp"):
             self.send("Input.dispatchKeyEvent", type=kind, key=key, modifiers=8 * shift)
-
-    def picture(self, path: Path) -> None:
-        data = self.send("Page.captureScreenshot", format="png")["data"]
-        path.write_bytes(base64.b64decode(data))
 
     def _receive(self, seconds: float = 30.0) -> dict[str, Any]:
         while b"\0" not in self._buffer:

@@ -86,8 +86,8 @@ class CoppeliaServer:
         self.drawings: dict[int, list[list[float]]] = {}  # the items of drawing objects
         self.calls: list[str] = []
         self.state, self.steps = STOPPED, 0
-        # No request is answered any more, a step never ends, no vehicle moves.
-        self.silent = self.endless = self.frozen = False
+        self.answer = b""  # to every request, in place of the right one
+        self.silent = self.endless = False  # no request is answered any more, a step never ends
         self.stops_at = self.pauses_at = 0  # the step after which somebody does so by hand
         self.winding_down = 3  # passes that a simulation takes to stop
 
@@ -113,7 +113,7 @@ class CoppeliaServer:
         while not self._stop.is_set():
             if self._socket.poll(1) and not self.silent:
                 request = cbor.loads(self._socket.recv())
-                self._socket.send(cbor.dumps(self._answer(request)))
+                self._socket.send(self.answer or cbor.dumps(self._answer(request)))
             stepped = any(client.stepping for client in self.clients.values())
             if self.state in (RUNNING, STOPPING) and not stepped:
                 self._advance()
@@ -166,7 +166,7 @@ class CoppeliaServer:
                 self.state = STOPPED
             return
         for thing in self.things.values():
-            if thing.target < 0 or self.frozen:
+            if thing.target < 0:
                 continue
             target = self.things[thing.target]
             if not self.steps:
