@@ -19,10 +19,10 @@ from mbn_marl.config import CONDITIONS
 from mbn_marl.field import FieldSampler
 from mbn_marl.field.generator.layout import FAMILIES
 
+# The engine is compiled for each combination of a precision with what is on, for many seconds each.
+# So a test takes one of these configurations, unless what it checks needs another.
 PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
-"""Those of the default configuration, for tests of both."""
-NOUGHT = Uniform(0.0, 0.0)
-"""A disturbance that is compiled and changes nothing, not even by rounding."""
+NOUGHT = Uniform(0.0, 0.0)  # is compiled and changes nothing, not even by rounding
 EVERYTHING: dict[str, Any] = {
     **{"dtype": "float64", "dynamics": ("point_mass", "holonomic", "unicycle")},
     **{"gust": NOUGHT, "action_loss": NOUGHT, "dropout": NOUGHT},
