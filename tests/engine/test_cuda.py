@@ -1,7 +1,4 @@
-"""The CUDA backend: all of it in Numba's simulator; compiled for a GPU; on one, where there is one.
-
-The last two skip where they cannot run, and say why.
-"""
+"""The CUDA backend in Numba's simulator, compiled for a GPU, and on a GPU where there is one."""
 
 from __future__ import annotations
 
@@ -61,7 +58,6 @@ def test_cuda_that_is_missing_is_one_error() -> None:
 
 
 def ptxas() -> str | None:
-    """The program that turns PTX into machine code: that of a wheel, or else the system's."""
     nvidia = importlib.util.find_spec("nvidia")
     folders = [*nvidia.submodule_search_locations] if nvidia else []
     found = (str(path) for folder in folders for path in Path(folder).glob("*/bin/ptxas"))
@@ -69,7 +65,6 @@ def ptxas() -> str | None:
 
 
 def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
-    """The PTX of every kernel for three robots, by name."""
     from numba import cuda, typeof, types
 
     from mbn_marl.engine import cuda_kernels as kernels
@@ -124,7 +119,6 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
 def test_kernels_become_machine_code(
     dtype: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Without one: to PTX, and to machine code, of which registers and spills are printed."""
     if importlib.util.find_spec("numba_cuda") is None or (assembler := ptxas()) is None:
         pytest.skip("numba-cuda or ptxas is not installed; `make cuda` installs both")
     from numba.cuda import dispatcher

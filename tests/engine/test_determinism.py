@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import multiprocessing
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,13 +26,11 @@ DISTURBED: dict[str, Any] = {
     **{"gust": 0.1, "action_noise": 0.2, "action_loss": 0.3, "action_delay": 2},
     **{"position_noise": Uniform(0.5, 1.0), "velocity_noise": 0.1, "dropout": 0.2},
     **{"dynamics": "mixed", "mass": Uniform(0.8, 1.5), "tau": Uniform(0.8, 1.2)},
-    "failures": Failures(rate=0.002, between=(5, 80)),
-}
-"""Every random number of the engine, for robots of every kind."""
+    "failures": Failures(rate=0.002, between=(5, 40)),
+}  # Every random number of the engine, for robots of every kind
 
 
 def as_bytes(value: Any) -> bytes:
-    """Every number in nested results, bit for bit."""
     if isinstance(value, dict):
         value = tuple(value.values())
     if isinstance(value, tuple | list):
@@ -56,23 +55,18 @@ class Runner:
             results = self.env.step(self.env.sample_actions() + actions)
             self.resets += int(np.count_nonzero(results[2] | results[3]))
             return as_bytes((*results, self.env.metrics())) + self._state()
-        named = dict(zip(self.env.agents, actions, strict=True)) if self._is_parallel() else actions
+        parallel = hasattr(self.env, "agents")
+        named = dict(zip(self.env.agents, actions, strict=True)) if parallel else actions
         results = self.env.step(named)
         told = as_bytes(results) + self._state()
-        over = not self.env.agents if self._is_parallel() else results[2] or results[3]
+        over = not self.env.agents if parallel else results[2] or results[3]
         return told + self.reset() if over else told
-
-    def _is_parallel(self) -> bool:
-        return hasattr(self.env, "agents")
 
     def _state(self) -> bytes:
         return as_bytes(self.env.state()) if hasattr(self.env, "state") else b""
 
 
-MAKERS = [parallel_env, centralized_env, BatchEngine]
-
-
-@pytest.mark.parametrize("make", MAKERS)
+@pytest.mark.parametrize("make", [parallel_env, centralized_env, BatchEngine])
 def test_interleaved_instances_and_copies_agree_bitwise(make: Callable[..., Any]) -> None:
     rng = np.random.default_rng(0)
     first, second, stranger = (Runner(make) for _ in range(3))
@@ -140,47 +134,63 @@ def test_loaded_worlds_wait_for_a_reset_as_saved() -> None:
         other.step(np.zeros((2, N, 2)))
 
 
-def rollout(
-    num_worlds: int, threads: int | None, steps: int, more: dict[str, Any], first: int = 0
-) -> list[NDArray[Any]]:
-    """States, observations, rewards, flags of the worlds number 4 to 6 of a moving batch."""
-    settings = {"first_world": first, **more, **SETTINGS}
-    engine = BatchEngine("field_03", num_worlds, seed=11, threads=threads, **settings)
-    own = slice(4 - first, 7 - first)
-    rows = [engine.reset()[own].copy()]
-    for _ in range(steps):
-        rows += [array[own].copy() for array in engine.step(engine.sample_actions())]
-        rows += [engine.team_rewards[own].copy(), engine.state()[own]]
+CASES: dict[str, dict[str, Any]] = {
+    "released": {"field": "field_01"},
+    "formal": {"field": "field_07", "reward": "formal"},
+    "several fields": {"field": ["field_03", "field_05", "field_10"], "autoreset": "next_step"},
+    "lidar": {"field": ["field_06", "field_09"], "observation": "lidar"},
+    "disturbed": {"field": "field_03", **DISTURBED},
+    "storm": {"field": "field_04", **STORM},
+    "float64": {"field": "field_01", "dtype": "float64", "reward_sharing": "team"},
+}
+LIVELY = {"max_steps": 50, "safety_distance": 20.0, "random_starts": True, "wind": (0.05, 40.0)}
+
+
+def trajectory(case: str, **batch: Any) -> list[NDArray[Any]]:
+    """Everything that an engine which moves at random hands out, step by step."""
+    engine = BatchEngine(seed=11, **(CASES[case] | LIVELY | batch))
+    rows = [engine.reset().copy()]
+    for _ in range(120):
+        results = engine.step(engine.sample_actions())
+        arrays = (*results, engine.team_rewards, engine.state(), engine.infos())
+        rows += [array.copy() for array in arrays]
     return rows
 
 
-@pytest.mark.parametrize(
-    "more",
-    [{}, {"dtype": "float64"}, DISTURBED, STORM],
-    ids=["float32", "float64", "disturbed", "storm"],
-)
-def test_world_depends_on_neither_batch_nor_threads(more: dict[str, Any]) -> None:
-    expected = rollout(3, 1, 300, more, first=4)
-    assert sum(int(flags.sum()) for flags in expected if flags.dtype == np.bool_) >= 6
-    for num_worlds, threads in [(7, 4), (130, 1), (257, 3), (1100, None)]:
-        rows = rollout(num_worlds, threads, 300, more)
+@pytest.mark.parametrize("case", CASES)
+def test_world_depends_on_neither_batch_nor_block_nor_threads(case: str) -> None:
+    expected = trajectory(case, num_worlds=600, threads=1)
+    assert sum(int(flags.sum()) for flags in expected if flags.dtype == np.bool_) > 300
+    # The blocks of 256 worlds lie elsewhere in a batch that begins with another world.
+    batches = [(0, 600, 2)] * 3 + [(0, 600, 5), (0, 1100, None), (198, 300, 1), (252, 9, 4)]
+    for first, worlds, threads in [*batches, (6, 3, 7)]:
+        rows = trajectory(case, num_worlds=worlds, threads=threads, first_world=first)
         for row, (got, wanted) in enumerate(zip(rows, expected, strict=True)):
-            assert got.tobytes() == wanted.tobytes(), (num_worlds, threads, row)
+            same = got[:600].tobytes() == wanted[first : first + worlds].tobytes()
+            assert same, (first, worlds, threads, row)
 
 
-def test_no_world_depends_on_the_number_of_threads() -> None:
-    engines = [
-        BatchEngine("field_03", 700, seed=4, threads=threads, **SETTINGS) for threads in (1, 2, 5)
-    ]
-    first, *others = engines
-    for engine in engines:
-        engine.reset()
-    for _ in range(150):
-        actions = first.sample_actions()
-        expected = [array.tobytes() for array in (*first.step(actions), first.state())]
-        for engine in others:
-            got = [array.tobytes() for array in (*engine.step(actions), engine.state())]
-            assert got == expected
+def _rewards_of_threads(worlds: int) -> list[float]:
+    engine = BatchEngine("field_03", worlds, threads=2)
+    engine.reset(seed=0)
+    return engine.step(engine.sample_actions())[1].sum(axis=1).tolist()
+
+
+def test_forked_children_of_threads_step() -> None:
+    expected = _rewards_of_threads(4)
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        assert pool.apply_async(_rewards_of_threads, (4,)).get(timeout=60) == expected
+
+
+def test_threads_take_actions_that_cannot_be_written() -> None:
+    free, kept = (BatchEngine("field_01", 600, threads=2) for _ in range(2))
+    free.reset(), kept.reset()
+    for can in (True, False, True):
+        actions = free.sample_actions().copy()
+        expected = free.step(actions)
+        actions.flags.writeable = can
+        for one, other in zip(kept.step(actions), expected, strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 def test_seed_and_number_decide_an_episode() -> None:
@@ -194,18 +204,12 @@ def test_seed_and_number_decide_an_episode() -> None:
         engine.reset(seed=1, episode=-1)
 
 
-def test_worlds_of_one_batch_differ() -> None:
-    engine = BatchEngine("field_03", 50, **SETTINGS)
-    engine.reset()
-    assert len({state.tobytes() for state in engine.state()}) == 50
-    assert len({actions.tobytes() for actions in engine.sample_actions()}) == 50
-
-
 def test_random_starts_are_in_the_field_and_apart() -> None:
     engine = BatchEngine("field_05", 500, dtype="float64", **SETTINGS)
     polygon = engine.field.polygon
     engine.reset()
     states = engine.state()
+    assert len({state.tobytes() for state in states}) == 500
     spots = states[:, : 2 * N].reshape(-1, N, 2)
     assert polygon.covers(shapely.MultiPoint(spots.reshape(-1, 2)))
     distances = np.linalg.norm(spots[:, :, None] - spots[:, None, :], axis=-1)

@@ -1,7 +1,4 @@
-"""Random numbers, gusts, and the features that a configuration leaves out.
-
-``test_forms`` compares every disturbance with the oracle, ``test_determinism`` covers batches.
-"""
+"""Random numbers, gusts, and the features that a configuration leaves out."""
 
 from __future__ import annotations
 
@@ -12,15 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbn_marl import BatchEngine, Failures, Field
+from mbn_marl import Failures, Field
 from mbn_marl.config import make_config
-from mbn_marl.engine.state import make_episode, make_memory
 from mbn_marl.errors import ConfigError
 from mbn_marl.jit import functions, random_numbers
 from mbn_marl.optimum import optimal_return
 from mbn_marl.planning.problem import make_problem
 from tests.support import disturbances as expected
-from tests.support.configurations import EVERYTHING
 
 SQUARE = Field(
     vertices=[(0.0, 0.0), (400.0, 0.0), (400.0, 400.0), (0.0, 400.0)],
@@ -72,33 +67,6 @@ def test_headings_stay_in_half_a_turn_either_way(real: Any) -> None:
     assert functions.turned(below, real(0.0), pi) in (below, -pi)  # apart by a rounding of 2 pi
     for turn in (20.0, 1e30, -1e30, math.inf):
         assert -pi <= functions.turned(real(0.0), real(turn), pi) < pi
-
-
-def test_features_that_are_off_have_no_entries() -> None:
-    config = make_config({"dynamics": "holonomic"})
-    now = make_episode(2, 3, config)
-    for array in (now.gust, now.queue, now.status, now.drawn, now.heading):
-        assert array.shape in ((0, 0, 2), (0, 2))
-    memory = make_memory(2, 3, 1, config, now)
-    assert memory.key.size == memory.acted.size == memory.sensed.size == 0
-
-
-@pytest.mark.slow
-def test_gusts_keep_their_size_and_are_correlated() -> None:
-    settings = {**EVERYTHING, "gust": 0.15, "gust_time": 5.0, "dynamics": "holonomic"}
-    engine = BatchEngine(SQUARE, 300, threads=1, **settings)
-    engine.reset(seed=1)
-    gusts = []
-    for _ in range(60):
-        gusts.append([engine.snapshot(world).wind for world in range(300)])
-        engine.step(np.zeros((300, 2, 2)))
-    blown = np.array(gusts)  # (steps, worlds, 2)
-    assert blown[0].std() == pytest.approx(0.15, rel=0.1)
-    assert blown[-1].std() == pytest.approx(0.15, rel=0.1)
-    for later in (1, 5):
-        correlation = (blown[later:] * blown[:-later]).mean() / blown.var()
-        assert correlation == pytest.approx(math.exp(-later / 5.0), abs=0.05)
-    assert abs((blown[..., 0] * blown[..., 1]).mean() / blown.var()) < 0.05
 
 
 @pytest.mark.parametrize(

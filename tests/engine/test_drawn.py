@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from contextlib import nullcontext
 from typing import Any
 
@@ -15,12 +14,11 @@ from mbn_marl import BatchEngine, Failures, Field, Uniform
 from mbn_marl.config import CONDITIONS, NavigationConfig, make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.registration import environment_id
-from tests.support.configurations import EVERYTHING, entries
+from tests.support.configurations import EVERYTHING
 from tests.support.disturbances import key_of
 from tests.support.draws import NUMBERS as PURPOSE
 from tests.support.draws import drawn_settings
 from tests.support.pages import ROOT
-from tests.support.worlds import ASSIGNED
 
 pytestmark = pytest.mark.slow
 DRAWN: dict[str, Any] = {
@@ -36,11 +34,11 @@ NAMES = [
     *("wind_angle", "gust", "gust_time", "action_loss", "dropout", "roi_radius"),
     *("mass_1", "mass_2", "v_clip"),
 ]
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 @pytest.fixture(scope="module")
 def engine() -> BatchEngine:
-    """An engine that restarts its worlds."""
     return BatchEngine("field_03", 200, threads=1, **{**EVERYTHING, **DRAWN, "max_steps": 4})
 
 
@@ -60,57 +58,16 @@ def test_episode_draws_the_numbers_of_the_page(engine: BatchEngine) -> None:
         engine.reset()
 
 
-def test_numbers_fill_their_ranges_and_hold_for_an_episode(engine: BatchEngine) -> None:
+def test_numbers_hold_for_an_episode(engine: BatchEngine) -> None:
     engine.reset(seed=1)
     first = engine.drawn()
-    for name, ends in engine.config.drawn.items():
-        assert ((first[name] >= ends.low) & (first[name] <= ends.high)).all()
-        assert np.ptp(first[name]) > 0.9 * (ends.high - ends.low)
-    for step in range(4):
+    for _ in range(4):
         assert all(np.array_equal(engine.drawn()[name], first[name]) for name in NAMES)
-        failed = engine.failed.sum(axis=1)
-        assert failed.max() == (step > 0) and failed.min() == (step == 3)
-        failures = engine.failed.sum(axis=0)
         _, _, _, truncated = engine.step(np.zeros((200, 3, 2)))
-    assert (failures > 40).all()  # any robot may be the one
     assert truncated.all() and (engine.metrics(["failed"])["failed"].sum(axis=1) == 1).all()
     for name in NAMES:  # the worlds have begun again
         assert np.array_equal(engine.final_drawn()[name], first[name])
         assert (engine.drawn()[name] != first[name]).all()
-
-
-def test_range_of_one_number_is_that_number() -> None:
-    """In float32, where what numbers are made into is rounded; the last robot does nothing."""
-    fixed: dict[str, Any] = {"mass": 1.3, "f_max": 0.7, "v_clip": 4.1, "tau": 0.9}
-    fixed |= {"safety_distance": 7.3, "roi_radius": 11.3}
-    drawn = {name: Uniform(value, value) for name, value in fixed.items()}
-    drawn |= {"dynamics": ("point_mass", "point_mass", "unicycle"), "dtype": "float32"}
-    engines = [
-        BatchEngine("field_03", 3, threads=1, **{**more, **ASSIGNED, "wind": wind})
-        for more, wind in ((fixed, (0.0, 0.0)), ({**EVERYTHING, **drawn}, (Uniform(0, 0), 0.0)))
-    ]
-    for engine in engines:
-        engine.reset(seed=3)
-    for _ in range(150):
-        actions = engines[0].sample_actions()
-        actions[:, 2] = 0.0
-        (_, *one), (_, *other) = (engine.step(actions) for engine in engines)
-        assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
-        shots = [engine.snapshot(1) for engine in engines]
-        assert np.array_equal(shots[0].positions, shots[1].positions)
-        ours, theirs = (entries(engine, 0, world=1) for engine in engines)
-        assert ours.items() <= theirs.items()
-
-
-def numbers_in(value: Any) -> Iterator[float]:
-    """Yield the numbers of a setting."""
-    if isinstance(value, Failures | Uniform):
-        yield from numbers_in(tuple(value.model_dump().values()))
-    elif isinstance(value, tuple):
-        for one in value:
-            yield from numbers_in(one)
-    elif isinstance(value, int | float):
-        yield float(value)
 
 
 def test_given_starts_are_checked_for_the_lowest_drawn_distance() -> None:
@@ -133,9 +90,8 @@ def test_conditions_have_the_numbers_of_the_page() -> None:
         assert parts.items() <= settings.items()
         for setting in settings.keys() - parts.keys():
             assert f"`{setting}`" in own
-            whole = {0.0, 360.0}  # any angle
-            numbers = set(numbers_in(settings[setting])) - whole
-            assert numbers <= {float(word) for word in re.findall(r"\d+(?:\.\d+)?", own)}
+            numbers = set(map(float, NUMBER.findall(str(settings[setting])))) - {0.0, 360.0}
+            assert numbers <= set(map(float, NUMBER.findall(own)))
         assert make_config({"condition": name}) == NavigationConfig(**settings)
     assert make_config({"condition": "calm"}) == NavigationConfig()
     with pytest.raises(ConfigError) as caught:

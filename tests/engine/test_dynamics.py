@@ -1,7 +1,4 @@
-"""One robot of each dynamics by hand; ``test_forms`` has the oracle compare them all.
-
-One more dynamics is added to a copy of the package by ``docs/extending.md``.
-"""
+"""Robots of each dynamics, and failed ones, by hand; ``test_forms`` has the oracle compare all."""
 
 from __future__ import annotations
 
@@ -11,52 +8,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbn_marl import BatchEngine, Field
+from mbn_marl import BatchEngine, Failures, Field
 from tests.support.configurations import EVERYTHING
 
 pytestmark = pytest.mark.slow
 
-SQUARE = Field(
-    vertices=[(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)],
-    rois=[(90.0, 90.0)],
-    starts=[(20.0, 50.0), (50.0, 20.0)],
-)
+CORNERS = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
+STARTS = [(20.0, 50.0), (50.0, 20.0), (80.0, 50.0)]
+SQUARE = Field(CORNERS, rois=[(90.0, 90.0)], starts=STARTS)
 FORWARD, LEFT, STILL = (1.0, 0.0), (0.0, 1.0), (0.0, 0.0)
 
 
-def driven(*actions: Any, **settings: Any) -> BatchEngine:
-    """Two equal worlds of the square in float64, after steps with an action for all or for each."""
-    settings = {**EVERYTHING, "dynamics": ("point_mass", "holonomic"), **settings}
-    engine = BatchEngine(SQUARE, 2, threads=1, autoreset=False, **settings)
+def driven(*actions: Any, field: Field = SQUARE, **settings: Any) -> BatchEngine:
+    """Two equal worlds in float64, after steps with an action for all or for each."""
+    engine = BatchEngine(field, 2, threads=1, autoreset=False, **{**EVERYTHING, **settings})
     engine.reset()
     for action in actions:
-        engine.step(np.broadcast_to(np.asarray(action), (2, 2, 2)))
+        engine.step(np.broadcast_to(action, (2, 3, 2)))
     return engine
 
 
 def first(engine: BatchEngine) -> tuple[list[float], list[float], float]:
-    """Position, velocity and heading of the first robot."""
     now = engine.snapshot(1)
     return now.positions[0].tolist(), now.velocities[0].tolist(), float(now.headings[0])
-
-
-def test_state_without_headings_has_no_entries_for_them() -> None:
-    engine = driven(STILL, max_steps=1)
-    assert not any("heading" in part for part in engine.save_state())
-    assert engine.state().shape == (2, 11)
-    assert np.isnan(engine.snapshot().headings).all()
-    engine.reset_worlds(np.array([True, False]))
-    engine.step(np.zeros((2, 2, 2)), active=np.array([True, False]))  # keeps the other as it is
-
-
-def test_heading_is_reset_kept_and_final() -> None:
-    engine = BatchEngine(SQUARE, 2, **{**EVERYTHING, "dynamics": "unicycle", "max_steps": 1})
-    engine.reset()
-    engine.step(np.full((2, 2, 2), (0.0, 1.0)))  # ends, and restarts
-    assert engine.final_state()[:, 8:10].tolist() == [[0.3, 0.3]] * 2
-    assert not engine.state()[:, 8:10].any()
-    saved = engine.save_state()
-    assert saved["now.heading"].shape == saved["final.cos"].shape == (2, 2)
 
 
 def test_holonomic_takes_the_velocity_of_the_action() -> None:
@@ -94,11 +68,31 @@ def test_bicycle_turns_by_its_speed() -> None:
     assert velocity == pytest.approx([math.cos(two), math.sin(two)], abs=1e-14)
     moved = [20 + 0.5 * math.cos(one) + math.cos(two), 50 + 0.5 * math.sin(one) + math.sin(two)]
     assert place == pytest.approx(moved, abs=1e-13)
-    backwards = driven((-1.0, 1.0), dynamics="bicycle", wheelbase=2.0, steer_max=0.75)
-    assert first(backwards)[2] == pytest.approx(-one, abs=1e-14)
 
 
-def test_wall_restores_the_heading() -> None:
-    engine = driven((-1.0, 0.0), (-1.0, 0.5), dynamics="bicycle", f_max=20.0, v_clip=20.0)
-    assert first(engine) == ([0.0, 50.0], [0.0, 0.0], 0.0)
-    assert engine.metrics()["wall_hits"][0, 0] == 1
+@pytest.mark.parametrize("kind", ["brake", "coast", "vanish"])
+def test_failed_robot_of_each_dynamics(kind: Any) -> None:
+    failing = Failures(at={0: 3, 1: 3, 2: 3}, kind=kind)
+    actions = ((1.0, -1.0), (1.0, -1.0), (1.0, 0.0))
+    settings: dict[str, Any] = {"failures": failing, "wind": (0.125, 0.0), "f_max": 0.25}
+    engine = driven(actions, actions, turn_max=np.pi / 3, **settings)
+    assert engine.snapshot(1).velocities.tolist() == [[0.75, -0.5], [0.75, -0.5], [0.75, 0.0]]
+    impulse = engine.metrics()["impulse"][1].tolist()
+    once = {"brake": [0.5, -0.25], "coast": [0.875, -0.5], "vanish": [0.0, 0.0]}[kind]
+    later = {"brake": [0.0, 0.0], "coast": [1.375, -0.5], "vanish": [0.0, 0.0]}[kind]
+    for steps, after in ((1, once), (4, later)):
+        for _ in range(steps):
+            engine.step(np.ones((2, 3, 2)))  # their actions make no difference
+        assert engine.snapshot(1).velocities.tolist() == [after, after, [after[0], 0.0]]
+    assert engine.metrics()["impulse"][1].tolist() == impulse
+    path = {"brake": 0.5 + 0.25, "coast": 0.875 + 1 + 1.125 + 1.25 + 1.375, "vanish": 0.0}[kind]
+    assert engine.metrics()["path_length"][1, 2] == 0.375 + 0.75 + path
+
+
+def test_robots_that_work_share_what_the_team_gets() -> None:
+    near = Field(CORNERS, rois=[(90.0, 50.0)], starts=STARTS)
+    engine = driven(field=near, failures=Failures(at={0: 1}), roi_radius=9.5)
+    _, rewards, terminated, _ = engine.step(np.broadcast_to([FORWARD], (2, 3, 2)))
+    assert rewards[1].tolist() == [0.0, 49_990.0, 59_990.0]
+    assert engine.team_rewards.tolist() == [109_980.0] * 2
+    assert terminated.all() and engine.metrics()["success"].all()

@@ -1,8 +1,4 @@
-"""All golden episodes, through every form of the environment, in both precisions.
-
-In float64 every number is matched. In float32 every event is: the rewards of a step are whole
-numbers that tell which robots hit a wall, stood on known ground or reached an ROI.
-"""
+"""All golden episodes, through every form of the environment, in both precisions."""
 
 from __future__ import annotations
 
@@ -29,8 +25,6 @@ ROUNDING = {"float64": 1e-12, "float32": 1e-6}
 
 
 class Played(NamedTuple):
-    """The states (T + 1, 4n + 1), team rewards (T,) and flags (T,) of an episode."""
-
     states: NDArray[Any]
     rewards: NDArray[Any]
     terminated: NDArray[Any]
@@ -39,12 +33,10 @@ class Played(NamedTuple):
 
 @cache
 def golden_field(name: str) -> Field:
-    """The catalogue's own field, or one of the larger fields made for the episodes."""
     return load_field(name) if name in catalogue_names() else Field(**FIELDS[name])
 
 
 def settings_of(episode: Episode) -> dict[str, Any]:
-    """The settings of an environment beside the field."""
     return {"n_robots": episode.n_robots, "wind": episode.wind}
 
 

@@ -31,10 +31,7 @@ print(next_velocity(1.0, 2.0, 1.0, 0.5, 5.0), sum(next_velocity.alone.stats.cach
 
 
 def probe(folder: Path, cache: Path, warning: str = "", largest: int = -1) -> list[str]:
-    """Return the result of a rule in a new process, and the number of hits in the cache.
-
-    ``warning`` is in exactly one line of its errors; no file may grow beyond ``largest`` bytes.
-    """
+    """Return the result of a rule in a new process, and the number of hits in the cache."""
     environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)}
     done = subprocess.run(
         [sys.executable, "-c", PROBE],
@@ -100,8 +97,6 @@ def test_only_what_python_calls_becomes_machine_code() -> None:
 
 
 class Pair(NamedTuple):
-    """Two arrays."""
-
     left: Any
     right: Any
 

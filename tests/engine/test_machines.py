@@ -1,7 +1,4 @@
-"""The same bits on every machine: digests of what two batches compute (specification.md).
-
-``python -m tests.engine.test_machines`` prints those of this machine.
-"""
+"""The same bits on every machine: digests of what two batches compute (specification.md)."""
 
 from __future__ import annotations
 
@@ -43,12 +40,10 @@ EXPECTED = {
         "eda3dd3db287 400860a4b4a9 edc9a31974cc e61a2db9cc88 aada78522f46 "
         "479efec76bf3 95c5c0170c5c 848ba5d539ce 219ea59c1a03 b22bb7716b37"
     ),
-}
-"""The digests in the order of the outputs."""
+}  # The digests in the order of the outputs
 
 
 def digests(name: str) -> dict[str, str]:
-    """Return a digest of each output of a batch, over all its steps."""
     source, settings = BATCHES[name]
     engine = BatchEngine(source, WORLDS, seed=11, **settings)
     rng = np.random.default_rng(3)

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbn_marl import BatchEngine, Failures, Field, parallel_env
-from tests.support.configurations import EVERYTHING, SIGHTS, entries, seeing
+from mbn_marl import BatchEngine, Failures, Field
+from mbn_marl.config import WITHOUT_RADIUS
+from tests.support.configurations import EVERYTHING, SIGHTS, entries
 
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
@@ -20,7 +21,6 @@ PRECISIONS = pytest.mark.parametrize("dtype", ["float32", "float64"])
 
 
 def field_of(start: tuple[float, float], **changes: Any) -> Field:
-    """A square of 100 units in which a robot starts there."""
     values = {"vertices": SQUARE, "rois": [(90.0, 90.0)], "starts": [start]}
     return Field(**(values | changes))
 
@@ -106,20 +106,11 @@ def test_radius_beyond_the_arena_is_its_diagonal() -> None:
     assert far["other_1_near"] == pytest.approx(1.0 - 50.0 / diagonal)
 
 
-def test_names_are_those_of_the_space() -> None:
-    env = parallel_env("field_03", observation="lidar", one_hot=True)
-    space = env.observation_space("robot_0")
-    table = env.unwrapped.engine.observation_table
-    assert space.shape == (4 + 5 * 2 + 5 * 6 + 11 + 3,) == (len(table),)
-    assert [entry.offset for entry in table] == list(range(len(table)))
-    assert len({entry.name for entry in table}) == len(table)
-
-
 def moved(observation: str, radius: float, **settings: Any) -> BatchEngine:
-    """Two worlds of three robots after two steps; the second turns and the third has failed."""
     starts = [(20.0, 50.0), (50.0, 20.0), (80.0, 50.0)]
     field = field_of(starts[0], starts=starts, rois=[(5.0, 95.0), (80.0, 50.0)])
-    sight = {**EVERYTHING, **seeing(observation, radius), "one_hot": True}
+    sight = {**EVERYTHING, **SIGHTS[observation], "one_hot": True}
+    sight |= {} if observation in WITHOUT_RADIUS else {"sensing_radius": radius}
     sight["dynamics"] = ("point_mass", "unicycle", "point_mass")
     engine = BatchEngine(field, 2, threads=1, autoreset=False, **{**sight, **settings})
     engine.reset()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.golden import FIELDS, load_episodes
@@ -40,24 +41,18 @@ def test_golden_episodes() -> None:
     assert sum(len(episode.rewards) for episode in episodes) == 16_886
 
 
-def test_boundary_is_inside_and_robots_stay_and_pay_beyond_it() -> None:
-    oracle = Oracle(make_field(starts=[(99.5, 50.0)]))
+HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
+
+
+@pytest.mark.parametrize(("start", "holes"), [(99.5, ()), (39.5, (HOLE,))])
+def test_boundary_is_inside_and_robots_stay_and_pay_beyond_it(start, holes) -> None:
+    oracle = Oracle(make_field(starts=[(start, 50.0)], holes=holes))
     assert oracle.step([(1.0, 0.0)]).wall == [False]
-    assert oracle.robots[0].x == 100.0
     step = oracle.step([(-1.0, 0.0)])  # the velocity is back to 0: it stays, on known ground
     assert (step.wall, step.team_reward) == ([False], -100.0)
     step = oracle.step([(1.0, 0.0)])
     assert (step.wall, step.team_reward) == ([True], -10_100.0)
-    assert oracle.state()[:4] == (100.0, 50.0, 0.0, 0.0)
-
-
-def test_hole_is_outside_and_its_boundary_inside() -> None:
-    hole = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
-    oracle = Oracle(make_field(starts=[(39.5, 50.0)], holes=[hole]))
-    assert oracle.step([(1.0, 0.0)]).wall == [False]
-    assert oracle.robots[0].x == 40.0
-    assert oracle.step([(1.0, 0.0)]).wall == [True]
-    assert oracle.robots[0].x == 40.0
+    assert oracle.state()[:4] == (start + 0.5, 50.0, 0.0, 0.0)
 
 
 def test_ground_of_an_earlier_robot_is_known_in_the_same_step() -> None:

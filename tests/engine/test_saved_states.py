@@ -94,7 +94,6 @@ def test_wrong_arrays_are_refused(value: Any) -> None:
 
 @np.errstate(all="ignore")
 def edited(saved: dict[str, NDArray[Any]], rng: np.random.Generator) -> dict[str, Any]:
-    """A copy with one to three random edits; numbers that do not fit wrap round."""
     copies: dict[str, Any] = {name: array.copy() for name, array in saved.items()}
     for _ in range(rng.integers(1, 4)):
         name = str(rng.choice(sorted(copies)))
@@ -119,7 +118,6 @@ def edited(saved: dict[str, NDArray[Any]], rng: np.random.Generator) -> dict[str
 
 
 def fuzz(name: str, edits: int) -> None:
-    """Load edited states of a configuration; take some steps wherever one is accepted."""
     engine, rng = make(name), np.random.default_rng(7)
     accepted, saved = 0, {}
     for number in range(edits):

@@ -16,23 +16,13 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 PROGRAM = next((found for name in NAMES if (found := shutil.which(name))), None)
 MISSING = "no Chromium here: install one (Debian: apt-get install chromium)"
 FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-dev-shm-usage",
-    "--disable-extensions",
-    "--no-first-run",
-    "--hide-scrollbars",
-    "--remote-debugging-pipe",
+    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
+    *("--disable-extensions", "--no-first-run", "--hide-scrollbars", "--remote-debugging-pipe"),
 )
 
 
 class Chromium:
-    """A browser with one page. Use it in a ``with`` block.
-
-    Attributes:
-        problems: everything that the page wrote to the console as an error, and its exceptions.
-    """
+    """A browser with one page. ``problems`` are its errors and warnings in the console."""
 
     def __init__(self, folder: Path) -> None:
         assert PROGRAM is not None, MISSING
@@ -57,8 +47,8 @@ class Chromium:
     def __enter__(self) -> Self:
         targets = self.send("Target.getTargets")["targetInfos"]
         page = next(target["targetId"] for target in targets if target["type"] == "page")
-        attached = self.send("Target.attachToTarget", targetId=page, flatten=True)
-        self._session = attached["sessionId"]
+        attach = self.send("Target.attachToTarget", targetId=page, flatten=True)
+        self._session = attach["sessionId"]
         for domain in ("Page", "Runtime", "Log"):
             self.send(f"{domain}.enable")
         return self
@@ -70,7 +60,6 @@ class Chromium:
         os.close(self._write)
 
     def send(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Give a command of the DevTools protocol, and return its result."""
         number = next(self._ids)
         message = {"id": number, "method": method, "params": parameters}
         if self._session is not None:
@@ -79,25 +68,21 @@ class Chromium:
         while (answer := self._receive()).get("id") != number:
             self._note(answer)
         assert "error" not in answer, f"{method}: {answer.get('error')}"
-        result: dict[str, Any] = answer["result"]
-        return result
+        return dict(answer["result"])
 
     def size(self, width: int, height: int, *, dark: bool = False, phone: bool = False) -> None:
-        """The size of the window, and what the page learns of the device."""
         device = {"deviceScaleFactor": 2 if phone else 1, "mobile": phone}
         self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, **device)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.send("Emulation.setEmulatedMedia", features=[scheme])
 
     def open(self, path: Path) -> None:
-        """Open a file and wait until it has been painted."""
         self.problems.clear()
         self.send("Page.navigate", url=path.resolve().as_uri())
         self.wait_for("document.readyState === 'complete' && location.href !== 'about:blank'")
         self.wait_for("performance.getEntriesByName('first-contentful-paint').length > 0")
 
     def run(self, expression: str) -> Any:
-        """The value of a JavaScript expression; promises are awaited."""
         options = {"returnByValue": True, "awaitPromise": True}
         answer = self.send("Runtime.evaluate", expression=expression, **options)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
@@ -110,7 +95,6 @@ class Chromium:
             time.sleep(0.02)
 
     def press(self, key: str, *, shift: bool = False) -> None:
-        """Press and release a key, named as in ``KeyboardEvent.key``."""
         for kind in ("keyDown", "keyUp"):
             self.send("Input.dispatchKeyEvent", type=kind, key=key, modifiers=8 * shift)
 
@@ -122,8 +106,7 @@ class Chromium:
             assert piece, "the browser has gone"
             self._buffer += piece
         message, self._buffer = self._buffer.split(b"\0", 1)
-        answer: dict[str, Any] = json.loads(message)
-        return answer
+        return dict(json.loads(message))
 
     def _note(self, event: dict[str, Any]) -> None:
         method, parameters = event.get("method"), event.get("params", {})

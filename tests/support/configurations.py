@@ -1,79 +1,49 @@
-"""Configurations that tests share, and how the processes of a run share what they compile.
-
-The engine is compiled for each combination of a precision with what is on, for many seconds each.
-So a test takes one of these configurations, unless what it checks needs another.
-"""
+"""Configurations that tests share, and how the processes of a run share what they compile."""
 
 from __future__ import annotations
 
 import fcntl
 import hashlib
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import numba
 import pytest
-from numba.core import event
 from numba.core.caching import NullCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 from mbn_marl import Failures, Uniform
-from mbn_marl.config import CONDITIONS, WITHOUT_RADIUS
+from mbn_marl.config import CONDITIONS
 from mbn_marl.field import FieldSampler
 from mbn_marl.field.generator.layout import FAMILIES
 
+# The engine is compiled for each combination of a precision with what is on, for many seconds each.
+# So a test takes one of these configurations, unless what it checks needs another.
 PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
-"""Those of the default configuration, for tests of both."""
-NOUGHT = Uniform(0.0, 0.0)
-"""A disturbance that is compiled and changes nothing, not even by rounding."""
+NOUGHT = Uniform(0.0, 0.0)  # is compiled and changes nothing, not even by rounding
 EVERYTHING: dict[str, Any] = {
     **{"dtype": "float64", "dynamics": ("point_mass", "holonomic", "unicycle")},
     **{"gust": NOUGHT, "action_loss": NOUGHT, "dropout": NOUGHT},
     **{"gust_time": Uniform(10.0, 10.0), "failures": Failures()},
-}
-"""Headings, drawn numbers, disturbances and failures; a test says which of them do something."""
+}  # Headings, drawn numbers, disturbances and failures; a test says which of them do something
 SIGHTS: dict[str, dict[str, Any]] = {
     **{name: {"observation": name} for name in ("relative", "local", "state")},
     **{name: {"observation": name} for name in ("lidar", "lidar_local")},
     "entities": {"observation": "entities", "assignment": True, "dtype": "float32"},
-}
-"""Settings beside ``EVERYTHING`` for each observation."""
-
-
-def seeing(observation: str, radius: float) -> dict[str, Any]:
-    has_one = observation not in WITHOUT_RADIUS
-    return SIGHTS[observation] | ({"sensing_radius": radius} if has_one else {})
+}  # Settings beside `EVERYTHING` for each observation
 
 
 STORM: dict[str, Any] = {
     **{"observation": "entities", "assignment": True, **CONDITIONS["storm"]},
     **{"dynamics": "mixed", "mass": Uniform(0.8, 1.5), "tau": Uniform(0.8, 1.2)},
     **{"roi_radius": 20.0, "max_steps": 90},
-}
-"""The same with entities and an assignment, in float32; all of it does something."""
+}  # The same with entities and an assignment, in float32; all of it does something
 SAMPLER = FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 6), seed=5)
 
-COMPILED: list[float] = []
-"""CPU seconds of each function compiled so far, in this process or in its workers."""
 
-
-class Compilations(event.Listener):
-    def __init__(self) -> None:
-        self.begun: list[float] = []
-
-    def on_start(self, event: Any) -> None:
-        self.begun.append(time.process_time())
-
-    def on_end(self, event: Any) -> None:
-        seconds = time.process_time() - self.begun.pop()
-        if not self.begun:
-            COMPILED.append(seconds)
-
-
-def share_compilation() -> None:
+def pytest_configure() -> None:
     """Let a process wait for a function that another one compiles, and load it then."""
     compile_here = Dispatcher.compile
     folder = Path(numba.config.CACHE_DIR or tempfile.gettempdir()) / "locks"
@@ -91,30 +61,7 @@ def share_compilation() -> None:
     Dispatcher.compile = compile_once
 
 
-def pytest_configure() -> None:
-    share_compilation()
-    event.register("numba:compile", Compilations())
-
-
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Hand what a worker compiled to the process that prints the summary."""
-    if hasattr(session.config, "workeroutput"):
-        session.config.workeroutput["compiled"] = COMPILED
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_testnodedown(node: Any) -> None:
-    """Take what a worker compiled; one that has died says nothing."""
-    COMPILED.extend(getattr(node, "workeroutput", {}).get("compiled", []))
-
-
-def pytest_terminal_summary(terminalreporter: Any) -> None:
-    line = f"{len(COMPILED)} functions compiled in {sum(COMPILED):.0f} CPU seconds"
-    terminalreporter.write_line(line)
-
-
 def entries(engine: Any, robot: int, world: int = 0) -> dict[str, float]:
-    """Return a robot's observation by name; it is in its space."""
     row = engine._backend.output.observations[world, robot]
     assert ((row >= engine.observation_low) & (row <= engine.observation_high)).all()
     return dict(zip((entry.name for entry in engine.observation_table), row.tolist(), strict=True))

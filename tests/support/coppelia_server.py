@@ -1,11 +1,4 @@
-"""A stand-in for CoppeliaSim: its remote API's protocol, version 2, and a scene without physics.
-
-It speaks as the add-on "ZMQ remote API server" does: CBOR over a ZeroMQ REP socket, clients told
-apart by their uuid, answers ``ret`` or ``err``, and ``_*wait*_`` against ``_*executed*_`` during a
-step. Its quadcopters follow their targets by the law of the script in CoppeliaSim's own quadcopter,
-linearised: they accelerate by 0.2 / s^2 of the way to the target and by 2 / s of its velocity
-relative to theirs. They react 0.3 s late, as the real one was seen to lag behind that law.
-"""
+"""A stand-in for CoppeliaSim: its remote API's protocol, version 2, and a scene without physics."""
 
 from __future__ import annotations
 
@@ -58,8 +51,6 @@ def floats(values: Any, count: int) -> np.ndarray:
 
 @dataclass
 class Thing:
-    """An object of the scene."""
-
     alias: str
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
     parent: int = -1
@@ -79,20 +70,7 @@ class Client:
 
 
 class CoppeliaServer:
-    """A server on a free port of this machine, in a thread.
-
-    Attributes:
-        things: the objects in the scene, by their handles.
-        drawings: the items of the drawing objects, by their handles.
-        steps: simulated since the last start.
-        answer: to every request, in place of the right one.
-        silent: no request is answered any more.
-        endless: a step never comes to its end.
-        stops_at: the step after which somebody stops the simulation by hand.
-        pauses_at: the step after which somebody pauses it by hand.
-        winding_down: how many more passes a simulation takes to stop.
-        clients: by their uuid.
-    """
+    """A server on a free port of this machine, in a thread; a test sets what goes wrong."""
 
     def __init__(self) -> None:
         self._context = zmq.Context()
@@ -104,12 +82,12 @@ class CoppeliaServer:
         self._next, self._kept = 100, dict[int, np.ndarray]()
         self.clients: dict[str, Client] = {}
         self.things: dict[int, Thing] = {1: Thing("Floor")}
-        self.drawings: dict[int, list[list[float]]] = {}
+        self.drawings: dict[int, list[list[float]]] = {}  # the items of drawing objects
         self.state, self.steps = STOPPED, 0
-        self.answer = b""
-        self.silent = self.endless = False
-        self.stops_at = self.pauses_at = 0
-        self.winding_down = 3
+        self.answer = b""  # to every request, in place of the right one
+        self.silent = self.endless = False  # no request is answered any more, a step never ends
+        self.stops_at = self.pauses_at = 0  # the step after which somebody does so by hand
+        self.winding_down = 3  # passes that a simulation takes to stop
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -126,11 +104,8 @@ class CoppeliaServer:
         self._context.term()
 
     def named(self, alias: str) -> list[Thing]:
-        """The objects of this alias, perhaps with a number."""
         things = self.things.values()
         return [thing for thing in things if thing.alias.rstrip("0123456789_") == alias]
-
-    # The protocol
 
     def _serve(self) -> None:
         while not self._stop.is_set():
@@ -142,21 +117,19 @@ class CoppeliaServer:
                 self._advance()
 
     def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
-        if request["uuid"] not in self.clients and (request["ver"], request["lang"]) != (
-            2,
-            "python",
-        ):
-            return {"err": "wrong version"}
-        client = self.clients.setdefault(request["uuid"], Client())
+        client = self.clients.get(request["uuid"])
+        if client is None:
+            if (request["ver"], request["lang"]) != (2, "python"):
+                return {"err": "wrong version"}
+            client = self.clients[request["uuid"]] = Client()
         name, arguments = request["func"].removeprefix("sim."), request["args"]
         assert request["argsL"] == len(arguments)
         functions = {one: getattr(self, one) for one in vars(CoppeliaServer) if one != one.lower()}
         if name == "zmqRemoteApi.require":
             return {"ret": []}
         if name == "zmqRemoteApi.info":
-            offered: dict[str, Any] = {one: {"func": {}} for one in (*functions, "step")}
-            offered |= {"setStepping": {"func": {}}}
-            return {"ret": [offered | {one: {"const": CONSTANTS[one]} for one in CONSTANTS}]}
+            known = {one: {"func": {}} for one in (*functions, "step", "setStepping")}
+            return {"ret": [known | {one: {"const": value} for one, value in CONSTANTS.items()}]}
         if name == "_*executed*_":
             return self._wait(client)
         if name == "step":
@@ -180,8 +153,6 @@ class CoppeliaServer:
         if self.state == RUNNING and client.stepping:
             self._advance()
         return {"ret": []}
-
-    # The simulation
 
     def _advance(self) -> None:
         if self.state == STOPPING:
@@ -225,8 +196,6 @@ class CoppeliaServer:
     def getSimulationTimeStep(self) -> list[Any]:
         return [TIME_STEP]
 
-    # The scene
-
     def _add(self, thing: Thing) -> list[Any]:
         refuse(self.state != STOPPED, "this stand-in makes objects only while nothing is simulated")
         self._next += 1
@@ -242,9 +211,7 @@ class CoppeliaServer:
         refuse(kind not in (3, 5) or options or not (size > 0).all(), "wrong kind, options or size")
         return self._add(Thing("Shape", size=tuple(size)))
 
-    def createShape(
-        self, options: int, shading: float, vertices: Any, indices: list[int]
-    ) -> list[Any]:
+    def createShape(self, options: int, shading: float, vertices: Any, indices: Any) -> list[Any]:
         points = floats(vertices, len(vertices)).reshape(-1, 3)
         whole = len(indices) % 3 == 0 and set(indices) <= set(range(len(points)))
         refuse(options or shading or not whole, "wrong options, shading angle or indices")
@@ -306,12 +273,10 @@ class CoppeliaServer:
     def removeObjects(self, handles: list[int]) -> None:
         for handle in handles:
             self._thing(handle)
-        for handle in handles:
             del self.things[handle]
 
-    def addDrawingObject(
-        self, kind: int, size: float, tolerance: float, parent: int, most: int, colour: object
-    ) -> list[Any]:
+    def addDrawingObject(self, *arguments: Any) -> list[Any]:
+        kind, size, tolerance, parent, most, colour = arguments
         right = (kind, tolerance, parent) == (0x81, 0.0, -1) and size > 0 and most > 0
         refuse(not right or not floats(colour, 3).size, "wrong arguments")
         self._next += 1
@@ -329,6 +294,5 @@ class CoppeliaServer:
 
 
 def free_port() -> int:
-    """Return a port of this machine on which nobody listens."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         return int(listener.getsockname()[1])

@@ -50,8 +50,6 @@ def exponential(x: float) -> float:
 
 
 class Disturbances:
-    """Those of one world. All numbers are in its precision, ``real``."""
-
     def __init__(
         self,
         real: Any,
@@ -84,7 +82,6 @@ class Disturbances:
             self.gust = tuple(self.sigma * self._normal(GUSTS, axis) for axis in range(2))
 
     def arrived(self, actions: Any) -> Any:
-        """The actions (n, 2) that the robots take when they are given ``actions``."""
         if not (self.noise or self.loss or self.delay):
             return actions
         nothing = [(self.real(0.0), self.real(0.0))] * len(actions)
@@ -106,10 +103,7 @@ class Disturbances:
         ]
 
     def seen(self, i: int, thing: int, numbers: Any, bounds: Any) -> tuple[list[Any], bool]:
-        """Return a thing's position and velocity as robot i sees them, and if it sees the thing.
-
-        Robot j is thing j, ROI j is thing 64 + j; ``bounds`` are the least and the greatest values.
-        """
+        """A thing's motion as robot i sees it, and if it does; robot j is thing j, ROI j 64 + j."""
         if not self.blurs:
             return list(numbers), True
         key = key_of(*self.place, self.episode, SIGHT)
@@ -122,7 +116,6 @@ class Disturbances:
         return found, thing == i or not uniform(key, counter) < self.dropout
 
     def end_step(self) -> None:
-        """The robots have moved: the gust changes."""
         self.steps += 1
         if self.sigma:
             counter = 2 * self.steps

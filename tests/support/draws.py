@@ -8,14 +8,12 @@ from typing import Any
 from tests.support.disturbances import uniform
 from tests.support.vehicles import cosine, sine
 
-NUMBERS = 7
-"""The purpose of the stream."""
+NUMBERS = 7  # The purpose of the stream
 SINGLE = (
     *("wind_speed", "wind_angle", "gust", "gust_time", "action_noise", "action_loss"),
     *("position_noise", "velocity_noise", "dropout", "tau", "turn_max", "wheelbase", "steer_max"),
     *("safety_distance", "roi_radius", "failure_rate"),
-)
-"""In the order of their counters."""
+)  # In the order of their counters
 LIMITS = ("mass", "f_max", "v_clip")
 
 
@@ -28,7 +26,6 @@ def highest(values: list[Any]) -> list[float]:
 
 
 def drawn_settings(settings: dict[str, Any], n: int, key: int) -> dict[str, Any]:
-    """The settings of an episode of n robots whose stream of numbers has this key."""
     found = dict(settings)
     n = found.get("n_robots") or n
 

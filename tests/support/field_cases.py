@@ -24,7 +24,6 @@ starts: [[10, 10], [10, 90]]
 
 
 def square(**changes: Any) -> Field:
-    """A valid field of 100 x 100 with a hole, changed as a test needs it."""
     values: dict[str, Any] = {
         "vertices": SQUARE,
         "rois": [(90.0, 90.0)],
@@ -35,20 +34,17 @@ def square(**changes: Any) -> Field:
 
 
 def circle(corners: int) -> list[tuple[float, float]]:
-    """A regular polygon around (50, 50) with radius 50."""
     angles = [math.tau * k / corners for k in range(corners)]
     return [(50 + 50 * math.cos(angle), 50 + 50 * math.sin(angle)) for angle in angles]
 
 
 def write(folder: Path, text: str, name: str = "user.yaml") -> Path:
-    """A file ``name`` in ``folder`` that holds ``text``."""
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
 
 
 def places_of(make: Callable[[], object]) -> list[str]:
-    """The places of the problems in the FieldError that ``make`` raises, in order."""
     with pytest.raises(FieldError) as caught:
         make()
     return [problem.split(": ")[0] for problem in caught.value.problems]

@@ -15,8 +15,6 @@ from mbn_marl.engine import INFO_COLUMNS, REWARD_TERMS
 
 @dataclass
 class Outcome:
-    """The results of a step for one world; the centralised form has one info, for the team."""
-
     state: NDArray[Any]
     team_reward: float
     terminated: bool
@@ -31,8 +29,6 @@ class Outcome:
 
 
 class ParallelForm:
-    """``parallel_env``. The team's reward is the sum of the robots' shares, exact to rounding."""
-
     def __init__(self, field: Field | str, **settings: Any) -> None:
         self.env = parallel_env(field, **settings)
 
@@ -70,8 +66,6 @@ class ParallelForm:
 
 
 class TeamSharingForm(ParallelForm):
-    """``parallel_env`` whose robots each get the team's reward."""
-
     def __init__(self, field: Field | str, **settings: Any) -> None:
         super().__init__(field, reward_sharing="team", **settings)
 
@@ -132,17 +126,13 @@ class BatchForm:
         )
 
     def _infos(self) -> list[dict[str, float]]:
-        """The engine's metrics and terms, in the layout of the adapters' infos."""
-        metrics = self.engine.metrics()
-        terms = self.engine.reward_terms()[self.world]
+        metrics = {name: rows[self.world] for name, rows in self.engine.metrics().items()}
         infos = []
-        for robot in range(self.engine.n_robots):
-            info = {name: float(metrics[name][self.world]) for name in TEAM_METRICS}
-            info |= {name: float(metrics[name][self.world, robot]) for name in ROBOT_METRICS}
-            info |= {
-                f"reward/{k}": float(v) for k, v in zip(REWARD_TERMS, terms[robot], strict=True)
-            }
-            infos.append(info)
+        for robot, terms in enumerate(self.engine.reward_terms()[self.world]):
+            info = {name: float(metrics[name]) for name in TEAM_METRICS}
+            info |= {name: float(metrics[name][robot]) for name in ROBOT_METRICS}
+            named = zip(REWARD_TERMS, terms, strict=True)
+            infos.append(info | {f"reward/{name}": float(term) for name, term in named})
         return infos
 
     def _check(self, observations: NDArray[np.float32]) -> None:
@@ -150,9 +140,7 @@ class BatchForm:
         assert ((observations >= low) & (observations <= high)).all()
 
 
-INFO_KEYS = (*INFO_COLUMNS, GAP)
-"""The keys of every info where nothing is drawn."""
-NOTHING = {**dict.fromkeys(INFO_COLUMNS, 0.0), GAP: UNDEFINED}
-"""The info of a reset."""
+INFO_KEYS = (*INFO_COLUMNS, GAP)  # The keys of every info where nothing is drawn
+NOTHING = {**dict.fromkeys(INFO_COLUMNS, 0.0), GAP: UNDEFINED}  # The info of a reset
 TEAM_METRICS = ("success", "collision", "rois_visited")
 ROBOT_METRICS = ("wall_hits", "path_length", "impulse", "failed")

@@ -19,7 +19,6 @@ def write_split(
     bounds: Callable[[int, Field], tuple[int, int]] = lambda k, field: (k + 10, k + 12),
     **changed: Any,
 ) -> Path:
-    """Write a file of the split test whose instance k is field 2 k, with made-up bounds."""
     sampler, instances = FieldSampler(**sampler_of("test", tier)), []
     for k in range(count):
         field = sampler.field(2 * k)

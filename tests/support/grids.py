@@ -24,5 +24,4 @@ def spec_of(store: Path | str, **changes: Any) -> GridSpec:
 
 
 def run_here(spec: GridSpec) -> dict[str, Outcome]:
-    """Run a grid in this process; return how each run ended."""
     return train_runs(runs_left(runs_of(spec), spec.store), spec.store, LocalEngine(1))

@@ -19,7 +19,5 @@ SMALL = Field(
 
 
 class Wander(Policy):
-    """Actions that look at nothing but the observation, and push into walls."""
-
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         return (np.floor(seen[:, :, :2] * 185.0) % 3 - 1).astype(np.float32)

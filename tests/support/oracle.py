@@ -1,8 +1,4 @@
-"""A second, slow implementation of the MDP: one world, robot by robot.
-
-It shares nothing with the package, so a mistake would have to be made twice. Geometry comes from
-shapely, distances from ``math.hypot``. A comparison stops where ``Step.margin`` is mere rounding.
-"""
+"""A second, slow implementation of the MDP: one world, robot by robot."""
 
 from __future__ import annotations
 
@@ -20,14 +16,13 @@ from tests.support.draws import NUMBERS, drawn_settings, highest, is_range
 from tests.support.scores import Profile, Step, formal_reward, released_reward
 from tests.support.tokens import Atlas, Plan, entities
 from tests.support.vehicles import REALS, Robot, Vehicle, clip
-from tests.support.wall_senses import WallSenses
+
+SLACK = 1e-3  # a robot this near a wall, in units, may be behind it by rounding
+RESIDUE = 1e-9  # rounding leaves a slower speed, in units/step, of a robot that has braked
 
 
 class Oracle:
-    """One world of the MDP; settings have the names, units and defaults of the engine's.
-
-    ``reward`` and ``failures`` may be any object with the attributes of theirs.
-    """
+    """One world of the MDP; settings have the names, units and defaults of the engine's."""
 
     def __init__(self, field: Any, *, seed: int = 0, world: int = 0, **settings: Any) -> None:
         self.field, self.place, self.settings = field, (seed, world), settings
@@ -66,7 +61,6 @@ class Oracle:
     ) -> None:
         real = self.real = REALS[dtype]
         self.n = len(field.starts) if n_robots is None else n_robots
-        self.starts = [(float(x), float(y)) for x, y in field.starts]
         self.rois = [(real(x), real(y)) for x, y in field.rois]
         self.width, self.height = (real(side) for side in field.arena)
         self.polygon = shapely.Polygon(field.vertices, field.holes)
@@ -98,19 +92,15 @@ class Oracle:
         self.failures, self.failure_rate, self.fails = failures, failure_rate, fails or {}
         self.disturbances = Disturbances(real, *self.place, **disturbances)
 
-    def reset(
-        self, positions: Sequence[Sequence[float]] | None = None, episode: int | None = None
-    ) -> None:
-        """Start the next episode, or number ``episode``, at the field's starts or ``positions``."""
+    def reset(self, episode: int | None = None) -> None:
         self.episode = self.episode + 1 if episode is None else episode
         key = key_of(*self.place, self.episode, NUMBERS)
         self._configure(self.field, **drawn_settings(self.settings, len(self.field.starts), key))
         self.disturbances.begin(self.episode)
         zero = self.real(0.0)
-        spots = self.starts[: self.n] if positions is None else positions
         self.robots = [
             Robot(vehicle, self.real(x), self.real(y), zero, zero, zero)
-            for vehicle, (x, y) in zip(self.vehicles, spots, strict=True)
+            for vehicle, (x, y) in zip(self.vehicles, self.field.starts, strict=False)
         ]
         self.visited = [False] * len(self.rois)
         self.stood_on: set[tuple[float, float]] = set()
@@ -140,7 +130,6 @@ class Oracle:
         return (*positions, *velocities, *headings, float(self.visit_code))
 
     def step(self, actions: Sequence[Sequence[float]]) -> Step:
-        """Move every robot by ``actions`` (n, 2), numbers that are clipped to [-1, 1]."""
         step = Step()
         self._fail()
         taken = self.disturbances.arrived(actions)
@@ -175,10 +164,9 @@ class Oracle:
     def observe(
         self, i: int, missing: int = 0, shift: tuple[float, float] = (0.0, 0.0)
     ) -> NDArray[np.float32]:
-        """The observation of robot i, (size,), or that from a place elsewhere by ``shift``.
+        """The observation of robot i, (size,), perhaps from elsewhere by ``shift``.
 
-        ``missing`` is by how many ROIs the field has fewer than another of a batch: they are seen
-        as visited, and where the first one is.
+        ROIs that the field is ``missing`` are seen as visited, and where the first one is.
         """
         here = self.robots[i]
         there = replace(here, x=here.x + self.real(shift[0]), y=here.y + self.real(shift[1]))
@@ -223,7 +211,6 @@ class Oracle:
         return np.concatenate(seen).astype(np.float32)
 
     def _seen_robots(self, i: int, me: Robot) -> list[Robot]:
-        """The robots as robot i, which is at ``me``, sees them; itself first."""
         bodies = {i: me, **{j: body for j, body in enumerate(self.robots) if j != i}}
         if not self.disturbances.blurs:
             return [*bodies.values()]
@@ -235,14 +222,12 @@ class Oracle:
         return found
 
     def _flag(self, robot: Robot) -> NDArray[Any]:
-        """The entries of an observation that flag a failed robot: none without failures."""
         return np.array([robot.failed] if self.failures else [], float)
 
     def _gone(self, robot: Robot) -> bool:
         return robot.failed and self.failures.kind == "vanish"
 
     def _sight(self, offset: NDArray[Any], *more: NDArray[Any]) -> list[NDArray[Any]]:
-        """Something at an offset, in arenas; blank if too far, which ``local`` flags."""
         entries = [offset / np.array([self.width, self.height]), *more]
         if self.observation not in ("local", "lidar_local"):
             return entries
@@ -251,16 +236,31 @@ class Oracle:
         return [*flag, *(near * entry for entry in entries)]
 
     def _walls(self, me: Robot, reach: float) -> list[float]:
-        senses = WallSenses(self.polygon, float(self.top_speed), reach)
+        """The last eleven entries of ``lidar``: rays, time to the wall, brake, distance."""
+        spot, velocity = me.position.astype(float), me.velocity.astype(float)
+        angles = [math.radians(45 * k) for k in range(8)]
+        rays = [self._free(spot, math.cos(a), math.sin(a), reach) for a in angles]
+        speed, time = math.hypot(*velocity), 1.0
+        if speed > RESIDUE:
+            far = reach * speed / float(self.top_speed)  # as long as the reach at the speed limit
+            time = self._free(spot, velocity[0] / speed, velocity[1] / speed, far)
         rest = me.vehicle.place_of_rest(me.position, me.velocity, me.heading)
-        return senses.entries(me.position.astype(float), me.velocity.astype(float), rest)
+        inside = bool(shapely.intersects_xy(self.polygon, *rest))
+        distance = self.boundary.distance(shapely.Point(spot))
+        return [*rays, time, float(inside), min(1.0, distance / reach)]
+
+    def _free(self, spot: NDArray[Any], x: float, y: float, reach: float) -> float:
+        """The part of ``reach`` that a robot can go along (x, y) before it leaves the field."""
+        start, end = shapely.Point(spot), (spot[0] + reach * x, spot[1] + reach * y)
+        ways = self.polygon.intersection(shapely.LineString([start, end]))
+        own = [way for way in shapely.get_parts(ways) if way.distance(start) < SLACK]
+        return max((way.length for way in own), default=0.0) / reach
 
     def _each(self, value: Any) -> list[Any]:
         one = isinstance(value, str | int | float) or is_range(value)
         return [value] * self.n if one else list(value)
 
     def metrics(self) -> dict[str, Any]:
-        """Sums over the episode so far, under the engine's names."""
         return {
             "success": self.success,
             "collision": self.collision,
@@ -275,7 +275,6 @@ class Oracle:
         }
 
     def _fail(self) -> None:
-        """Robots fail at their step, and by chance while few enough have."""
         if self.failures is None:
             return
         most = self.n - 1 if self.failures.most is None else self.failures.most

@@ -44,34 +44,23 @@ TINY: Mapping[str, str] = {
     "render": "--steps 5",
     "warmup": "--observation relative",
     "watch": "--episodes 1 --speed 1000",
-}
-"""What the reader adds to a command, so that it takes a moment."""
+}  # What the reader adds to a command, so that it takes a moment
 TINY_GRID = {
     "algorithms": ["a2c"],
     "fields": ["field_03"],
     "settings": ["A"],
     "budget": {"steps": 1, "evaluate_every": 4096, "episodes": 2},
-}
-"""What the reader changes in the file of a grid."""
+}  # What the reader changes in the file of a grid
 
 
 @dataclass(frozen=True)
 class Block:
-    """A code block.
-
-    Attributes:
-        language: what follows the backticks; empty for output.
-        text: the code.
-        needs: one of :data:`NEEDS`.
-    """
-
     language: str
     text: str
     needs: str = ""
 
 
 def blocks_of(page: Path) -> list[Block]:
-    """The code blocks of a page, in order; those of Sphinx's directives are none."""
     found = BLOCK.findall(page.read_text(encoding="utf-8"))
     return [
         Block(language, text, needs)
@@ -81,20 +70,17 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 def code_in_tables(page: Path) -> list[str]:
-    """The inline code in the cells of a page's tables, in order."""
     rows = [line for line in page.read_text(encoding="utf-8").splitlines() if line[:1] == "|"]
     return re.findall(r"`([^`]+)`", "\n".join(rows))
 
 
 def commands_of(block: Block) -> Iterator[list[str]]:
-    """The command lines of a block for the shell, as words, without comments."""
     for line in block.text.replace("\\\n", " ").splitlines():
         if words := shlex.split(line, comments=True):
             yield words
 
 
 def write_file(block: Block, folder: Path) -> None:
-    """Write the file that a block shows, if it begins with a file's name; a grid tiny."""
     if name := FILE_NAME.match(block.text):
         path, text = folder / name[1], block.text
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -115,7 +101,6 @@ def write_own_files(folder: Path) -> None:
 
 
 def tiny(words: Sequence[str]) -> list[str]:
-    """Return the words after ``mbn`` with what makes the command take a moment."""
     return [*words, *TINY.get(words[0], "").split()]
 
 

@@ -21,7 +21,6 @@ Frame = NDArray[np.uint8]
 
 
 def snapshot(trail: Any = ((120.0, 200.0),), **changes: Any) -> Snapshot:
-    """A moment of one robot (or, with a (t + 1, n, 2) trail, of more) in the square field."""
     path = np.asarray(trail, np.float64)
     path = path[:, None] if path.ndim == 2 else path
     robots, steps = path.shape[1], len(path) - 1
@@ -35,19 +34,16 @@ def snapshot(trail: Any = ((120.0, 200.0),), **changes: Any) -> Snapshot:
 
 
 def draw(moment: Snapshot, viewer: Viewer | None = None) -> Frame:
-    """The frame of a viewer in rgb_array mode, a new one unless given."""
     frame = (viewer or Viewer("rgb_array", SIZE)).draw(moment)
     assert frame is not None
     return frame
 
 
 def where(frame: Frame, colour: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the pixels of exactly that colour."""
     rows, columns = np.nonzero((frame == style.rgb(colour)).all(axis=2))
     return rows, columns
 
 
 def wander(steps: int, robots: int, seed: int = 0) -> NDArray[np.float64]:
-    """A random (steps + 1, robots, 2) walk inside the square field."""
     walk = np.random.default_rng(seed).normal(0.0, 3.0, (steps + 1, robots, 2)).cumsum(axis=0)
     return np.clip(200.0 + walk, 105.0, 295.0)

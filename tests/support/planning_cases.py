@@ -24,7 +24,6 @@ U_SHAPE = Field(
 
 
 def small_field(seed: int, n: int = 2, m: int = 2) -> Field:
-    """A convex field that a robot crosses in a dozen steps."""
     rng = np.random.default_rng(seed)
     outline = shapely.MultiPoint(rng.uniform(0, 1, (8, 2)) * 70.0 + 300.0).convex_hull
     inner = outline.buffer(-0.5)
@@ -36,7 +35,6 @@ def small_field(seed: int, n: int = 2, m: int = 2) -> Field:
 
 
 def star_field(seed: int) -> Field:
-    """A star-shaped field with a hole, three robots and four ROIs."""
     rng = np.random.default_rng(seed)
     outline = ring(rng, np.array([500.0, 500.0]), 8, 80.0, 200.0)
     hole = ring(rng, np.array([500.0, 500.0]), 4, 10.0, 25.0)
@@ -55,11 +53,7 @@ Pair = tuple[float, float]
 def brute_force(
     field: Field, radius: float, wind: Pair = (0.0, 0.0), velocity: Pair = (0.0, 0.0)
 ) -> int:
-    """The least makespan without collisions: every partition, every order, all visit times.
-
-    One linear program in the forces for each; discs are 48-gons of circumradius ``radius``. All
-    robots have the same ``velocity`` at their starts.
-    """
+    """The least makespan without collisions: every partition, order and visit time."""
     robots, rois = range(len(field.starts)), range(len(field.rois))
     for steps in range(1, 200):
         reach = {
@@ -89,7 +83,6 @@ def _feasible(
     wind: Pair,
     velocity: Pair,
 ) -> bool:
-    """Return whether forces, one for each step and axis, make the visits."""
     once = np.tril(np.ones((steps, steps)))
     pushes = np.arange(1, steps + 1)
     pushed = once * 0.5
@@ -100,7 +93,6 @@ def _feasible(
     limits: list[float] = []
 
     def add(step: int, x: float, y: float, limit: float) -> None:
-        """The position after ``step`` steps has to satisfy x px + y py <= limit."""
         rows.append(np.concatenate([x * position[0][step - 1], y * position[1][step - 1]]))
         limits.append(limit - x * carried[0][step - 1] - y * carried[1][step - 1])
 

@@ -35,7 +35,6 @@ CONFIG = CompareConfig(
 
 
 def _made_up(share: float, field: Field, seed: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Evaluations and the final one of a run that reaches ``share``."""
     best = share * OPTIMA.get(field.name, 150_000.0)
     always = float(share > 0.7)
     final = {
@@ -60,11 +59,7 @@ def make_run(
     field_object: Field | None = None,
     **changes: Any,
 ) -> RunRecord:
-    """A finished run with made-up results: its mean actions reach ``share`` of the optimum.
-
-    Sampled actions reach half as much. 100 000 is passed at 300 env-steps, or never. ``recorded``
-    are its evaluations and the final one, instead of these.
-    """
+    """A finished run whose mean actions reach ``share`` of the optimum, sampled ones half of it."""
     request = {"algorithm": "mappo", "setting": "N", "label": None, "field": "field_03", "seed": 0}
     budget = {"steps": 400, "evaluate_every": 100, "episodes": 2}
     learning = {

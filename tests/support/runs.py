@@ -41,7 +41,6 @@ LEARNERS: dict[str, dict[str, Any]] = {
 
 
 def small_config(name: str, setting: Setting = "N") -> TrainConfig:
-    """A run of a few updates, with a fresh evaluation and a checkpoint on the way."""
     small: dict[str, Any] = TEAM
     if name in LEARNERS:
         kind = {} if name == "ars" else {"policy": "MlpPolicy"}
@@ -53,7 +52,6 @@ def small_config(name: str, setting: Setting = "N") -> TrainConfig:
 
 
 def interrupted(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
-
     def interrupt(report: Report) -> None:
         if (out / "checkpoints").exists():
             raise InterruptedError
@@ -64,7 +62,6 @@ def interrupted(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
 
 
 def recorded(run: RunFolder) -> dict[str, Any]:
-
     def timeless(entry: dict[str, Any]) -> dict[str, Any]:
         return {name: value for name, value in entry.items() if "seconds" not in name}
 
@@ -83,17 +80,13 @@ def same_policies(run: RunFolder, other: RunFolder) -> bool:
 
 
 class TinyRuns:
-    """Runs of :func:`small_config`, trained once for the tests of all workers."""
-
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def finished(self, name: str) -> RunFolder:
-        """Return a finished run; leave it as it is."""
         return self._made(f"{name}-finished", lambda out: train(small_config(name), out))
 
     def stopped(self, name: str, copy: Path) -> RunFolder:
-        """Copy a run that stopped after its first checkpoint."""
         run = self._made(f"{name}-stopped", lambda out: interrupted(small_config(name), out))
         return RunFolder.open(shutil.copytree(run.path, copy))
 
@@ -106,7 +99,6 @@ class TinyRuns:
 
 @pytest.fixture(scope="session")
 def tiny_runs(tmp_path_factory: pytest.TempPathFactory) -> TinyRuns:
-    """Small runs that tests read or copy."""
     base = tmp_path_factory.getbasetemp()
     workers = "PYTEST_XDIST_WORKER" in os.environ  # whose folders are in one
     return TinyRuns((base.parent if workers else base) / "runs")

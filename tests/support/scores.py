@@ -21,11 +21,7 @@ class Profile:
 
 @dataclass
 class Step:
-    """The events of one step; lists have an entry per robot.
-
-    ``reached`` counts the ROIs that a robot visited first; ``margin`` is the least distance of any
-    decision from its threshold, units; ``rewards`` are those after reward sharing.
-    """
+    """The events of one step; ``margin`` is the least distance of a decision from its threshold."""
 
     works: list[bool] = field(default_factory=list)
     wall: list[bool] = field(default_factory=list)
@@ -94,5 +90,4 @@ def parts_of(step: Step) -> list[float]:
 
 
 def by_term(**values: float) -> dict[str, float]:
-    """A reward by term; the terms that are not given are zero."""
     return {name: values.get(name, 0.0) for name in TERMS}

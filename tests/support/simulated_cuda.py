@@ -1,9 +1,4 @@
-"""The CUDA backend in Numba's simulator, where kernels are Python and threads are Python's.
-
-``test_cuda.py`` runs this file in processes of its own, with NUMBA_ENABLE_CUDASIM=1. The functions
-of the MDP that the kernels call are compiled for the CPU, so all that differs from a GPU is the
-kernels' own code. torch's tensors lie on the CPU: ``SimulatedDevice`` is the only stand-in.
-"""
+"""The CUDA backend in Numba's simulator, where kernels are Python and threads are Python's."""
 
 from __future__ import annotations
 
@@ -36,8 +31,6 @@ SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 40, "wind": (0.0
 
 
 class SimulatedDevice:
-    """Stands in for ``cuda.Device``: torch's CPU tensors, Numba's simulator."""
-
     torch = torch.device("cpu")
 
     def array(self, tensor: torch.Tensor) -> NDArray[Any]:
@@ -75,7 +68,6 @@ def simulator(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def pair(field: Any = "field_03", **settings: Any) -> tuple[BatchEngine, BatchEngine]:
-    """The same engine on the CPU and on the simulated device."""
     return (
         BatchEngine(field, WORLDS, seed=11, threads=1, **settings),
         BatchEngine(field, WORLDS, seed=11, device="cuda", **settings),
@@ -84,26 +76,23 @@ def pair(field: Any = "field_03", **settings: Any) -> tuple[BatchEngine, BatchEn
 
 def assert_same(cpu: BatchEngine, gpu: BatchEngine) -> None:
     """Everything that the engines tell, bit for bit."""
-    terminated = cpu._backend.output.terminated | cpu._backend.output.truncated
-    told = {
-        "observations": (cpu._backend.output.observations, gpu._backend.output.observations),
-        "rewards": (cpu._backend.output.rewards, gpu._backend.output.rewards),
-        "terminated": (cpu._backend.output.terminated, gpu._backend.output.terminated),
-        "truncated": (cpu._backend.output.truncated, gpu._backend.output.truncated),
-        "team_rewards": (cpu.team_rewards, gpu.team_rewards),
-        "state": (cpu.state(), gpu.state()),
-        "infos": (cpu.infos(), gpu.infos()),
-        "reward_terms": (cpu.reward_terms(), gpu.reward_terms()),
+    outputs = ("observations", "rewards", "terminated", "truncated")
+    engines: Any = (cpu, gpu)
+    told: dict[str, Any] = {
+        **{name: [getattr(one._backend.output, name) for one in engines] for name in outputs},
+        **{name: [getattr(one, name)() for one in engines] for name in ("state", "infos")},
+        "reward_terms": [one.reward_terms() for one in engines],
+        "team_rewards": [one.team_rewards for one in engines],
+        **{name: (drawn, gpu.drawn()[name]) for name, drawn in cpu.drawn().items()},
     }
-    if cpu.autoreset == "same_step":
-        told["final observations"] = (
-            cpu.final_observations[terminated],
-            gpu.final_observations[torch.from_numpy(terminated)],
-        )
-        told["final state"] = (cpu.final_state()[terminated], gpu.final_state()[terminated])
-    told |= {name: (drawn, gpu.drawn()[name]) for name, drawn in cpu.drawn().items()}
     theirs = gpu.metrics()
     told |= {name: (value, theirs[name]) for name, value in cpu.metrics().items()}
+    if cpu.autoreset == "same_step":
+        ended = cpu._backend.output.terminated | cpu._backend.output.truncated
+        rows = (ended, torch.from_numpy(ended))
+        finals = [(one.final_observations, one.final_state()) for one in engines]
+        for k, name in enumerate(("final observations", "final state")):
+            told[name] = [final[k][row] for final, row in zip(finals, rows, strict=True)]
     for name, (expected, tensor) in told.items():
         assert isinstance(tensor, torch.Tensor), name
         got = tensor.numpy()
@@ -112,7 +101,6 @@ def assert_same(cpu: BatchEngine, gpu: BatchEngine) -> None:
 
 
 def run(cpu: BatchEngine, gpu: BatchEngine, steps: int) -> int:
-    """Step both alike; how many episodes ended."""
     ended = 0
     np.testing.assert_array_equal(gpu.reset().numpy(), cpu.reset())
     for _ in range(steps):
@@ -130,19 +118,6 @@ def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
     assert run(*pair(autoreset=autoreset, **SETTINGS), steps=200) >= 10
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"observation": "local", "one_hot": True},
-        {"reward": "formal", "observation": "state", "n_robots": 2},
-        {"reward_sharing": "team", "mass": (1.0, 1.5, 2.0), "f_max": 3.0},
-    ],
-    ids=", ".join,
-)
-def test_equals_the_cpu_in_other_configurations(settings: dict[str, Any]) -> None:
-    run(*pair(**(SETTINGS | settings)), steps=60)
-
-
 BLOWN: dict[str, Any] = {
     **{"gust": 0.1, "failures": Failures(between=(3, 9)), "dynamics": "mixed"},
     **{"mass": Uniform(0.5, 2.0), "tau": Uniform(0.8, 1.2)},
@@ -151,42 +126,34 @@ BLOWN: dict[str, Any] = {
 HARD: dict[str, Any] = {
     **{"gust": 0.1, "action_noise": 0.1, "action_loss": 0.3, "action_delay": 2},
     **{"position_noise": 1.0, "velocity_noise": 0.1, "dropout": 0.2},
+    "field": ["field_05", "field_09"],
 }
-SEVERAL: dict[str, Any] = {"field": ["field_05", "field_09"], **HARD}
+LARGE = FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 8))
+# Each set of features is a program to compile, so there are few.
+CASES: dict[str, dict[str, Any]] = {
+    "local": {"observation": "local", "one_hot": True},
+    "formal": {"reward": "formal", "observation": "state", "n_robots": 2},
+    "team": {"reward_sharing": "team", "mass": (1.0, 1.5, 2.0), "f_max": 3.0},
+    "features, coasting": {
+        **{"observation": "lidar_local", **HARD},
+        **{"dynamics": ("holonomic", "unicycle", "bicycle"), "f_max": (1.0, 2.0, 3.0)},
+        "failures": {"rate": 0.05, "at": {2: 9}, "most": 3, "kind": "coast"},
+    },
+    "features, vanishing": {
+        **{"observation": "lidar", "reward": "formal", **HARD},
+        **{"dynamics": MIXED, "failures": {"rate": 0.05, "kind": "vanish"}},
+    },
+    "random_fields, state": {"field": LARGE, "observation": "state", **BLOWN},
+    "random_fields, relative": {"field": FieldSampler(robots=(2, 3)), **BLOWN},
+    "random_fields, entities": {
+        **{"field": FieldSampler(FAMILIES, robots=(2, 4)), "dropout": 0.2, **ASSIGNED}
+    },
+}
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {
-            **{"observation": "lidar_local", **SEVERAL},
-            **{"dynamics": ("holonomic", "unicycle", "bicycle"), "f_max": (1.0, 2.0, 3.0)},
-            "failures": {"rate": 0.05, "at": {2: 9}, "most": 3, "kind": "coast"},
-        },
-        {
-            **{"observation": "lidar", "reward": "formal", **SEVERAL, "dynamics": MIXED},
-            "failures": {"rate": 0.05, "kind": "vanish"},
-        },
-    ],
-    ids=["coasting", "vanishing"],
-)
-def test_equals_the_cpu_with_features(settings: dict[str, Any]) -> None:
-    """Each set of features is a program to compile, so there are few."""
-    run(*pair(**(SETTINGS | settings)), steps=60)
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"field": FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 8)), "observation": "state"}
-        | BLOWN,
-        {"field": FieldSampler(robots=(2, 3)), **BLOWN},
-        {"field": FieldSampler(FAMILIES, robots=(2, 4)), "dropout": 0.2, **ASSIGNED},
-    ],
-    ids=["state", "relative", "entities"],
-)
-def test_equals_the_cpu_on_random_fields(settings: dict[str, Any]) -> None:
-    run(*pair(**(SETTINGS | settings)), steps=60)
+@pytest.mark.parametrize("case", CASES)
+def test_equals_the_cpu(case: str) -> None:
+    run(*pair(**(SETTINGS | CASES[case])), steps=60)
 
 
 @pytest.mark.parametrize("episode", SPREAD, ids=lambda episode: episode.id)
@@ -267,44 +234,24 @@ def test_shapes_and_types_are_checked_at_once(actions: Any, problem: str) -> Non
         gpu.reset_worlds(torch.ones(2, dtype=torch.bool))
 
 
-def test_outputs_are_written_in_place_and_a_copy_goes_on_alike() -> None:
+def test_outputs_are_written_in_place_and_copies_and_saved_worlds_go_on_alike() -> None:
     _, gpu = pair(**SETTINGS)
+    _, other = pair(**SETTINGS)
     first = gpu.reset()
     for _ in range(20):
         assert gpu.step(gpu.sample_actions())[0] is first
+    other.reset(99)
+    other.step(torch.full((WORLDS, 3, 2), torch.nan))  # of worlds that are replaced
+    other.load_state(gpu.save_state())
+    other.snapshot()
     twin = copy.deepcopy(gpu)
     for _ in range(30):
         actions = gpu.sample_actions()
         ahead = [tensor.clone() for tensor in gpu.step(actions)]
-        assert (twin.sample_actions() == actions).all()
-        assert all((a == b).all() for a, b in zip(ahead, twin.step(actions), strict=True))
+        for engine in (twin, other):
+            assert (engine.sample_actions() == actions).all()
+            assert all((a == b).all() for a, b in zip(ahead, engine.step(actions), strict=True))
     assert twin.step(actions)[0] is not first
-
-
-def test_saved_worlds_go_on_alike() -> None:
-    _, gpu = pair(**SETTINGS)
-    gpu.reset()
-    for _ in range(20):
-        gpu.step(gpu.sample_actions())
-    saved = gpu.save_state()
-    _, other = pair(**SETTINGS)
-    other.reset(99)
-    other.step(torch.full((WORLDS, 3, 2), torch.nan))  # of worlds that are replaced
-    other.load_state(saved)
-    other.snapshot()
-    for _ in range(30):
-        actions = gpu.sample_actions()
-        assert (other.sample_actions() == actions).all()
-        ahead = gpu.step(actions)
-        assert all((a == b).all() for a, b in zip(ahead, other.step(actions), strict=True))
-
-
-def test_seeds() -> None:
-    cpu, gpu = pair(**SETTINGS)
-    cpu.reset(), gpu.reset()
-    for seed in (5, None, 5):
-        assert (gpu.reset(seed).numpy() == cpu.reset(seed)).all()
-        assert (gpu.sample_actions().numpy() == cpu.sample_actions()).all()
 
 
 def test_snapshot() -> None:
@@ -317,7 +264,6 @@ def test_snapshot() -> None:
 
 
 def test_torchrl_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The environment with the device's engine: its rollout is that of the CPU's."""
     from mbn_marl.adapters import torchrl
 
     made = []
@@ -343,7 +289,6 @@ def test_the_simulator_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_recorders_note_the_same() -> None:
-    """Starts, actions and rewards of every episode of a world, and what the engines tell of it."""
     from mbn_marl.episode import EpisodeRecorder
 
     cpu, gpu = pair(**{**SETTINGS, "max_steps": 3})

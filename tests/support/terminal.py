@@ -24,10 +24,7 @@ def in_terminal(
     folder: Path | None = None,
     environment: Mapping[str, str] = os.environ,
 ) -> str:
-    """Return what ``command`` leaves on a terminal so many columns wide, without colours.
-
-    It has to succeed.
-    """
+    """Return what a command that succeeds leaves on a terminal, without colours."""
     leader, follower = pty.openpty()
     fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
     process = subprocess.Popen(

@@ -48,8 +48,6 @@ def first_least(choices: list[Any], cost: Callable[[Any], float]) -> Any:
 
 
 class Atlas:
-    """The ways around the corners of a field."""
-
     def __init__(self, polygon: shapely.Polygon, rois: list[Any]) -> None:
         self.polygon, self.rois = polygon, rois
         self.waypoints = [*self._off_corners()]
@@ -107,10 +105,7 @@ class Atlas:
 
 
 class Plan:
-    """Orders of ROIs for n robots: made at first and when a robot with ROIs fails.
-
-    If ``fresh`` they are made at each update.
-    """
+    """Orders of ROIs for n robots: made at first and when one with ROIs fails, or if ``fresh``."""
 
     def __init__(self, atlas: Atlas, n: int, *, fresh: bool = False) -> None:
         self._atlas, self._fresh = atlas, fresh
@@ -120,7 +115,6 @@ class Plan:
     def update(
         self, spots: list[Any], works: list[bool], left: list[int], speeds: list[complex]
     ) -> None:
-        """Assign the ROIs that are left; ``speeds`` are shares of the speed limit."""
         self._spots, self._speeds = spots, speeds
         self.orders = [[j for j in order if j in left] for order in self.orders]
         failed = any(order and not works[i] for i, order in enumerate(self.orders))
@@ -156,7 +150,6 @@ class Plan:
         return orders
 
     def _tour(self, i: int, order: list[int]) -> Any:
-        """Length of robot i's way along ROIs in this order, with the cost of turning back."""
         stops = [self._spots[i], *(self._atlas.rois[j] for j in order)]
         ways = (self._atlas.way(stop, j)[0] for stop, j in zip(stops, order, strict=False))
         total = sum(ways, stops[0][0] * 0)
@@ -180,7 +173,6 @@ class Plan:
     def _best_place(
         self, team: list[int], orders: list[list[int]], j: int, weight: float
     ) -> tuple[float, list[list[int]]]:
-        """The least cost with ROI j in an order, and the orders then."""
         without = [[k for k in order if k != j] for order in orders]
         ways = []
         for i in team:
@@ -191,7 +183,6 @@ class Plan:
         return first_least(ways, lambda way: way[0])
 
     def turn(self, i: int, j: int) -> float:
-        """1 over the place of ROI j in the order of robot i, or 0."""
         return 1.0 / (1 + self.orders[i].index(j)) if j in self.orders[i] else 0.0
 
 
@@ -232,7 +223,6 @@ def entities(oracle: Any, i: int, there: Any, me: Any, others: list[Any]) -> Ite
 
 
 def toward(place: Any, spot: Any) -> list[float]:
-    """The entries of a place as it is seen: its offset, its direction and how far away it is."""
     dx, dy = (np.array(place) - spot).tolist()
     distance = math.hypot(dx, dy)
     direction = [dx / (distance + 1.0), dy / (distance + 1.0)]

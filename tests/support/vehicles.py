@@ -15,8 +15,6 @@ TURNING = ("unicycle", "bicycle")  # the dynamics with a heading
 
 @dataclass(frozen=True)
 class Vehicle:
-    """The numbers of one robot, and those of the world that its motion depends on."""
-
     dynamics: str
     real: Any
     mass: Any
@@ -34,13 +32,11 @@ class Vehicle:
         return self.dynamics in TURNING
 
     def ahead(self, heading: Any) -> tuple[Any, Any]:
-        """The cosine and the sine of a heading; both 0 without one."""
         if not self.turns:
             return self.real(0.0), self.real(0.0)
         return self.real(cosine(float(heading))), self.real(sine(float(heading)))
 
     def move(self, velocity: Any, heading: Any, action: Any, gust: Any) -> tuple[Any, Any, Any]:
-        """The next velocity (2,), the next heading, and the force (2,), all before the walls."""
         a, b = (clip(self.real(one), self.real(-1.0), self.real(1.0)) for one in action)
         wind = (self.wind_x + gust[0], self.wind_y + gust[1])
         if not self.turns:
@@ -60,7 +56,6 @@ class Vehicle:
         return (speed * new[0], speed * new[1]), heading, (force * old[0], force * old[1])
 
     def drift(self, kind: str, velocity: Any, heading: Any, gust: Any) -> tuple[Any, Any]:
-        """The next velocity (2,) of a robot that has failed."""
         wind, most = (self.wind_x + gust[0], self.wind_y + gust[1]), self.f_max / self.mass
 
         def one(speed: Any, push: Any) -> Any:
@@ -91,7 +86,6 @@ class Vehicle:
         return float(spot[0]) + path * c, float(spot[1]) + path * s
 
     def _axis(self, v: Any, a: Any, wind: Any) -> tuple[Any, Any]:
-        """The next velocity and the force of a robot without a heading, one axis."""
         if self.dynamics == "point_mass":
             return self._limited(v + a * self.f_max / self.mass + wind), a * self.f_max
         most = self.f_max / self.mass
@@ -102,7 +96,6 @@ class Vehicle:
         return clip(speed, -self.v_clip, self.v_clip)
 
     def _turned(self, heading: Any, turn: Any) -> Any:
-        """The heading in [-pi, pi), by whole turns."""
         half = self.real(math.pi)
         angle = heading + turn
         count = angle / (half + half)
@@ -123,10 +116,7 @@ class Vehicle:
 
 @dataclass
 class Robot:
-    """One robot: position (units), velocity (units/step), heading (radians), and its sums.
-
-    ``seen`` is False in what another robot sees if it does not see this one.
-    """
+    """One robot and its sums; ``seen`` is False for a robot that does not see this one."""
 
     vehicle: Vehicle
     x: Any

@@ -14,7 +14,6 @@ FILES = ("pyproject.toml", "README.md", "LICENSE")
 
 
 def build_wheel(folder: Path) -> Path:
-    """Build the wheel from a copy of the sources in ``folder``, which leaves the checkout alone."""
     source, built = folder / "source", folder / "wheel"
     for name in SOURCES:
         ignored = shutil.ignore_patterns("__pycache__")

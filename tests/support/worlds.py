@@ -32,14 +32,11 @@ DRAWN = {
     **{"tau": Uniform(0.7, 1.2), "roi_radius": Uniform(10.0, 30.0)},
     **{"safety_distance": Uniform(8.0, APART), "turn_max": Uniform(0.1, 3.0)},
     **{"wheelbase": Uniform(0.6, 4.0), "steer_max": Uniform(0.1, 1.2)},
-}
-"""Every number that may be drawn, but the failures'."""
+}  # Every number that may be drawn, but the failures'
 
 
 @dataclass(frozen=True)
 class World:
-    """A field with as many starts as robots, settings, and a behaviour per robot."""
-
     field: Field
     settings: dict[str, Any]
     behaviours: tuple[str, ...]
@@ -84,7 +81,6 @@ def worlds(draw: st.DrawFn, n: int, **settings: Any) -> World:
 def random_field(
     rng: np.random.Generator, *, corners: int, with_hole: bool, n_rois: int, n_starts: int
 ) -> Field:
-    """A star-shaped polygon, rarely convex, perhaps with a hole about its centre."""
     centre = rng.uniform(300.0, 700.0, 2)
     outline = ring(rng, centre, corners, 50.0, 110.0)
     polygon = shapely.Polygon(outline)
@@ -105,7 +101,6 @@ def random_field(
 def ring(
     rng: np.random.Generator, centre: NDArray[Any], corners: int, nearest: float, farthest: float
 ) -> list[tuple[float, float]]:
-    """A ring about ``centre``: corners at rising angles and random distances."""
     angles = (np.arange(corners) + rng.uniform(0.0, 0.45, corners)) * (2 * math.pi / corners)
     radii = rng.uniform(nearest, farthest, corners)
     return [
@@ -117,7 +112,6 @@ def ring(
 def points_within(
     rng: np.random.Generator, area: shapely.Geometry, count: int, apart: float
 ) -> list[tuple[float, float]]:
-    """Random points of ``area``, none closer than ``apart`` to another."""
     low_x, low_y, high_x, high_y = area.bounds
     points: list[tuple[float, float]] = []
     while len(points) < count:
